@@ -1,0 +1,6 @@
+"""Tasks: specifications, terrains, terms, the registry and the vector environment."""
+
+if __name__ != "warpvox.envs":
+    # The folder is also importable as `envs` when the repository root is on sys.path: two copies of one
+    # module.
+    raise ImportError("import this package as warpvox.envs")

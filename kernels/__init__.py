@@ -1,0 +1,6 @@
+"""Stages of the physics, one per file: small Warp functions first, kernels, the host launch function last."""
+
+if __name__ != "warpvox.kernels":
+    # The folder is also importable as `kernels` when the repository root is on sys.path; that would register
+    # every Warp module a second time under another name.
+    raise ImportError("import this package as warpvox.kernels")

@@ -1,0 +1,295 @@
+"""Broad phase: which surface voxels may touch each other or terrain during the next sub-steps.
+
+Candidates are collected with a margin and stay valid until the fastest point has moved half of it, so this runs
+every few dozen sub-steps. The list is common to the lanes of a unit, in ascending order, hence the order of
+contact forces does not depend on who else is in the pack. Few voxels are compared all with all (vectorised over
+the lanes, that is the fastest); many go through a hashed grid, lane by lane. Both give the same candidates.
+"""
+
+import functools
+
+import warp as wp
+
+from warpvox.kernels.lanes import lane_ops
+from warpvox.kernels.launch import launch_stage
+from warpvox.kernels.state import OVERFLOW, structs
+
+GRID_FROM = 64  # surface voxels from which the grid is used
+SLOT = 0.2  # size of a grid cell: a voxel with its margin covers 1 to 4 cells
+ENTRIES_PER_VOXEL = 9  # capacity; a voxel cannot be stretched over more cells than 3 x 3
+DISTANT = wp.constant(16)  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
+CELL = 0.1
+FAR = 1.0e6  # a coordinate beyond this is not on any lattice (also stops NaN before it becomes an int)
+
+
+@functools.cache
+def boxes(precision: str, width: int):
+    """Stage: axis-aligned bounds of every surface voxel."""
+    ops, types = lane_ops(precision, width), structs(precision)
+    real, load, store, splat = ops.real, ops.load, ops.store, ops.splat
+    lower, upper = ops.lower, ops.upper
+    # float32 boxes do not see pos_lo: widen them so that they never hide a contact.
+    pad = 2.0e-6 if precision == "float32" else 0.0
+
+    @wp.func
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+        widen = splat(real(pad))
+        for v in range(model.voxels[design]):
+            c = model.corner[design, v]
+            for axis in range(int(2)):
+                p0 = load(data.pos, pack, 2 * c[0] + axis, lane)
+                p1 = load(data.pos, pack, 2 * c[1] + axis, lane)
+                p2 = load(data.pos, pack, 2 * c[2] + axis, lane)
+                p3 = load(data.pos, pack, 2 * c[3] + axis, lane)
+                store(data.box, pack, 4 * v + 2 * axis, lane, lower(lower(p0, p1), lower(p2, p3)) - widen)
+                store(data.box, pack, 4 * v + 2 * axis + 1, lane, upper(upper(p0, p1), upper(p2, p3)) + widen)
+
+    return stage
+
+
+@functools.cache
+def box_overlap(precision: str, width: int):
+    """Function: the lanes in which the boxes of two voxels, together ``margin`` wider, overlap or touch."""
+    ops, types = lane_ops(precision, width), structs(precision)
+    real, load, splat, at_most = ops.real, ops.load, ops.splat, ops.at_most
+
+    @wp.func
+    def overlap(data: types.Data, pack: int, lane: int, i: int, j: int, margin: real):
+        m = splat(margin)
+        lanes = at_most(load(data.box, pack, 4 * i, lane), load(data.box, pack, 4 * j + 1, lane) + m)
+        lanes = lanes & at_most(load(data.box, pack, 4 * j, lane), load(data.box, pack, 4 * i + 1, lane) + m)
+        lanes = lanes & at_most(load(data.box, pack, 4 * i + 2, lane), load(data.box, pack, 4 * j + 3, lane) + m)
+        return lanes & at_most(load(data.box, pack, 4 * j + 2, lane), load(data.box, pack, 4 * i + 3, lane) + m)
+
+    return overlap
+
+
+@functools.cache
+def add_pair(precision: str):
+    """Function: append a candidate pair, unless both voxels are fixed."""
+    types = structs(precision)
+
+    @wp.func
+    def shares(corners: wp.vec4i, p: int):
+        return corners[0] == p or corners[1] == p or corners[2] == p or corners[3] == p
+
+    @wp.func
+    def own_corners(mine: wp.vec4i, other: wp.vec4i):
+        """Bits of the corners that are not corners of the other voxel too."""
+        bits = int(0)
+        four = int(4)
+        for c in range(four):
+            if not shares(other, mine[c]):
+                bits = bits | (1 << c)
+        return bits
+
+    @wp.func
+    def add(model: types.Model, data: types.Data, design: int, unit: int, i: int, j: int):
+        if model.still[design, i] == 1 and model.still[design, j] == 1:
+            return
+        n = data.pair_count[unit]
+        if n >= data.pairs.shape[1]:
+            data.overflow[unit] = 1
+            return
+        ci = model.corner[design, i]
+        cj = model.corner[design, j]
+        bits = own_corners(ci, cj)
+        if model.robot[design, i] >= 0 and model.body[design, i] == model.body[design, j]:
+            away = model.grid[design, i] - model.grid[design, j]
+            if wp.abs(away[0]) > 1 or wp.abs(away[1]) > 1:
+                bits = bits | DISTANT
+        data.pairs[unit, n] = wp.vec4i(i, j, bits, own_corners(cj, ci))
+        data.pair_count[unit] = n + 1
+
+    return add
+
+
+@functools.cache
+def collect_all(precision: str, width: int):
+    """Stage: candidate pairs by comparing all boxes with all."""
+    types, real = structs(precision), lane_ops(precision, width).real
+    overlap, add = box_overlap(precision, width), add_pair(precision)
+
+    @wp.func
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+        data.pair_count[unit] = 0
+        n = model.voxels[design]
+        for i in range(n):
+            for j in range(i + 1, n):
+                if overlap(data, pack, lane, i, j, model.margin) != 0:
+                    add(model, data, design, unit, i, j)
+
+    return stage
+
+
+@functools.cache
+def collect_grid(precision: str, width: int):
+    """Stage: candidate pairs through a hashed grid, one lane after another."""
+    types, real = structs(precision), lane_ops(precision, width).real
+    add = add_pair(precision)
+
+    @wp.func
+    def slot_of(data: types.Data, x: int, y: int):
+        return ((x * 73856093) ^ (y * 19349663)) & (data.grid_head.shape[1] - 1)
+
+    @wp.func
+    def cells(data: types.Data, pack: int, k: int, v: int, margin: real):
+        """First and last grid column and row of a voxel's box, half the margin wider; empty if not finite."""
+        half = margin * real(0.5)
+        x0, x1 = data.box[pack, 4 * v, k] - half, data.box[pack, 4 * v + 1, k] + half
+        y0, y1 = data.box[pack, 4 * v + 2, k] - half, data.box[pack, 4 * v + 3, k] + half
+        if x0 > -real(FAR) and x1 < real(FAR) and y0 > -real(FAR) and y1 < real(FAR):
+            s = real(1.0 / SLOT)
+            return int(wp.floor(x0 * s)), int(wp.floor(x1 * s)), int(wp.floor(y0 * s)), int(wp.floor(y1 * s))
+        return 0, -1, 0, -1
+
+    @wp.func
+    def insert(data: types.Data, pack: int, k: int, unit: int, v: int, entries: int, margin: real):
+        """Enter a voxel into its cells; the number of entries after that."""
+        n = int(entries)
+        x0, x1, y0, y1 = cells(data, pack, k, v, margin)
+        for y in range(y0, y1 + 1):
+            for x in range(x0, x1 + 1):
+                if n >= data.grid_next.shape[1]:
+                    data.overflow[unit] = 1
+                    return n
+                slot = slot_of(data, x, y)
+                data.grid_voxel[unit, n] = v
+                data.grid_next[unit, n] = data.grid_head[unit, slot]
+                data.grid_head[unit, slot] = n
+                n += 1
+        return n
+
+    @wp.func
+    def meets(data: types.Data, pack: int, k: int, i: int, j: int, m: real):
+        return (
+            data.box[pack, 4 * i, k] <= data.box[pack, 4 * j + 1, k] + m
+            and data.box[pack, 4 * j, k] <= data.box[pack, 4 * i + 1, k] + m
+            and data.box[pack, 4 * i + 2, k] <= data.box[pack, 4 * j + 3, k] + m
+            and data.box[pack, 4 * j + 2, k] <= data.box[pack, 4 * i + 3, k] + m
+        )
+
+    @wp.func
+    def mark(data: types.Data, pack: int, k: int, unit: int, v: int, words: int, margin: real):
+        """Set the bits of all pairs (w, v), w < v, that meet in this lane."""
+        x0, x1, y0, y1 = cells(data, pack, k, v, margin)
+        for y in range(y0, y1 + 1):
+            for x in range(x0, x1 + 1):
+                e = data.grid_head[unit, slot_of(data, x, y)]
+                while e >= 0:
+                    w = data.grid_voxel[unit, e]
+                    if w < v and meets(data, pack, k, w, v, margin):
+                        word = w * words + v // 32
+                        data.pair_bit[unit, word] = data.pair_bit[unit, word] | (1 << (v % 32))
+                    e = data.grid_next[unit, e]
+
+    @wp.func
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+        n = model.voxels[design]
+        words = (n + 31) // 32
+        for w in range(n * words):
+            data.pair_bit[unit, w] = 0
+        lanes = int(width)
+        for k in range(lane, lane + lanes):
+            for slot in range(data.grid_head.shape[1]):
+                data.grid_head[unit, slot] = -1
+            entries = int(0)
+            for v in range(n):
+                entries = insert(data, pack, k, unit, v, entries, model.margin)
+            for v in range(n):
+                mark(data, pack, k, unit, v, words, model.margin)
+        data.pair_count[unit] = 0
+        for i in range(n):
+            for j in range(i + 1, n):
+                if ((data.pair_bit[unit, i * words + j // 32] >> (j % 32)) & 1) == 1:
+                    add(model, data, design, unit, i, j)
+
+    return stage
+
+
+@functools.cache
+def lattice_range(precision: str):
+    """Function: columns and rows of the terrain lattice under a box that is ``margin`` wider on every side."""
+    types = structs(precision)
+    from warpvox.kernels.lanes import REALS
+
+    real = REALS[precision]
+
+    @wp.func
+    def span(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int, margin: real):
+        size = model.terrain[design]
+        x0, x1 = data.box[pack, 4 * v, k] - margin, data.box[pack, 4 * v + 1, k] + margin
+        y0, y1 = data.box[pack, 4 * v + 2, k] - margin, data.box[pack, 4 * v + 3, k] + margin
+        if x0 > -real(FAR) and x1 < real(FAR) and y0 > -real(FAR) and y1 < real(FAR):
+            s = real(1.0 / CELL)
+            slack = real(1.0e-3)  # in cells: coordinates carry rounding, the lattice does not
+            return (
+                wp.max(int(wp.floor(x0 * s - slack)), 0),
+                wp.min(int(wp.floor(x1 * s + slack)), size[0] - 1),
+                wp.max(int(wp.floor(y0 * s - slack)), 0),
+                wp.min(int(wp.floor(y1 * s + slack)), size[1] - 1),
+            )
+        return 0, -1, 0, -1
+
+    return span
+
+
+@functools.cache
+def collect_near(precision: str, width: int):
+    """Stage: voxels that may touch terrain in some lane."""
+    types, real = structs(precision), lane_ops(precision, width).real
+    span = lattice_range(precision)
+
+    @wp.func
+    def touches(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int):
+        x0, x1, y0, y1 = span(model, data, design, pack, k, v, model.margin)
+        for y in range(y0, y1 + 1):
+            for x in range(x0, x1 + 1):
+                if model.terrain_side[design, y * model.terrain[design][0] + x] != 0:
+                    return 1
+        return 0
+
+    @wp.func
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+        n = int(0)
+        for v in range(model.voxels[design]):
+            found = int(0)
+            k = int(lane)
+            while model.still[design, v] == 0 and found == 0 and k < lane + width:
+                found = touches(model, data, design, pack, k, v)
+                k += 1
+            if found == 1:
+                data.near[unit, n] = v
+                n += 1
+        data.near_count[unit] = n
+
+    return stage
+
+
+@functools.cache
+def collect(precision: str, width: int):
+    """Stage: all candidates anew, once the old ones are worn out."""
+    types, real = structs(precision), lane_ops(precision, width).real
+    by_grid, by_all = collect_grid(precision, width), collect_all(precision, width)
+    near = collect_near(precision, width)
+
+    @wp.func
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+        if data.drift[unit] + data.drift[unit] >= model.margin:
+            if model.voxels[design] >= GRID_FROM:
+                by_grid(model, data, design, pack, lane, unit, dt)
+            else:
+                by_all(model, data, design, pack, lane, unit, dt)
+            near(model, data, design, pack, lane, unit, dt)
+            data.drift[unit] = real(0.0)
+            if data.overflow[unit] == 1:
+                for k in range(lane, lane + int(width)):
+                    data.status[pack, k] = data.status[pack, k] | OVERFLOW
+
+    return stage
+
+
+def launch(state):
+    """Bounds of all surface voxels, and the candidates if the old ones are worn out."""
+    launch_stage(boxes, state)
+    launch_stage(collect, state)

@@ -1,0 +1,352 @@
+"""Contact and friction forces between surface voxels and with terrain (paper section A.3).
+
+For a corner of one voxel inside another: the surface side of the other that one of the corner's own two edges
+crosses and that is nearest gives normal and depth; the corner is pushed out, the side's ends take the reaction.
+Vector code finds the few lanes where a corner is in a box; the rest is scalar work for those lanes.
+"""
+
+import functools
+
+import warp as wp
+
+from warpvox.kernels.broadphase import DISTANT, lattice_range
+from warpvox.kernels.lanes import lane_ops
+from warpvox.kernels.launch import launch_stage
+from warpvox.kernels.state import structs
+
+PARALLEL = 1.0e-4  # |det| of two edges below which they do not cross
+DEGENERATE = 1.0e-6  # a side shorter than this is never the nearest
+
+
+@functools.cache
+def geometry(precision: str):
+    """Function: the nearest crossed side of quad r under corner c of quad m, and its depth (side -1: no contact).
+
+    A quad holds x, y of top left, top right, bottom right, bottom left. Comparisons and their order of evaluation
+    follow the released simulator: at time 0 they decide ties in the last bit.
+    """
+    real = lane_ops(precision, 1).real
+    quad = wp.types.vector(length=8, dtype=real)
+
+    @wp.func
+    def cross(ax: real, ay: real, bx: real, by: real):
+        return ax * by - ay * bx
+
+    @wp.func
+    def inside(x: real, y: real, r: quad):
+        """In one of the triangles TL-TR-BR and TL-BR-BL, boundary included."""
+        c = cross(r[4] - x, r[5] - y, r[0] - x, r[1] - y)
+        a = cross(r[0] - x, r[1] - y, r[2] - x, r[3] - y)
+        b = cross(r[2] - x, r[3] - y, r[4] - x, r[5] - y)
+        d = cross(r[0] - x, r[1] - y, r[6] - x, r[7] - y)
+        e = cross(r[6] - x, r[7] - y, r[4] - x, r[5] - y)
+        zero = real(0.0)
+        return (c * a >= zero and c * b >= zero) or (c * d >= zero and c * e >= zero)
+
+    @wp.func
+    def crosses(ax: real, ay: real, bx: real, by: real, cx: real, cy: real, dx: real, dy: real):
+        """Whether the segments a-b and c-d cross, ends included."""
+        ux, uy, vx, vy = bx - ax, by - ay, dx - cx, dy - cy
+        det = -ux * vy + vx * uy
+        if wp.abs(det) < real(PARALLEL):
+            return False
+        wx, wy = cx - ax, cy - ay
+        t = (-vy * wx + vx * wy) / det
+        s = (-uy * wx + ux * wy) / det
+        return real(0.0) <= t and t <= real(1.0) and real(0.0) <= s and s <= real(1.0)
+
+    @wp.func
+    def edge_crosses(m: quad, sides: int, e: int, cx: real, cy: real, dx: real, dy: real):
+        """The same for edge e of a quad; inner bottom and left edges run against the clock, as they were made."""
+        a, b = int(e), (e + 1) % 4
+        if e >= 2 and ((sides >> e) & 1) == 0:
+            a, b = (e + 1) % 4, int(e)
+        return crosses(m[2 * a], m[2 * a + 1], m[2 * b], m[2 * b + 1], cx, cy, dx, dy)
+
+    @wp.func
+    def depth_under(x: real, y: real, ax: real, ay: real, bx: real, by: real):
+        ux, uy = bx - ax, by - ay
+        length = wp.sqrt(ux * ux + uy * uy)
+        if length < real(DEGENERATE):
+            return real(1000.0)
+        return wp.abs(ux * (y - ay) - (x - ax) * uy) / length
+
+    @wp.func
+    def nearest_side(m: quad, m_sides: int, c: int, r: quad, r_sides: int):
+        best = int(-1)
+        depth = real(0.0)
+        x, y = m[2 * c], m[2 * c + 1]
+        if inside(x, y, r):
+            four = int(4)
+            for e in range(four):
+                if ((r_sides >> e) & 1) == 1:
+                    f = (e + 1) % 4
+                    ax, ay, bx, by = r[2 * e], r[2 * e + 1], r[2 * f], r[2 * f + 1]
+                    if edge_crosses(m, m_sides, c, ax, ay, bx, by) or edge_crosses(
+                        m, m_sides, (c + 3) % 4, ax, ay, bx, by
+                    ):
+                        d = depth_under(x, y, ax, ay, bx, by)
+                        if best < 0 or d < depth:
+                            best = int(e)
+                            depth = d
+        return best, depth
+
+    return nearest_side, quad
+
+
+@functools.cache
+def resolve(precision: str):
+    """Function: contact of corner c of quad m with quad r, if any; points of -1 belong to terrain."""
+    types, real = structs(precision), lane_ops(precision, 1).real
+    nearest_side, quad = geometry(precision)
+
+    @wp.func
+    def push(data: types.Data, pack: int, k: int, p: int, fx: real, fy: real):
+        if p >= 0:
+            data.contact[pack, 2 * p, k] = data.contact[pack, 2 * p, k] + fx
+            data.contact[pack, 2 * p + 1, k] = data.contact[pack, 2 * p + 1, k] + fy
+
+    @wp.func
+    def speed(data: types.Data, pack: int, k: int, p: int, nx: real, ny: real):
+        """True velocity of a point along a direction; terrain stands still."""
+        if p < 0:
+            return real(0.0)
+        return nx * data.true_vel[pack, 2 * p, k] + ny * data.true_vel[pack, 2 * p + 1, k]
+
+    @wp.func
+    def contact(
+        model: types.Model, data: types.Data, pack: int, k: int,
+        m: quad, m_sides: int, p: int, c: int, r: quad, r_sides: int, r_points: wp.vec4i, times: real,
+    ):  # fmt: skip
+        side, depth = nearest_side(m, m_sides, c, r, r_sides)
+        if side < 0:
+            return
+        f = (side + 1) % 4
+        ux, uy = r[2 * f] - r[2 * side], r[2 * f + 1] - r[2 * side + 1]
+        length = wp.sqrt(ux * ux + uy * uy)
+        nx, ny = -uy / length, ux / length
+        normal = model.contact_stiffness * (model.contact_depth + depth)
+        half = real(0.5)
+        a, b = r_points[side], r_points[f]
+        # Friction along t = (-ny, nx): viscous at small slip, at most friction_multiplier * friction * normal.
+        slip = speed(data, pack, k, p, -ny, nx)
+        grip = model.friction * normal
+        drag = real(0.0)
+        if slip != real(0.0):
+            drag = -model.friction_multiplier * grip * wp.tanh(slip / grip)
+        fx, fy = times * (nx * normal - ny * drag), times * (ny * normal + nx * drag)
+        damp = times * model.contact_damping
+        dp = damp * speed(data, pack, k, p, nx, ny)
+        da = damp * speed(data, pack, k, a, nx, ny)
+        db = damp * speed(data, pack, k, b, nx, ny)
+        push(data, pack, k, p, fx - nx * dp, fy - ny * dp)
+        push(data, pack, k, a, -(fx + nx * da) * half, -(fy + ny * da) * half)
+        push(data, pack, k, b, -(fx + nx * db) * half, -(fy + ny * db) * half)
+
+    return contact, quad
+
+
+@functools.cache
+def frames(precision: str):
+    """Functions that give a voxel or a terrain cell as a quad.
+
+    float32 takes coordinates relative to an origin nearby and keeps the low parts; float64 takes them as they are.
+    """
+    types, real = structs(precision), lane_ops(precision, 1).real
+    _, quad = geometry(precision)
+
+    if precision == "float32":
+
+        @wp.func
+        def near(high: real, low: real, origin: real):
+            return (high - origin) + low
+
+        @wp.func
+        def origin_of(high: real):
+            return high
+    else:
+
+        @wp.func
+        def near(high: real, low: real, origin: real):
+            return high
+
+        @wp.func
+        def origin_of(high: real):
+            return real(0.0)
+
+    @wp.func
+    def coordinate(data: types.Data, pack: int, k: int, row: int, origin: real):
+        return near(data.pos[pack, row, k], data.pos_lo[pack, row, k], origin)
+
+    @wp.func
+    def voxel_quad(data: types.Data, pack: int, k: int, c: wp.vec4i, ox: real, oy: real):
+        q = quad()
+        four = int(4)
+        for n in range(four):
+            q[2 * n] = coordinate(data, pack, k, 2 * c[n], ox)
+            q[2 * n + 1] = coordinate(data, pack, k, 2 * c[n] + 1, oy)
+        return q
+
+    @wp.func
+    def cell_quad(model: types.Model, design: int, cell: int, ox: real, oy: real):
+        x0 = near(model.terrain_box[design, cell, 0], model.terrain_lo[design, cell, 0], ox)
+        x1 = near(model.terrain_box[design, cell, 1], model.terrain_lo[design, cell, 1], ox)
+        y0 = near(model.terrain_box[design, cell, 2], model.terrain_lo[design, cell, 2], oy)
+        y1 = near(model.terrain_box[design, cell, 3], model.terrain_lo[design, cell, 3], oy)
+        return quad(x0, y1, x1, y1, x1, y0, x0, y0)
+
+    return voxel_quad, cell_quad, origin_of
+
+
+@functools.cache
+def voxel_contacts(precision: str, width: int):
+    """Stage: contacts of the candidate pairs."""
+    ops, types = lane_ops(precision, width), structs(precision)
+    real, load, at_most, first, drop = ops.real, ops.load, ops.at_most, ops.first, ops.drop
+    contact, _ = resolve(precision)
+    voxel_quad, _, origin_of = frames(precision)
+
+    @wp.func
+    def corner_hits(data: types.Data, pack: int, lane: int, p: int, r: int):
+        """Lanes in which point p is in the box of voxel r."""
+        x, y = load(data.pos, pack, 2 * p, lane), load(data.pos, pack, 2 * p + 1, lane)
+        lanes = at_most(load(data.box, pack, 4 * r, lane), x) & at_most(x, load(data.box, pack, 4 * r + 1, lane))
+        if lanes == 0:
+            return 0
+        lanes = lanes & at_most(load(data.box, pack, 4 * r + 2, lane), y)
+        return lanes & at_most(y, load(data.box, pack, 4 * r + 3, lane))
+
+    @wp.func
+    def touch(
+        model: types.Model, data: types.Data, design: int, pack: int, k: int, i: int, j: int, c: int, times: real
+    ):
+        mc, rc = model.corner[design, i], model.corner[design, j]
+        ox, oy = origin_of(data.pos[pack, 2 * rc[0], k]), origin_of(data.pos[pack, 2 * rc[0] + 1, k])
+        m = voxel_quad(data, pack, k, mc, ox, oy)
+        r = voxel_quad(data, pack, k, rc, ox, oy)
+        sides = model.side[design, j]
+        contact(model, data, pack, k, m, model.side[design, i], mc[c], c, r, sides, rc, times)
+
+    @wp.func
+    def one_way(
+        model: types.Model, data: types.Data, design: int, pack: int, lane: int,
+        i: int, j: int, corners: int, times: real, active: int,
+    ):  # fmt: skip
+        """Corners of voxel i in voxel j."""
+        four = int(4)
+        for c in range(four):
+            if ((corners >> c) & 1) == 1:
+                lanes = active & corner_hits(data, pack, lane, model.corner[design, i][c], j)
+                while lanes != 0:
+                    touch(model, data, design, pack, lane + first(lanes), i, j, c, times)
+                    lanes = drop(lanes)
+
+    @wp.func
+    def stage(
+        model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, active: int
+    ):
+        for n in range(data.pair_count[unit]):
+            pair = data.pairs[unit, n]
+            i, j = pair[0], pair[1]
+            # Inside one object each pair is met twice.
+            times = wp.where(model.body[design, i] == model.body[design, j], real(2.0), real(1.0))
+            one_way(model, data, design, pack, lane, i, j, pair[2] & (DISTANT - 1), times, active)
+            one_way(model, data, design, pack, lane, j, i, pair[3], times, active)
+
+    return stage
+
+
+@functools.cache
+def terrain_contacts(precision: str, width: int):
+    """Stage: contacts of the near voxels with the cells of the terrain lattice."""
+    ops, types = lane_ops(precision, width), structs(precision)
+    real, first, drop = ops.real, ops.first, ops.drop
+    contact, quad = resolve(precision)
+    voxel_quad, cell_quad, origin_of = frames(precision)
+    span = lattice_range(precision)
+
+    @wp.func
+    def holds(x0: real, x1: real, y0: real, y1: real, x: real, y: real):
+        return x0 <= x and x <= x1 and y0 <= y and y <= y1
+
+    @wp.func
+    def with_cell(
+        model: types.Model, data: types.Data, pack: int, k: int,
+        m: quad, m_sides: int, mc: wp.vec4i, r: quad, r_sides: int,
+    ):  # fmt: skip
+        """Corners of the voxel in the cell and of the cell in the voxel; each behind a test of boxes."""
+        none = wp.vec4i(-1, -1, -1, -1)
+        x0, x1 = wp.min(wp.min(m[0], m[2]), wp.min(m[4], m[6])), wp.max(wp.max(m[0], m[2]), wp.max(m[4], m[6]))
+        y0, y1 = wp.min(wp.min(m[1], m[3]), wp.min(m[5], m[7])), wp.max(wp.max(m[1], m[3]), wp.max(m[5], m[7]))
+        if x1 < r[0] or r[2] < x0 or y1 < r[5] or r[1] < y0:
+            return
+        one = real(1.0)
+        four = int(4)
+        for c in range(four):
+            if holds(r[0], r[2], r[5], r[1], m[2 * c], m[2 * c + 1]):
+                contact(model, data, pack, k, m, m_sides, mc[c], c, r, r_sides, none, one)
+        for c in range(four):
+            if holds(x0, x1, y0, y1, r[2 * c], r[2 * c + 1]):
+                contact(model, data, pack, k, r, r_sides, -1, c, m, m_sides, mc, one)
+
+    @wp.func
+    def with_terrain(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int):
+        cx0, cx1, cy0, cy1 = span(model, data, design, pack, k, v, real(0.0))
+        loaded = int(0)
+        mc = model.corner[design, v]
+        ox, oy = origin_of(data.pos[pack, 2 * mc[0], k]), origin_of(data.pos[pack, 2 * mc[0] + 1, k])
+        m = quad()
+        for cy in range(cy0, cy1 + 1):
+            for cx in range(cx0, cx1 + 1):
+                cell = cy * model.terrain[design][0] + cx
+                sides = model.terrain_side[design, cell]
+                if sides != 0:
+                    if loaded == 0:
+                        m = voxel_quad(data, pack, k, mc, ox, oy)
+                        loaded = 1
+                    r = cell_quad(model, design, cell, ox, oy)
+                    with_cell(model, data, pack, k, m, model.side[design, v], mc, r, sides)
+
+    @wp.func
+    def stage(
+        model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, active: int
+    ):
+        for n in range(data.near_count[unit]):
+            v = data.near[unit, n]
+            lanes = int(active)
+            while lanes != 0:
+                with_terrain(model, data, design, pack, lane + first(lanes), v)
+                lanes = drop(lanes)
+
+    return stage
+
+
+@functools.cache
+def contacts(precision: str, width: int):
+    """Stage: all contact forces of the environments that are not frozen, into ``contact``."""
+    ops, types = lane_ops(precision, width), structs(precision)
+    real, store, splat = ops.real, ops.store, ops.splat
+    with_voxels, with_terrain = voxel_contacts(precision, width), terrain_contacts(precision, width)
+
+    @wp.func
+    def active_lanes(data: types.Data, pack: int, lane: int):
+        mask = int(0)
+        for k in range(int(width)):
+            if data.frozen[pack, lane + k] == 0:
+                mask = mask | (1 << k)
+        return mask
+
+    @wp.func
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+        for r in range(2 * model.points[design]):
+            store(data.contact, pack, r, lane, splat(real(0.0)))
+        active = active_lanes(data, pack, lane)
+        with_voxels(model, data, design, pack, lane, unit, active)
+        with_terrain(model, data, design, pack, lane, unit, active)
+
+    return stage
+
+
+def launch(state):
+    """Contact forces from the current positions, true velocities and candidates."""
+    launch_stage(contacts, state)

@@ -1,0 +1,174 @@
+"""Spring, gravity, drag and floor forces, integrated by RK4 over positions and velocities (paper section A.2).
+
+The unknown is the displacement since the sub-step's start, never the position: a spring's stretch comes from
+small differences, so that float32 keeps its relative precision wherever the robot stands.
+"""
+
+import functools
+
+import warp as wp
+
+from warpvox.kernels.lanes import lane_ops
+from warpvox.kernels.launch import launch_stage
+from warpvox.kernels.state import structs
+
+
+@functools.cache
+def outer_forces(precision: str, width: int):
+    """Contact, drag, gravity and the implicit floor at y = 0, into ``force``."""
+    ops, types = lane_ops(precision, width), structs(precision)
+    real, load, store, splat = ops.real, ops.load, ops.store, ops.splat
+    at_most, first, drop = ops.at_most, ops.first, ops.drop
+
+    @wp.func
+    def stand(model: types.Model, data: types.Data, pack: int, p: int, lane: int, y: real):
+        normal = -model.floor_stiffness * y
+        grip = model.friction * normal
+        slip = data.stage_vel[pack, 2 * p, lane]
+        data.force[pack, 2 * p, lane] = (
+            data.force[pack, 2 * p, lane] - model.floor_friction * grip * wp.tanh(slip * grip)
+        )
+        data.force[pack, 2 * p + 1, lane] = data.force[pack, 2 * p + 1, lane] + normal
+
+    @wp.func
+    def outer(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
+        weight = splat(model.gravity)
+        for p in range(model.points[design]):
+            x, y = 2 * p, 2 * p + 1
+            fx = load(data.contact, pack, x, lane) - load(data.stage_vel, pack, x, lane) * model.drag
+            fy = load(data.contact, pack, y, lane) - load(data.stage_vel, pack, y, lane) * model.drag - weight
+            store(data.force, pack, x, lane, fx)
+            store(data.force, pack, y, lane, fy)
+            height = load(data.pos, pack, y, lane) + load(data.disp, pack, y, lane)
+            below = at_most(height, splat(real(0.0)))
+            while below != 0:
+                k = lane + first(below)
+                stand(model, data, pack, p, k, data.pos[pack, y, k] + data.disp[pack, y, k])
+                below = drop(below)
+
+    return outer
+
+
+@functools.cache
+def spring_forces(precision: str, width: int):
+    """Hooke forces k (l - l_eq) along the springs, added to ``force`` in the order of the springs."""
+    ops, types = lane_ops(precision, width), structs(precision)
+    real, load, store, mul, div, root = ops.real, ops.load, ops.store, ops.mul, ops.div, ops.root
+
+    @wp.func
+    def springs(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
+        for s in range(model.springs[design]):
+            ends = model.spring_ends[design, s]
+            a, b = 2 * ends[0], 2 * ends[1]
+            ux = load(data.disp, pack, b, lane) - load(data.disp, pack, a, lane)
+            uy = load(data.disp, pack, b + 1, lane) - load(data.disp, pack, a + 1, lane)
+            dx = load(data.span, pack, 2 * s, lane)
+            dy = load(data.span, pack, 2 * s + 1, lane)
+            ex = dx + ux
+            ey = dy + uy
+            length = root(mul(ex, ex) + mul(ey, ey))
+            # l - l0 = (|e|^2 - |d|^2) / (l + l0), without the cancellation
+            stretch = div(mul(dx + ex, ux) + mul(dy + ey, uy), length + load(data.length, pack, s, lane))
+            tension = div((stretch - load(data.pull, pack, s, lane)) * model.spring_k[design, s], length)
+            fx = mul(tension, ex)
+            fy = mul(tension, ey)
+            store(data.force, pack, a, lane, load(data.force, pack, a, lane) + fx)
+            store(data.force, pack, a + 1, lane, load(data.force, pack, a + 1, lane) + fy)
+            store(data.force, pack, b, lane, load(data.force, pack, b, lane) - fx)
+            store(data.force, pack, b + 1, lane, load(data.force, pack, b + 1, lane) - fy)
+
+    return springs
+
+
+@functools.cache
+def runge_kutta(precision: str, width: int):
+    """Stage: displacement and new velocity of every free point after dt."""
+    ops, types = lane_ops(precision, width), structs(precision)
+    real, load, store, splat = ops.real, ops.load, ops.store, ops.splat
+    outer = outer_forces(precision, width)
+    springs = spring_forces(precision, width)
+
+    @wp.func
+    def start(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
+        zero = splat(real(0.0))
+        for r in range(2 * model.points[design]):
+            store(data.disp, pack, r, lane, zero)
+            store(data.sum_disp, pack, r, lane, zero)
+            store(data.sum_vel, pack, r, lane, zero)
+            store(data.stage_vel, pack, r, lane, load(data.vel, pack, r, lane))
+
+    @wp.func
+    def slope(
+        model: types.Model, data: types.Data, design: int, pack: int, lane: int, weight: real, ahead: real
+    ):
+        """Add a stage's slopes to the sums with a weight, and go to the next stage, ``ahead`` of the start."""
+        outer(model, data, design, pack, lane)
+        springs(model, data, design, pack, lane)
+        for r in range(2 * model.points[design]):
+            velocity = load(data.stage_vel, pack, r, lane)
+            force = load(data.force, pack, r, lane)
+            store(data.sum_disp, pack, r, lane, load(data.sum_disp, pack, r, lane) + velocity * weight)
+            store(data.sum_vel, pack, r, lane, load(data.sum_vel, pack, r, lane) + force * weight)
+            store(data.disp, pack, r, lane, velocity * ahead)
+            store(data.stage_vel, pack, r, lane, load(data.vel, pack, r, lane) + force * ahead)
+
+    @wp.func
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+        start(model, data, design, pack, lane)
+        stages = int(4)  # a constant bound would be unrolled
+        for k in range(stages):
+            inner = k == 1 or k == 2
+            weight = wp.where(inner, real(2.0), real(1.0))
+            ahead = wp.where(k < 2, dt * real(0.5), dt)
+            slope(model, data, design, pack, lane, weight, ahead)
+        for p in range(model.points[design]):
+            # A fixed point takes part in the stages; only its update is dropped.
+            free = real(1 - model.fixed[design, p])
+            for r in range(2 * p, 2 * p + 2):
+                store(data.disp, pack, r, lane, load(data.sum_disp, pack, r, lane) * (free * dt / real(6.0)))
+                change = load(data.sum_vel, pack, r, lane) * (free * dt / real(6.0))
+                store(data.vel, pack, r, lane, load(data.vel, pack, r, lane) + change)
+
+    return stage
+
+
+@functools.cache
+def advance(precision: str, width: int):
+    """Stage: positions move by the displacements; true velocity and drift follow from them."""
+    ops, types = lane_ops(precision, width), structs(precision)
+    real, load, store, splat, grow, largest = ops.real, ops.load, ops.store, ops.splat, ops.grow, ops.largest
+
+    if precision == "float32":
+
+        @wp.func
+        def move(data: types.Data, pack: int, r: int, lane: int):
+            # Compensated sum: what rounding takes from the position is kept in pos_lo.
+            old = load(data.pos, pack, r, lane)
+            step = load(data.disp, pack, r, lane) + load(data.pos_lo, pack, r, lane)
+            new = old + step
+            back = new - old
+            store(data.pos, pack, r, lane, new)
+            store(data.pos_lo, pack, r, lane, (old - (new - back)) + (step - back))
+    else:
+
+        @wp.func
+        def move(data: types.Data, pack: int, r: int, lane: int):
+            store(data.pos, pack, r, lane, load(data.pos, pack, r, lane) + load(data.disp, pack, r, lane))
+
+    @wp.func
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+        path = splat(real(0.0))
+        for r in range(2 * model.points[design]):
+            move(data, pack, r, lane)
+            step = load(data.disp, pack, r, lane)
+            store(data.true_vel, pack, r, lane, step * (real(1.0) / dt))
+            path = grow(path, step)
+        data.drift[unit] = data.drift[unit] + largest(path)
+
+    return stage
+
+
+def launch(state):
+    """Integrate one sub-step from the current contacts and pulls, without strain limiting."""
+    launch_stage(runge_kutta, state)
+    launch_stage(advance, state)

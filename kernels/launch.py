@@ -1,0 +1,40 @@
+"""How stages run: alone, a kernel each (tests, per-stage times), or fused into a control step (``step.py``).
+
+A stage is a Warp function ``(model, data, design, pack, lane, unit, dt)`` that serves the ``width`` environments
+at ``lane`` of a pack. A *unit* is the thread that does so.
+"""
+
+import functools
+
+import warp as wp
+
+from warpvox.kernels.lanes import REALS
+from warpvox.kernels.state import structs
+
+# Contacts at time 0 hang on the last bit of a double, so float64 must round as the formulas are written.
+EXACT = "-march=native -ffp-contract=off"
+
+
+def module_options(precision: str) -> dict | None:
+    """Compiler options of the modules of a precision."""
+    return {"cpu_compiler_flags": EXACT} if precision == "float64" else None
+
+
+@functools.cache
+def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
+    """The kernel that runs one stage; launch over (units of a pack, packs)."""
+    types, real = structs(precision), REALS[precision]
+    stage = build(precision, width)
+
+    @wp.kernel(enable_backward=False, module="unique", module_options=module_options(precision))
+    def kernel(model: types.Model, data: types.Data, units: int, dt: real):
+        pack, part = wp.tid()
+        stage(model, data, model.pack_design[pack], pack, part * width, pack * units + part, dt)
+
+    return kernel
+
+
+def launch_stage(build, state) -> None:
+    """Run one stage for every environment of a :class:`warpvox.sim.State`."""
+    kernel = stage_kernel(build, state.precision, state.width)
+    wp.launch(kernel, (state.packs, state.units), [state.model, state.data, state.units, state.dt], device=state.device)

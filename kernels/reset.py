@@ -1,0 +1,110 @@
+"""Masked reset, frozen environments and state in and out, without host synchronisation."""
+
+import functools
+
+import warp as wp
+
+from warpvox.kernels.lanes import lane_ops
+from warpvox.kernels.launch import launch_stage
+from warpvox.kernels.state import NOT_FINITE, UNSTABLE, structs
+
+STALE = 1.0e9  # a drift that makes the next sub-step collect its candidates anew
+
+
+@functools.cache
+def save(precision: str, width: int):
+    """Stage, at the start of a control step: remember the state."""
+    ops, types = lane_ops(precision, width), structs(precision)
+    real, load, store = ops.real, ops.load, ops.store
+
+    @wp.func
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+        for r in range(2 * model.points[design]):
+            store(data.saved_pos, pack, r, lane, load(data.pos, pack, r, lane))
+            store(data.saved_lo, pack, r, lane, load(data.pos_lo, pack, r, lane))
+            store(data.saved_vel, pack, r, lane, load(data.vel, pack, r, lane))
+            store(data.saved_true_vel, pack, r, lane, load(data.true_vel, pack, r, lane))
+    return stage
+
+
+@functools.cache
+def settle(precision: str, width: int):
+    """Stage, at the end of a control step: frozen and stopped environments go back to its start."""
+    ops, types = lane_ops(precision, width), structs(precision)
+    real, load, finite, full = ops.real, ops.load, ops.finite, ops.full
+
+    @wp.func
+    def restore(model: types.Model, data: types.Data, design: int, pack: int, k: int):
+        for r in range(2 * model.points[design]):
+            data.pos[pack, r, k] = data.saved_pos[pack, r, k]
+            data.pos_lo[pack, r, k] = data.saved_lo[pack, r, k]
+            data.vel[pack, r, k] = data.saved_vel[pack, r, k]
+            data.true_vel[pack, r, k] = data.saved_true_vel[pack, r, k]
+
+    @wp.func
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+        sound = int(full)
+        for r in range(2 * model.points[design]):
+            sound = sound & finite(load(data.pos, pack, r, lane)) & finite(load(data.vel, pack, r, lane))
+        for k in range(int(width)):
+            e = lane + k
+            if ((sound >> k) & 1) == 0:
+                data.status[pack, e] = data.status[pack, e] | NOT_FINITE
+            if data.frozen[pack, e] == 1:
+                data.status[pack, e] = 0
+            if data.frozen[pack, e] == 1 or (data.status[pack, e] & (UNSTABLE | NOT_FINITE)) != 0:
+                restore(model, data, design, pack, e)
+                data.drift[unit] = real(STALE)
+            else:
+                data.time[pack, e] = data.time[pack, e] + 1
+
+    return stage
+
+
+@functools.cache
+def reset_kernel(precision: str):
+    """Kernel over environments: those with a mask go back to time 0."""
+    types, real = structs(precision), lane_ops(precision, 1).real
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def reset(
+        model: types.Model, data: types.Data, units: int, width: int,
+        env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int), mask: wp.array(dtype=wp.bool),
+    ):  # fmt: skip
+        env = wp.tid()
+        if not mask[env]:
+            return
+        pack, k = env_pack[env], env_lane[env]
+        design = model.pack_design[pack]
+        zero = real(0.0)
+        for r in range(2 * model.points[design]):
+            data.pos[pack, r, k] = model.home[design, r]
+            data.pos_lo[pack, r, k] = model.home_lo[design, r]
+            data.vel[pack, r, k] = zero
+            data.true_vel[pack, r, k] = zero
+        data.time[pack, k] = 0
+        data.status[pack, k] = 0
+        data.frozen[pack, k] = 0
+        data.drift[pack * units + k // width] = real(STALE)
+
+    return reset
+
+
+def launch(state, mask):
+    """Reset the environments of a mask, a Warp bool array [environment]."""
+    wp.launch(
+        reset_kernel(state.precision),
+        state.num_envs,
+        [state.model, state.data, state.units, state.width, state.env_pack, state.env_lane, mask],
+        device=state.device,
+    )
+
+
+def launch_save(state):
+    """Start of a control step."""
+    launch_stage(save, state)
+
+
+def launch_settle(state):
+    """End of a control step."""
+    launch_stage(settle, state)

@@ -1,0 +1,183 @@
+"""What tasks sense: centre of mass, velocity, orientation, relative positions, floor and ceiling (tasks.md, B.1).
+
+One thread an environment, results in the order of the environments. Sums run in float64 over high and low parts,
+in the order of the points.
+"""
+
+import functools
+
+import warp as wp
+
+from warpvox.kernels.lanes import REALS
+from warpvox.kernels.state import structs
+
+NEARLY_ONE = wp.constant(wp.float64(0.99999))  # the released simulator's guard of its arc cosine
+TINY = wp.constant(wp.float64(1.0e-7))
+TWO_PI = wp.constant(wp.float64(2.0 * 3.1415926))  # as released
+VOXEL = wp.constant(wp.float64(0.1))
+
+
+@functools.cache
+def kernels(precision: str):
+    """The sensing kernels for a precision."""
+    types, real = structs(precision), REALS[precision]
+
+    @wp.func
+    def position(data: types.Data, pack: int, row: int, k: int):
+        return wp.float64(data.pos[pack, row, k]) + wp.float64(data.pos_lo[pack, row, k])
+
+    @wp.func
+    def centre(data: types.Data, pack: int, k: int, begin: int, end: int):
+        x, y = wp.float64(0.0), wp.float64(0.0)
+        for p in range(begin, end):
+            x += position(data, pack, 2 * p, k)
+            y += position(data, pack, 2 * p + 1, k)
+        n = wp.float64(end - begin)
+        return x / n, y / n
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def centres(
+        model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
+        ranges: wp.array2d(dtype=wp.vec2i),
+        com: wp.array2d(dtype=wp.vec2d), velocity: wp.array2d(dtype=wp.vec2d),
+    ):  # fmt: skip
+        """Centre of mass and its velocity of every object [environment, object]."""
+        env, o = wp.tid()
+        pack, k = env_pack[env], env_lane[env]
+        span = ranges[model.pack_design[pack], o]
+        if span[1] <= span[0]:
+            return
+        x, y = centre(data, pack, k, span[0], span[1])
+        vx, vy = wp.float64(0.0), wp.float64(0.0)
+        for p in range(span[0], span[1]):
+            vx += wp.float64(data.vel[pack, 2 * p, k])
+            vy += wp.float64(data.vel[pack, 2 * p + 1, k])
+        n = wp.float64(span[1] - span[0])
+        com[env, o] = wp.vec2d(x, y)
+        velocity[env, o] = wp.vec2d(vx / n, vy / n)
+
+    @wp.func
+    def turn(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64):
+        """Angle between two vectors, and the cross product of their directions."""
+        la, lb = wp.sqrt(ax * ax + ay * ay), wp.sqrt(bx * bx + by * by)
+        ua, ub = wp.max(la, wp.float64(1.0e-300)), wp.max(lb, wp.float64(1.0e-300))
+        ax, ay, bx, by = ax / ua, ay / ua, bx / ub, by / ub
+        c = ax * bx + ay * by
+        if la * lb < TINY or c > wp.float64(1.0):
+            c = NEARLY_ONE
+        if c < wp.float64(-1.0):
+            c = -NEARLY_ONE
+        return wp.acos(c), ax * by - ay * bx, lb
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def orientations(
+        model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
+        ranges: wp.array2d(dtype=wp.vec2i), o: int, out: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        """Orientation of one object [environment], counter-clockwise in [0, 2 pi)."""
+        env = wp.tid()
+        pack, k = env_pack[env], env_lane[env]
+        design = model.pack_design[pack]
+        begin, end = ranges[design, o][0], ranges[design, o][1]
+        if end <= begin:
+            return
+        x, y = centre(data, pack, k, begin, end)
+        hx, hy = wp.float64(0.0), wp.float64(0.0)
+        for p in range(begin, end):
+            hx += wp.float64(model.home[design, 2 * p])
+            hy += wp.float64(model.home[design, 2 * p + 1])
+        hx, hy = hx / wp.float64(end - begin), hy / wp.float64(end - begin)
+        angle, weight, crosses = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+        for p in range(begin, end):
+            a, c, w = turn(
+                position(data, pack, 2 * p, k) - x,
+                position(data, pack, 2 * p + 1, k) - y,
+                wp.float64(model.home[design, 2 * p]) - hx,
+                wp.float64(model.home[design, 2 * p + 1]) - hy,
+            )
+            angle += a * w
+            weight += w
+            crosses += c
+        angle = angle / weight
+        if crosses > wp.float64(0.0):
+            angle = TWO_PI - angle
+        out[env] = angle
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def points(
+        model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
+        ranges: wp.array2d(dtype=wp.vec2i), o: int, what: int, out: wp.array3d(dtype=real),
+    ):  # fmt: skip
+        """Positions (what 0), velocities (1) or positions about the centre of mass (2): [environment, point, axis]."""
+        env = wp.tid()
+        pack, k = env_pack[env], env_lane[env]
+        span = ranges[model.pack_design[pack], o]
+        x, y = wp.float64(0.0), wp.float64(0.0)
+        if what == 2:
+            x, y = centre(data, pack, k, span[0], span[1])
+        for p in range(span[0], span[1]):
+            n = p - span[0]
+            if what == 1:
+                out[env, n, 0] = data.vel[pack, 2 * p, k]
+                out[env, n, 1] = data.vel[pack, 2 * p + 1, k]
+            else:
+                out[env, n, 0] = real(position(data, pack, 2 * p, k) - x)
+                out[env, n, 1] = real(position(data, pack, 2 * p + 1, k) - y)
+
+    @wp.func
+    def seen(y: wp.float64, at: wp.float64, best: wp.float64, up: int):
+        """The nearer of ``best`` and a point at height y, below (up -1) or above (up 1) the centre of mass."""
+        if up == 1 and y > at:
+            return wp.min(best, y - at)
+        if up == -1 and y < at:
+            return wp.min(best, at - y)
+        return best
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def scans(
+        model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
+        ranges: wp.array2d(dtype=wp.vec2i), o: int, reach: int, sight: wp.float64, up: int,
+        column: wp.array2d(dtype=int), still: wp.array2d(dtype=wp.vec2d), moving: wp.array2d(dtype=int),
+        out: wp.array2d(dtype=wp.float64),
+    ):  # fmt: skip
+        """Distance to the nearest listed point in centred windows one voxel wide: [environment, window].
+
+        ``still`` are static points in voxels sorted by lattice column, ``column`` where each column starts;
+        ``moving`` lists points of bodies (ends with -1). In voxels until the last line, as released.
+        """
+        env, window = wp.tid()
+        pack, k = env_pack[env], env_lane[env]
+        design = model.pack_design[pack]
+        span = ranges[design, o]
+        x, y = wp.float64(0.0), wp.float64(0.0)
+        for p in range(span[0], span[1]):
+            x += position(data, pack, 2 * p, k) / VOXEL
+            y += position(data, pack, 2 * p + 1, k) / VOXEL
+        n = wp.float64(span[1] - span[0])
+        x, y = x / n, y / n
+        left = x + (wp.float64(window - reach) - wp.float64(0.5))
+        right = x + (wp.float64(window - reach) + wp.float64(0.5))
+        best = sight
+        last = column.shape[1] - 2
+        if left < wp.float64(last + 1) and right > wp.float64(-1.0):
+            begin = wp.clamp(int(wp.floor(left)), 0, last)
+            stop = wp.clamp(int(wp.floor(right)) + 1, 0, last)
+            for i in range(column[design, begin], column[design, stop + 1]):
+                if still[design, i][0] > left and still[design, i][0] < right:
+                    best = seen(still[design, i][1], y, best, up)
+        for i in range(moving.shape[1]):
+            p = moving[design, i]
+            if p >= 0:
+                px = position(data, pack, 2 * p, k) / VOXEL
+                if px > left and px < right:
+                    best = seen(position(data, pack, 2 * p + 1, k) / VOXEL, y, best, up)
+        out[env, window] = best * VOXEL
+
+    return {"centres": centres, "orientations": orientations, "points": points, "scans": scans}
+
+
+def launch(state, name: str, dim, *inputs):
+    """Run one sensing kernel; ``inputs`` follow the arrays that all of them take."""
+    table = kernels(state.precision)
+    first = [state.model, state.data, state.env_pack, state.env_lane, state.ranges]
+    wp.launch(table[name], dim, [*first, *inputs], device=state.device)

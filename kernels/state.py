@@ -1,0 +1,122 @@
+"""What the kernels read and write: Model (topology, per design) and Data (state, per environment).
+
+The tables below say every array's type, shape and meaning once; structs and allocations follow from them. Shape
+symbols: ``design``; ``point, spring, rigid, voxel, robot, cell, action`` are capacities over the designs of a
+model; ``pack, lane`` number environments (see :mod:`warpvox.kernels.lanes`); ``unit`` is one thread's share of
+a pack; ``pair, entry, slot, word`` are capacities of the broad phase. ``2*`` rows hold x and y alternately.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from warpvox.kernels.lanes import REALS
+
+REAL = "real"  # stands for float32 or float64
+
+# The sides of a voxel in clockwise order: side k runs from corner k to corner k + 1.
+TOP, RIGHT, BOTTOM, LEFT = (wp.constant(1 << k) for k in range(4))
+# How a control step of an environment ended (bits).
+UNSTABLE, NOT_FINITE, OVERFLOW = wp.constant(1), wp.constant(2), wp.constant(4)
+
+MODEL = {
+    "points": (int, "design", "points in use"),
+    "springs": (int, "design", "springs in use"),
+    "rigids": (int, "design", "entries of rigid_spring in use"),
+    "voxels": (int, "design", "surface voxels in use"),
+    "robots": (int, "design", "robots"),
+    "actions": (int, "design", "actuators of all robots"),
+    "pack_design": (int, "pack", "the design of a pack's environments"),
+    "home": (REAL, "design 2*point", "position at time 0"),
+    "home_lo": (REAL, "design 2*point", "what rounding `home` lost, or the order of touching points"),
+    "fixed": (int, "design point", "1: the point never moves"),
+    "spring_ends": (wp.vec2i, "design spring", "the two points"),
+    "spring_rest": (REAL, "design spring", "rest length"),
+    "spring_k": (REAL, "design spring", "stiffness"),
+    "spring_drive": (wp.vec2i, "design spring", "the one or two actions that drive its length, else -1"),
+    "rigid_spring": (int, "design rigid", "sides of rigid voxels in the order of the second strain pass"),
+    "corner": (wp.vec4i, "design voxel", "points of a surface voxel: top left, top right, bottom right, bottom left"),
+    "side": (int, "design voxel", "bits of its surface sides"),
+    "body": (int, "design voxel", "index of its object"),
+    "robot": (int, "design voxel", "index of its robot, or -1"),
+    "grid": (wp.vec2i, "design voxel", "column and row in its object"),
+    "still": (int, "design voxel", "1: all four corners are fixed"),
+    "fold_limit": (int, "design robot", "surface voxels of the robot: more folded pairs than these stop the step"),
+    "terrain": (wp.vec2i, "design", "columns and rows of the terrain lattice"),
+    "terrain_side": (int, "design cell", "bits of the surface sides; 0: empty or buried cell"),
+    "terrain_box": (REAL, "design cell 4", "left, right, bottom, top of the cell"),
+    "terrain_lo": (REAL, "design cell 4", "as home_lo"),
+}
+
+CONSTANTS = "gravity drag contact_stiffness contact_depth contact_damping friction friction_multiplier "
+CONSTANTS = (CONSTANTS + "floor_stiffness floor_friction actuation_rate margin").split()
+
+DATA = {
+    "pos": (REAL, "pack 2*point lane", "position"),
+    "pos_lo": (REAL, "pack 2*point lane", "what rounding `pos` lost (float32)"),
+    "vel": (REAL, "pack 2*point lane", "velocity of the integrator"),
+    "true_vel": (REAL, "pack 2*point lane", "displacement of the last sub-step / dt"),
+    "saved_pos": (REAL, "pack 2*point lane", "state at the start of the control step ..."),
+    "saved_lo": (REAL, "pack 2*point lane", "... to which a stopped or frozen environment returns"),
+    "saved_vel": (REAL, "pack 2*point lane", ""),
+    "saved_true_vel": (REAL, "pack 2*point lane", ""),
+    "disp": (REAL, "pack 2*point lane", "displacement since the sub-step's start"),
+    "stage_vel": (REAL, "pack 2*point lane", "velocity of the Runge-Kutta stage"),
+    "force": (REAL, "pack 2*point lane", "force of the stage"),
+    "contact": (REAL, "pack 2*point lane", "contact force, constant during a sub-step"),
+    "sum_disp": (REAL, "pack 2*point lane", "weighted sum of the stages' velocities"),
+    "sum_vel": (REAL, "pack 2*point lane", "weighted sum of the stages' accelerations"),
+    "goal": (REAL, "pack spring lane", "length toward which a spring creeps"),
+    "span": (REAL, "pack 2*spring lane", "spring vector at the sub-step's start"),
+    "length": (REAL, "pack spring lane", "its length"),
+    "pull": (REAL, "pack spring lane", "equilibrium length minus length, constant during a sub-step"),
+    "box": (REAL, "pack 4*voxel lane", "bounds of surface voxels: x min, x max, y min, y max"),
+    "action": (REAL, "pack action lane", "clipped actions"),
+    "folds": (int, "pack robot lane", "overlapping pairs of distant voxels, both orders"),
+    "frozen": (int, "pack lane", "1: keeps its state"),
+    "status": (int, "pack lane", "bits UNSTABLE, NOT_FINITE, OVERFLOW of the last control step"),
+    "time": (int, "pack lane", "complete control steps since the reset"),
+    "drift": (REAL, "unit", "bound of every point's path since the candidates were collected"),
+    "pairs": (wp.vec4i, "unit pair", "candidate voxels i < j, and which corners of i (of j) are not the other's too"),
+    "pair_count": (int, "unit", ""),
+    "near": (int, "unit voxel", "voxels that may touch terrain"),
+    "near_count": (int, "unit", ""),
+    "overflow": (int, "unit", "1: more pairs than capacity"),
+    "pair_bit": (int, "unit word", "candidate matrix, a bit per pair"),
+    "grid_head": (int, "unit slot", "first entry of a hash slot, or -1"),
+    "grid_next": (int, "unit entry", "next entry of the same slot, or -1"),
+    "grid_voxel": (int, "unit entry", "the voxel of an entry"),
+}
+
+
+def rows(shape: str, sizes: dict[str, int]) -> tuple[int, ...]:
+    """The size of each axis of a shape such as 'pack 2*point lane'; never 0, which Warp could not index."""
+
+    def axis(term):
+        factor, _, name = term.rpartition("*")
+        return int(factor or 1) * (int(name) if name.isdigit() else sizes[name])
+
+    return tuple(max(axis(term), 1) for term in shape.split())
+
+
+@functools.cache
+def structs(precision: str) -> SimpleNamespace:
+    """The Warp structs ``Model`` and ``Data`` for a precision."""
+    real = REALS[precision]
+
+    def struct(name, table, scalars=()):
+        fields = {k: wp.array(dtype=real if t is REAL else t, ndim=len(s.split())) for k, (t, s, _) in table.items()}
+        fields.update({k: real for k in scalars})
+        return wp.struct(type(f"{name}_{precision}", (), {"__annotations__": fields, "__module__": __name__}))
+
+    return SimpleNamespace(Model=struct("Model", MODEL, CONSTANTS), Data=struct("Data", DATA))
+
+
+def allocate(table, sizes, precision, device) -> dict[str, wp.array]:
+    """Zeroed arrays for every field of a table."""
+    real = REALS[precision]
+    return {
+        name: wp.zeros(rows(shape, sizes), dtype=real if kind is REAL else kind, device=device)
+        for name, (kind, shape, _) in table.items()
+    }

@@ -1,0 +1,94 @@
+"""The control step: all stages of 30 sub-steps in one kernel, so that a pack stays in the cache.
+
+The stage functions are those that the other files launch alone; this file is their order.
+"""
+
+import functools
+
+import warp as wp
+
+from warpvox.kernels.actuation import creep, goals
+from warpvox.kernels.broadphase import boxes, collect
+from warpvox.kernels.contact import contacts
+from warpvox.kernels.folding import check
+from warpvox.kernels.integrate import advance, runge_kutta
+from warpvox.kernels.lanes import REALS, lane_ops
+from warpvox.kernels.launch import module_options
+from warpvox.kernels.reset import save, settle
+from warpvox.kernels.state import structs
+from warpvox.kernels.strain import limit
+
+SUBSTEP = (boxes, collect, contacts, creep, runge_kutta, limit, advance, check)
+
+
+@functools.cache
+def step_kernel(precision: str, width: int) -> wp.Kernel:
+    """The fused kernel; launch over (units of a pack, packs) with the first pack of this launch."""
+    types, real = structs(precision), REALS[precision]
+    begin, aim, end = save(precision, width), goals(precision, width), settle(precision, width)
+    bound, gather, touch, pull, move, strain, place, fold = (build(precision, width) for build in SUBSTEP)
+
+    @wp.func
+    def idle(data: types.Data, pack: int, lane: int):
+        still = int(1)
+        for k in range(lane, lane + int(width)):
+            if data.frozen[pack, k] == 0:
+                still = 0
+            data.status[pack, k] = 0
+        return still
+
+    @wp.kernel(enable_backward=False, module="unique", module_options=module_options(precision))
+    def control_step(model: types.Model, data: types.Data, first_pack: int, units: int, substeps: int, dt: real):
+        row, part = wp.tid()
+        pack = first_pack + row
+        lane = part * width
+        unit = pack * units + part
+        if idle(data, pack, lane) == 1:
+            return
+        design = model.pack_design[pack]
+        begin(model, data, design, pack, lane, unit, dt)
+        aim(model, data, design, pack, lane, unit, dt)
+        for _ in range(substeps):
+            bound(model, data, design, pack, lane, unit, dt)
+            gather(model, data, design, pack, lane, unit, dt)
+            touch(model, data, design, pack, lane, unit, dt)
+            pull(model, data, design, pack, lane, unit, dt)
+            move(model, data, design, pack, lane, unit, dt)
+            strain(model, data, design, pack, lane, unit, dt)
+            place(model, data, design, pack, lane, unit, dt)
+            fold(model, data, design, pack, lane, unit, dt)
+        end(model, data, design, pack, lane, unit, dt)
+
+    return control_step
+
+
+@functools.cache
+def action_kernel(precision: str) -> wp.Kernel:
+    """Kernel over (environments, actions): clip the actions and sort them into the lanes."""
+    types, real = structs(precision), lane_ops(precision, 1).real
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def place_actions(
+        data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
+        actions: wp.array2d(dtype=real), low: real, high: real,
+    ):  # fmt: skip
+        env, a = wp.tid()
+        data.action[env_pack[env], a, env_lane[env]] = wp.clamp(actions[env, a], low, high)
+
+    return place_actions
+
+
+def launch_actions(state, actions, low: float, high: float):
+    """Take the actions of all environments, a Warp array [environment, action]."""
+    if actions.shape[1] > 0:
+        kernel = action_kernel(state.precision)
+        inputs = [state.data, state.env_pack, state.env_lane, actions, low, high]
+        wp.launch(kernel, actions.shape, inputs, device=state.device)
+
+
+def launch(state, substeps: int, first: int = 0, packs: int | None = None):
+    """One control step of the packs ``first`` to ``first + packs`` (default: all) from the actions taken."""
+    kernel = step_kernel(state.precision, state.width)
+    count = state.packs if packs is None else packs
+    inputs = [state.model, state.data, first, state.units, substeps, state.dt]
+    wp.launch(kernel, (count, state.units), inputs, device=state.device)

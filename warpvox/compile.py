@@ -1,0 +1,316 @@
+"""From worlds to a Model: points, springs, surface voxels and a lattice of static terrain.
+
+Orders are part of the contract (observations and contacts depend on them): robots first, then the other objects,
+each by name; inside an object points in the order in which its voxels, row by row from the top left, need them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from warpvox.errors import SimulationError
+from warpvox.types import VOXEL, Cell, Physics
+from warpvox.world import World, WorldObject
+
+__all__ = ["Body", "Design", "compile_world", "model_arrays"]
+
+# Corners and sides of a voxel in clockwise order; side k runs from corner k to corner k + 1.
+TL, TR, BR, BL = range(4)
+CREATION = (TL, TR, BL, BR)
+SIDE_ENDS = ((TL, TR), (BL, BR), (TL, BL), (TR, BR))  # top, bottom, left, right: the order in which sides are made
+SIDE_BIT = {"top": 1, "right": 2, "bottom": 4, "left": 8}
+TIE_STEP = 2.0**-21  # float32: distance that keeps the order of touching points, one rounding step at x = 8
+
+
+@dataclass
+class Body:
+    """One object as a mesh. Index arrays count from the object's own first point or spring."""
+
+    name: str
+    source: WorldObject
+    points: list[tuple[float, float]] = field(default_factory=list)
+    fixed: list[bool] = field(default_factory=list)
+    corners: dict[tuple[int, int], list[int]] = field(default_factory=dict)  # (row, column) -> TL, TR, BR, BL
+    sides: dict[tuple[int, int], list[int]] = field(default_factory=dict)  # (row, column) -> top, right, bottom, left
+    surface: dict[tuple[int, int], int] = field(default_factory=dict)  # (row, column) -> bits, surface voxels only
+    springs: list[list] = field(default_factory=list)  # [a, b, rest, stiffness]
+    drives: dict[int, list[int]] = field(default_factory=dict)  # spring -> actions
+    first_point: int = 0
+    first_spring: int = 0
+    first_action: int = 0
+
+    @property
+    def cells(self) -> list[tuple[int, int]]:
+        """Cells that are not empty, row by row from the top left."""
+        return list(self.corners)
+
+    def kind(self, cell: tuple[int, int]) -> int:
+        """Type of a cell."""
+        return int(self.source.grid[cell])
+
+
+@dataclass
+class Design:
+    """A compiled world: its bodies (objects with a cell that can move) and its static terrain."""
+
+    world: World
+    bodies: list[Body]
+    statics: list[Body]
+
+    @property
+    def robots(self) -> list[Body]:
+        return [body for body in self.bodies if body.source.is_robot]
+
+    def body(self, name: str) -> Body | None:
+        """The mesh of an object, or None."""
+        return next((body for body in self.bodies + self.statics if body.name == name), None)
+
+
+def compile_world(world: World, physics: Physics) -> Design:
+    """Mesh every object of a world.
+
+    Raises:
+        SimulationError: the world has no object that can move.
+    """
+    ordered = sorted(world.objects.values(), key=lambda o: (not o.is_robot, o.name))
+    bodies = [mesh(o, physics) for o in ordered if not o.is_static]
+    if not bodies:
+        raise SimulationError("The world has nothing that can move: add a robot or an object with a cell that is not fixed.")
+    point = spring = action = 0
+    for body in bodies:
+        body.first_point, body.first_spring, body.first_action = point, spring, action
+        point, spring = point + len(body.points), spring + len(body.springs)
+        action += body.source.num_actuators
+    return Design(world, bodies, [mesh(o, physics) for o in ordered if o.is_static])
+
+
+def mesh(source: WorldObject, physics: Physics) -> Body:
+    """Points, springs and surface of one object (paper section A.1)."""
+    body = Body(source.name, source)
+    links = _links(source)
+    for cell in zip(*np.nonzero(source.grid), strict=True):
+        row, column = int(cell[0]), int(cell[1])
+        _add_voxel(body, links, (row, column), physics)
+    _set_stiffness(body, physics)
+    _set_drives(body)
+    for cell, corners in body.corners.items():
+        if body.kind(cell) == Cell.FIXED:
+            for p in corners:
+                body.fixed[p] = True
+    return body
+
+
+def _links(source: WorldObject) -> set[tuple[tuple[int, int], tuple[int, int]]]:
+    """Connected neighbours, both ways, as pairs of (row, column)."""
+    columns = source.width
+    pairs = set()
+    for a, b in source.connections.tolist():
+        ca, cb = divmod(a, columns), divmod(b, columns)
+        pairs.update({(ca, cb), (cb, ca)})
+    return pairs
+
+
+def _add_voxel(body: Body, links, cell, physics: Physics) -> None:
+    row, column = cell
+    near = {
+        "top": (row - 1, column),
+        "bottom": (row + 1, column),
+        "left": (row, column - 1),
+        "right": (row, column + 1),
+    }
+    linked = {side: (cell, other) in links for side, other in near.items()}
+    corners = {corner: _find_corner(body, links, cell, corner) for corner in CREATION}
+    for corner in CREATION:
+        if corners[corner] is None:
+            corners[corner] = _new_point(body, row + (corner in (BL, BR)), column + (corner in (TR, BR)))
+    body.corners[cell] = [corners[c] for c in range(4)]
+    top = body.sides[near["top"]][2] if linked["top"] else None
+    left = body.sides[near["left"]][1] if linked["left"] else None
+    made = [top, None, left, None]  # top, bottom, left, right
+    for k, (a, b) in enumerate(SIDE_ENDS):
+        if made[k] is None:
+            made[k] = len(body.springs)
+            body.springs.append([corners[a], corners[b], VOXEL, physics.rigid_main])
+    body.sides[cell] = [made[0], made[3], made[1], made[2]]
+    bits = sum(SIDE_BIT[side] for side in near if not linked[side])
+    if bits:
+        body.surface[cell] = bits
+
+
+def _find_corner(body: Body, links, cell, corner) -> int | None:
+    """The point that a connected voxel above or to the left has made at this corner; the last candidate counts."""
+    row, column = cell
+    up, side = (-1 if corner in (TL, TR) else 1), (-1 if corner in (TL, BL) else 1)
+    vertical, horizontal, diagonal = (row + up, column), (row, column + side), (row + up, column + side)
+    mirror_v = {TL: BL, TR: BR, BL: TL, BR: TR}[corner]
+    mirror_h = {TL: TR, TR: TL, BL: BR, BR: BL}[corner]
+    mirror_d = {TL: BR, TR: BL, BL: TR, BR: TL}[corner]
+    by_vertical, by_horizontal = (cell, vertical) in links, (cell, horizontal) in links
+    found = None
+    if by_vertical and vertical in body.corners:
+        found = body.corners[vertical][mirror_v]
+    if by_horizontal and horizontal in body.corners:
+        found = body.corners[horizontal][mirror_h]
+    around = (by_vertical and (vertical, diagonal) in links) or (by_horizontal and (horizontal, diagonal) in links)
+    if around and diagonal in body.corners:
+        found = body.corners[diagonal][mirror_d]
+    return found
+
+
+def _new_point(body: Body, row: int, column: int) -> int:
+    # Exactly these expressions: the last bit of a coordinate decides which touching voxels are in contact.
+    source = body.source
+    x = source.x * VOXEL + column * VOXEL
+    y = (source.y * VOXEL + source.height * VOXEL) - row * VOXEL
+    body.points.append((x, y))
+    body.fixed.append(False)
+    return len(body.points) - 1
+
+
+def _set_stiffness(body: Body, physics: Physics) -> None:
+    """Stiffness of the sides by the preset's rule for shared ones; two diagonals a voxel."""
+    diagonal = (VOXEL * VOXEL + VOXEL * VOXEL) ** 0.5
+    stiffest: dict[int, float] = {}
+    for cell, corners in body.corners.items():
+        kind = body.kind(cell)
+        main, structural = physics.stiffness(kind)
+        for s in body.sides[cell]:
+            if physics.shared_edge == "stiffest":
+                stiffest[s] = max(stiffest.get(s, 0.0), main)
+                body.springs[s][3] = stiffest[s]
+            elif kind not in (Cell.RIGID, Cell.FIXED):
+                body.springs[s][3] = main
+        body.springs.append([corners[TR], corners[BL], diagonal, structural])
+        body.springs.append([corners[TL], corners[BR], diagonal, structural])
+
+
+def _set_drives(body: Body) -> None:
+    """Which actions drive which sides: top and bottom of a horizontal actuator, left and right of a vertical one."""
+    action = 0
+    for cell in body.cells:
+        kind = body.kind(cell)
+        if kind in (Cell.H_ACT, Cell.V_ACT):
+            top, right, bottom, left = body.sides[cell]
+            for s in (top, bottom) if kind == Cell.H_ACT else (left, right):
+                body.drives.setdefault(s, []).append(action)
+            action += 1
+
+
+def model_arrays(designs: list[Design], precision: str) -> tuple[dict[str, np.ndarray], dict[str, int]]:
+    """The Model's arrays for a list of designs, padded to common capacities, and those capacities."""
+    parts = [_design_arrays(design) for design in designs]
+    count = {"point": "home", "spring": "spring_rest", "rigid": "rigid_spring", "voxel": "side", "robot": "fold_limit"}
+    sizes = {symbol: max(len(part[name]) for part in parts) for symbol, name in count.items()}
+    sizes["point"] //= 2
+    sizes["cell"] = max(len(part["terrain_side"]) for part in parts)
+    sizes["action"] = max(int(part["actions"]) for part in parts)
+    sizes["design"] = len(designs)
+    for part in parts:
+        _split_ties(part, precision)
+    out = {}
+    for name, first in parts[0].items():
+        values = [np.asarray(part[name]) for part in parts]
+        shape = np.max([v.shape for v in values], axis=0) if first.ndim else ()
+        stacked = np.full((len(parts), *shape), -1 if name == "spring_drive" else 0, dtype=first.dtype)
+        for index, value in enumerate(values):
+            stacked[(index, *(slice(n) for n in value.shape))] = value
+        out[name] = stacked
+    return out, sizes
+
+
+def _design_arrays(design: Design) -> dict[str, np.ndarray]:
+    bodies = design.bodies
+    ends, drives, rigid, corner, side, owner, robot, grid, still = ([] for _ in range(9))
+    robots = design.robots
+    for index, body in enumerate(bodies):
+        base = body.first_point
+        ends += [[a + base, b + base] for a, b, _, _ in body.springs]
+        for s in range(len(body.springs)):
+            actions = [a + body.first_action for a in body.drives.get(s, ())] + [-1, -1]
+            drives.append(actions[:2])
+        for cell in body.cells:
+            if body.kind(cell) == Cell.RIGID:
+                rigid += [s + body.first_spring for s in body.sides[cell]]
+        for cell, bits in body.surface.items():
+            corner.append([p + base for p in body.corners[cell]])
+            side.append(bits)
+            owner.append(index)
+            robot.append(robots.index(body) if body in robots else -1)
+            grid.append([cell[1], cell[0]])
+            still.append(all(body.fixed[p] for p in body.corners[cell]))
+    home = [value for body in bodies for point in body.points for value in point]
+    lattice = _lattice(design)
+    whole = dict(
+        points=len(home) // 2,
+        springs=len(ends),
+        rigids=len(rigid),
+        voxels=len(side),
+        robots=len(robots),
+        actions=sum(body.source.num_actuators for body in bodies),
+    )
+    arrays = dict(
+        fixed=[f for body in bodies for f in body.fixed],
+        spring_ends=np.reshape(ends, (-1, 2)),
+        spring_drive=np.reshape(drives, (-1, 2)),
+        rigid_spring=rigid,
+        corner=np.reshape(corner, (-1, 4)),
+        side=side,
+        body=owner,
+        robot=robot,
+        grid=np.reshape(grid, (-1, 2)),
+        still=still,
+        fold_limit=[len(body.surface) for body in robots],
+    )
+    reals = dict(
+        home=home,
+        spring_rest=[rest for body in bodies for _, _, rest, _ in body.springs],
+        spring_k=[k for body in bodies for _, _, _, k in body.springs],
+        terrain_box=lattice[1],
+    )
+    out = {name: np.asarray(value, dtype=np.int32) for name, value in (whole | arrays).items()}
+    out |= {name: np.asarray(value, dtype=np.float64) for name, value in reals.items()}
+    out["terrain"] = np.array([design.world.width, design.world.height], dtype=np.int32)
+    out["terrain_side"] = lattice[0]
+    return out
+
+
+def _lattice(design: Design) -> tuple[np.ndarray, np.ndarray]:
+    """Surface bits and bounds of the static cells, on the world's grid with row 0 at the bottom."""
+    width, height = design.world.width, design.world.height
+    bits = np.zeros(width * height, dtype=np.int32)
+    bounds = np.zeros((width * height, 4))
+    for body in design.statics:
+        source = body.source
+        for (row, column), corners in body.corners.items():
+            at = (source.y + source.height - 1 - row) * width + source.x + column
+            left, top = body.points[corners[TL]]
+            right, bottom = body.points[corners[BR]]
+            bounds[at] = left, right, bottom, top
+            bits[at] = body.surface.get((row, column), 0)
+    return bits, bounds
+
+
+def _split_ties(part: dict[str, np.ndarray], precision: str) -> None:
+    """Split coordinates into high and low parts.
+
+    float64 keeps the doubles. In float32 the points and terrain corners that lie on one lattice line share a high
+    part, and small low parts keep the order that their doubles have: it decides the first contacts.
+    """
+    home, box = part["home"].reshape(-1, 2), part["terrain_box"]
+    part["home_lo"], part["terrain_lo"] = np.zeros_like(part["home"]), np.zeros_like(box)
+    if precision == "float64":
+        return
+    for axis in (0, 1):
+        columns = slice(2 * axis, 2 * axis + 2)
+        values = np.unique(np.concatenate([home[:, axis], box[:, columns].ravel()]))
+        line = np.rint(values / VOXEL)
+        high = np.float32(line * VOXEL).astype(np.float64)
+        _, start, members = np.unique(line, return_index=True, return_counts=True)
+        rank = np.concatenate([np.arange(n) - n // 2 for n in members]) if len(start) else np.zeros(0)
+        for array, low in ((home[:, axis], part["home_lo"].reshape(-1, 2)[:, axis]),
+                           (box[:, columns], part["terrain_lo"][:, columns])):  # fmt: skip
+            at = np.searchsorted(values, array)
+            low[...] = rank[at] * TIE_STEP
+            array[...] = high[at]

@@ -1,0 +1,384 @@
+"""Robot bodies ("designs"): int8 arrays ``[rows, columns]`` of :class:`warpvox.types.Cell`, row 0 on top.
+
+A body is valid if it is one piece (cells touch along edges) and holds at least one actuator (paper section
+A.1 and C.1). This module checks, samples, loads and saves bodies; it needs numpy only.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from warpvox.errors import DesignError, did_you_mean, listing
+from warpvox.examples import EXAMPLES
+from warpvox.files import atomic_path, write_text
+from warpvox.types import Cell
+
+__all__ = [
+    "Design",
+    "check_design",
+    "example_design",
+    "example_designs",
+    "full_connections",
+    "has_actuator",
+    "is_connected",
+    "load_design",
+    "sample_design",
+    "save_design",
+]
+
+Design: TypeAlias = np.ndarray
+"""int8 ``[rows, columns]``, row 0 on top, entries are :class:`warpvox.types.Cell`."""
+
+SAMPLING_WEIGHTS = (0.6, 0.2, 0.2, 0.2, 0.2)
+"""EvoGym's relative weights of empty, rigid, soft, horizontal and vertical actuator cells (sum 1.4)."""
+
+_MAX_DRAWS = 2_000_000
+_FILE_SUFFIXES = (".json", ".npz", ".npy")
+
+
+def check_design(body: object) -> Design:
+    """Return ``body`` as a fresh int8 array ``[rows, columns]`` if it is a valid robot.
+
+    Accepts an array or nested lists; floating-point entries are fine as long as they are whole numbers.
+
+    Raises:
+        DesignError: not two-dimensional, empty, an unknown cell type (with its place), a fixed cell, more
+            than one piece, or no actuator.
+    """
+    grid = as_grid(body)
+    if not grid.any():
+        raise DesignError(f"The body ({_size(grid)}) is empty: it needs at least one cell that is not 0.")
+    fixed = np.argwhere(grid == Cell.FIXED)
+    if len(fixed):
+        row, column = fixed[0]
+        raise DesignError(
+            f"The body holds a fixed cell ({int(Cell.FIXED)}) at row {row}, column {column}; a robot is made"
+            f" of {_cell_names(robot_only=True)}."
+        )
+    pieces = count_pieces(grid)
+    if pieces > 1:
+        raise DesignError(
+            f"The body is not connected: it falls into {pieces} pieces. All cells must hang together along"
+            " edges (touching at a corner does not count)."
+        )
+    if not has_actuator(grid):
+        raise DesignError(
+            f"The body has no actuator: at least one cell must be {int(Cell.H_ACT)} (horizontal) or"
+            f" {int(Cell.V_ACT)} (vertical)."
+        )
+    return grid
+
+
+def as_grid(cells: object, *, what: str = "body", error: type[Exception] = DesignError) -> np.ndarray:
+    """Return ``cells`` as a fresh int8 array ``[rows, columns]`` of known cell types, or raise ``error``.
+
+    This is the part of the check that robots share with every other object of a world.
+    """
+    try:
+        raw = np.asarray(cells)
+    except ValueError:  # numpy's word for nested lists of unequal length
+        raise error(f"The {what} is ragged: every row must have the same number of cells.") from None
+    if raw.dtype.kind not in "iuf":
+        kind = type(cells).__name__ if raw.ndim == 0 else raw.dtype
+        raise error(f"The {what} must hold numbers (cell types 0 to {int(max(Cell))}), got {kind}.")
+    if raw.ndim != 2:
+        raise error(f"The {what} must have two dimensions [rows, columns], got shape {raw.shape}.")
+    if raw.size == 0:
+        raise error(f"The {what} has no cells: its shape is {raw.shape}.")
+    known = np.isin(raw, [int(cell) for cell in Cell])
+    if not known.all():
+        row, column = np.argwhere(~known)[0]
+        raise error(
+            f"The {what} holds an unknown cell type {raw[row, column]} at row {row}, column {column};"
+            f" known are {_cell_names()}."
+        )
+    return raw.astype(np.int8)
+
+
+def is_connected(body: object) -> bool:
+    """Whether all non-empty cells hang together along edges; False for a body without cells."""
+    return count_pieces(as_grid(body)) == 1
+
+
+def has_actuator(body: object) -> bool:
+    """Whether any cell is a horizontal or vertical actuator."""
+    return bool(np.isin(as_grid(body), (int(Cell.H_ACT), int(Cell.V_ACT))).any())
+
+
+def count_pieces(grid: np.ndarray) -> int:
+    """Number of edge-connected pieces of non-empty cells in ``grid`` ``[rows, columns]``."""
+    # Disjoint sets over the cells: joining the ends of every connection leaves one root per piece.
+    root = np.arange(grid.size)
+
+    def find(cell: int) -> int:
+        while root[cell] != cell:
+            root[cell] = root[root[cell]]
+            cell = root[cell]
+        return cell
+
+    for a, b in full_connections(grid):
+        root[find(a)] = find(b)
+    return len({int(find(cell)) for cell in np.flatnonzero(grid)})
+
+
+def full_connections(grid: np.ndarray) -> np.ndarray:
+    """Return all pairs of edge-adjacent non-empty cells of ``grid`` ``[rows, columns]`` as int32 ``[k, 2]``.
+
+    Entries are flat (row-major) indices, smaller one first. Pairs come in row-major order of their first
+    cell, its right-hand neighbour before its lower one.
+    """
+    solid = np.asarray(grid) != 0
+    columns = solid.shape[1]
+    right = np.flatnonzero(np.pad(solid[:, :-1] & solid[:, 1:], ((0, 0), (0, 1))))
+    below = np.flatnonzero(solid[:-1] & solid[1:])
+    pairs = np.concatenate([np.stack([right, right + 1], 1), np.stack([below, below + columns], 1)])
+    # stable: keeps "right before below" for pairs of one cell
+    return pairs[np.argsort(pairs[:, 0], kind="stable")].astype(np.int32)
+
+
+def sample_design(
+    shape: tuple[int, int] = (5, 5),
+    seed: int | np.random.Generator | None = None,
+    probabilities: Sequence[float] | None = None,
+) -> Design:
+    """Draw a valid body by EvoGym's rule: independent cells, until the body is connected and has an actuator.
+
+    Args:
+        shape: ``(rows, columns)``.
+        seed: an integer for a reproducible body, a numpy Generator to continue its stream, None for a
+            fresh one.
+        probabilities: relative weights of (empty, rigid, soft, horizontal, vertical); EvoGym's 0.6,
+            0.2, 0.2, 0.2, 0.2 by default.
+
+    Raises:
+        DesignError: a bad shape, seed or weights, or weights under which no valid body turns up.
+    """
+    rows, columns = _check_shape(shape)
+    weights = _check_weights(SAMPLING_WEIGHTS if probabilities is None else probabilities)
+    try:
+        rng = np.random.default_rng(seed)
+    except (TypeError, ValueError):
+        raise DesignError(
+            f"The seed must be None, an integer >= 0 or a numpy Generator, got {seed!r}."
+        ) from None
+    # One body per draw: a shared Generator then advances by exactly what was rejected, whatever else uses it.
+    cumulative = np.cumsum(weights)
+    cumulative[-1] = 1.0
+    draws = max(1, _MAX_DRAWS // (rows * columns))
+    for _ in range(draws):
+        body = np.searchsorted(cumulative, rng.random((rows, columns)), side="right").astype(np.int8)
+        if _may_be_connected(body) and (body >= Cell.H_ACT).any() and count_pieces(body) == 1:
+            return body
+    raise DesignError(
+        f"No valid {rows}x{columns} body turned up in {draws} draws with the weights"
+        f" {tuple(round(float(w), 4) for w in weights)}: give empty cells (the first weight) less and"
+        " actuators (the last two) more."
+    )
+
+
+def example_designs() -> dict[str, Design]:
+    """Return fresh copies of all example bodies by name."""
+    return {name: np.array(rows, dtype=np.int8) for name, rows in EXAMPLES.items()}
+
+
+def example_design(name: str) -> Design:
+    """Return a fresh copy of one example body, for instance ``"walker"``.
+
+    Raises:
+        DesignError: no example has this name; the message lists them.
+    """
+    if name not in EXAMPLES:
+        raise DesignError(
+            f"There is no example design '{name}'.{did_you_mean(name, EXAMPLES)} Known: {listing(EXAMPLES)}."
+        )
+    return np.array(EXAMPLES[name], dtype=np.int8)
+
+
+def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Design:
+    """Return the valid body that ``spec`` stands for.
+
+    ``spec`` is one of: the name of an example (``walker``); ``random`` or ``random:ROWSxCOLUMNS`` (drawn with
+    ``seed``); a path ending in .json, .npz or .npy; the text of a nested list (``[[3,3],[4,4]]``); a nested
+    list or an array.
+
+    Raises:
+        DesignError: nothing of the kind, an unreadable file, or a body that is not valid.
+    """
+    if isinstance(spec, os.PathLike):
+        return _read_file(Path(spec))
+    if not isinstance(spec, str):
+        return check_design(spec)
+    text = spec.strip()
+    if text.startswith("["):
+        return check_design(_parse_list(text, source=f"The text '{_shorten(text)}'"))
+    if text.lower().endswith(_FILE_SUFFIXES):
+        return _read_file(Path(text))
+    if text == "random" or text.startswith("random:"):
+        return sample_design(_parse_size(text), seed)
+    if text in EXAMPLES:
+        return example_design(text)
+    raise DesignError(
+        f"Unknown design '{_shorten(text)}'.{did_you_mean(text, [*EXAMPLES, 'random'])} Expected an example"
+        f" ({listing(EXAMPLES)}), random, random:5x7, a file ({', '.join(_FILE_SUFFIXES)}) or a nested list"
+        " such as [[3,3],[4,4]]."
+    )
+
+
+def save_design(path: str | os.PathLike[str], body: object) -> Path:
+    """Check ``body`` and write it to ``path``, whole or not at all; return the path.
+
+    ``.json`` holds ``{"body": [[...]]}``; ``.npz`` is EvoGym's structure file (``arr_0`` the body, ``arr_1``
+    its connections ``[2, k]``); ``.npy`` the bare array.
+
+    Raises:
+        DesignError: the body is not valid, or the suffix is none of these.
+    """
+    grid = check_design(body)
+    target = Path(path)
+    suffix = target.suffix.lower()
+    if suffix == ".json":
+        rows = ",\n  ".join(str(row) for row in grid.tolist())
+        write_text(target, f'{{"body": [\n  {rows}\n]}}\n')
+    elif suffix == ".npz":
+        with atomic_path(target) as temporary:
+            np.savez(temporary, grid, full_connections(grid).T)
+    elif suffix == ".npy":
+        with atomic_path(target) as temporary:
+            np.save(temporary, grid)
+    else:
+        raise DesignError(f"Cannot save a design as '{target.name}': use one of {', '.join(_FILE_SUFFIXES)}.")
+    return target
+
+
+def _read_file(path: Path) -> Design:
+    if not path.is_file():
+        raise DesignError(f"There is no design file '{path}'.")
+    try:
+        if path.suffix.lower() == ".json":
+            body = _parse_list(path.read_text(encoding="utf-8"), source=f"The design file '{path}'")
+        elif path.suffix.lower() == ".npz":
+            body = _read_npz(path)
+        else:
+            body = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        if isinstance(error, DesignError):
+            raise
+        raise DesignError(f"The design file '{path}' cannot be read: {error}.") from error
+    try:
+        return check_design(body)
+    except DesignError as error:
+        raise DesignError(f"The design file '{path}' holds no valid robot. {error}") from None
+
+
+def _read_npz(path: Path) -> np.ndarray:
+    with np.load(path, allow_pickle=False) as archive:
+        name = next((key for key in ("arr_0", "body", "structure") if key in archive), None)
+        if name is None:
+            raise DesignError(
+                f"The design file '{path}' has no array 'arr_0' or 'body'; it holds {listing(archive.files)}."
+            )
+        body = archive[name]
+        connections = archive["arr_1"] if name == "arr_0" and "arr_1" in archive else None
+    if connections is not None and body.ndim == 2 and connections.size:
+        # A body alone means "all neighbours are connected"; dropping cuts silently would be another robot.
+        given = {tuple(sorted(pair)) for pair in np.asarray(connections, dtype=np.int64).T.tolist()}
+        cuts = {tuple(pair) for pair in full_connections(body).tolist()} - given
+        if cuts:
+            raise DesignError(
+                f"The design file '{path}' leaves {len(cuts)} pair(s) of neighbouring cells unconnected,"
+                " which a design cannot say; put it into a world with World.add_from_array(..., connections=...)."
+            )
+    return body
+
+
+def _parse_list(text: str, source: str) -> object:
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        raise DesignError(f"{source} is not a nested list of cell types such as [[3,3],[4,4]].") from None
+    if isinstance(value, dict):
+        if "body" in value:
+            return value["body"]
+        if "objects" in value:
+            raise DesignError(
+                f"{source} is a world, not a design: use World.from_json(path).objects[NAME].grid."
+            )
+        raise DesignError(f"{source} has no entry 'body'; it has {listing(value)}.")
+    return value
+
+
+def _parse_size(text: str) -> tuple[int, int]:
+    if text == "random":
+        return (5, 5)
+    match = re.fullmatch(r"random:(\d+)[xX](\d+)", text)
+    if match is None:
+        raise DesignError(
+            f"Cannot read the size in '{_shorten(text)}': expected random:ROWSxCOLUMNS, e.g. random:5x7."
+        )
+    return int(match[1]), int(match[2])
+
+
+def _check_shape(shape: object) -> tuple[int, int]:
+    try:
+        rows, columns = (int(n) for n in shape)  # type: ignore[attr-defined]
+        whole = (rows, columns) == tuple(shape)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        whole = False
+    if not whole or rows < 1 or columns < 1:
+        raise DesignError(f"The shape must be two whole numbers (rows, columns) >= 1, got {shape!r}.")
+    return rows, columns
+
+
+def _check_weights(weights: Sequence[float]) -> np.ndarray:
+    """Return normalised weights [5] or raise DesignError."""
+    array = np.asarray(weights, dtype=float) if np.ndim(weights) == 1 else np.empty(0)
+    if array.shape != (5,):
+        raise DesignError(
+            "The probabilities must be five weights (empty, rigid, soft, horizontal, vertical), got"
+            f" {weights!r}."
+        )
+    if not np.isfinite(array).all() or (array < 0).any() or array[Cell.H_ACT] + array[Cell.V_ACT] <= 0:
+        raise DesignError(
+            "The probabilities must be finite, not negative, and leave a chance for an actuator (the last"
+            f" two), got {tuple(float(w) for w in array)}."
+        )
+    return array / array.sum()
+
+
+def _may_be_connected(body: np.ndarray) -> bool:
+    """Cheap necessary condition: no cell without neighbour unless it is the only one."""
+    solid = np.pad(body != 0, 1)
+    inner = solid[1:-1, 1:-1]
+    company = solid[:-2, 1:-1] | solid[2:, 1:-1] | solid[1:-1, :-2] | solid[1:-1, 2:]
+    return bool((company | ~inner).all()) or int(inner.sum()) == 1
+
+
+def _cell_names(robot_only: bool = False) -> str:
+    cells = [cell for cell in Cell if not (robot_only and cell == Cell.FIXED)]
+    return ", ".join(f"{int(cell)} {_WORDS[cell]}" for cell in cells)
+
+
+_WORDS = {
+    Cell.EMPTY: "empty",
+    Cell.RIGID: "rigid",
+    Cell.SOFT: "soft",
+    Cell.H_ACT: "horizontal actuator",
+    Cell.V_ACT: "vertical actuator",
+    Cell.FIXED: "fixed",
+}
+
+
+def _size(grid: np.ndarray) -> str:
+    return "x".join(str(n) for n in grid.shape)
+
+
+def _shorten(text: str, limit: int = 60) -> str:
+    return text if len(text) <= limit else text[: limit - 3] + "..."

@@ -1,0 +1,93 @@
+"""Exception tree and the two helpers that make error sentences useful.
+
+Every error that a user can cause derives from :class:`WarpvoxError`, so that the command line can turn it
+into one clear line and exit code 2, while anything else stays a traceback (a defect of ours). Each class also
+derives from the builtin that generic code expects (``ValueError`` for bad input, ``RuntimeError`` for a bad
+machine or state).
+
+A message says what was expected, what was given, which values are valid and which of them is nearest.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = [
+    "ActionError",
+    "ConfigError",
+    "DesignError",
+    "DeviceError",
+    "RolloutError",
+    "RunError",
+    "SimulationError",
+    "TaskError",
+    "WarpvoxError",
+    "WorldError",
+    "did_you_mean",
+    "listing",
+]
+
+
+class WarpvoxError(Exception):
+    """Base of all errors that warpvox raises on purpose."""
+
+
+class DesignError(WarpvoxError, ValueError):
+    """A robot body is not valid (empty, not connected, without actuator, ...) or cannot be read."""
+
+
+class WorldError(WarpvoxError, ValueError):
+    """A world is not valid: overlap, negative position, duplicate or unknown object, unreadable file."""
+
+
+class TaskError(WarpvoxError, ValueError):
+    """An unknown task id, or a task used in a way that its specification does not allow."""
+
+
+class ActionError(WarpvoxError, ValueError):
+    """Actions of the wrong shape or type, or with entries that are not finite."""
+
+
+class ConfigError(WarpvoxError, ValueError):
+    """An unknown configuration key, or a value outside of what the key allows."""
+
+
+class RunError(WarpvoxError, ValueError):
+    """A folder that is not a run of warpvox, or a run that lacks what was asked for."""
+
+
+class RolloutError(WarpvoxError, ValueError):
+    """A recorded rollout that cannot be read, written or exported."""
+
+
+class DeviceError(WarpvoxError, RuntimeError):
+    """A compute device that does not exist on this machine or cannot be used."""
+
+
+class SimulationError(WarpvoxError, RuntimeError):
+    """The simulator was asked for something that its present state does not allow."""
+
+
+def did_you_mean(name: object, options: Iterable[object]) -> str:
+    """Return ``" Did you mean 'X'?"`` for the option nearest to ``name``, or ``""`` if none is near.
+
+    The leading blank lets a caller append the result to a finished sentence. Letter case is ignored, because
+    a wrong capital is the most common slip and must not hide the nearest name.
+    """
+    by_folded = {str(option).casefold(): str(option) for option in options}
+    near = difflib.get_close_matches(str(name).casefold(), by_folded, n=1, cutoff=0.6)
+    return f" Did you mean '{by_folded[near[0]]}'?" if near else ""
+
+
+def listing(options: Iterable[object], limit: int = 12) -> str:
+    """Return options as ``"a, b, c"``, cut after ``limit`` entries (``"a, b, ... (30 more)"``).
+
+    An empty collection gives ``"(none)"``, so that a sentence built from it stays a sentence.
+    """
+    names = [str(option) for option in options]
+    if not names:
+        return "(none)"
+    shown = ", ".join(names[:limit])
+    left = len(names) - limit
+    return f"{shown}, ... ({left} more)" if left > 0 else shown

@@ -1,0 +1,62 @@
+"""Example bodies, as data. Row 0 on top; 0 empty, 1 rigid, 2 soft, 3 horizontal and 4 vertical actuator.
+
+All are our own. Each is a starting point for one kind of task, not the best body for it.
+"""
+
+from __future__ import annotations
+
+__all__ = ["EXAMPLES"]
+
+EXAMPLES: dict[str, tuple[tuple[int, ...], ...]] = {
+    # a bounding quadruped: two muscle bands over two legs
+    "walker": (
+        (1, 4, 4, 4, 1),
+        (3, 3, 3, 3, 3),
+        (3, 3, 3, 3, 3),
+        (4, 4, 0, 4, 4),
+        (4, 4, 0, 4, 4),
+    ),
+    # two wide pads that can press against the walls of a shaft, a column between them that stretches
+    "climber": (
+        (3, 3, 3, 3, 3),
+        (3, 3, 3, 3, 3),
+        (0, 4, 4, 4, 0),
+        (3, 3, 3, 3, 3),
+        (3, 3, 3, 3, 3),
+    ),
+    # a walker with raised edges, so that a load stays on its back
+    "carrier": (
+        (1, 0, 0, 0, 1),
+        (3, 3, 3, 3, 3),
+        (3, 3, 3, 3, 3),
+        (4, 4, 0, 4, 4),
+        (4, 4, 0, 4, 4),
+    ),
+    # long legs under a soft back: for steps
+    "stepper": (
+        (2, 3, 3, 3, 2),
+        (3, 3, 3, 3, 3),
+        (4, 4, 4, 4, 4),
+        (4, 4, 0, 4, 4),
+        (4, 0, 0, 0, 4),
+    ),
+    # a stack of vertical muscle between a stiff top and two feet
+    "hopper": (
+        (1, 1, 1, 1, 1),
+        (4, 4, 4, 4, 4),
+        (4, 4, 4, 4, 4),
+        (4, 4, 4, 4, 4),
+        (3, 3, 0, 3, 3),
+    ),
+    # low and long
+    "worm": (
+        (2, 3, 3, 2, 3, 3, 2),
+        (4, 3, 3, 4, 3, 3, 4),
+    ),
+    # the smallest body with two legs
+    "mini": (
+        (3, 3, 3),
+        (4, 4, 4),
+        (4, 0, 4),
+    ),
+}

@@ -1,0 +1,500 @@
+"""Simulation: many worlds stepped at once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import warp as wp
+
+from warpvox.compile import Body, Design, compile_world, model_arrays
+from warpvox.errors import ActionError, DeviceError, SimulationError, did_you_mean, listing
+from warpvox.kernels import reset as reset_stage
+from warpvox.kernels import sensing
+from warpvox.kernels import step as step_stage
+from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
+from warpvox.kernels.lanes import MAX_WIDTH
+from warpvox.kernels.reset import STALE
+from warpvox.kernels.state import CONSTANTS, DATA, MODEL, NOT_FINITE, OVERFLOW, UNSTABLE, allocate, structs
+from warpvox.types import ACTION_HIGH, ACTION_LOW, DT, SUBSTEPS, VOXEL, Physics
+from warpvox.world import World
+
+__all__ = ["Simulation", "State"]
+
+DTYPES = {"float32": torch.float32, "float64": torch.float64}
+WIDTHS = (1, 8, 16, 32)  # lane widths offered on the CPU; the narrowest that holds a design's environments is taken
+CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
+MARGIN = 0.02  # width added to boxes when candidates are collected, a fifth of a voxel
+PAIRS_PER_VOXEL = 24  # capacity of the candidate list for bodies that go through the hashed grid
+SIGHT = 5.0  # voxels that floor and ceiling scans see (tasks.md)
+
+
+@dataclass
+class State:
+    """What kernels need to run: the structs, their arrays and how environments lie in them."""
+
+    precision: str
+    device: str
+    width: int
+    lanes: int
+    units: int
+    packs: int
+    num_envs: int
+    dt: float
+    sizes: dict[str, int]
+    model: object
+    data: object
+    arrays: dict[str, wp.array]
+    env_pack: wp.array
+    env_lane: wp.array
+    ranges: wp.array | None = None
+
+
+class Simulation:
+    """Worlds stepped together, one environment each; equal worlds share one compiled design.
+
+    Args:
+        worlds: one :class:`World` per environment.
+        device: 'auto' (CUDA where there is one), 'cpu', 'cuda' or 'cuda:<index>'.
+        physics: a preset's name or a :class:`Physics`.
+        dtype: 'float32', or 'float64' for exact parity with the reference.
+        lanes: environments that one CPU thread advances at once (1, 8, 16 or 32); None chooses.
+        threads: CPU threads; None takes all cores.
+
+    Positions are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step lasts
+    30 x 1e-4). Tensors that methods return are fresh; they never alias the simulator's buffers.
+
+    Raises:
+        SimulationError, DeviceError, ConfigError: what was asked for cannot be built.
+    """
+
+    def __init__(
+        self,
+        worlds: Sequence[World],
+        device: str = "auto",
+        physics: str | Physics = "evogym",
+        dtype: str = "float32",
+        lanes: int | None = None,
+        threads: int | None = None,
+    ):
+        if not worlds or not all(isinstance(world, World) for world in worlds):
+            raise SimulationError(f"Simulation needs a list of one World or more, got {worlds!r:.80}.")
+        if dtype not in DTYPES:
+            raise SimulationError(f"dtype must be 'float32' or 'float64', got {dtype!r}.")
+        self.device = resolve_device(device)
+        self.physics = physics if isinstance(physics, Physics) else Physics.preset(physics)
+        self.dtype = DTYPES[dtype]
+        index = _group(worlds)
+        self.worlds = [worlds[index.index(d)] for d in range(max(index) + 1)]
+        self.designs = [compile_world(world, self.physics) for world in self.worlds]
+        self.num_envs, self.num_designs = len(worlds), len(self.worlds)
+        self.design_index = torch.tensor(index, dtype=torch.long, device=self.device)
+        self._state = _allocate(self, index, dtype, _choose_lanes(index, lanes, self.device))
+        self.num_actions = max(sum(b.source.num_actuators for b in design.bodies) for design in self.designs)
+        self._name_objects()
+        self._threads = _check_threads(threads)
+        self._pool = ThreadPoolExecutor(self._threads) if self.device == "cpu" and self._threads > 1 else None
+        self._views = {name: wp.to_torch(self._state.arrays[name]) for name in ("frozen", "status", "time", "drift")}
+        self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
+        self._actions = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
+        self._action_array = wp.from_torch(self._actions)
+        self._graph = None
+        self._scans: dict[tuple, tuple] = {}
+        self._sensed: dict[str, torch.Tensor] = {}
+        self._views["frozen"].fill_(1)  # lanes that belong to no environment stay so
+        self.reset()
+
+    # ---------------------------------------------------------------- stepping
+
+    def step(self, actions) -> None:
+        """One control step of every environment that is not frozen.
+
+        Args:
+            actions: torch or numpy ``[num_envs, num_actions]``, goal lengths of the actuators in units of their
+                rest length, clipped to [0.6, 1.6]; columns beyond a design's own actuators are ignored.
+
+        Raises:
+            ActionError: wrong shape; on the CPU also values that are not finite (on CUDA such an environment
+                becomes unstable, because looking at them would wait for the device).
+        """
+        actions = torch.as_tensor(actions)
+        if tuple(actions.shape) != tuple(self._actions.shape):
+            expected = list(self._actions.shape)
+            raise ActionError(f"Actions must have the shape {expected} [num_envs, num_actions], got {list(actions.shape)}.")
+        if actions.device.type == "cpu" and not bool(torch.isfinite(actions).all()):
+            bad = int((~torch.isfinite(actions)).nonzero()[0, 0])
+            raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
+        self._actions.copy_(actions)
+        if self.device == "cpu":
+            self._control_step()
+        else:
+            self._replay()
+        self._sensed.clear()
+
+    def _control_step(self) -> None:
+        state = self._state
+        step_stage.launch_actions(state, self._action_array, ACTION_LOW, ACTION_HIGH)
+        if self._pool is None:
+            step_stage.launch(state, SUBSTEPS)
+            return
+        # A launch runs on one core and lets go of the GIL: share the packs among threads.
+        share = min(self._threads, state.packs)
+        cuts = [state.packs * k // share for k in range(share + 1)]
+        step_stage.step_kernel(state.precision, state.width).module.load(wp.get_device("cpu"))
+        jobs = [
+            self._pool.submit(step_stage.launch, state, SUBSTEPS, begin, end - begin)
+            for begin, end in zip(cuts, cuts[1:], strict=False)
+        ]
+        for job in jobs:
+            job.result()
+
+    def _replay(self) -> None:
+        """The control step as a CUDA graph, captured on first use; arrays never move afterwards."""
+        with wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(self.device))):
+            if self._graph is None:
+                self._control_step()  # loads the modules; this first step is not captured
+                with wp.ScopedCapture(device=self.device) as capture:
+                    self._control_step()
+                self._graph = capture.graph
+            else:
+                wp.capture_launch(self._graph)
+
+    def reset(self, mask: torch.Tensor | None = None) -> None:
+        """Put environments back to time 0 and thaw them.
+
+        Args:
+            mask: bool ``[num_envs]``; None means all.
+        """
+        if mask is None:
+            mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        mask = self._check_mask(mask)
+        reset_stage.launch(self._state, wp.from_torch(mask.contiguous()))
+        self._sensed.clear()
+
+    def set_frozen(self, mask: torch.Tensor) -> None:
+        """Freeze (True) or thaw environments: a frozen one keeps its state and its time.
+
+        Args:
+            mask: bool ``[num_envs]``.
+        """
+        self._views["frozen"][self._env] = self._check_mask(mask).to(torch.int32)
+
+    def _check_mask(self, mask) -> torch.Tensor:
+        mask = torch.as_tensor(mask, device=self.device)
+        if tuple(mask.shape) != (self.num_envs,) or mask.dtype != torch.bool:
+            raise SimulationError(
+                f"A mask must be bool [{self.num_envs}], got {mask.dtype} {list(mask.shape)}."
+            )
+        return mask
+
+    # ------------------------------------------------------------------ status
+
+    @property
+    def frozen(self) -> torch.Tensor:
+        """bool [num_envs]: environments that keep their state."""
+        return self._views["frozen"][self._env] == 1
+
+    @property
+    def time(self) -> torch.Tensor:
+        """int64 [num_envs]: complete control steps since the reset."""
+        return self._views["time"][self._env].long()
+
+    @property
+    def unstable(self) -> torch.Tensor:
+        """bool [num_envs]: the last step was stopped (self-folding or values that are not finite) and undone."""
+        return (self._views["status"][self._env] & int(UNSTABLE | NOT_FINITE)) != 0
+
+    @property
+    def overflow(self) -> torch.Tensor:
+        """bool [num_envs]: the last step met more contact candidates than there is room for, and left some out."""
+        return (self._views["status"][self._env] & int(OVERFLOW)) != 0
+
+    # ----------------------------------------------------------------- objects
+
+    def _name_objects(self) -> None:
+        names = {body.name: body.source.is_robot for design in self.designs for body in design.bodies + design.statics}
+        self.object_names = sorted(names, key=lambda name: (not names[name], name))
+        ranges = np.zeros((self.num_designs, len(self.object_names), 2), dtype=np.int32)
+        for d, design in enumerate(self.designs):
+            for body in design.bodies:
+                begin = body.first_point
+                ranges[d, self.object_names.index(body.name)] = begin, begin + len(body.points)
+        self._state.ranges = wp.array(ranges, dtype=wp.vec2i, device=self.device)
+        self._action_mask = torch.zeros((self.num_designs, self.num_actions), dtype=torch.bool, device=self.device)
+        for d, design in enumerate(self.designs):
+            self._action_mask[d, : sum(body.source.num_actuators for body in design.bodies)] = True
+
+    @property
+    def action_mask(self) -> torch.Tensor:
+        """bool [num_designs, num_actions]: which actions a design has."""
+        return self._action_mask.clone()
+
+    def _index(self, name: str) -> int:
+        if name not in self.object_names:
+            hint = did_you_mean(name, self.object_names)
+            raise SimulationError(f"No object named {name!r}; there are {listing(self.object_names)}.{hint}")
+        return self.object_names.index(name)
+
+    def _bodies(self, name: str) -> list[Body | None]:
+        self._index(name)
+        return [design.body(name) for design in self.designs]
+
+    def num_points(self, name: str) -> int:
+        """Points of an object, the most over the designs."""
+        return max(len(body.points) for body in self._bodies(name) if body)
+
+    def point_mask(self, name: str) -> torch.Tensor:
+        """bool [num_designs, points]: which points a design's object has."""
+        counts = [len(body.points) if body else 0 for body in self._bodies(name)]
+        return torch.arange(max(counts)) < torch.tensor(counts)[:, None]
+
+    def object_grid(self, name: str, design: int = 0) -> np.ndarray:
+        """int8 [rows, columns], row 0 on top: the cells of an object."""
+        return self._body(name, design).source.grid.copy()
+
+    def voxel_corners(self, name: str, design: int = 0) -> np.ndarray:
+        """int32 [voxels, 4]: points at the top left, top right, bottom right and bottom left of every voxel."""
+        return np.array(list(self._body(name, design).corners.values()), dtype=np.int32)
+
+    def _body(self, name: str, design: int) -> Body:
+        body = self._bodies(name)[design]
+        if body is None:
+            raise SimulationError(f"Design {design} has no object named {name!r}.")
+        return body
+
+    # ----------------------------------------------------------------- sensing
+
+    def object_positions(self, name: str) -> torch.Tensor:
+        """[num_envs, points, 2]: positions in simulator units, padded with 0."""
+        return self._points(name, 0)
+
+    def object_velocities(self, name: str) -> torch.Tensor:
+        """[num_envs, points, 2]: velocities of the integrator, padded with 0."""
+        return self._points(name, 1)
+
+    def relative_positions(self, name: str) -> torch.Tensor:
+        """[num_envs, 2, points]: x row and y row minus the centre of mass, padded with 0."""
+        return self._points(name, 2).transpose(1, 2)
+
+    def _points(self, name: str, what: int) -> torch.Tensor:
+        bodies = self._bodies(name)
+        out = torch.zeros((self.num_envs, self.num_points(name), 2), dtype=self.dtype, device=self.device)
+        if any(body in design.bodies for body, design in zip(bodies, self.designs, strict=True) if body):
+            sensing.launch(self._state, "points", self.num_envs, self._index(name), what, wp.from_torch(out))
+        for d, body in enumerate(bodies):
+            if body and body in self.designs[d].statics and what != 1:
+                fixed = torch.tensor(body.points, dtype=torch.float64, device=self.device)
+                fixed = fixed - fixed.mean(0) if what == 2 else fixed
+                out[self.design_index == d, : len(fixed)] = fixed.to(self.dtype)
+        return out
+
+    def com(self, name: str) -> torch.Tensor:
+        """float64 [num_envs, 2]: centre of mass of an object that can move (B.1)."""
+        return self._centres()[0][:, self._moving(name)].clone()
+
+    def velocity(self, name: str) -> torch.Tensor:
+        """float64 [num_envs, 2]: velocity of the centre of mass (B.1)."""
+        return self._centres()[1][:, self._moving(name)].clone()
+
+    def _moving(self, name: str) -> int:
+        index = self._index(name)
+        if not any(body.name == name for design in self.designs for body in design.bodies):
+            raise SimulationError(f"The object {name!r} is made of fixed cells only: it never moves.")
+        return index
+
+    def _centres(self) -> tuple[torch.Tensor, torch.Tensor]:
+        if "com" not in self._sensed:
+            shape = (self.num_envs, len(self.object_names), 2)
+            pair = [torch.zeros(shape, dtype=torch.float64, device=self.device) for _ in range(2)]
+            arrays = [wp.from_torch(t, dtype=wp.vec2d) for t in pair]
+            sensing.launch(self._state, "centres", shape[:2], *arrays)
+            self._sensed["com"], self._sensed["velocity"] = pair
+        return self._sensed["com"], self._sensed["velocity"]
+
+    def orientation(self, name: str) -> torch.Tensor:
+        """float64 [num_envs]: orientation in [0, 2 pi), counter-clockwise since time 0 (B.1)."""
+        out = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
+        sensing.launch(self._state, "orientations", self.num_envs, self._moving(name), wp.from_torch(out))
+        return out
+
+    def floor_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
+        """float64 [num_envs, 2 reach + 1]: depth of the terrain below an object's centre of mass.
+
+        Window i, from -reach to reach voxels beside it and one voxel wide, holds the distance down to the highest
+        point of the listed objects (None: all that never move) below the centre; 5 voxels (0.5) where there is none.
+        """
+        return self._scan(name, reach, objects, -1)
+
+    def ceiling_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
+        """float64 [num_envs, 2 reach + 1]: the same upward."""
+        return self._scan(name, reach, objects, 1)
+
+    def _scan(self, name: str, reach: int, objects: Sequence[str] | None, up: int) -> torch.Tensor:
+        key = tuple(objects) if objects is not None else None
+        if key not in self._scans:
+            self._scans[key] = _scan_tables(self, key)
+        out = torch.zeros((self.num_envs, 2 * reach + 1), dtype=torch.float64, device=self.device)
+        inputs = [self._moving(name), reach, SIGHT, up, *self._scans[key], wp.from_torch(out)]
+        sensing.launch(self._state, "scans", tuple(out.shape), *inputs)
+        return out
+
+    # ---------------------------------------------------------------- state io
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Everything that changes, as tensors: what :meth:`set_state` takes back."""
+        return {name: wp.to_torch(self._state.arrays[name]).clone() for name in STATE_FIELDS}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Restore what :meth:`state` gave, of a simulation of the same worlds and lanes.
+
+        Raises:
+            SimulationError: fields or shapes that are not this simulation's.
+        """
+        for name in STATE_FIELDS:
+            here = wp.to_torch(self._state.arrays[name])
+            if name not in state or state[name].shape != here.shape or state[name].dtype != here.dtype:
+                raise SimulationError(f"The state's {name!r} is not that of this simulation: expected {list(here.shape)}.")
+        for name in STATE_FIELDS:
+            wp.to_torch(self._state.arrays[name]).copy_(state[name])
+        self._views["drift"].fill_(STALE)
+        self._sensed.clear()
+
+
+STATE_FIELDS = ("pos", "pos_lo", "vel", "true_vel", "frozen", "status", "time")
+
+
+def resolve_device(device: str) -> str:
+    """The torch name of a device: 'auto', 'cpu', 'cuda', 'cuda:<index>'.
+
+    Raises:
+        DeviceError: no such device here.
+    """
+    name = str(device)
+    if name == "auto":
+        return "cuda:0" if torch.cuda.is_available() and wp.is_cuda_available() else "cpu"
+    if name == "cpu":
+        return name
+    kind, _, number = name.partition(":")
+    if kind != "cuda" or not (number.isdigit() or number == ""):
+        raise DeviceError(f"Unknown device {device!r}; valid are 'auto', 'cpu', 'cuda' and 'cuda:<index>'.")
+    found = torch.cuda.device_count() if torch.cuda.is_available() and wp.is_cuda_available() else 0
+    if int(number or 0) >= found:
+        have = f"this machine has {found} CUDA device(s)" if found else "no CUDA device was found"
+        raise DeviceError(f"Device {device!r} is not available: {have}. Use device=cpu or device=auto.")
+    return f"cuda:{int(number or 0)}"
+
+
+def _torch(array: wp.array) -> torch.Tensor:
+    return wp.to_torch(array).long()
+
+
+def _group(worlds: Sequence[World]) -> list[int]:
+    """For every world the number of its design; equal worlds have one."""
+    seen: dict[bytes, int] = {}
+    by_id: dict[int, int] = {}
+    index = []
+    for world in worlds:
+        if id(world) not in by_id:
+            by_id[id(world)] = seen.setdefault(world.key(), len(seen))
+        index.append(by_id[id(world)])
+    return index
+
+
+def _choose_lanes(index: list[int], lanes: int | None, device: str) -> int:
+    if device != "cpu":
+        if lanes not in (None, CUDA_LANES):
+            raise SimulationError(f"lanes must be {CUDA_LANES} or None on CUDA, got {lanes!r}.")
+        return CUDA_LANES
+    if lanes is None:
+        most = int(np.bincount(index).max())
+        return next((w for w in WIDTHS if w >= most), MAX_WIDTH)
+    if lanes not in WIDTHS:
+        raise SimulationError(f"lanes must be one of {listing(WIDTHS)}, got {lanes!r}.")
+    return lanes
+
+
+def _check_threads(threads: int | None) -> int:
+    if threads is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not isinstance(threads, int) or threads < 1:
+        raise SimulationError(f"threads must be a whole number >= 1 or None, got {threads!r}.")
+    return threads
+
+
+def _allocate(sim: Simulation, index: list[int], precision: str, lanes: int) -> State:
+    """Lay the environments out in packs of one design each, and allocate Model and Data."""
+    width = lanes if sim.device == "cpu" else 1
+    pack_design, env_pack, env_lane = [], np.zeros(len(index), np.int32), np.zeros(len(index), np.int32)
+    for design in range(sim.num_designs):
+        members = np.flatnonzero(np.asarray(index) == design)
+        env_pack[members] = len(pack_design) + np.arange(len(members)) // lanes
+        env_lane[members] = np.arange(len(members)) % lanes
+        pack_design += [design] * -(-len(members) // lanes)
+    host, sizes = model_arrays(sim.designs, precision)
+    units = lanes // width
+    sizes |= _capacities(sizes["voxel"]) | {"pack": len(pack_design), "lane": lanes, "unit": len(pack_design) * units}
+    host["pack_design"] = np.asarray(pack_design, dtype=np.int32)
+    model, data = allocate(MODEL, sizes, precision, sim.device), allocate(DATA, sizes, precision, sim.device)
+    for name, values in host.items():
+        if values.size:
+            model[name].assign(values.astype(precision) if values.dtype == np.float64 else values)
+    types = structs(precision)
+    state = State(
+        precision, sim.device, width, lanes, units, len(pack_design), len(index), DT, sizes,
+        types.Model(), types.Data(), model | data,
+        wp.array(env_pack, dtype=int, device=sim.device), wp.array(env_lane, dtype=int, device=sim.device),
+    )  # fmt: skip
+    for struct, arrays in ((state.model, model), (state.data, data)):
+        for name, array in arrays.items():
+            setattr(struct, name, array)
+    for name in CONSTANTS:
+        setattr(state.model, name, MARGIN if name == "margin" else getattr(sim.physics, name))
+    # Lanes without an environment hold the design at rest, frozen.
+    home = wp.to_torch(model["home"]), wp.to_torch(model["home_lo"])
+    for name, values in zip(("pos", "pos_lo"), home, strict=True):
+        rows = values[torch.as_tensor(pack_design, device=sim.device)]
+        wp.to_torch(data[name]).copy_(rows[:, :, None].expand(-1, -1, lanes))
+    wp.to_torch(data["drift"]).fill_(STALE)
+    return state
+
+
+def _capacities(voxels: int) -> dict[str, int]:
+    """Capacities of the broad phase for a number of surface voxels."""
+    if voxels < GRID_FROM:
+        return {"pair": voxels * (voxels - 1) // 2, "entry": 1, "slot": 1, "word": 1}
+    return {
+        "pair": PAIRS_PER_VOXEL * voxels,
+        "entry": ENTRIES_PER_VOXEL * voxels,
+        "slot": 1 << (2 * voxels - 1).bit_length(),
+        "word": voxels * -(-voxels // 32),
+    }
+
+
+def _scan_tables(sim: Simulation, objects: tuple[str, ...] | None) -> tuple[wp.array, wp.array, wp.array]:
+    """Static points in voxels by lattice column, where each column starts, and points of listed bodies."""
+    for name in objects or ():
+        sim._index(name)
+    still, moving = [], []
+    for design in sim.designs:
+        listed = [b for b in design.statics if objects is None or b.name in objects]
+        points = [(x / VOXEL, y / VOXEL) for body in listed for x, y in body.points]
+        still.append(sorted(points, key=lambda p: round(p[0])))
+        bodies = [b for b in design.bodies if objects is not None and b.name in objects]
+        moving.append([b.first_point + p for b in bodies for p in range(len(b.points))])
+    columns = max(design.world.width for design in sim.designs) + 1
+    start = np.zeros((sim.num_designs, columns + 1), dtype=np.int32)
+    table = np.zeros((sim.num_designs, max(1, *(len(p) for p in still)), 2))
+    body_points = np.full((sim.num_designs, max(1, *(len(p) for p in moving))), -1, dtype=np.int32)
+    for d, points in enumerate(still):
+        start[d] = np.searchsorted([round(x) for x, _ in points], np.arange(columns + 1))
+        table[d, : len(points)] = np.reshape(points, (-1, 2))
+        body_points[d, : len(moving[d])] = moving[d]
+    return (
+        wp.array(start, dtype=int, device=sim.device),
+        wp.array(table, dtype=wp.vec2d, device=sim.device),
+        wp.array(body_points, dtype=int, device=sim.device),
+    )

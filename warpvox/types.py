@@ -1,0 +1,118 @@
+"""Cell types, units and the constants of the physics."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from enum import IntEnum
+
+from warpvox.errors import ConfigError, did_you_mean, listing
+
+__all__ = ["ACTION_HIGH", "ACTION_LOW", "DT", "SUBSTEPS", "VOXEL", "Cell", "Physics"]
+
+VOXEL = 0.1
+"""Side of a voxel in simulator units."""
+SUBSTEPS = 30
+"""Sub-steps of a control step (paper section A.2)."""
+DT = 1.0e-4
+"""Inner time of a sub-step. Gravity and stiffness belong to this clock, not to the nominal 1500 Hz."""
+ACTION_LOW, ACTION_HIGH = 0.6, 1.6
+"""Bounds of an action: the goal length of an actuator's sides in units of their rest length."""
+
+
+class Cell(IntEnum):
+    """What a cell of a body or world holds (paper section A.1)."""
+
+    EMPTY = 0
+    RIGID = 1
+    SOFT = 2
+    H_ACT = 3
+    V_ACT = 4
+    FIXED = 5
+
+
+@dataclass(frozen=True)
+class Physics:
+    """The constants of the dynamics; the defaults are those of EvoGym's release 2.2.5 (preset ``evogym``).
+
+    Lengths are in simulator units (0.1 a voxel), time in inner units (1e-4 a sub-step), every point has mass 1.
+    The presets and how they differ: paper Table 1 and ``docs/physics.md``.
+    """
+
+    name: str = "evogym"
+    gravity: float = 110.0
+    drag: float = 0.1
+    contact_stiffness: float = 2.1e6
+    contact_depth: float = 5.0e-3  # added to the depth of penetration
+    contact_damping: float = 140.0
+    friction: float = 0.2
+    friction_multiplier: float = 1.2e3
+    floor_stiffness: float = 1.4e7  # of the implicit floor at y = 0
+    floor_friction: float = 10.0
+    actuation_rate: float = 6.0e-3  # share of the way to its goal that a spring's rest length goes in a sub-step
+    rigid_main: float = 3e8 / 3.5
+    rigid_structural: float = 3e8 / 7
+    soft_main: float = 3e8 / 6
+    soft_structural: float = 3e8 / 24
+    actuator_main: float = 3e8 / 5
+    actuator_structural: float = 3e8 / 10
+    shared_edge: str = "last"  # "last": the last soft or actuator voxel sets a shared side; "stiffest" wins
+
+    def __post_init__(self):
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name == "shared_edge":
+                if value not in ("last", "stiffest"):
+                    raise ConfigError(f"physics.shared_edge must be 'last' or 'stiffest', got {value!r}.")
+            elif field.name != "name" and not (_is_number(value) and value >= 0):
+                raise ConfigError(f"physics.{field.name} must be a finite number >= 0, got {value!r}.")
+
+    @staticmethod
+    def presets() -> tuple[str, ...]:
+        """Names of the presets."""
+        return tuple(_PRESETS)
+
+    @staticmethod
+    def preset(name: str, **changes: object) -> Physics:
+        """A preset by name, with constants changed by keyword.
+
+        Raises:
+            ConfigError: unknown preset or constant, or a value out of range.
+        """
+        if name not in _PRESETS:
+            hint = did_you_mean(name, _PRESETS)
+            raise ConfigError(f"Unknown physics preset {name!r}; there are {listing(_PRESETS)}.{hint}")
+        known = [field.name for field in fields(Physics) if field.name != "name"]
+        for key in changes:
+            if key not in known:
+                raise ConfigError(f"Unknown physics constant {key!r}.{did_you_mean(key, known)}")
+        return replace(_PRESETS[name], **changes)
+
+    def stiffness(self, cell: int) -> tuple[float, float]:
+        """Stiffness of a cell's sides and of its diagonals."""
+        if cell == Cell.SOFT:
+            return self.soft_main, self.soft_structural
+        if cell in (Cell.H_ACT, Cell.V_ACT):
+            return self.actuator_main, self.actuator_structural
+        return self.rigid_main, self.rigid_structural
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+_TABLE_1 = dict(
+    soft_main=3e8 / 5,
+    soft_structural=3e8 / 10,
+    actuator_main=3e8 / 6,
+    actuator_structural=3e8 / 24,
+    friction=0.1,
+    friction_multiplier=2.4e3,
+    shared_edge="stiffest",
+)
+_PRESETS = {
+    "evogym": Physics(),
+    # Table 1 with one correction: its contact stiffness of 2.1e7 makes contacts add energy.
+    "paper": Physics(name="paper", **_TABLE_1),
+    "paper_literal": Physics(name="paper_literal", contact_stiffness=2.1e7, **_TABLE_1),
+}

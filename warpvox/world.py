@@ -1,0 +1,476 @@
+"""Worlds: named objects made of cells on a grid. Reads and writes EvoGym's world files.
+
+A world says what exists and where; :mod:`warpvox.compile` turns it into points and springs. Columns count to
+the right from x = 0 and rows upward from y = 0, one cell is 0.1 long. Arrays of cells always have row 0 on
+top.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from warpvox.design import as_grid, full_connections
+from warpvox.errors import WorldError, did_you_mean, listing
+from warpvox.files import write_text
+from warpvox.types import Cell
+
+__all__ = ["World", "WorldObject"]
+
+_LETTERS = {
+    Cell.EMPTY: ".",
+    Cell.RIGID: "R",
+    Cell.SOFT: "S",
+    Cell.H_ACT: "H",
+    Cell.V_ACT: "V",
+    Cell.FIXED: "F",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class WorldObject:
+    """One named group of cells. Immutable; make another with :func:`dataclasses.replace` or :meth:`moved`.
+
+    Attributes:
+        name: unique in its world.
+        grid: int8 ``[rows, columns]``, row 0 on top (read-only). Empty border rows and columns belong to it.
+        x, y: cell of the lower left corner of ``grid``, both >= 0.
+        connections: int32 ``[k, 2]`` pairs ``a < b`` of flat indices into ``grid`` (row-major from the top
+            row), sorted and unique (read-only): which neighbouring cells share their corners.
+    """
+
+    name: str
+    grid: np.ndarray
+    x: int
+    y: int
+    connections: np.ndarray
+
+    @classmethod
+    def from_array(
+        cls, name: str, structure: object, x: int = 0, y: int = 0, connections: object = None
+    ) -> WorldObject:
+        """Make an object from cells ``[rows, columns]`` (row 0 on top) with the lower left corner at (x, y).
+
+        ``connections`` is ``[2, k]`` as in EvoGym: pairs of flat indices into ``structure``. None connects
+        all neighbours.
+
+        Raises:
+            WorldError: bad name, cells, position or connections.
+        """
+        if not isinstance(name, str) or not name:
+            raise WorldError(f"An object needs a name (text that is not empty), got {name!r}.")
+        grid = as_grid(structure, what=f"object '{name}'", error=WorldError)
+        if not grid.any():
+            raise WorldError(f"The object '{name}' has no cells: all of its {grid.size} entries are empty.")
+        x, y = _check_position(name, x, y)
+        pairs = full_connections(grid) if connections is None else _check_pairs(name, grid, connections)
+        pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+        grid.flags.writeable = False
+        pairs.flags.writeable = False
+        return cls(name, grid, x, y, pairs)
+
+    @property
+    def width(self) -> int:
+        """Columns of the bounding box, empties included."""
+        return self.grid.shape[1]
+
+    @property
+    def height(self) -> int:
+        """Rows of the bounding box, empties included."""
+        return self.grid.shape[0]
+
+    @property
+    def num_actuators(self) -> int:
+        """Number of actuator cells."""
+        return int(np.isin(self.grid, (int(Cell.H_ACT), int(Cell.V_ACT))).sum())
+
+    @property
+    def is_robot(self) -> bool:
+        """Whether the object holds an actuator."""
+        return self.num_actuators > 0
+
+    @property
+    def is_static(self) -> bool:
+        """Whether the object is made of fixed cells only, so that nothing of it ever moves."""
+        return bool(np.isin(self.grid, (int(Cell.EMPTY), int(Cell.FIXED))).all())
+
+    def moved(self, x: int, y: int) -> WorldObject:
+        """Return this object with its lower left corner at (x, y)."""
+        x, y = _check_position(self.name, x, y)
+        return replace(self, x=x, y=y)
+
+    def key(self) -> bytes:
+        """Return bytes that are equal exactly for equal objects."""
+        head = json.dumps([self.name, self.x, self.y, *self.grid.shape, len(self.connections)]).encode()
+        return head + self.grid.tobytes() + self.connections.tobytes()
+
+    def __eq__(self, other: object) -> bool:
+        return self.key() == other.key() if isinstance(other, WorldObject) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.key())
+
+    def __repr__(self) -> str:
+        return f"WorldObject('{self.name}', {self.width} wide, {self.height} high, at ({self.x}, {self.y}))"
+
+
+class World:
+    """Objects on a grid of ``width`` x ``height`` cells that grows when an object sticks out of it.
+
+    Overlap rule (EvoGym's): the bounding box of a new object, empties included, must not cover a cell that
+    another object fills. Every method that changes the world either succeeds or leaves it as it was.
+    """
+
+    def __init__(self, width: int = 1, height: int = 1) -> None:
+        for value, what in ((width, "width"), (height, "height")):
+            if not _is_whole(value) or value < 1:
+                raise WorldError(f"The {what} of a world must be a whole number >= 1, got {value!r}.")
+        self.width = int(width)
+        self.height = int(height)
+        self.objects: dict[str, WorldObject] = {}
+
+    # ------------------------------------------------------------------ change
+
+    def add_object(self, obj: WorldObject) -> WorldObject:
+        """Add ``obj`` and return it.
+
+        Raises:
+            WorldError: the name is taken, or the bounding box covers a filled cell of another object.
+        """
+        if obj.name in self.objects:
+            raise WorldError(f"The world has an object '{obj.name}' already; names must differ.")
+        self._check_free(obj)
+        self.objects[obj.name] = obj
+        self._grow(obj)
+        return obj
+
+    def add_from_array(
+        self, name: str, structure: object, x: int, y: int, connections: object = None
+    ) -> WorldObject:
+        """Add cells ``[rows, columns]`` (row 0 on top) with the lower left corner at cell (x, y).
+
+        ``connections``: EvoGym's ``[2, k]`` array of flat index pairs, or None to connect all neighbours.
+
+        Raises:
+            WorldError: bad cells, name, position or connections, or an overlap.
+        """
+        return self.add_object(WorldObject.from_array(name, structure, x, y, connections))
+
+    def remove_object(self, name: str) -> WorldObject:
+        """Remove the object ``name`` and return it; the grid keeps its size."""
+        self._find(name)
+        return self.objects.pop(name)
+
+    def move_object(self, name: str, x: int, y: int) -> WorldObject:
+        """Move the object ``name`` so that its lower left corner is cell (x, y); return the moved object.
+
+        Raises:
+            WorldError: unknown object, negative position or an overlap; the object then stays where it was.
+        """
+        obj = self._find(name).moved(x, y)
+        self._check_free(obj)
+        self.objects[name] = obj
+        self._grow(obj)
+        return obj
+
+    def add_from_json(self, source: str | os.PathLike[str] | Mapping[str, object]) -> None:
+        """Add all objects of a world file (path, text of the file or parsed dictionary) to this world.
+
+        Raises:
+            WorldError: an unreadable file, or an object that cannot be added; no object is added then.
+        """
+        width, height, objects = _parse_world(source)
+        trial = self.copy()
+        for obj in objects:
+            trial.add_object(obj)
+        self.objects = trial.objects
+        self.width, self.height = max(trial.width, width), max(trial.height, height)
+
+    # ------------------------------------------------------------------ files
+
+    @classmethod
+    def from_json(cls, source: str | os.PathLike[str] | Mapping[str, object]) -> World:
+        """Read a world in EvoGym's format from a path, the text of a file or a parsed dictionary.
+
+        Raises:
+            WorldError: unreadable, incomplete or contradictory; the message names the object at fault.
+        """
+        world = cls()
+        world.add_from_json(source)
+        return world
+
+    def to_json(self, path: str | os.PathLike[str] | None = None) -> str:
+        """Return the world as text in EvoGym's format; also write it to ``path`` if one is given.
+
+        The format knows filled cells only. Where a bounding box has an empty border, an entry ``box``
+        ``[x, y, width, height]`` is added, which this library reads back and EvoGym ignores.
+        """
+        text = json.dumps(
+            {
+                "grid_width": self.width,
+                "grid_height": self.height,
+                "objects": {name: _object_to_json(obj, self.width) for name, obj in self.objects.items()},
+            },
+            indent=1,
+        )
+        if path is not None:
+            write_text(path, text + "\n")
+        return text
+
+    # ------------------------------------------------------------------ look
+
+    def copy(self) -> World:
+        """Return an independent world with the same objects (which are immutable and shared)."""
+        other = World(self.width, self.height)
+        other.objects = dict(self.objects)
+        return other
+
+    def key(self) -> bytes:
+        """Return a 32-byte digest, equal for equal worlds; the order of the objects does not matter."""
+        digest = hashlib.sha256(f"{self.width} {self.height} {len(self.objects)}".encode())
+        for name in sorted(self.objects):
+            material = self.objects[name].key()
+            digest.update(len(material).to_bytes(8, "little") + material)
+        return digest.digest()
+
+    def grid(self) -> np.ndarray:
+        """Return all objects drawn into one int8 array ``[height, width]``, row 0 on top."""
+        cells = np.zeros((self.height, self.width), np.int8)
+        for obj in self.objects.values():
+            top = self.height - obj.y - obj.height
+            view = cells[top : top + obj.height, obj.x : obj.x + obj.width]
+            np.copyto(view, obj.grid, where=obj.grid != 0)
+        return cells
+
+    def pretty(self) -> str:
+        """Return a drawing in letters: R rigid, S soft, H and V actuators, F fixed, a dot for empty."""
+        return "\n".join("".join(_LETTERS[Cell(cell)] for cell in row) for row in self.grid())
+
+    def __eq__(self, other: object) -> bool:
+        return self.key() == other.key() if isinstance(other, World) else NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]  # worlds change; use key()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.objects
+
+    def __repr__(self) -> str:
+        objects = ", ".join(
+            f"{obj.name} {obj.width}x{obj.height} at ({obj.x}, {obj.y})" for obj in self.objects.values()
+        )
+        return f"World({self.width}x{self.height}: {objects or 'no objects'})"
+
+    def __str__(self) -> str:
+        return f"{self!r}\n{self.pretty()}"
+
+    # ------------------------------------------------------------------ inner
+
+    def _find(self, name: str) -> WorldObject:
+        if name not in self.objects:
+            raise WorldError(
+                f"The world has no object '{name}'.{did_you_mean(name, self.objects)}"
+                f" It has {listing(self.objects)}."
+            )
+        return self.objects[name]
+
+    def _check_free(self, obj: WorldObject) -> None:
+        for other in self.objects.values():
+            if other.name == obj.name:
+                continue
+            left, right = max(obj.x, other.x), min(obj.x + obj.width, other.x + other.width)
+            low, high = max(obj.y, other.y), min(obj.y + obj.height, other.y + other.height)
+            if left >= right or low >= high:
+                continue
+            top = other.y + other.height
+            shared = other.grid[top - high : top - low, left - other.x : right - other.x]
+            filled = np.argwhere(shared[::-1])  # lowest row first: the natural place to look at
+            if len(filled):
+                up, along = filled[0]
+                raise WorldError(
+                    f"The object '{obj.name}' ({obj.width} wide, {obj.height} high, at ({obj.x}, {obj.y}))"
+                    f" overlaps '{other.name}' at cell ({left + along}, {low + up}); its bounding box must"
+                    " lie on empty cells."
+                )
+
+    def _grow(self, obj: WorldObject) -> None:
+        self.width = max(self.width, obj.x + obj.width)
+        self.height = max(self.height, obj.y + obj.height)
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
+def _check_position(name: str, x: object, y: object) -> tuple[int, int]:
+    if not _is_whole(x) or not _is_whole(y):
+        raise WorldError(f"The position of '{name}' must be two whole numbers of cells, got ({x!r}, {y!r}).")
+    if x < 0 or y < 0:  # type: ignore[operator]
+        raise WorldError(f"The position of '{name}' must not be negative, got ({x}, {y}).")
+    return int(x), int(y)  # type: ignore[call-overload]
+
+
+def _check_pairs(name: str, grid: np.ndarray, connections: object) -> np.ndarray:
+    """Return EvoGym's ``[2, k]`` connections as unique int32 ``[k, 2]`` pairs a < b, or raise WorldError."""
+    raw = np.asarray(connections)
+    if raw.size == 0:
+        return np.zeros((0, 2), np.int32)
+    if raw.ndim != 2 or raw.shape[0] != 2 or raw.dtype.kind not in "iuf":
+        raise WorldError(
+            f"The connections of '{name}' must be numbers of shape [2, k] (pairs of flat cell indices), got"
+            f" shape {raw.shape} of {raw.dtype}."
+        )
+    with np.errstate(invalid="ignore"):
+        pairs = np.sort(raw.T.astype(np.int64), axis=1)
+    allowed = {tuple(pair) for pair in full_connections(grid).tolist()}
+    given = {tuple(pair) for pair in pairs.tolist()}
+    wrong = sorted(given - allowed)
+    if wrong or not np.array_equal(np.sort(raw.T, axis=1), pairs):
+        example = wrong[0] if wrong else "a fraction"
+        raise WorldError(
+            f"The connections of '{name}' hold {example}, which are not two neighbouring filled cells of its"
+            f" {grid.shape[0]}x{grid.shape[1]} grid."
+        )
+    return np.array(sorted(given), np.int32)
+
+
+# ---------------------------------------------------------------------- EvoGym's world format
+#
+# {"grid_width": W, "grid_height": H, "objects": {name: {"indices": [...], "types": [...],
+#  "neighbors": {"index": [index, ...], ...}}}}, index = y * W + x with y upward from the bottom row.
+
+
+def _parse_world(source: object) -> tuple[int, int, list[WorldObject]]:
+    data, origin = _load_json(source)
+    missing = [key for key in ("grid_width", "grid_height", "objects") if key not in data]
+    if missing:
+        raise WorldError(f"{origin} is not a world: it lacks {listing(missing)}.")
+    width, height, objects = data["grid_width"], data["grid_height"], data["objects"]
+    if not _is_whole(width) or not _is_whole(height) or width < 1 or height < 1:
+        raise WorldError(
+            f"{origin}: grid_width and grid_height must be whole numbers >= 1, got {width!r}, {height!r}."
+        )
+    if not isinstance(objects, Mapping):
+        raise WorldError(f"{origin}: 'objects' must map names to objects, got {type(objects).__name__}.")
+    parsed = []
+    for name, entry in objects.items():
+        try:
+            parsed.append(_object_from_json(name, entry, int(width), int(height)))
+        except WorldError as error:
+            raise WorldError(f"{origin}: {error}") from None
+    return int(width), int(height), parsed
+
+
+def _load_json(source: object) -> tuple[Mapping[str, object], str]:
+    if isinstance(source, Mapping):
+        return source, "The world"
+    if isinstance(source, str) and source.lstrip().startswith("{"):
+        origin, text = "The world text", source
+    elif isinstance(source, (str, os.PathLike)):
+        origin = f"The world file '{source}'"
+        try:
+            text = Path(source).read_text(encoding="utf-8")
+        except FileNotFoundError:
+            raise WorldError(f"There is no world file '{source}'.") from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise WorldError(f"{origin} cannot be read: {error}.") from error
+    else:
+        raise WorldError(f"A world comes from a path, text or a dictionary, got {type(source).__name__}.")
+    try:
+        data = json.loads(text, object_pairs_hook=_unique_pairs)
+    except (ValueError, RecursionError) as error:
+        raise WorldError(f"{origin} is not valid JSON: {error}.") from None
+    if not isinstance(data, Mapping):
+        raise WorldError(f"{origin} must hold a JSON object, got {type(data).__name__}.")
+    return data, origin
+
+
+def _unique_pairs(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    # json keeps the last of equal keys, which would drop an object without a word
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the name '{twice}' occurs twice")
+    return result
+
+
+def _object_from_json(name: str, entry: object, world_width: int, world_height: int) -> WorldObject:
+    if not isinstance(entry, Mapping) or not all(key in entry for key in ("indices", "types", "neighbors")):
+        raise WorldError(f"the object '{name}' needs the entries indices, types and neighbors.")
+    indices, types, neighbors = entry["indices"], entry["types"], entry["neighbors"]
+    if not (isinstance(indices, list) and isinstance(types, list) and isinstance(neighbors, Mapping)):
+        raise WorldError(f"the object '{name}' needs lists of indices and types and a mapping of neighbors.")
+    if not indices or not len(indices) == len(types) == len(neighbors):
+        raise WorldError(
+            f"the object '{name}' must have as many types and neighbors as indices, and at least one; it has"
+            f" {len(indices)} indices, {len(types)} types, {len(neighbors)} neighbors."
+        )
+    size = world_width * world_height
+    known = all(_is_whole(index) and 0 <= index < size for index in indices)
+    if not known or len(set(indices)) < len(indices):
+        raise WorldError(
+            f"the indices of the object '{name}' must be different whole numbers from 0 to {size - 1}"
+            " (grid_width x grid_height - 1)."
+        )
+    columns = [index % world_width for index in indices]
+    rows = [index // world_width for index in indices]
+    x, y, width, height = _bounding_box(name, entry.get("box"), columns, rows)
+    if x + width > world_width or y + height > world_height:
+        raise WorldError(f"the box of '{name}' sticks out of the {world_width}x{world_height} grid.")
+    cells = np.zeros((height, width), object)
+    place = {}
+    for index, column, row, cell in zip(indices, columns, rows, types, strict=True):
+        place[index] = (y + height - 1 - row) * width + column - x
+        if not _is_whole(cell) or cell == Cell.EMPTY or cell not in set(Cell):
+            raise WorldError(f"the cell type {cell!r} of '{name}' at index {index} is none of 1 to 5.")
+        cells.flat[place[index]] = cell
+    pairs = []
+    for index in indices:
+        near = neighbors.get(str(index), neighbors.get(index))
+        if not isinstance(near, list) or not all(_is_whole(other) and other in place for other in near):
+            raise WorldError(f"the neighbors of index {index} of '{name}' are not a list of its indices.")
+        pairs.extend((place[index], place[other]) for other in near)
+    connections = np.array(pairs, np.int64).reshape(-1, 2).T
+    return WorldObject.from_array(name, cells.astype(np.int8), x, y, connections)
+
+
+def _bounding_box(name: str, box: object, columns: list[int], rows: list[int]) -> tuple[int, int, int, int]:
+    """Return (x, y, width, height) in cells: the entry ``box`` if there is one, else the tightest."""
+    x, y = min(columns), min(rows)
+    right, top = max(columns) + 1, max(rows) + 1
+    if box is None:
+        return x, y, right - x, top - y
+    fits = isinstance(box, list) and len(box) == 4 and all(_is_whole(n) and n >= 0 for n in box)
+    if not fits or box[0] > x or box[1] > y or box[0] + box[2] < right or box[1] + box[3] < top:
+        raise WorldError(
+            f"the box {box!r} of the object '{name}' is no [x, y, width, height] that holds its cells."
+        )
+    return box[0], box[1], box[2], box[3]
+
+
+def _object_to_json(obj: WorldObject, world_width: int) -> dict[str, object]:
+    rows, columns = np.nonzero(obj.grid)
+    flat = np.flatnonzero(obj.grid).tolist()
+    index = {
+        cell: int((obj.y + obj.height - 1 - row) * world_width + obj.x + column)
+        for cell, row, column in zip(flat, rows, columns, strict=True)
+    }
+    near: dict[int, list[int]] = {cell: [] for cell in flat}
+    for a, b in obj.connections.tolist():
+        near[a].append(index[b])
+        near[b].append(index[a])
+    entry: dict[str, object] = {
+        "indices": [index[cell] for cell in flat],
+        "types": [int(obj.grid.flat[cell]) for cell in flat],
+        "neighbors": {str(index[cell]): near[cell] for cell in flat},
+    }
+    extent = (rows.min(), columns.min(), rows.max() + 1, columns.max() + 1)
+    if extent != (0, 0, obj.height, obj.width):
+        entry["box"] = [obj.x, obj.y, obj.width, obj.height]
+    return entry
