@@ -25,15 +25,11 @@ FAR = 1.0e6  # a coordinate beyond this is not on any lattice (also stops NaN be
 @functools.cache
 def boxes(precision: str, width: int):
     """Stage: axis-aligned bounds of every surface voxel."""
-    ops, types = lane_ops(precision, width), structs(precision)
-    real, load, store, splat = ops.real, ops.load, ops.store, ops.splat
-    lower, upper = ops.lower, ops.upper
-    # float32 boxes do not see pos_lo: widen them so that they never hide a contact.
-    pad = 2.0e-6 if precision == "float32" else 0.0
+    ops, types = lane_ops("float64", width), structs(precision)
+    load, store, lower, upper = ops.load, ops.store, ops.lower, ops.upper
 
     @wp.func
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
-        widen = splat(real(pad))
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         for v in range(model.voxels[design]):
             c = model.corner[design, v]
             for axis in range(int(2)):
@@ -41,8 +37,8 @@ def boxes(precision: str, width: int):
                 p1 = load(data.pos, pack, 2 * c[1] + axis, lane)
                 p2 = load(data.pos, pack, 2 * c[2] + axis, lane)
                 p3 = load(data.pos, pack, 2 * c[3] + axis, lane)
-                store(data.box, pack, 4 * v + 2 * axis, lane, lower(lower(p0, p1), lower(p2, p3)) - widen)
-                store(data.box, pack, 4 * v + 2 * axis + 1, lane, upper(upper(p0, p1), upper(p2, p3)) + widen)
+                store(data.box, pack, 4 * v + 2 * axis, lane, lower(lower(p0, p1), lower(p2, p3)))
+                store(data.box, pack, 4 * v + 2 * axis + 1, lane, upper(upper(p0, p1), upper(p2, p3)))
 
     return stage
 
@@ -50,11 +46,11 @@ def boxes(precision: str, width: int):
 @functools.cache
 def box_overlap(precision: str, width: int):
     """Function: the lanes in which the boxes of two voxels, together ``margin`` wider, overlap or touch."""
-    ops, types = lane_ops(precision, width), structs(precision)
-    real, load, splat, at_most = ops.real, ops.load, ops.splat, ops.at_most
+    ops, types = lane_ops("float64", width), structs(precision)
+    load, splat, at_most = ops.load, ops.splat, ops.at_most
 
     @wp.func
-    def overlap(data: types.Data, pack: int, lane: int, i: int, j: int, margin: real):
+    def overlap(data: types.Data, pack: int, lane: int, i: int, j: int, margin: wp.float64):
         m = splat(margin)
         lanes = at_most(load(data.box, pack, 4 * i, lane), load(data.box, pack, 4 * j + 1, lane) + m)
         lanes = lanes & at_most(load(data.box, pack, 4 * j, lane), load(data.box, pack, 4 * i + 1, lane) + m)
@@ -107,11 +103,11 @@ def add_pair(precision: str):
 @functools.cache
 def collect_all(precision: str, width: int):
     """Stage: candidate pairs by comparing all boxes with all."""
-    types, real = structs(precision), lane_ops(precision, width).real
+    types = structs(precision)
     overlap, add = box_overlap(precision, width), add_pair(precision)
 
     @wp.func
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         data.pair_count[unit] = 0
         n = model.voxels[design]
         for i in range(n):
@@ -125,7 +121,7 @@ def collect_all(precision: str, width: int):
 @functools.cache
 def collect_grid(precision: str, width: int):
     """Stage: candidate pairs through a hashed grid, one lane after another."""
-    types, real = structs(precision), lane_ops(precision, width).real
+    types = structs(precision)
     add = add_pair(precision)
 
     @wp.func
@@ -133,18 +129,18 @@ def collect_grid(precision: str, width: int):
         return ((x * 73856093) ^ (y * 19349663)) & (data.grid_head.shape[1] - 1)
 
     @wp.func
-    def cells(data: types.Data, pack: int, k: int, v: int, margin: real):
+    def cells(data: types.Data, pack: int, k: int, v: int, margin: wp.float64):
         """First and last grid column and row of a voxel's box, half the margin wider; empty if not finite."""
-        half = margin * real(0.5)
+        half = margin * wp.float64(0.5)
         x0, x1 = data.box[pack, 4 * v, k] - half, data.box[pack, 4 * v + 1, k] + half
         y0, y1 = data.box[pack, 4 * v + 2, k] - half, data.box[pack, 4 * v + 3, k] + half
-        if x0 > -real(FAR) and x1 < real(FAR) and y0 > -real(FAR) and y1 < real(FAR):
-            s = real(1.0 / SLOT)
+        if x0 > -wp.float64(FAR) and x1 < wp.float64(FAR) and y0 > -wp.float64(FAR) and y1 < wp.float64(FAR):
+            s = wp.float64(1.0 / SLOT)
             return int(wp.floor(x0 * s)), int(wp.floor(x1 * s)), int(wp.floor(y0 * s)), int(wp.floor(y1 * s))
         return 0, -1, 0, -1
 
     @wp.func
-    def insert(data: types.Data, pack: int, k: int, unit: int, v: int, entries: int, margin: real):
+    def insert(data: types.Data, pack: int, k: int, unit: int, v: int, entries: int, margin: wp.float64):
         """Enter a voxel into its cells; the number of entries after that."""
         n = int(entries)
         x0, x1, y0, y1 = cells(data, pack, k, v, margin)
@@ -161,7 +157,7 @@ def collect_grid(precision: str, width: int):
         return n
 
     @wp.func
-    def meets(data: types.Data, pack: int, k: int, i: int, j: int, m: real):
+    def meets(data: types.Data, pack: int, k: int, i: int, j: int, m: wp.float64):
         return (
             data.box[pack, 4 * i, k] <= data.box[pack, 4 * j + 1, k] + m
             and data.box[pack, 4 * j, k] <= data.box[pack, 4 * i + 1, k] + m
@@ -170,7 +166,7 @@ def collect_grid(precision: str, width: int):
         )
 
     @wp.func
-    def mark(data: types.Data, pack: int, k: int, unit: int, v: int, words: int, margin: real):
+    def mark(data: types.Data, pack: int, k: int, unit: int, v: int, words: int, margin: wp.float64):
         """Set the bits of all pairs (w, v), w < v, that meet in this lane."""
         x0, x1, y0, y1 = cells(data, pack, k, v, margin)
         for y in range(y0, y1 + 1):
@@ -184,7 +180,7 @@ def collect_grid(precision: str, width: int):
                     e = data.grid_next[unit, e]
 
     @wp.func
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         n = model.voxels[design]
         words = (n + 31) // 32
         for w in range(n * words):
@@ -211,18 +207,14 @@ def collect_grid(precision: str, width: int):
 def lattice_range(precision: str):
     """Function: columns and rows of the terrain lattice under a box that is ``margin`` wider on every side."""
     types = structs(precision)
-    from warpvox.kernels.lanes import REALS
-
-    real = REALS[precision]
-
     @wp.func
-    def span(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int, margin: real):
+    def span(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int, margin: wp.float64):
         size = model.terrain[design]
         x0, x1 = data.box[pack, 4 * v, k] - margin, data.box[pack, 4 * v + 1, k] + margin
         y0, y1 = data.box[pack, 4 * v + 2, k] - margin, data.box[pack, 4 * v + 3, k] + margin
-        if x0 > -real(FAR) and x1 < real(FAR) and y0 > -real(FAR) and y1 < real(FAR):
-            s = real(1.0 / CELL)
-            slack = real(1.0e-3)  # in cells: coordinates carry rounding, the lattice does not
+        if x0 > -wp.float64(FAR) and x1 < wp.float64(FAR) and y0 > -wp.float64(FAR) and y1 < wp.float64(FAR):
+            s = wp.float64(1.0 / CELL)
+            slack = wp.float64(1.0e-3)  # in cells: coordinates carry rounding, the lattice does not
             return (
                 wp.max(int(wp.floor(x0 * s - slack)), 0),
                 wp.min(int(wp.floor(x1 * s + slack)), size[0] - 1),
@@ -237,7 +229,7 @@ def lattice_range(precision: str):
 @functools.cache
 def collect_near(precision: str, width: int):
     """Stage: voxels that may touch terrain in some lane."""
-    types, real = structs(precision), lane_ops(precision, width).real
+    types = structs(precision)
     span = lattice_range(precision)
 
     @wp.func
@@ -250,7 +242,7 @@ def collect_near(precision: str, width: int):
         return 0
 
     @wp.func
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         n = int(0)
         for v in range(model.voxels[design]):
             found = int(0)
@@ -269,19 +261,19 @@ def collect_near(precision: str, width: int):
 @functools.cache
 def collect(precision: str, width: int):
     """Stage: all candidates anew, once the old ones are worn out."""
-    types, real = structs(precision), lane_ops(precision, width).real
+    types = structs(precision)
     by_grid, by_all = collect_grid(precision, width), collect_all(precision, width)
     near = collect_near(precision, width)
 
     @wp.func
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         if data.drift[unit] + data.drift[unit] >= model.margin:
             if model.voxels[design] >= GRID_FROM:
                 by_grid(model, data, design, pack, lane, unit, dt)
             else:
                 by_all(model, data, design, pack, lane, unit, dt)
             near(model, data, design, pack, lane, unit, dt)
-            data.drift[unit] = real(0.0)
+            data.drift[unit] = wp.float64(0.0)
             if data.overflow[unit] == 1:
                 for k in range(lane, lane + int(width)):
                     data.status[pack, k] = data.status[pack, k] | OVERFLOW

@@ -10,7 +10,7 @@ import functools
 import warp as wp
 
 from warpvox.kernels.broadphase import DISTANT, lattice_range
-from warpvox.kernels.lanes import lane_ops
+from warpvox.kernels.lanes import REALS, lane_ops
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
@@ -18,16 +18,17 @@ PARALLEL = 1.0e-4  # |det| of two edges below which they do not cross
 DEGENERATE = 1.0e-6  # a side shorter than this is never the nearest
 
 
+real = wp.float64
+quad = wp.types.vector(length=8, dtype=real)
+
+
 @functools.cache
-def geometry(precision: str):
+def geometry():
     """Function: the nearest crossed side of quad r under corner c of quad m, and its depth (side -1: no contact).
 
     A quad holds x, y of top left, top right, bottom right, bottom left. Comparisons and their order of evaluation
     follow the released simulator: at time 0 they decide ties in the last bit.
     """
-    real = lane_ops(precision, 1).real
-    quad = wp.types.vector(length=8, dtype=real)
-
     @wp.func
     def cross(ax: real, ay: real, bx: real, by: real):
         return ax * by - ay * bx
@@ -91,20 +92,20 @@ def geometry(precision: str):
                             depth = d
         return best, depth
 
-    return nearest_side, quad
+    return nearest_side
 
 
 @functools.cache
 def resolve(precision: str):
     """Function: contact of corner c of quad m with quad r, if any; points of -1 belong to terrain."""
-    types, real = structs(precision), lane_ops(precision, 1).real
-    nearest_side, quad = geometry(precision)
+    types, force = structs(precision), REALS[precision]
+    nearest_side = geometry()
 
     @wp.func
     def push(data: types.Data, pack: int, k: int, p: int, fx: real, fy: real):
         if p >= 0:
-            data.contact[pack, 2 * p, k] = data.contact[pack, 2 * p, k] + fx
-            data.contact[pack, 2 * p + 1, k] = data.contact[pack, 2 * p + 1, k] + fy
+            data.contact[pack, 2 * p, k] = data.contact[pack, 2 * p, k] + force(fx)
+            data.contact[pack, 2 * p + 1, k] = data.contact[pack, 2 * p + 1, k] + force(fy)
 
     @wp.func
     def speed(data: types.Data, pack: int, k: int, p: int, nx: real, ny: real):
@@ -143,68 +144,32 @@ def resolve(precision: str):
         push(data, pack, k, a, -(fx + nx * da) * half, -(fy + ny * da) * half)
         push(data, pack, k, b, -(fx + nx * db) * half, -(fy + ny * db) * half)
 
-    return contact, quad
+    return contact
 
 
 @functools.cache
-def frames(precision: str):
-    """Functions that give a voxel or a terrain cell as a quad.
-
-    float32 takes coordinates relative to an origin nearby and keeps the low parts; float64 takes them as they are.
-    """
-    types, real = structs(precision), lane_ops(precision, 1).real
-    _, quad = geometry(precision)
-
-    if precision == "float32":
-
-        @wp.func
-        def near(high: real, low: real, origin: real):
-            return (high - origin) + low
-
-        @wp.func
-        def origin_of(high: real):
-            return high
-    else:
-
-        @wp.func
-        def near(high: real, low: real, origin: real):
-            return high
-
-        @wp.func
-        def origin_of(high: real):
-            return real(0.0)
+def voxel_frame(precision: str):
+    """Function: a voxel as a quad."""
+    types = structs(precision)
 
     @wp.func
-    def coordinate(data: types.Data, pack: int, k: int, row: int, origin: real):
-        return near(data.pos[pack, row, k], data.pos_lo[pack, row, k], origin)
-
-    @wp.func
-    def voxel_quad(data: types.Data, pack: int, k: int, c: wp.vec4i, ox: real, oy: real):
+    def frame(data: types.Data, pack: int, k: int, c: wp.vec4i):
         q = quad()
         four = int(4)
         for n in range(four):
-            q[2 * n] = coordinate(data, pack, k, 2 * c[n], ox)
-            q[2 * n + 1] = coordinate(data, pack, k, 2 * c[n] + 1, oy)
+            q[2 * n] = data.pos[pack, 2 * c[n], k]
+            q[2 * n + 1] = data.pos[pack, 2 * c[n] + 1, k]
         return q
 
-    @wp.func
-    def cell_quad(model: types.Model, design: int, cell: int, ox: real, oy: real):
-        x0 = near(model.terrain_box[design, cell, 0], model.terrain_lo[design, cell, 0], ox)
-        x1 = near(model.terrain_box[design, cell, 1], model.terrain_lo[design, cell, 1], ox)
-        y0 = near(model.terrain_box[design, cell, 2], model.terrain_lo[design, cell, 2], oy)
-        y1 = near(model.terrain_box[design, cell, 3], model.terrain_lo[design, cell, 3], oy)
-        return quad(x0, y1, x1, y1, x1, y0, x0, y0)
-
-    return voxel_quad, cell_quad, origin_of
+    return frame
 
 
 @functools.cache
 def voxel_contacts(precision: str, width: int):
     """Stage: contacts of the candidate pairs."""
-    ops, types = lane_ops(precision, width), structs(precision)
-    real, load, at_most, first, drop = ops.real, ops.load, ops.at_most, ops.first, ops.drop
-    contact, _ = resolve(precision)
-    voxel_quad, _, origin_of = frames(precision)
+    ops, types = lane_ops("float64", width), structs(precision)
+    load, at_most, first, drop = ops.load, ops.at_most, ops.first, ops.drop
+    contact, frame = resolve(precision), voxel_frame(precision)
 
     @wp.func
     def corner_hits(data: types.Data, pack: int, lane: int, p: int, r: int):
@@ -221,9 +186,7 @@ def voxel_contacts(precision: str, width: int):
         model: types.Model, data: types.Data, design: int, pack: int, k: int, i: int, j: int, c: int, times: real
     ):
         mc, rc = model.corner[design, i], model.corner[design, j]
-        ox, oy = origin_of(data.pos[pack, 2 * rc[0], k]), origin_of(data.pos[pack, 2 * rc[0] + 1, k])
-        m = voxel_quad(data, pack, k, mc, ox, oy)
-        r = voxel_quad(data, pack, k, rc, ox, oy)
+        m, r = frame(data, pack, k, mc), frame(data, pack, k, rc)
         sides = model.side[design, j]
         contact(model, data, pack, k, m, model.side[design, i], mc[c], c, r, sides, rc, times)
 
@@ -260,10 +223,14 @@ def voxel_contacts(precision: str, width: int):
 def terrain_contacts(precision: str, width: int):
     """Stage: contacts of the near voxels with the cells of the terrain lattice."""
     ops, types = lane_ops(precision, width), structs(precision)
-    real, first, drop = ops.real, ops.first, ops.drop
-    contact, quad = resolve(precision)
-    voxel_quad, cell_quad, origin_of = frames(precision)
-    span = lattice_range(precision)
+    first, drop = ops.first, ops.drop
+    contact, frame, span = resolve(precision), voxel_frame(precision), lattice_range(precision)
+
+    @wp.func
+    def cell_quad(model: types.Model, design: int, cell: int):
+        x0, x1 = model.terrain_box[design, cell, 0], model.terrain_box[design, cell, 1]
+        y0, y1 = model.terrain_box[design, cell, 2], model.terrain_box[design, cell, 3]
+        return quad(x0, y1, x1, y1, x1, y0, x0, y0)
 
     @wp.func
     def holds(x0: real, x1: real, y0: real, y1: real, x: real, y: real):
@@ -294,7 +261,6 @@ def terrain_contacts(precision: str, width: int):
         cx0, cx1, cy0, cy1 = span(model, data, design, pack, k, v, real(0.0))
         loaded = int(0)
         mc = model.corner[design, v]
-        ox, oy = origin_of(data.pos[pack, 2 * mc[0], k]), origin_of(data.pos[pack, 2 * mc[0] + 1, k])
         m = quad()
         for cy in range(cy0, cy1 + 1):
             for cx in range(cx0, cx1 + 1):
@@ -302,10 +268,9 @@ def terrain_contacts(precision: str, width: int):
                 sides = model.terrain_side[design, cell]
                 if sides != 0:
                     if loaded == 0:
-                        m = voxel_quad(data, pack, k, mc, ox, oy)
+                        m = frame(data, pack, k, mc)
                         loaded = 1
-                    r = cell_quad(model, design, cell, ox, oy)
-                    with_cell(model, data, pack, k, m, model.side[design, v], mc, r, sides)
+                    with_cell(model, data, pack, k, m, model.side[design, v], mc, cell_quad(model, design, cell), sides)
 
     @wp.func
     def stage(
@@ -325,7 +290,7 @@ def terrain_contacts(precision: str, width: int):
 def contacts(precision: str, width: int):
     """Stage: all contact forces of the environments that are not frozen, into ``contact``."""
     ops, types = lane_ops(precision, width), structs(precision)
-    real, store, splat = ops.real, ops.store, ops.splat
+    zero, store, splat = ops.real, ops.store, ops.splat
     with_voxels, with_terrain = voxel_contacts(precision, width), terrain_contacts(precision, width)
 
     @wp.func
@@ -337,9 +302,9 @@ def contacts(precision: str, width: int):
         return mask
 
     @wp.func
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         for r in range(2 * model.points[design]):
-            store(data.contact, pack, r, lane, splat(real(0.0)))
+            store(data.contact, pack, r, lane, splat(zero(0.0)))
         active = active_lanes(data, pack, lane)
         with_voxels(model, data, design, pack, lane, unit, active)
         with_terrain(model, data, design, pack, lane, unit, active)

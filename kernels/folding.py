@@ -17,7 +17,7 @@ from warpvox.kernels.state import UNSTABLE, structs
 def check(precision: str, width: int):
     """Stage: set UNSTABLE in the status of environments with a folded robot."""
     ops, types = lane_ops(precision, width), structs(precision)
-    real, first, drop = ops.real, ops.first, ops.drop
+    first, drop = ops.first, ops.drop
     overlap = box_overlap(precision, width)
 
     @wp.func
@@ -34,12 +34,12 @@ def check(precision: str, width: int):
                     data.status[pack, k] = data.status[pack, k] | UNSTABLE
 
     @wp.func
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         found = int(0)
         for n in range(data.pair_count[unit]):
             pair = data.pairs[unit, n]
             if (pair[2] & DISTANT) != 0:
-                lanes = overlap(data, pack, lane, pair[0], pair[1], real(0.0))
+                lanes = overlap(data, pack, lane, pair[0], pair[1], wp.float64(0.0))
                 if lanes != 0 and found == 0:
                     clear(data, pack, lane, model.robots[design])
                     found = 1

@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.lanes import lane_ops
+from warpvox.kernels.lanes import casts, lane_ops
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
@@ -22,13 +22,12 @@ def outer_forces(precision: str, width: int):
 
     @wp.func
     def stand(model: types.Model, data: types.Data, pack: int, p: int, lane: int, y: real):
-        normal = -model.floor_stiffness * y
+        normal = -model.floor_stiffness * wp.float64(y)
         grip = model.friction * normal
-        slip = data.stage_vel[pack, 2 * p, lane]
-        data.force[pack, 2 * p, lane] = (
-            data.force[pack, 2 * p, lane] - model.floor_friction * grip * wp.tanh(slip * grip)
-        )
-        data.force[pack, 2 * p + 1, lane] = data.force[pack, 2 * p + 1, lane] + normal
+        slip = wp.float64(data.stage_vel[pack, 2 * p, lane])
+        drag = real(model.floor_friction * grip * wp.tanh(slip * grip))
+        data.force[pack, 2 * p, lane] = data.force[pack, 2 * p, lane] - drag
+        data.force[pack, 2 * p + 1, lane] = data.force[pack, 2 * p + 1, lane] + real(normal)
 
     @wp.func
     def outer(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
@@ -39,11 +38,11 @@ def outer_forces(precision: str, width: int):
             fy = load(data.contact, pack, y, lane) - load(data.stage_vel, pack, y, lane) * model.drag - weight
             store(data.force, pack, x, lane, fx)
             store(data.force, pack, y, lane, fy)
-            height = load(data.pos, pack, y, lane) + load(data.disp, pack, y, lane)
+            height = load(data.height, pack, p, lane) + load(data.disp, pack, y, lane)
             below = at_most(height, splat(real(0.0)))
             while below != 0:
                 k = lane + first(below)
-                stand(model, data, pack, p, k, data.pos[pack, y, k] + data.disp[pack, y, k])
+                stand(model, data, pack, p, k, data.height[pack, p, k] + data.disp[pack, y, k])
                 below = drop(below)
 
     return outer
@@ -85,6 +84,8 @@ def runge_kutta(precision: str, width: int):
     """Stage: displacement and new velocity of every free point after dt."""
     ops, types = lane_ops(precision, width), structs(precision)
     real, load, store, splat = ops.real, ops.load, ops.store, ops.splat
+    wide, cast = lane_ops("float64", width), casts(precision, width)
+    load_state, store_state, widen, narrow = wide.load, wide.store, cast.widen, cast.narrow
     outer = outer_forces(precision, width)
     springs = spring_forces(precision, width)
 
@@ -92,77 +93,73 @@ def runge_kutta(precision: str, width: int):
     def start(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         zero = splat(real(0.0))
         for r in range(2 * model.points[design]):
+            velocity = narrow(load_state(data.vel, pack, r, lane))
+            store(data.start_vel, pack, r, lane, velocity)
+            store(data.stage_vel, pack, r, lane, velocity)
             store(data.disp, pack, r, lane, zero)
-            store(data.sum_disp, pack, r, lane, zero)
+            store(data.sum_bend, pack, r, lane, zero)
             store(data.sum_vel, pack, r, lane, zero)
-            store(data.stage_vel, pack, r, lane, load(data.vel, pack, r, lane))
+        for p in range(model.points[design]):
+            store(data.height, pack, p, lane, narrow(load_state(data.pos, pack, 2 * p + 1, lane)))
 
     @wp.func
     def slope(
-        model: types.Model, data: types.Data, design: int, pack: int, lane: int, weight: real, ahead: real
+        model: types.Model, data: types.Data, design: int, pack: int, lane: int, weight: real, bend: real, ahead: real
     ):
-        """Add a stage's slopes to the sums with a weight, and go to the next stage, ``ahead`` of the start."""
+        """Add a stage's acceleration to the sums, and go to the next stage, ``ahead`` of the start."""
         outer(model, data, design, pack, lane)
         springs(model, data, design, pack, lane)
         for r in range(2 * model.points[design]):
-            velocity = load(data.stage_vel, pack, r, lane)
             force = load(data.force, pack, r, lane)
-            store(data.sum_disp, pack, r, lane, load(data.sum_disp, pack, r, lane) + velocity * weight)
+            store(data.sum_bend, pack, r, lane, load(data.sum_bend, pack, r, lane) + force * bend)
             store(data.sum_vel, pack, r, lane, load(data.sum_vel, pack, r, lane) + force * weight)
-            store(data.disp, pack, r, lane, velocity * ahead)
-            store(data.stage_vel, pack, r, lane, load(data.vel, pack, r, lane) + force * ahead)
+            store(data.disp, pack, r, lane, load(data.stage_vel, pack, r, lane) * ahead)
+            store(data.stage_vel, pack, r, lane, load(data.start_vel, pack, r, lane) + force * ahead)
 
     @wp.func
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+    def finish(data: types.Data, pack: int, r: int, lane: int, dt: wp.float64, free: wp.float64):
+        """x += dt v + dt^2 / 6 (a1 + a2 + a3) and v += dt / 6 (a1 + 2 a2 + 2 a3 + a4), in float64."""
+        velocity = load_state(data.vel, pack, r, lane)
+        sixth = free * dt / wp.float64(6.0)
+        move = velocity * (free * dt) + widen(load(data.sum_bend, pack, r, lane)) * (sixth * dt)
+        store_state(data.move, pack, r, lane, move)
+        store(data.disp, pack, r, lane, narrow(move))
+        store_state(data.vel, pack, r, lane, velocity + widen(load(data.sum_vel, pack, r, lane)) * sixth)
+
+    @wp.func
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         start(model, data, design, pack, lane)
+        step = real(dt)
         stages = int(4)  # a constant bound would be unrolled
         for k in range(stages):
             inner = k == 1 or k == 2
             weight = wp.where(inner, real(2.0), real(1.0))
-            ahead = wp.where(k < 2, dt * real(0.5), dt)
-            slope(model, data, design, pack, lane, weight, ahead)
+            bend = wp.where(k < 3, real(1.0), real(0.0))
+            ahead = wp.where(k < 2, step * real(0.5), step)
+            slope(model, data, design, pack, lane, weight, bend, ahead)
         for p in range(model.points[design]):
             # A fixed point takes part in the stages; only its update is dropped.
-            free = real(1 - model.fixed[design, p])
-            for r in range(2 * p, 2 * p + 2):
-                store(data.disp, pack, r, lane, load(data.sum_disp, pack, r, lane) * (free * dt / real(6.0)))
-                change = load(data.sum_vel, pack, r, lane) * (free * dt / real(6.0))
-                store(data.vel, pack, r, lane, load(data.vel, pack, r, lane) + change)
+            free = wp.float64(1 - model.fixed[design, p])
+            finish(data, pack, 2 * p, lane, dt, free)
+            finish(data, pack, 2 * p + 1, lane, dt, free)
 
     return stage
 
 
 @functools.cache
 def advance(precision: str, width: int):
-    """Stage: positions move by the displacements; true velocity and drift follow from them."""
-    ops, types = lane_ops(precision, width), structs(precision)
-    real, load, store, splat, grow, largest = ops.real, ops.load, ops.store, ops.splat, ops.grow, ops.largest
-
-    if precision == "float32":
-
-        @wp.func
-        def move(data: types.Data, pack: int, r: int, lane: int):
-            # Compensated sum: what rounding takes from the position is kept in pos_lo.
-            old = load(data.pos, pack, r, lane)
-            step = load(data.disp, pack, r, lane) + load(data.pos_lo, pack, r, lane)
-            new = old + step
-            back = new - old
-            store(data.pos, pack, r, lane, new)
-            store(data.pos_lo, pack, r, lane, (old - (new - back)) + (step - back))
-    else:
-
-        @wp.func
-        def move(data: types.Data, pack: int, r: int, lane: int):
-            store(data.pos, pack, r, lane, load(data.pos, pack, r, lane) + load(data.disp, pack, r, lane))
+    """Stage: positions move; true velocity and drift follow."""
+    ops, types = lane_ops("float64", width), structs(precision)
+    load, store, splat, grow, largest = ops.load, ops.store, ops.splat, ops.grow, ops.largest
 
     @wp.func
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
-        path = splat(real(0.0))
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+        path = splat(wp.float64(0.0))
         for r in range(2 * model.points[design]):
-            move(data, pack, r, lane)
-            step = load(data.disp, pack, r, lane)
-            store(data.true_vel, pack, r, lane, step * (real(1.0) / dt))
-            path = grow(path, step)
+            move = load(data.move, pack, r, lane)
+            store(data.pos, pack, r, lane, load(data.pos, pack, r, lane) + move)
+            store(data.true_vel, pack, r, lane, move * (wp.float64(1.0) / dt))
+            path = grow(path, move)
         data.drift[unit] = data.drift[unit] + largest(path)
 
     return stage

@@ -4,6 +4,10 @@ State arrays are ``[pack, row, lane]``. On the CPU one thread advances all lanes
 a ``wp.vec`` of ``width`` lanes, which the compiler turns into AVX code. On CUDA (and for a single environment)
 ``width`` is 1 and a value is a plain scalar. :func:`lane_ops` returns the operations for one case; every
 physics kernel is written with them and knows nothing else of the difference.
+
+Two precisions meet in a simulation. State, contacts and everything that decides whether something happens are
+float64, always: one contact that is missed or early changes an episode. Springs, the bulk of the work, compute in
+the simulation's own precision, on displacements so small that float32 serves them well.
 """
 
 import functools
@@ -25,7 +29,34 @@ def lane_ops(precision: str, width: int) -> SimpleNamespace:
     """
     real = REALS[precision]
     ops = _scalar_ops(real) if width == 1 else _vector_ops(real, width)
-    return SimpleNamespace(real=real, width=width, precision=precision, first=_first, drop=_drop, **ops)
+    return SimpleNamespace(real=real, width=width, first=_first, drop=_drop, **ops)
+
+
+@functools.cache
+def casts(precision: str, width: int) -> SimpleNamespace:
+    """``widen`` a value of a precision to float64, ``narrow`` it back."""
+    real = REALS[precision]
+    if width == 1:
+
+        @wp.func
+        def widen(a: real):
+            return wp.float64(a)
+
+        @wp.func
+        def narrow(a: wp.float64):
+            return real(a)
+
+        return SimpleNamespace(widen=widen, narrow=narrow)
+    small, large = (lane_ops(name, width).value for name in (precision, "float64"))
+    copy = "wp::vec_t<{0}, {1}> r; for (int i = 0; i < {0}; ++i) r[i] = ({1})a[i]; return r;"
+
+    @wp.func_native(copy.format(width, "double"))
+    def widen(a: small) -> large: ...
+
+    @wp.func_native(copy.format(width, _C_NAMES[real]))
+    def narrow(a: large) -> small: ...
+
+    return SimpleNamespace(widen=widen, narrow=narrow)
 
 
 @wp.func_native(

@@ -8,26 +8,20 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.lanes import REALS
 from warpvox.kernels.state import structs
 
-# Contacts at time 0 hang on the last bit of a double, so float64 must round as the formulas are written.
-EXACT = "-march=native -ffp-contract=off"
-
-
-def module_options(precision: str) -> dict | None:
-    """Compiler options of the modules of a precision."""
-    return {"cpu_compiler_flags": EXACT} if precision == "float64" else None
+# Contacts at time 0 hang on the last bit of a double: round as the formulas are written.
+EXACT = {"cpu_compiler_flags": "-march=native -ffp-contract=off"}
 
 
 @functools.cache
 def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
     """The kernel that runs one stage; launch over (units of a pack, packs)."""
-    types, real = structs(precision), REALS[precision]
+    types = structs(precision)
     stage = build(precision, width)
 
-    @wp.kernel(enable_backward=False, module="unique", module_options=module_options(precision))
-    def kernel(model: types.Model, data: types.Data, units: int, dt: real):
+    @wp.kernel(enable_backward=False, module="unique", module_options=EXACT)
+    def kernel(model: types.Model, data: types.Data, units: int, dt: wp.float64):
         pack, part = wp.tid()
         stage(model, data, model.pack_design[pack], pack, part * width, pack * units + part, dt)
 

@@ -14,14 +14,13 @@ STALE = 1.0e9  # a drift that makes the next sub-step collect its candidates ane
 @functools.cache
 def save(precision: str, width: int):
     """Stage, at the start of a control step: remember the state."""
-    ops, types = lane_ops(precision, width), structs(precision)
-    real, load, store = ops.real, ops.load, ops.store
+    ops, types = lane_ops("float64", width), structs(precision)
+    load, store = ops.load, ops.store
 
     @wp.func
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         for r in range(2 * model.points[design]):
             store(data.saved_pos, pack, r, lane, load(data.pos, pack, r, lane))
-            store(data.saved_lo, pack, r, lane, load(data.pos_lo, pack, r, lane))
             store(data.saved_vel, pack, r, lane, load(data.vel, pack, r, lane))
             store(data.saved_true_vel, pack, r, lane, load(data.true_vel, pack, r, lane))
     return stage
@@ -30,19 +29,18 @@ def save(precision: str, width: int):
 @functools.cache
 def settle(precision: str, width: int):
     """Stage, at the end of a control step: frozen and stopped environments go back to its start."""
-    ops, types = lane_ops(precision, width), structs(precision)
-    real, load, finite, full = ops.real, ops.load, ops.finite, ops.full
+    ops, types = lane_ops("float64", width), structs(precision)
+    load, finite, full = ops.load, ops.finite, ops.full
 
     @wp.func
     def restore(model: types.Model, data: types.Data, design: int, pack: int, k: int):
         for r in range(2 * model.points[design]):
             data.pos[pack, r, k] = data.saved_pos[pack, r, k]
-            data.pos_lo[pack, r, k] = data.saved_lo[pack, r, k]
             data.vel[pack, r, k] = data.saved_vel[pack, r, k]
             data.true_vel[pack, r, k] = data.saved_true_vel[pack, r, k]
 
     @wp.func
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         sound = int(full)
         for r in range(2 * model.points[design]):
             sound = sound & finite(load(data.pos, pack, r, lane)) & finite(load(data.vel, pack, r, lane))
@@ -54,7 +52,7 @@ def settle(precision: str, width: int):
                 data.status[pack, e] = 0
             if data.frozen[pack, e] == 1 or (data.status[pack, e] & (UNSTABLE | NOT_FINITE)) != 0:
                 restore(model, data, design, pack, e)
-                data.drift[unit] = real(STALE)
+                data.drift[unit] = wp.float64(STALE)
             else:
                 data.time[pack, e] = data.time[pack, e] + 1
 
@@ -64,7 +62,7 @@ def settle(precision: str, width: int):
 @functools.cache
 def reset_kernel(precision: str):
     """Kernel over environments: those with a mask go back to time 0."""
-    types, real = structs(precision), lane_ops(precision, 1).real
+    types = structs(precision)
 
     @wp.kernel(enable_backward=False, module="unique")
     def reset(
@@ -76,16 +74,15 @@ def reset_kernel(precision: str):
             return
         pack, k = env_pack[env], env_lane[env]
         design = model.pack_design[pack]
-        zero = real(0.0)
+        zero = wp.float64(0.0)
         for r in range(2 * model.points[design]):
             data.pos[pack, r, k] = model.home[design, r]
-            data.pos_lo[pack, r, k] = model.home_lo[design, r]
             data.vel[pack, r, k] = zero
             data.true_vel[pack, r, k] = zero
         data.time[pack, k] = 0
         data.status[pack, k] = 0
         data.frozen[pack, k] = 0
-        data.drift[pack * units + k // width] = real(STALE)
+        data.drift[pack * units + k // width] = wp.float64(STALE)
 
     return reset
 

@@ -1,7 +1,6 @@
 """What tasks sense: centre of mass, velocity, orientation, relative positions, floor and ceiling (tasks.md, B.1).
 
-One thread an environment, results in the order of the environments. Sums run in float64 over high and low parts,
-in the order of the points.
+One thread an environment, results in the order of the environments. Sums run in float64 in the order of the points.
 """
 
 import functools
@@ -23,15 +22,11 @@ def kernels(precision: str):
     types, real = structs(precision), REALS[precision]
 
     @wp.func
-    def position(data: types.Data, pack: int, row: int, k: int):
-        return wp.float64(data.pos[pack, row, k]) + wp.float64(data.pos_lo[pack, row, k])
-
-    @wp.func
     def centre(data: types.Data, pack: int, k: int, begin: int, end: int):
         x, y = wp.float64(0.0), wp.float64(0.0)
         for p in range(begin, end):
-            x += position(data, pack, 2 * p, k)
-            y += position(data, pack, 2 * p + 1, k)
+            x += data.pos[pack, 2 * p, k]
+            y += data.pos[pack, 2 * p + 1, k]
         n = wp.float64(end - begin)
         return x / n, y / n
 
@@ -50,8 +45,8 @@ def kernels(precision: str):
         x, y = centre(data, pack, k, span[0], span[1])
         vx, vy = wp.float64(0.0), wp.float64(0.0)
         for p in range(span[0], span[1]):
-            vx += wp.float64(data.vel[pack, 2 * p, k])
-            vy += wp.float64(data.vel[pack, 2 * p + 1, k])
+            vx += data.vel[pack, 2 * p, k]
+            vy += data.vel[pack, 2 * p + 1, k]
         n = wp.float64(span[1] - span[0])
         com[env, o] = wp.vec2d(x, y)
         velocity[env, o] = wp.vec2d(vx / n, vy / n)
@@ -84,16 +79,16 @@ def kernels(precision: str):
         x, y = centre(data, pack, k, begin, end)
         hx, hy = wp.float64(0.0), wp.float64(0.0)
         for p in range(begin, end):
-            hx += wp.float64(model.home[design, 2 * p])
-            hy += wp.float64(model.home[design, 2 * p + 1])
+            hx += model.home[design, 2 * p]
+            hy += model.home[design, 2 * p + 1]
         hx, hy = hx / wp.float64(end - begin), hy / wp.float64(end - begin)
         angle, weight, crosses = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
         for p in range(begin, end):
             a, c, w = turn(
-                position(data, pack, 2 * p, k) - x,
-                position(data, pack, 2 * p + 1, k) - y,
-                wp.float64(model.home[design, 2 * p]) - hx,
-                wp.float64(model.home[design, 2 * p + 1]) - hy,
+                data.pos[pack, 2 * p, k] - x,
+                data.pos[pack, 2 * p + 1, k] - y,
+                model.home[design, 2 * p] - hx,
+                model.home[design, 2 * p + 1] - hy,
             )
             angle += a * w
             weight += w
@@ -118,11 +113,11 @@ def kernels(precision: str):
         for p in range(span[0], span[1]):
             n = p - span[0]
             if what == 1:
-                out[env, n, 0] = data.vel[pack, 2 * p, k]
-                out[env, n, 1] = data.vel[pack, 2 * p + 1, k]
+                out[env, n, 0] = real(data.vel[pack, 2 * p, k])
+                out[env, n, 1] = real(data.vel[pack, 2 * p + 1, k])
             else:
-                out[env, n, 0] = real(position(data, pack, 2 * p, k) - x)
-                out[env, n, 1] = real(position(data, pack, 2 * p + 1, k) - y)
+                out[env, n, 0] = real(data.pos[pack, 2 * p, k] - x)
+                out[env, n, 1] = real(data.pos[pack, 2 * p + 1, k] - y)
 
     @wp.func
     def seen(y: wp.float64, at: wp.float64, best: wp.float64, up: int):
@@ -151,8 +146,8 @@ def kernels(precision: str):
         span = ranges[design, o]
         x, y = wp.float64(0.0), wp.float64(0.0)
         for p in range(span[0], span[1]):
-            x += position(data, pack, 2 * p, k) / VOXEL
-            y += position(data, pack, 2 * p + 1, k) / VOXEL
+            x += data.pos[pack, 2 * p, k] / VOXEL
+            y += data.pos[pack, 2 * p + 1, k] / VOXEL
         n = wp.float64(span[1] - span[0])
         x, y = x / n, y / n
         left = x + (wp.float64(window - reach) - wp.float64(0.5))
@@ -168,9 +163,9 @@ def kernels(precision: str):
         for i in range(moving.shape[1]):
             p = moving[design, i]
             if p >= 0:
-                px = position(data, pack, 2 * p, k) / VOXEL
+                px = data.pos[pack, 2 * p, k] / VOXEL
                 if px > left and px < right:
-                    best = seen(position(data, pack, 2 * p + 1, k) / VOXEL, y, best, up)
+                    best = seen(data.pos[pack, 2 * p + 1, k] / VOXEL, y, best, up)
         out[env, window] = best * VOXEL
 
     return {"centres": centres, "orientations": orientations, "points": points, "scans": scans}

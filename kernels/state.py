@@ -13,7 +13,8 @@ import warp as wp
 
 from warpvox.kernels.lanes import REALS
 
-REAL = "real"  # stands for float32 or float64
+REAL = "real"  # the precision of the springs, float32 or float64
+STATE = wp.float64
 
 # The sides of a voxel in clockwise order: side k runs from corner k to corner k + 1.
 TOP, RIGHT, BOTTOM, LEFT = (wp.constant(1 << k) for k in range(4))
@@ -28,11 +29,10 @@ MODEL = {
     "robots": (int, "design", "robots"),
     "actions": (int, "design", "actuators of all robots"),
     "pack_design": (int, "pack", "the design of a pack's environments"),
-    "home": (REAL, "design 2*point", "position at time 0"),
-    "home_lo": (REAL, "design 2*point", "what rounding `home` lost, or the order of touching points"),
+    "home": (STATE, "design 2*point", "position at time 0"),
     "fixed": (int, "design point", "1: the point never moves"),
     "spring_ends": (wp.vec2i, "design spring", "the two points"),
-    "spring_rest": (REAL, "design spring", "rest length"),
+    "spring_rest": (STATE, "design spring", "rest length"),
     "spring_k": (REAL, "design spring", "stiffness"),
     "spring_drive": (wp.vec2i, "design spring", "the one or two actions that drive its length, else -1"),
     "rigid_spring": (int, "design rigid", "sides of rigid voxels in the order of the second strain pass"),
@@ -45,39 +45,51 @@ MODEL = {
     "fold_limit": (int, "design robot", "surface voxels of the robot: more folded pairs than these stop the step"),
     "terrain": (wp.vec2i, "design", "columns and rows of the terrain lattice"),
     "terrain_side": (int, "design cell", "bits of the surface sides; 0: empty or buried cell"),
-    "terrain_box": (REAL, "design cell 4", "left, right, bottom, top of the cell"),
-    "terrain_lo": (REAL, "design cell 4", "as home_lo"),
+    "terrain_box": (STATE, "design cell 4", "left, right, bottom, top of the cell"),
 }
 
-CONSTANTS = "gravity drag contact_stiffness contact_depth contact_damping friction friction_multiplier "
-CONSTANTS = (CONSTANTS + "floor_stiffness floor_friction actuation_rate margin").split()
+CONSTANTS = {name: REAL for name in ("gravity", "drag")} | {
+    name: STATE
+    for name in (
+        "actuation_rate",
+        "contact_stiffness",
+        "contact_depth",
+        "contact_damping",
+        "friction",
+        "friction_multiplier",
+        "floor_stiffness",
+        "floor_friction",
+        "margin",
+    )
+}
 
 DATA = {
-    "pos": (REAL, "pack 2*point lane", "position"),
-    "pos_lo": (REAL, "pack 2*point lane", "what rounding `pos` lost (float32)"),
-    "vel": (REAL, "pack 2*point lane", "velocity of the integrator"),
-    "true_vel": (REAL, "pack 2*point lane", "displacement of the last sub-step / dt"),
-    "saved_pos": (REAL, "pack 2*point lane", "state at the start of the control step ..."),
-    "saved_lo": (REAL, "pack 2*point lane", "... to which a stopped or frozen environment returns"),
-    "saved_vel": (REAL, "pack 2*point lane", ""),
-    "saved_true_vel": (REAL, "pack 2*point lane", ""),
+    "pos": (STATE, "pack 2*point lane", "position"),
+    "vel": (STATE, "pack 2*point lane", "velocity of the integrator"),
+    "true_vel": (STATE, "pack 2*point lane", "displacement of the last sub-step / dt"),
+    "saved_pos": (STATE, "pack 2*point lane", "state at the start of the control step ..."),
+    "saved_vel": (STATE, "pack 2*point lane", "... to which a stopped or frozen environment returns"),
+    "saved_true_vel": (STATE, "pack 2*point lane", ""),
+    "move": (STATE, "pack 2*point lane", "displacement of the sub-step"),
     "disp": (REAL, "pack 2*point lane", "displacement since the sub-step's start"),
     "stage_vel": (REAL, "pack 2*point lane", "velocity of the Runge-Kutta stage"),
+    "start_vel": (REAL, "pack 2*point lane", "velocity at the sub-step's start"),
+    "height": (REAL, "pack point lane", "y at the sub-step's start"),
     "force": (REAL, "pack 2*point lane", "force of the stage"),
     "contact": (REAL, "pack 2*point lane", "contact force, constant during a sub-step"),
-    "sum_disp": (REAL, "pack 2*point lane", "weighted sum of the stages' velocities"),
+    "sum_bend": (REAL, "pack 2*point lane", "sum of the accelerations that bend the path: stages 1 to 3"),
     "sum_vel": (REAL, "pack 2*point lane", "weighted sum of the stages' accelerations"),
-    "goal": (REAL, "pack spring lane", "length toward which a spring creeps"),
+    "goal": (STATE, "pack spring lane", "length toward which a spring creeps"),
     "span": (REAL, "pack 2*spring lane", "spring vector at the sub-step's start"),
     "length": (REAL, "pack spring lane", "its length"),
     "pull": (REAL, "pack spring lane", "equilibrium length minus length, constant during a sub-step"),
-    "box": (REAL, "pack 4*voxel lane", "bounds of surface voxels: x min, x max, y min, y max"),
-    "action": (REAL, "pack action lane", "clipped actions"),
+    "box": (STATE, "pack 4*voxel lane", "bounds of surface voxels: x min, x max, y min, y max"),
+    "action": (STATE, "pack action lane", "clipped actions"),
     "folds": (int, "pack robot lane", "overlapping pairs of distant voxels, both orders"),
     "frozen": (int, "pack lane", "1: keeps its state"),
     "status": (int, "pack lane", "bits UNSTABLE, NOT_FINITE, OVERFLOW of the last control step"),
     "time": (int, "pack lane", "complete control steps since the reset"),
-    "drift": (REAL, "unit", "bound of every point's path since the candidates were collected"),
+    "drift": (STATE, "unit", "bound of every point's path since the candidates were collected"),
     "pairs": (wp.vec4i, "unit pair", "candidate voxels i < j, and which corners of i (of j) are not the other's too"),
     "pair_count": (int, "unit", ""),
     "near": (int, "unit voxel", "voxels that may touch terrain"),
@@ -105,12 +117,12 @@ def structs(precision: str) -> SimpleNamespace:
     """The Warp structs ``Model`` and ``Data`` for a precision."""
     real = REALS[precision]
 
-    def struct(name, table, scalars=()):
+    def struct(name, table, scalars):
         fields = {k: wp.array(dtype=real if t is REAL else t, ndim=len(s.split())) for k, (t, s, _) in table.items()}
-        fields.update({k: real for k in scalars})
+        fields.update({k: real if t is REAL else t for k, t in scalars.items()})
         return wp.struct(type(f"{name}_{precision}", (), {"__annotations__": fields, "__module__": __name__}))
 
-    return SimpleNamespace(Model=struct("Model", MODEL, CONSTANTS), Data=struct("Data", DATA))
+    return SimpleNamespace(Model=struct("Model", MODEL, CONSTANTS), Data=struct("Data", DATA, {}))
 
 
 def allocate(table, sizes, precision, device) -> dict[str, wp.array]:

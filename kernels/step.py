@@ -12,8 +12,8 @@ from warpvox.kernels.broadphase import boxes, collect
 from warpvox.kernels.contact import contacts
 from warpvox.kernels.folding import check
 from warpvox.kernels.integrate import advance, runge_kutta
-from warpvox.kernels.lanes import REALS, lane_ops
-from warpvox.kernels.launch import module_options
+from warpvox.kernels.lanes import REALS
+from warpvox.kernels.launch import EXACT
 from warpvox.kernels.reset import save, settle
 from warpvox.kernels.state import structs
 from warpvox.kernels.strain import limit
@@ -24,7 +24,7 @@ SUBSTEP = (boxes, collect, contacts, creep, runge_kutta, limit, advance, check)
 @functools.cache
 def step_kernel(precision: str, width: int) -> wp.Kernel:
     """The fused kernel; launch over (units of a pack, packs) with the first pack of this launch."""
-    types, real = structs(precision), REALS[precision]
+    types = structs(precision)
     begin, aim, end = save(precision, width), goals(precision, width), settle(precision, width)
     bound, gather, touch, pull, move, strain, place, fold = (build(precision, width) for build in SUBSTEP)
 
@@ -37,8 +37,8 @@ def step_kernel(precision: str, width: int) -> wp.Kernel:
             data.status[pack, k] = 0
         return still
 
-    @wp.kernel(enable_backward=False, module="unique", module_options=module_options(precision))
-    def control_step(model: types.Model, data: types.Data, first_pack: int, units: int, substeps: int, dt: real):
+    @wp.kernel(enable_backward=False, module="unique", module_options=EXACT)
+    def control_step(model: types.Model, data: types.Data, first_pack: int, units: int, substeps: int, dt: wp.float64):
         row, part = wp.tid()
         pack = first_pack + row
         lane = part * width
@@ -65,15 +65,15 @@ def step_kernel(precision: str, width: int) -> wp.Kernel:
 @functools.cache
 def action_kernel(precision: str) -> wp.Kernel:
     """Kernel over (environments, actions): clip the actions and sort them into the lanes."""
-    types, real = structs(precision), lane_ops(precision, 1).real
+    types, real = structs(precision), REALS[precision]
 
     @wp.kernel(enable_backward=False, module="unique")
     def place_actions(
         data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
-        actions: wp.array2d(dtype=real), low: real, high: real,
+        actions: wp.array2d(dtype=real), low: wp.float64, high: wp.float64,
     ):  # fmt: skip
         env, a = wp.tid()
-        data.action[env_pack[env], a, env_lane[env]] = wp.clamp(actions[env, a], low, high)
+        data.action[env_pack[env], a, env_lane[env]] = wp.clamp(wp.float64(actions[env, a]), low, high)
 
     return place_actions
 

@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.lanes import lane_ops
+from warpvox.kernels.lanes import casts, lane_ops
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
@@ -19,90 +19,100 @@ RIGID_LIMIT, RIGID_SHARE = 0.03, 0.5
 @functools.cache
 def limit(precision: str, width: int):
     """Stage: both passes."""
-    ops, types = lane_ops(precision, width), structs(precision)
-    real, load, store, mul, splat = ops.real, ops.load, ops.store, ops.mul, ops.splat
-    at_most, first, drop = ops.at_most, ops.first, ops.drop
+    ops, types, wide = lane_ops(precision, width), structs(precision), lane_ops("float64", width)
+    real, load, store, mul, div, splat, root = ops.real, ops.load, ops.store, ops.mul, ops.div, ops.splat, ops.root
+    at_most, upper, lower = ops.at_most, ops.upper, ops.lower
+    load_state, store_state, widen = wide.load, wide.store, casts(precision, width).widen
 
     @wp.func
-    def strained(model: types.Model, data: types.Data, design: int, pack: int, s: int, lane: int, bound: real):
-        """Lanes in which a spring is beyond the bound."""
-        ends = model.spring_ends[design, s]
-        ex = load(data.span, pack, 2 * s, lane) + (
-            load(data.disp, pack, 2 * ends[1], lane) - load(data.disp, pack, 2 * ends[0], lane)
-        )
-        ey = load(data.span, pack, 2 * s + 1, lane) + (
-            load(data.disp, pack, 2 * ends[1] + 1, lane) - load(data.disp, pack, 2 * ends[0] + 1, lane)
-        )
+    def across(data: types.Data, pack: int, row: int, a: int, b: int, lane: int):
+        """One component of a displaced spring."""
+        shift = load(data.disp, pack, b, lane) - load(data.disp, pack, a, lane)
+        return load(data.span, pack, row, lane) + shift
+
+    @wp.func
+    def is_strained(model: types.Model, data: types.Data, design: int, pack: int, s: int, lane: int, bound: real):
+        """Whether a spring is beyond the bound in any lane."""
+        a, b = 2 * model.spring_ends[design, s][0], 2 * model.spring_ends[design, s][1]
+        ex = across(data, pack, 2 * s, a, b, lane)
+        ey = across(data, pack, 2 * s + 1, a + 1, b + 1, lane)
         square = mul(ex, ex) + mul(ey, ey)
-        rest = model.spring_rest[design, s]
-        longest = rest * (real(1.0) + bound)
-        shortest = rest * (real(1.0) - bound)
-        return at_most(splat(longest * longest), square) | at_most(square, splat(shortest * shortest))
+        longest = real(model.spring_rest[design, s]) * (real(1.0) + bound)
+        shortest = real(model.spring_rest[design, s]) * (real(1.0) - bound)
+        return (at_most(splat(longest * longest), square) | at_most(square, splat(shortest * shortest))) != 0
 
     @wp.func
     def correction(
-        model: types.Model, data: types.Data, design: int, pack: int, s: int, k: int, bound: real, share: real
+        model: types.Model, data: types.Data, design: int, pack: int, s: int, lane: int, bound: real, share: real
     ):
-        """How far the first end moves, toward the second where the spring is too long."""
-        ends = model.spring_ends[design, s]
-        ex = data.span[pack, 2 * s, k] + (data.disp[pack, 2 * ends[1], k] - data.disp[pack, 2 * ends[0], k])
-        ey = data.span[pack, 2 * s + 1, k] + (
-            data.disp[pack, 2 * ends[1] + 1, k] - data.disp[pack, 2 * ends[0] + 1, k]
-        )
-        length = wp.sqrt(ex * ex + ey * ey)
-        rest = model.spring_rest[design, s]
-        excess = wp.max(length - rest * (real(1.0) + bound), real(0.0))
-        excess = excess + wp.min(length - rest * (real(1.0) - bound), real(0.0))
-        part = share * excess / (real(2.0) * length)
-        return ex * part, ey * part
+        """How far the first end moves, toward the second where the spring is too long; 0 within the bound."""
+        a, b = 2 * model.spring_ends[design, s][0], 2 * model.spring_ends[design, s][1]
+        ex = across(data, pack, 2 * s, a, b, lane)
+        ey = across(data, pack, 2 * s + 1, a + 1, b + 1, lane)
+        length = root(mul(ex, ex) + mul(ey, ey))
+        longest = splat(real(model.spring_rest[design, s]) * (real(1.0) + bound))
+        shortest = splat(real(model.spring_rest[design, s]) * (real(1.0) - bound))
+        zero = splat(real(0.0))
+        excess = upper(length - longest, zero) + lower(length - shortest, zero)
+        part = div(excess * (real(0.5) * share), length)
+        return mul(ex, part), mul(ey, part)
 
     @wp.func
-    def shift(
-        model: types.Model, a: wp.array3d(dtype=real), design: int, pack: int, p: int, k: int, dx: real, dy: real
-    ):
-        if model.fixed[design, p] == 0:
-            a[pack, 2 * p, k] = a[pack, 2 * p, k] + dx
-            a[pack, 2 * p + 1, k] = a[pack, 2 * p + 1, k] + dy
+    def shift(data: types.Data, a: wp.array3d(dtype=real), pack: int, p: int, lane: int, dx: ops.value, dy: ops.value):
+        store(a, pack, 2 * p, lane, load(a, pack, 2 * p, lane) + dx)
+        store(a, pack, 2 * p + 1, lane, load(a, pack, 2 * p + 1, lane) + dy)
 
     @wp.func
-    def clear(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
+    def collect(model: types.Model, data: types.Data, design: int, pack: int, lane: int, clear: bool):
+        """Clear the corrections in ``force``, which is free after the integration, or take them into ``move``."""
         for r in range(2 * model.points[design]):
-            store(data.force, pack, r, lane, splat(real(0.0)))
+            if clear:
+                store(data.force, pack, r, lane, splat(real(0.0)))
+            else:
+                change = widen(load(data.force, pack, r, lane))
+                store_state(data.move, pack, r, lane, load_state(data.move, pack, r, lane) + change)
 
     @wp.func
     def all_springs(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         found = int(0)
         for s in range(model.springs[design]):
-            lanes = strained(model, data, design, pack, s, lane, real(SOFT_LIMIT))
-            if lanes != 0 and found == 0:
-                clear(model, data, design, pack, lane)  # `force` is free now and collects the corrections
-                found = 1
-            while lanes != 0:
-                k = lane + first(lanes)
-                dx, dy = correction(model, data, design, pack, s, k, real(SOFT_LIMIT), real(SOFT_SHARE))
+            if is_strained(model, data, design, pack, s, lane, real(SOFT_LIMIT)):
+                if found == 0:
+                    collect(model, data, design, pack, lane, True)
+                    found = 1
+                dx, dy = correction(model, data, design, pack, s, lane, real(SOFT_LIMIT), real(SOFT_SHARE))
                 ends = model.spring_ends[design, s]
-                shift(model, data.force, design, pack, ends[0], k, dx, dy)
-                shift(model, data.force, design, pack, ends[1], k, -dx, -dy)
-                lanes = drop(lanes)
+                if model.fixed[design, ends[0]] == 0:
+                    shift(data, data.force, pack, ends[0], lane, dx, dy)
+                if model.fixed[design, ends[1]] == 0:
+                    shift(data, data.force, pack, ends[1], lane, -dx, -dy)
         if found == 1:
             for r in range(2 * model.points[design]):
                 store(data.disp, pack, r, lane, load(data.disp, pack, r, lane) + load(data.force, pack, r, lane))
+            collect(model, data, design, pack, lane, False)
 
     @wp.func
     def rigid_sides(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
+        found = int(0)
         for n in range(model.rigids[design]):
             s = model.rigid_spring[design, n]
-            lanes = strained(model, data, design, pack, s, lane, real(RIGID_LIMIT))
-            while lanes != 0:
-                k = lane + first(lanes)
-                dx, dy = correction(model, data, design, pack, s, k, real(RIGID_LIMIT), real(RIGID_SHARE))
+            if is_strained(model, data, design, pack, s, lane, real(RIGID_LIMIT)):
+                if found == 0:
+                    collect(model, data, design, pack, lane, True)
+                    found = 1
+                dx, dy = correction(model, data, design, pack, s, lane, real(RIGID_LIMIT), real(RIGID_SHARE))
                 ends = model.spring_ends[design, s]
-                shift(model, data.disp, design, pack, ends[0], k, dx, dy)
-                shift(model, data.disp, design, pack, ends[1], k, -dx, -dy)
-                lanes = drop(lanes)
+                if model.fixed[design, ends[0]] == 0:
+                    shift(data, data.disp, pack, ends[0], lane, dx, dy)
+                    shift(data, data.force, pack, ends[0], lane, dx, dy)
+                if model.fixed[design, ends[1]] == 0:
+                    shift(data, data.disp, pack, ends[1], lane, -dx, -dy)
+                    shift(data, data.force, pack, ends[1], lane, -dx, -dy)
+        if found == 1:
+            collect(model, data, design, pack, lane, False)
 
     @wp.func
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         all_springs(model, data, design, pack, lane)
         rigid_sides(model, data, design, pack, lane)
 

@@ -21,7 +21,6 @@ TL, TR, BR, BL = range(4)
 CREATION = (TL, TR, BL, BR)
 SIDE_ENDS = ((TL, TR), (BL, BR), (TL, BL), (TR, BR))  # top, bottom, left, right: the order in which sides are made
 SIDE_BIT = {"top": 1, "right": 2, "bottom": 4, "left": 8}
-TIE_STEP = 2.0**-21  # float32: distance that keeps the order of touching points, one rounding step at x = 8
 
 
 @dataclass
@@ -198,7 +197,7 @@ def _set_drives(body: Body) -> None:
             action += 1
 
 
-def model_arrays(designs: list[Design], precision: str) -> tuple[dict[str, np.ndarray], dict[str, int]]:
+def model_arrays(designs: list[Design]) -> tuple[dict[str, np.ndarray], dict[str, int]]:
     """The Model's arrays for a list of designs, padded to common capacities, and those capacities."""
     parts = [_design_arrays(design) for design in designs]
     count = {"point": "home", "spring": "spring_rest", "rigid": "rigid_spring", "voxel": "side", "robot": "fold_limit"}
@@ -207,8 +206,6 @@ def model_arrays(designs: list[Design], precision: str) -> tuple[dict[str, np.nd
     sizes["cell"] = max(len(part["terrain_side"]) for part in parts)
     sizes["action"] = max(int(part["actions"]) for part in parts)
     sizes["design"] = len(designs)
-    for part in parts:
-        _split_ties(part, precision)
     out = {}
     for name, first in parts[0].items():
         values = [np.asarray(part[name]) for part in parts]
@@ -290,27 +287,3 @@ def _lattice(design: Design) -> tuple[np.ndarray, np.ndarray]:
             bounds[at] = left, right, bottom, top
             bits[at] = body.surface.get((row, column), 0)
     return bits, bounds
-
-
-def _split_ties(part: dict[str, np.ndarray], precision: str) -> None:
-    """Split coordinates into high and low parts.
-
-    float64 keeps the doubles. In float32 the points and terrain corners that lie on one lattice line share a high
-    part, and small low parts keep the order that their doubles have: it decides the first contacts.
-    """
-    home, box = part["home"].reshape(-1, 2), part["terrain_box"]
-    part["home_lo"], part["terrain_lo"] = np.zeros_like(part["home"]), np.zeros_like(box)
-    if precision == "float64":
-        return
-    for axis in (0, 1):
-        columns = slice(2 * axis, 2 * axis + 2)
-        values = np.unique(np.concatenate([home[:, axis], box[:, columns].ravel()]))
-        line = np.rint(values / VOXEL)
-        high = np.float32(line * VOXEL).astype(np.float64)
-        _, start, members = np.unique(line, return_index=True, return_counts=True)
-        rank = np.concatenate([np.arange(n) - n // 2 for n in members]) if len(start) else np.zeros(0)
-        for array, low in ((home[:, axis], part["home_lo"].reshape(-1, 2)[:, axis]),
-                           (box[:, columns], part["terrain_lo"][:, columns])):  # fmt: skip
-            at = np.searchsorted(values, array)
-            low[...] = rank[at] * TIE_STEP
-            array[...] = high[at]

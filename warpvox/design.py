@@ -294,7 +294,7 @@ def _read_npz(path: Path) -> np.ndarray:
         if cuts:
             raise DesignError(
                 f"The design file '{path}' leaves {len(cuts)} pair(s) of neighbouring cells unconnected,"
-                " which a design cannot say; put it into a world with World.add_from_array(..., connections=...)."
+                " which a design cannot say; use World.add_from_array(..., connections=...) instead."
             )
     return body
 

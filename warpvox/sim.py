@@ -19,7 +19,7 @@ from warpvox.kernels import step as step_stage
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.reset import STALE
-from warpvox.kernels.state import CONSTANTS, DATA, MODEL, NOT_FINITE, OVERFLOW, UNSTABLE, allocate, structs
+from warpvox.kernels.state import CONSTANTS, DATA, MODEL, NOT_FINITE, OVERFLOW, REAL, UNSTABLE, allocate, structs
 from warpvox.types import ACTION_HIGH, ACTION_LOW, DT, SUBSTEPS, VOXEL, Physics
 from warpvox.world import World
 
@@ -61,7 +61,8 @@ class Simulation:
         worlds: one :class:`World` per environment.
         device: 'auto' (CUDA where there is one), 'cpu', 'cuda' or 'cuda:<index>'.
         physics: a preset's name or a :class:`Physics`.
-        dtype: 'float32', or 'float64' for exact parity with the reference.
+        dtype: precision of the springs and of what is returned: 'float32', or 'float64' for parity to round-off.
+            State and contacts are float64 in both.
         lanes: environments that one CPU thread advances at once (1, 8, 16 or 32); None chooses.
         threads: CPU threads; None takes all cores.
 
@@ -364,7 +365,7 @@ class Simulation:
         self._sensed.clear()
 
 
-STATE_FIELDS = ("pos", "pos_lo", "vel", "true_vel", "frozen", "status", "time")
+STATE_FIELDS = ("pos", "vel", "true_vel", "frozen", "status", "time")
 
 
 def resolve_device(device: str) -> str:
@@ -434,14 +435,14 @@ def _allocate(sim: Simulation, index: list[int], precision: str, lanes: int) -> 
         env_pack[members] = len(pack_design) + np.arange(len(members)) // lanes
         env_lane[members] = np.arange(len(members)) % lanes
         pack_design += [design] * -(-len(members) // lanes)
-    host, sizes = model_arrays(sim.designs, precision)
+    host, sizes = model_arrays(sim.designs)
     units = lanes // width
     sizes |= _capacities(sizes["voxel"]) | {"pack": len(pack_design), "lane": lanes, "unit": len(pack_design) * units}
     host["pack_design"] = np.asarray(pack_design, dtype=np.int32)
     model, data = allocate(MODEL, sizes, precision, sim.device), allocate(DATA, sizes, precision, sim.device)
     for name, values in host.items():
         if values.size:
-            model[name].assign(values.astype(precision) if values.dtype == np.float64 else values)
+            model[name].assign(values.astype(precision) if MODEL[name][0] is REAL else values)
     types = structs(precision)
     state = State(
         precision, sim.device, width, lanes, units, len(pack_design), len(index), DT, sizes,
@@ -454,10 +455,8 @@ def _allocate(sim: Simulation, index: list[int], precision: str, lanes: int) -> 
     for name in CONSTANTS:
         setattr(state.model, name, MARGIN if name == "margin" else getattr(sim.physics, name))
     # Lanes without an environment hold the design at rest, frozen.
-    home = wp.to_torch(model["home"]), wp.to_torch(model["home_lo"])
-    for name, values in zip(("pos", "pos_lo"), home, strict=True):
-        rows = values[torch.as_tensor(pack_design, device=sim.device)]
-        wp.to_torch(data[name]).copy_(rows[:, :, None].expand(-1, -1, lanes))
+    home = wp.to_torch(model["home"])[torch.as_tensor(pack_design, device=sim.device)]
+    wp.to_torch(data["pos"]).copy_(home[:, :, None].expand(-1, -1, lanes))
     wp.to_torch(data["drift"]).fill_(STALE)
     return state
 

@@ -1,0 +1,39 @@
+"""Tasks by name."""
+
+from __future__ import annotations
+
+from warpvox.envs.spec import TaskSpec
+from warpvox.envs.tasks import locomotion, manipulate, traverse
+from warpvox.errors import TaskError, did_you_mean, listing
+
+__all__ = ["get_task", "task_ids"]
+
+_FAMILIES = (locomotion, manipulate, traverse)
+
+
+def _in_order_of_the_paper(spec: TaskSpec) -> list[int]:
+    return [int(number) for number in spec.section.split(".")[1:]]
+
+
+_TASKS = {
+    spec.id: spec
+    for spec in sorted((spec for family in _FAMILIES for spec in family.TASKS), key=_in_order_of_the_paper)
+}
+
+
+def task_ids() -> list[str]:
+    """Ids of all tasks in the order of the paper."""
+    return list(_TASKS)
+
+
+def get_task(task: str | TaskSpec) -> TaskSpec:
+    """The task with this id; a specification (a task of the user's own) is returned as it is.
+
+    Raises:
+        TaskError: no such task; the message names the nearest and lists all.
+    """
+    if isinstance(task, TaskSpec):
+        return task
+    if not isinstance(task, str) or task not in _TASKS:
+        raise TaskError(f"Unknown task {task!r}.{did_you_mean(task, _TASKS)} Tasks: {listing(_TASKS, 40)}.")
+    return _TASKS[task]

@@ -1,0 +1,142 @@
+"""What a task is: data. A :class:`TaskSpec` names its world, its terms and its limits; nothing here computes.
+
+A *term* is a small function on :class:`warpvox.envs.state.State` together with its parameters. The vector
+environment adds terms up, so that no task has code of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from warpvox.errors import ConfigError, TaskError, did_you_mean, listing
+from warpvox.world import WorldObject
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+__all__ = [
+    "RULES",
+    "Observation",
+    "Reward",
+    "TaskSpec",
+    "Term",
+    "Termination",
+    "ends",
+    "observes",
+    "rewards",
+]
+
+RULES = ("evogym", "paper")
+"""``evogym``: the benchmark as released (2.0.0). ``paper``: as section B of the paper prints it."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A function on states with its parameters filled in."""
+
+    function: Callable[..., Tensor]
+    params: tuple[tuple[str, Any], ...] = ()
+
+    def __call__(self, *states: object) -> Tensor:
+        return self.function(*states, **dict(self.params))
+
+    @property
+    def name(self) -> str:
+        """The function's name followed by the parameters that are words: ``displacement_robot_x``."""
+        words = [value for _, value in self.params if isinstance(value, str)]
+        return "_".join([self.function.__name__, *words])
+
+
+@dataclass(frozen=True)
+class Observation(Term):
+    """``function(state)`` gives ``[num_envs, k]``, or ``[num_envs, 2, points]`` if it is about points."""
+
+
+@dataclass(frozen=True)
+class Reward(Term):
+    """``function(before, after)`` gives float64 ``[num_envs]``, which counts ``weight`` times."""
+
+    weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class Termination(Term):
+    """``function(after)`` gives bool ``[num_envs]``; where True the episode ends and ``bonus`` is added."""
+
+    bonus: float = 0.0
+
+
+def observes(function: Callable[..., Tensor], name: str = "robot", **params: Any) -> Observation:
+    """An observation of the object ``name``."""
+    return Observation(function, (("name", name), *params.items()))
+
+
+def rewards(
+    function: Callable[..., Tensor], name: str = "robot", weight: float = 1.0, **params: Any
+) -> Reward:
+    """A reward for what the object ``name`` does."""
+    return Reward(function, (("name", name), *params.items()), weight)
+
+
+def ends(
+    function: Callable[..., Tensor], name: str = "robot", bonus: float = 0.0, **params: Any
+) -> Termination:
+    """An end of the episode caused by the object ``name``."""
+    return Termination(function, (("name", name), *params.items()), bonus)
+
+
+@dataclass(frozen=True)
+class TaskSpec:
+    """A task as data.
+
+    Attributes:
+        id: what users type, for instance ``Walker-v0``.
+        section: where the paper defines it, for instance ``B.2.1``.
+        summary: one sentence: what the robot has to do.
+        difficulty: ``easy``, ``medium`` or ``hard`` (the paper's).
+        objects: everything in the world but the robot.
+        robot_cell: (x, y) of the lower left cell of the body's bounding box.
+        max_episode_steps: control steps after which an episode is truncated.
+        observations: in the order in which they are concatenated.
+        rewards: summed.
+        terminations: independent of each other; several may fire in one step.
+        unstable_penalty: added to the reward of a step that self-folding has stopped; the episode ends.
+        paper: fields that differ under ``rules="paper"``.
+    """
+
+    id: str
+    section: str
+    summary: str
+    difficulty: str
+    objects: tuple[WorldObject, ...]
+    robot_cell: tuple[int, int]
+    max_episode_steps: int
+    observations: tuple[Observation, ...]
+    rewards: tuple[Reward, ...]
+    terminations: tuple[Termination, ...] = ()
+    unstable_penalty: float = -3.0
+    paper: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "paper", MappingProxyType(dict(self.paper)))
+        if not self.observations or self.max_episode_steps < 1:
+            raise TaskError(f"The task '{self.id}' needs an observation and at least one step an episode.")
+        names = [term.name for term in (*self.rewards, *self.terminations)]
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise TaskError(f"The task '{self.id}' has several reward or end terms named {listing(twice)}.")
+
+    def under(self, rules: str) -> TaskSpec:
+        """The task as ``rules`` (one of :data:`RULES`) have it.
+
+        Raises:
+            ConfigError: unknown rules.
+        """
+        if rules not in RULES:
+            raise ConfigError(
+                f"rules must be one of {listing(RULES)}, got {rules!r}.{did_you_mean(rules, RULES)}"
+            )
+        return replace(self, paper={}, **self.paper) if rules == "paper" else self

@@ -1,0 +1,1 @@
+"""Terms: the small functions on states that tasks are put together from."""

@@ -1,0 +1,68 @@
+"""Observation terms (paper section B.1): functions of a state that give ``[num_envs, k]``.
+
+A term that has a value for every point of an object gives ``[num_envs, 2, points]``; the environment drops
+the padding of designs with fewer points.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from warpvox.types import VOXEL
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from warpvox.envs.state import State
+
+__all__ = ["elevation", "floor", "orientation", "separation", "shape", "velocity"]
+
+
+def velocity(state: State, name: str) -> Tensor:
+    """Velocity of the centre of mass: v."""
+    return state.velocity(name)
+
+
+def orientation(state: State, name: str) -> Tensor:
+    """Turn since the episode began, counter-clockwise in [0, 2 pi): theta."""
+    return state.orientation(name)[:, None]
+
+
+def shape(state: State, name: str) -> Tensor:
+    """All points relative to the centre of mass, all x before all y: c."""
+    return state.relative_positions(name)
+
+
+def separation(state: State, name: str, other: str) -> Tensor:
+    """From the centre of mass of ``other`` to that of ``name``: p^name - p^other."""
+    return state.com(name) - state.com(other)
+
+
+def floor(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
+    """How far the terrain lies below, as released: a distance in each of ``2 reach + 1`` windows.
+
+    Window i (-reach .. reach) spans half a voxel to both sides of i voxels from the centre of mass; the
+    distance goes to the highest point below and is cut at 5 voxels, which also stands for "none".
+    """
+    return state.floor_scan(name, reach, objects)
+
+
+def elevation(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
+    """How high the terrain below is, as printed (h_b in section B.1): a height in ``2 reach + 1`` windows.
+
+    Entry i (-reach .. reach) is the y of the highest terrain point that lies below the centre of mass p and
+    in [p_x + i, p_x + i + 1] voxels, ends included. Reading of what the paper leaves open: heights are
+    absolute and in simulator units, as positions are; where a window holds no such point, the height is that
+    of the floor at y = 0, on which bodies that leave the terrain do land.
+    """
+    centre = state.com(name)
+    heights = centre.new_zeros((len(centre), 2 * reach + 3))  # one more window on each side collects the rest
+    for terrain in objects:
+        x, y = state.positions(terrain).double().unbind(-1)
+        below = y.masked_fill(y >= centre[:, 1:], 0.0)
+        along = (x - centre[:, :1]) / VOXEL
+        # A point on the border of two windows belongs to both.
+        for window in (along.floor(), along.ceil() - 1):
+            slot = (window + (reach + 1)).clamp(0, 2 * reach + 2).long()
+            heights.scatter_reduce_(1, slot, below, "amax")
+    return heights[:, 1:-1]

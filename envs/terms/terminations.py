@@ -1,0 +1,25 @@
+"""Termination terms: functions of the state after a control step that give bool ``[num_envs]``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from warpvox.envs.terms.rewards import AXES
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from warpvox.envs.state import State
+
+__all__ = ["beyond", "tilted"]
+
+
+def beyond(state: State, name: str, axis: str, limit: float) -> Tensor:
+    """The centre of mass has passed ``limit`` along an axis."""
+    return state.com(name)[:, AXES[axis]] > limit
+
+
+def tilted(state: State, name: str, low: float, high: float) -> Tensor:
+    """The orientation lies in the open interval (low, high), radians in [0, 2 pi)."""
+    angle = state.orientation(name)
+    return (angle > low) & (angle < high)

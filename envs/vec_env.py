@@ -1,0 +1,280 @@
+"""Many environments of one task, stepped together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from warpvox.design import Design, load_design
+from warpvox.envs.layout import Layout
+from warpvox.envs.registry import get_task
+from warpvox.envs.spec import TaskSpec
+from warpvox.envs.state import State
+from warpvox.envs.worlds import task_world
+from warpvox.errors import ConfigError, DesignError
+from warpvox.sim import Simulation
+from warpvox.types import Physics
+
+__all__ = ["VoxelVecEnv", "make_vec"]
+
+DEFAULT_DESIGN = "walker"
+
+StepResult = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
+
+
+def make_vec(
+    task: str | TaskSpec,
+    designs: Sequence[object] | np.ndarray | str | None = None,
+    num_envs: int = 1,
+    device: str = "auto",
+    rules: str = "evogym",
+    dtype: str = "float32",
+    seed: int = 0,
+    auto_reset: bool = True,
+    physics: str | Physics | None = None,
+    lanes: int | None = None,
+    threads: int | None = None,
+    connections: Sequence[object] | None = None,
+    max_episode_steps: int | None = None,
+) -> VoxelVecEnv:
+    """Make ``num_envs`` environments of a task, ready to be stepped.
+
+    Args:
+        task: an id out of ``task_ids()``, or a specification of your own.
+        designs: robot bodies: arrays, or anything :func:`warpvox.load_design` reads; a single body will do.
+            Environments come in equal blocks, design by design. Default: the example design ``walker``.
+        num_envs: a multiple of the number of designs.
+        device: ``auto`` (CUDA where there is one), ``cpu``, ``cuda`` or ``cuda:<index>``.
+        rules: ``evogym`` (as released) or ``paper`` (section B as printed).
+        dtype: ``float32`` or ``float64``, of the simulation, observations and rewards.
+        seed: governs everything random in a task (nothing in the deterministic ones).
+        auto_reset: reset environments in the step in which they end; otherwise they stay as they ended.
+        physics: preset or constants; default: the preset named as the rules.
+        lanes, threads: see :class:`warpvox.Simulation`.
+        connections: for each design EvoGym's ``[2, k]`` index pairs, or None to connect all neighbours.
+        max_episode_steps: another time limit than the task's.
+
+    Raises:
+        TaskError: unknown task. DesignError: a body that is not valid. WorldError: a body that does not fit.
+        ConfigError: a count or name out of range. DeviceError: no such device.
+    """
+    spec = get_task(task).under(rules)
+    if max_episode_steps is not None:
+        spec = replace(spec, max_episode_steps=_whole("max_episode_steps", max_episode_steps))
+    bodies = _load_designs(designs)
+    count = _whole("num_envs", num_envs)
+    if count % len(bodies):
+        below = count - count % len(bodies)
+        near = f"{below} or {below + len(bodies)}" if below else f"{len(bodies)}"
+        raise ConfigError(
+            f"num_envs must be a multiple of the number of designs ({len(bodies)}), got {count}; try {near}."
+        )
+    links = _load_connections(connections, len(bodies))
+    worlds = [task_world(spec, body, links[d]) for d, body in enumerate(bodies)]
+    sim = Simulation(
+        [world for world in worlds for _ in range(count // len(bodies))],
+        device=device,
+        physics=rules if physics is None else physics,
+        dtype=dtype,
+        lanes=lanes,
+        threads=threads,
+    )
+    return VoxelVecEnv(spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset)
+
+
+class VoxelVecEnv:
+    """Environments of one task on one simulation; made by :func:`make_vec`.
+
+    All tensors that are returned are fresh: keeping them is safe, changing them has no effect on the
+    environments.
+
+    Attributes:
+        spec: the task under the rules chosen; ``rules`` names those.
+        sim: the simulation, for positions, velocities and everything else.
+        designs: list of int8 bodies.
+        design_index: long ``[num_envs]``, which of the designs an environment has.
+        num_envs, num_obs, num_actions: sizes; the latter two are the largest over the designs.
+        obs_mask, action_mask: bool ``[num_designs, num_obs]`` and ``[num_designs, num_actions]``: which
+            entries are real for a design. Real ones come first, observations are padded with 0.
+        obs_columns: per design where each observation term lies, ``{term name: slice}``.
+        episode_length: long ``[num_envs]``, control steps of the episode so far; may be assigned.
+        max_episode_steps: time limit.
+        device: torch's name of the device; ``dtype``: of observations and rewards.
+    """
+
+    def __init__(
+        self,
+        spec: TaskSpec,
+        designs: list[Design],
+        sim: Simulation,
+        *,
+        rules: str = "evogym",
+        seed: int = 0,
+        auto_reset: bool = True,
+    ) -> None:
+        self.spec, self.rules, self.sim, self.seed, self.auto_reset = spec, rules, sim, seed, auto_reset
+        self.designs = designs
+        self.num_envs = sim.num_envs
+        self.device, self.dtype = sim.device, sim.dtype
+        self.max_episode_steps = spec.max_episode_steps
+        block = sim.num_envs // len(designs)
+        self.design_index = torch.arange(len(designs), device=sim.device).repeat_interleave(block)
+        # Rewards compare with the state before a step: find out once which quantities they need.
+        probe = State(sim)
+        for term in spec.rewards:
+            term(probe, probe)
+        self._needed_before = probe.quantities
+        self._before = probe
+        self._layout = Layout(spec.observations, sim, probe)
+        self.num_obs, self.num_actions = self._layout.num_obs, sim.num_actions
+        compiled = sim.design_index[::block]  # equal designs share one entry of the simulation
+        self.obs_mask = self._layout.mask[compiled]
+        self.action_mask = sim.action_mask[compiled]
+        self.obs_columns = [self._layout.columns[d] for d in compiled.tolist()]
+        # Looking at a mask to skip work is free on the CPU; elsewhere it would wait for the device.
+        self._may_look = torch.device(sim.device).type == "cpu"
+        self._clear_episodes()
+
+    @property
+    def num_designs(self) -> int:
+        """Number of designs."""
+        return len(self.designs)
+
+    def _clear_episodes(self) -> None:
+        self.episode_length = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
+        self._return = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
+        self._terminated = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        self._truncated = self._terminated.clone()
+
+    def reset(self, seed: int | None = None) -> tuple[torch.Tensor, dict[str, Any]]:
+        """Begin a new episode everywhere.
+
+        Returns:
+            Observations ``[num_envs, num_obs]`` and an empty dictionary.
+        """
+        if seed is not None:
+            self.seed = seed
+        self.sim.reset()
+        self._clear_episodes()
+        self._before = State(self.sim).remember(self._needed_before)
+        return self._layout.observe(self._before), {}
+
+    def step(self, actions: torch.Tensor | np.ndarray) -> StepResult:
+        """One control step everywhere.
+
+        Args:
+            actions: ``[num_envs, num_actions]``, goal lengths of the actuators in units of their rest length,
+                clipped to [0.6, 1.6]; entries beyond a design's own actuators are ignored.
+
+        Returns:
+            Observation ``[num_envs, num_obs]``, reward ``[num_envs]``, terminated and truncated (bool
+            ``[num_envs]``; both can be True, as in gymnasium), and a dictionary with
+
+            - ``final_obs`` ``[num_envs, num_obs]``: the observation at the end of this step; the returned one
+              is that of the next episode's beginning where an episode has ended and been reset;
+            - ``episode``: ``return`` and ``length`` of the episodes up to this step, and ``done``, the mask
+              of those that this step has ended;
+            - ``unstable``: bool, the step was stopped by self-folding (the observation is that before it);
+            - ``reward_terms``: what each term has added to the reward, by name.
+
+            With ``auto_reset=False`` an ended environment keeps its state, observation and flags; its reward
+            is 0 until :meth:`reset`.
+
+        Raises:
+            ActionError: wrong shape; on the CPU also entries that are not finite. Nothing has been stepped
+                then. On CUDA an environment with such entries becomes unstable.
+        """
+        self.sim.step(actions)
+        going = None if self.auto_reset else ~(self._terminated | self._truncated)
+        after = State(self.sim)
+        unstable = self.sim.unstable if going is None else self.sim.unstable & going
+        terms, terminated = self._judge(self._before, after, unstable, going)
+        reward = sum(terms.values())
+        self.episode_length = self.episode_length + (1 if going is None else going)
+        self._return = self._return + reward
+        truncated = self.episode_length >= self.max_episode_steps
+        obs = self._layout.observe(after)
+        done = terminated | truncated
+        if going is not None:
+            done = done & going
+        info = {
+            "final_obs": obs,
+            "episode": {
+                "return": self._return.to(self.dtype),
+                "length": self.episode_length.to(self.dtype),
+                "done": done,
+            },
+            "unstable": unstable,
+            "reward_terms": terms,
+        }
+        if going is None:
+            obs = self._restart(done, after, obs)
+        else:
+            terminated = self._terminated = self._terminated | terminated
+            truncated = self._truncated = self._truncated | (truncated & going)
+            self._before = after
+            self.sim.set_frozen(terminated | truncated)
+        return obs, reward.to(self.dtype), terminated, truncated, info
+
+    def _judge(
+        self, before: State, after: State, unstable: torch.Tensor, going: torch.Tensor | None
+    ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+        """The parts of the reward (float64 ``[num_envs]`` each) and where the episode terminates.
+
+        Tests for the end look at the state after the step, or, where the step was stopped, at that before it.
+        """
+        terms = {term.name: term(before, after) * term.weight for term in self.spec.rewards}
+        terms["unstable"] = unstable.double() * self.spec.unstable_penalty
+        terminated = unstable
+        for term in self.spec.terminations:
+            hit = term(after) if going is None else term(after) & going
+            terms[term.name] = hit.double() * term.bonus
+            terminated = terminated | hit
+        return terms, terminated
+
+    def _restart(self, done: torch.Tensor, after: State, obs: torch.Tensor) -> torch.Tensor:
+        """Reset where ``done``; return the observations with which to go on."""
+        if self._may_look and not bool(done.any()):
+            self._before = after
+            return obs
+        self.sim.reset(done)
+        self.episode_length = self.episode_length.masked_fill(done, 0)
+        self._return = self._return.masked_fill(done, 0.0)
+        self._before = State(self.sim).remember(self._needed_before)
+        return self._layout.observe(self._before)
+
+
+def _load_designs(designs: object) -> list[Design]:
+    if designs is None:
+        return [load_design(DEFAULT_DESIGN)]
+    single = isinstance(designs, str) or (isinstance(designs, np.ndarray) and designs.ndim == 2)
+    if not single and not isinstance(designs, Sequence | np.ndarray):
+        raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")
+    bodies = [designs] if single else list(designs)
+    if not bodies:
+        raise DesignError("The list of designs is empty: at least one body is needed.")
+    loaded = []
+    for number, body in enumerate(bodies):
+        try:
+            loaded.append(load_design(body))
+        except DesignError as error:
+            raise DesignError(f"Design {number}: {error}" if len(bodies) > 1 else str(error)) from None
+    return loaded
+
+
+def _load_connections(connections: Sequence[object] | None, count: int) -> Sequence[object]:
+    if connections is None:
+        return [None] * count
+    if len(connections) != count:
+        raise ConfigError(f"connections must have one entry a design ({count}), got {len(connections)}.")
+    return connections
+
+
+def _whole(name: str, value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise ConfigError(f"{name} must be a whole number >= 1, got {value!r}.")
+    return int(value)

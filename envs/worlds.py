@@ -1,0 +1,96 @@
+"""Terrain as text: run-length data turned into objects, and the world of a task with a robot in it.
+
+Cells are written ``.`` empty, ``R`` rigid, ``S`` soft, ``H`` and ``V`` actuators, ``F`` fixed. A *line* is a
+list of runs: ``"20. 10F"`` is twenty empty cells and ten fixed ones, a run of one cell needs no number.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpvox.errors import WorldError
+from warpvox.types import Cell
+from warpvox.world import World, WorldObject
+
+if TYPE_CHECKING:
+    from warpvox.envs.spec import TaskSpec
+
+__all__ = ["ROBOT", "block", "columns", "heights", "rows", "task_world"]
+
+ROBOT = "robot"
+"""Name of the robot in the world of a task."""
+
+_CELLS = {
+    ".": Cell.EMPTY,
+    "R": Cell.RIGID,
+    "S": Cell.SOFT,
+    "H": Cell.H_ACT,
+    "V": Cell.V_ACT,
+    "F": Cell.FIXED,
+}
+_RUN = re.compile(r"(\d*)([.RSHVF])")
+
+
+def block(name: str, width: int, height: int, cell: str = "F", x: int = 0, y: int = 0) -> WorldObject:
+    """A solid rectangle of one kind of cell with its lower left corner at cell (x, y)."""
+    return WorldObject.from_array(name, np.full((height, width), int(_CELLS[cell]), np.int8), x, y)
+
+
+def rows(name: str, *lines: str, x: int = 0, y: int = 0) -> WorldObject:
+    """An object drawn by rows from left to right, the bottom row first; short rows end empty."""
+    return WorldObject.from_array(name, _stack(lines)[::-1], x, y)
+
+
+def columns(name: str, *lines: str, x: int = 0, y: int = 0) -> WorldObject:
+    """An object drawn by columns from the bottom up, the leftmost column first; short columns end empty."""
+    return WorldObject.from_array(name, _stack(lines).T[::-1], x, y)
+
+
+def heights(name: str, profile: str, cell: str = "F", x: int = 0, y: int = 0) -> WorldObject:
+    """Solid columns from y upward whose heights are runs ``HEIGHTxCOUNT``: ``"1x22 2 1x5"``."""
+    lines = []
+    for run in profile.split():
+        height, _, count = run.partition("x")
+        lines += [f"{height}{cell}"] * int(count or 1)
+    return columns(name, *lines, x=x, y=y)
+
+
+def task_world(task: TaskSpec, body: np.ndarray, connections: object = None) -> World:
+    """The world of a task with a robot in its place.
+
+    Args:
+        body: valid design, int8 ``[rows, columns]``.
+        connections: EvoGym's ``[2, k]`` pairs of flat cell indices; None connects all neighbours.
+
+    Raises:
+        WorldError: the body does not fit, or the connections are not between neighbouring cells.
+    """
+    world = World()
+    for obj in task.objects:
+        world.add_object(obj)
+    try:
+        world.add_from_array(ROBOT, body, *task.robot_cell, connections=connections)
+    except WorldError as error:
+        shape = "x".join(str(n) for n in body.shape)
+        raise WorldError(f"The {shape} body does not fit the world of {task.id}: {error}") from None
+    return world
+
+
+def _stack(lines: Sequence[str]) -> np.ndarray:
+    """Lines as int8 ``[lines, cells]``, padded with empty cells."""
+    parsed = [_parse(line) for line in lines]
+    grid = np.zeros((len(parsed), max(len(cells) for cells in parsed)), np.int8)
+    for row, cells in zip(grid, parsed, strict=True):
+        row[: len(cells)] = cells
+    return grid
+
+
+def _parse(line: str) -> list[int]:
+    packed = line.replace(" ", "")
+    if _RUN.sub("", packed):
+        raise WorldError(f"Cannot read the terrain line {line!r}: expected runs such as '20. 10F'.")
+    return [int(_CELLS[letter]) for count, letter in _RUN.findall(packed) for _ in range(int(count or 1))]

@@ -1,0 +1,293 @@
+from __future__ import annotations
+
+import itertools
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+import warpvox as wv
+from warpvox.design import full_connections, has_actuator, is_connected
+
+GRIDS = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=7), elements=st.integers(0, 4))
+# Mostly filled grids: random ones of this size are hardly ever connected.
+DENSE = hnp.arrays(
+    np.int8,
+    hnp.array_shapes(min_dims=2, max_dims=2, max_side=6),
+    elements=st.sampled_from([1, 2, 3, 4, 3, 4, 2, 1, 0]),
+)
+
+
+def flood_fill(grid: np.ndarray) -> bool:
+    """Whether all filled cells are reachable from the first one; spreads over sets, not over an array."""
+    left = {(int(r), int(c)) for r, c in np.argwhere(grid != 0)}
+    if not left:
+        return False
+    front = {left.pop()}
+    while front:
+        reach = {(r + dr, c + dc) for r, c in front for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0))}
+        front = reach & left
+        left -= front
+    return not left
+
+
+def is_valid(grid: np.ndarray) -> bool:
+    return flood_fill(grid) and bool(((grid == 3) | (grid == 4)).any())
+
+
+# ---------------------------------------------------------------------- checks
+
+
+@given(GRIDS | DENSE)
+def test_connectivity_equals_a_flood_fill(grid: np.ndarray) -> None:
+    assert is_connected(grid) == flood_fill(grid)
+
+
+@given(GRIDS | DENSE)
+def test_check_design_accepts_exactly_the_valid_bodies(grid: np.ndarray) -> None:
+    if is_valid(grid):
+        body = wv.check_design(grid.astype(float))
+        assert body.dtype == np.int8
+        assert np.array_equal(body, grid)
+        assert np.array_equal(wv.check_design(grid.tolist()), grid)
+    else:
+        with pytest.raises(wv.DesignError):
+            wv.check_design(grid)
+
+
+def test_check_design_returns_a_copy() -> None:
+    given_body = wv.example_design("walker")
+    body = wv.check_design(given_body)
+    body[0, 0] = 0
+    assert given_body[0, 0] == 1
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ([[0, 0], [0, 0]], "empty"),
+        ([[3, 0], [0, 4]], "not connected: it falls into 2 pieces"),
+        ([[1, 2], [2, 1]], "no actuator"),
+        ([[1, 3], [7, 1]], "unknown cell type 7 at row 1, column 0"),
+        ([[1, 3], [1, -1]], "unknown cell type -1 at row 1, column 1"),
+        ([[1, 3.5]], "unknown cell type 3.5 at row 0, column 1"),
+        ([[1, float("nan")]], "unknown cell type nan"),
+        ([[3, 3], [5, 3]], r"fixed cell \(5\) at row 1, column 0"),
+        ([3, 3], r"two dimensions \[rows, columns\], got shape \(2,\)"),
+        (np.zeros((0, 5)), "no cells"),
+        ([[3, 3], [3]], "ragged"),
+        ([["h", "v"]], "must hold numbers"),
+        ([[True, True]], "must hold numbers"),
+        ("walker", "must hold numbers"),
+        (None, "must hold numbers"),
+    ],
+)
+def test_check_design_says_what_is_wrong(body: object, words: str) -> None:
+    with pytest.raises(wv.DesignError, match=words) as caught:
+        wv.check_design(body)
+    assert "\n" not in str(caught.value)
+
+
+# ---------------------------------------------------------------------- connections
+
+
+@given(GRIDS)
+def test_full_connections_are_all_neighbours_in_row_major_order(grid: np.ndarray) -> None:
+    rows, columns = grid.shape
+    expected = []
+    for r, c in itertools.product(range(rows), range(columns)):
+        for rr, cc in ((r, c + 1), (r + 1, c)):
+            if rr < rows and cc < columns and grid[r, c] and grid[rr, cc]:
+                expected.append([r * columns + c, rr * columns + cc])
+    pairs = full_connections(grid)
+    assert pairs.dtype == np.int32
+    assert pairs.shape == (len(expected), 2)
+    assert pairs.tolist() == expected
+
+
+# ---------------------------------------------------------------------- sampling
+
+
+@given(st.tuples(st.integers(1, 6), st.integers(1, 6)), st.integers(0, 2**32 - 1))
+def test_samples_are_valid_and_reproducible(shape: tuple[int, int], seed: int) -> None:
+    body = wv.sample_design(shape, seed)
+    assert body.shape == shape
+    assert body.dtype == np.int8
+    assert is_valid(body)
+    assert np.array_equal(body, wv.sample_design(shape, seed))
+
+
+def test_a_generator_is_continued() -> None:
+    rng = np.random.default_rng(5)
+    first, second = wv.sample_design(seed=rng), wv.sample_design(seed=rng)
+    assert np.array_equal(first, wv.sample_design(seed=5))
+    assert not np.array_equal(first, second)
+
+
+def chi_square(counts: dict[tuple[int, ...], int], law: dict[tuple[int, ...], float]) -> float:
+    """Pearson's statistic in standard deviations from its mean: k - 1 with variance 2 (k - 1)."""
+    total = sum(counts.values())
+    statistic = sum((counts[body] - total * p) ** 2 / (total * p) for body, p in law.items())
+    return (statistic - (len(law) - 1)) / np.sqrt(2 * (len(law) - 1))
+
+
+def test_samples_follow_the_law_of_independent_cells_given_validity() -> None:
+    weights = np.array([0.6, 0.2, 0.2, 0.2, 0.2])
+    law = {
+        cells: float(np.prod(weights[list(cells)]))
+        for cells in itertools.product(range(5), repeat=4)
+        if is_valid(np.reshape(cells, (2, 2)))
+    }
+    total = sum(law.values())
+    law = {cells: p / total for cells, p in law.items()}
+    rng = np.random.default_rng(0)
+    counts = Counter(tuple(wv.sample_design((2, 2), rng).ravel().tolist()) for _ in range(8000))
+    assert set(counts) <= set(law)
+    # 4 standard deviations: fails by chance once in about 10,000 seeds, and the seed is fixed
+    assert chi_square(counts, law) < 4.0
+
+
+def test_probabilities_are_relative_weights() -> None:
+    body = wv.sample_design((4, 4), seed=1, probabilities=[0, 0, 0, 7, 0])
+    assert (body == 3).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"shape": (0, 5)}, "shape"),
+        ({"shape": 5}, "shape"),
+        ({"shape": (2.5, 3)}, "shape"),
+        ({"shape": (5, 5, 5)}, "shape"),
+        ({"seed": -1}, "seed"),
+        ({"seed": "x"}, "seed"),
+        ({"probabilities": [1, 1, 1]}, "five weights"),
+        ({"probabilities": [1, 1, 1, 0, 0]}, "actuator"),
+        ({"probabilities": [1, 1, 1, -1, 3]}, "not negative"),
+        ({"probabilities": [1, 1, float("nan"), 1, 1]}, "finite"),
+        ({"shape": (25, 25), "probabilities": [8, 1, 1, 1, 1]}, "No valid 25x25 body"),
+    ],
+)
+def test_sampling_refuses_what_it_cannot_do(arguments: dict[str, object], words: str) -> None:
+    with pytest.raises(wv.DesignError, match=words):
+        wv.sample_design(**arguments)
+
+
+# ---------------------------------------------------------------------- examples, files, text
+
+
+def test_examples_are_valid_distinct_and_fresh() -> None:
+    examples = wv.example_designs()
+    assert examples["walker"].tolist() == [
+        [1, 4, 4, 4, 1],
+        [3, 3, 3, 3, 3],
+        [3, 3, 3, 3, 3],
+        [4, 4, 0, 4, 4],
+        [4, 4, 0, 4, 4],
+    ]
+    assert len({body.tobytes() for body in examples.values()}) == len(examples)
+    for name, body in examples.items():
+        assert np.array_equal(wv.check_design(body), wv.example_design(name))
+        body[:] = 0
+        assert wv.example_design(name).any()
+
+
+def test_an_unknown_example_names_the_nearest() -> None:
+    with pytest.raises(wv.DesignError, match="Did you mean 'walker'"):
+        wv.example_design("walkr")
+
+
+@given(DENSE.filter(is_valid), st.sampled_from([".json", ".npz", ".npy"]))
+def test_files_round_trip(tmp_path_factory: pytest.TempPathFactory, body: np.ndarray, suffix: str) -> None:
+    path = wv.save_design(tmp_path_factory.mktemp("designs") / f"body{suffix}", body)
+    for spec in (path, str(path)):
+        loaded = wv.load_design(spec)
+        assert loaded.dtype == np.int8
+        assert np.array_equal(loaded, body)
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+
+
+def test_the_npz_file_is_evogyms_structure_file(tmp_path: Path) -> None:
+    body = wv.example_design("mini")
+    with np.load(wv.save_design(tmp_path / "s.npz", body)) as archive:
+        assert archive.files == ["arr_0", "arr_1"]
+        assert np.array_equal(archive["arr_0"], body)
+        assert archive["arr_1"].shape == (2, len(full_connections(body)))
+    # as EvoGym's own scripts write it: floating-point cells
+    np.savez(tmp_path / "theirs.npz", body.astype(float), full_connections(body).T)
+    assert np.array_equal(wv.load_design(tmp_path / "theirs.npz"), body)
+
+
+def test_a_structure_file_with_cuts_is_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "cut.npz", np.full((2, 2), 3.0), np.array([[0, 0], [1, 2]]))
+    with pytest.raises(wv.DesignError, match=r"2 pair\(s\) of neighbouring cells unconnected"):
+        wv.load_design(tmp_path / "cut.npz")
+
+
+def test_load_design_understands_names_random_text_and_arrays() -> None:
+    assert np.array_equal(wv.load_design("hopper"), wv.example_design("hopper"))
+    assert np.array_equal(wv.load_design("random", seed=3), wv.sample_design((5, 5), 3))
+    assert np.array_equal(wv.load_design("random:3x7", seed=3), wv.sample_design((3, 7), 3))
+    assert wv.load_design("[[3, 3], [4, 4]]").tolist() == [[3, 3], [4, 4]]
+    assert wv.load_design([[3, 3], [4, 4]]).tolist() == [[3, 3], [4, 4]]
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("worn", "Did you mean 'worm'"),
+        ("random:5", "ROWSxCOLUMNS"),
+        ("random:0x5", "shape"),
+        ("[[3, 3], [4", "not a nested list"),
+        ("[[0]]", "empty"),
+        ("nowhere.json", "There is no design file"),
+        (7, "two dimensions"),
+    ],
+)
+def test_load_design_refuses_what_it_cannot_read(spec: object, words: str) -> None:
+    with pytest.raises(wv.DesignError, match=words):
+        wv.load_design(spec)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.json", b'{"body": [[1, 2]]}', "holds no valid robot"),
+        ("b.json", b'{"grid": []}', "no entry 'body'"),
+        ("c.json", b'{"grid_width": 1, "grid_height": 1, "objects": {}}', "World.from_json"),
+        ("d.json", b"\xff\xfe", "cannot be read"),
+        ("e.json", b"import os", "not a nested list"),
+        ("f.npz", b"not a zip", "cannot be read"),
+        ("g.npy", b"", "cannot be read"),
+    ],
+)
+def test_bad_files_are_named(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(wv.DesignError, match=words) as caught:
+        wv.load_design(tmp_path / name)
+    assert name in str(caught.value)
+
+
+def test_nothing_is_written_for_a_bad_body_or_suffix(tmp_path: Path) -> None:
+    with pytest.raises(wv.DesignError, match="no actuator"):
+        wv.save_design(tmp_path / "x.json", [[1]])
+    with pytest.raises(wv.DesignError, match=r"use one of \.json"):
+        wv.save_design(tmp_path / "x.txt", [[3]])
+    assert not list(tmp_path.iterdir())
+
+
+def test_saved_json_is_readable_by_people(tmp_path: Path) -> None:
+    path = wv.save_design(tmp_path / "mini.json", wv.example_design("mini"))
+    assert json.loads(path.read_text()) == {"body": [[3, 3, 3], [4, 4, 4], [4, 0, 4]]}
+    assert "[4, 0, 4]" in path.read_text()
+
+
+def test_has_actuator() -> None:
+    assert has_actuator([[1, 3]])
+    assert has_actuator([[1, 4]])
+    assert not has_actuator([[1, 2]])

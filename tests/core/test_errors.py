@@ -1,0 +1,35 @@
+from __future__ import annotations
+
+import pytest
+
+from warpvox import errors
+
+
+def test_every_error_is_a_warpvox_error_and_of_the_builtin_kind_that_callers_expect() -> None:
+    bad_input = "DesignError WorldError TaskError ActionError ConfigError RunError RolloutError".split()
+    for name in bad_input:
+        assert issubclass(getattr(errors, name), errors.WarpvoxError)
+        assert issubclass(getattr(errors, name), ValueError)
+    for name in ("DeviceError", "SimulationError"):
+        assert issubclass(getattr(errors, name), errors.WarpvoxError)
+        assert issubclass(getattr(errors, name), RuntimeError)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ("Walker-v1", " Did you mean 'Walker-v0'?"),
+        ("walker-V0", " Did you mean 'Walker-v0'?"),
+        ("climber", " Did you mean 'Climber-v0'?"),
+        ("zzz", ""),
+        (17, ""),
+    ],
+)
+def test_did_you_mean(given: object, sentence: str) -> None:
+    assert errors.did_you_mean(given, ["Walker-v0", "Climber-v0", "Carrier-v0"]) == sentence
+
+
+def test_listing_is_cut_and_never_empty() -> None:
+    assert errors.listing(["a", "b"]) == "a, b"
+    assert errors.listing(range(5), limit=3) == "0, 1, 2, ... (2 more)"
+    assert errors.listing([]) == "(none)"

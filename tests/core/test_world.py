@@ -1,0 +1,296 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+import warpvox as wv
+from warpvox.design import full_connections
+
+CELLS = hnp.arrays(
+    np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=4), elements=st.integers(0, 5)
+).filter(np.any)
+PLACES = st.tuples(st.integers(0, 9), st.integers(0, 7))
+OBJECTS = st.lists(st.tuples(CELLS, PLACES), min_size=1, max_size=5)
+
+
+@st.composite
+def worlds(draw: st.DrawFn) -> wv.World:
+    """Worlds with objects wherever they fit, some of their connections cut."""
+    world = wv.World(draw(st.integers(1, 12)), draw(st.integers(1, 9)))
+    for number, (cells, (x, y)) in enumerate(draw(OBJECTS)):
+        pairs = full_connections(cells)
+        keep = draw(hnp.arrays(bool, len(pairs)))
+        try:
+            world.add_from_array(f"object {number}", cells, x, y, pairs[keep].T)
+        except wv.WorldError:
+            continue
+    return world
+
+
+def walker_world() -> wv.World:
+    world = wv.World(20, 1)
+    world.add_from_array("ground", np.full((1, 20), 5), 0, 0)
+    world.add_from_array("robot", wv.example_design("walker"), 1, 1)
+    return world
+
+
+# ---------------------------------------------------------------------- placing
+
+
+@given(OBJECTS)
+def test_overlap_rule_equals_a_painted_grid(objects: list[tuple[np.ndarray, tuple[int, int]]]) -> None:
+    canvas = np.zeros((20, 20), int)  # row 0 at the bottom: [y, x]
+    world = wv.World()
+    for number, (cells, (x, y)) in enumerate(objects):
+        rows, columns = cells.shape
+        box = canvas[y : y + rows, x : x + columns]
+        if box.any():
+            with pytest.raises(wv.WorldError, match="overlaps"):
+                world.add_from_array(str(number), cells, x, y)
+        else:
+            world.add_from_array(str(number), cells, x, y)
+            box[:] = cells[::-1]
+    assert np.array_equal(world.grid(), canvas[: world.height, : world.width][::-1])
+    assert not canvas[world.height :].any()
+    assert not canvas[:, world.width :].any()
+
+
+def test_a_bounding_box_counts_with_its_empties_only_for_the_new_object() -> None:
+    frame = np.array([[5, 5, 5], [5, 0, 5], [5, 5, 5]])
+    world = wv.World()
+    world.add_from_array("frame", frame, 0, 0)
+    world.add_from_array("inside", [[2]], 1, 1)  # lies in an empty cell of the frame
+    assert world.remove_object("frame").name == "frame"
+    with pytest.raises(wv.WorldError, match=r"'frame' .* overlaps 'inside' at cell \(1, 1\)"):
+        world.add_from_array("frame", frame, 0, 0)
+
+
+def test_the_grid_grows_and_never_shrinks() -> None:
+    world = wv.World(4, 2)
+    world.add_from_array("a", [[1, 1]], 5, 0)
+    assert (world.width, world.height) == (7, 2)
+    world.add_from_array("b", [[1], [1], [1]], 0, 1)
+    assert (world.width, world.height) == (7, 4)
+    world.remove_object("b")
+    assert (world.width, world.height) == (7, 4)
+
+
+def test_moving() -> None:
+    world = walker_world()
+    world.add_from_array("box", [[2]], 12, 1)
+    moved = world.move_object("robot", 3, 1)  # over cells that it covered itself
+    assert (moved.x, moved.y) == (3, 1)
+    assert list(world.objects) == ["ground", "robot", "box"]
+    for x, y, words in ((9, 1, "overlaps 'box'"), (3, 0, "overlaps 'ground'"), (-1, 1, "negative")):
+        with pytest.raises(wv.WorldError, match=words):
+            world.move_object("robot", x, y)
+        assert world.objects["robot"] is moved
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("robot", [[3]], 0, 9), "has an object 'robot' already"),
+        (("", [[3]], 0, 9), "needs a name"),
+        (("a", [[0]], 0, 9), "no cells"),
+        (("a", [[9]], 0, 9), "object 'a' holds an unknown cell type 9 at row 0, column 0"),
+        (("a", [3], 0, 9), "two dimensions"),
+        (("a", [[3]], -1, 9), r"'a' must not be negative, got \(-1, 9\)"),
+        (("a", [[3]], 0.5, 9), "whole numbers"),
+        (("a", [[3]], 2, 2), r"overlaps 'robot' at cell \(2, 2\)"),
+        (("a", [[3, 3]], 0, 9, [[0], [2]]), "not two neighbouring filled cells"),
+        (("a", [[3, 0, 3]], 0, 9, [[0], [1]]), "not two neighbouring filled cells"),
+        (("a", [[3, 3]], 0, 9, [[0, 1], [1, 0], [0, 1]]), r"shape \[2, k\]"),
+        (("a", [[3, 3]], 0, 9, [[0.5], [1]]), "not two neighbouring filled cells"),
+    ],
+)
+def test_bad_objects_change_nothing(arguments: tuple[object, ...], words: str) -> None:
+    world = walker_world()
+    before = world.key()
+    with pytest.raises(wv.WorldError, match=words):
+        world.add_from_array(*arguments)
+    assert world.key() == before
+
+
+def test_unknown_names_and_sizes() -> None:
+    with pytest.raises(wv.WorldError, match=r"no object 'robo'. Did you mean 'robot'\? It has ground, robot"):
+        walker_world().remove_object("robo")
+    with pytest.raises(wv.WorldError, match="width"):
+        wv.World(0, 5)
+    with pytest.raises(wv.WorldError, match="height"):
+        wv.World(5, 2.5)
+
+
+# ---------------------------------------------------------------------- objects
+
+
+def test_object_properties() -> None:
+    world = walker_world()
+    robot, ground = world.objects["robot"], world.objects["ground"]
+    assert (robot.width, robot.height, robot.num_actuators) == (5, 5, 21)
+    assert robot.is_robot
+    assert not robot.is_static
+    assert ground.is_static
+    assert not ground.is_robot
+    mixed = world.add_from_array("gate", [[5, 2]], 10, 3)
+    assert not mixed.is_static
+    for array in (robot.grid, robot.connections):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0, 0] = 0
+
+
+@given(CELLS)
+def test_default_connections_are_all_neighbours_sorted(cells: np.ndarray) -> None:
+    obj = wv.WorldObject.from_array("a", cells)
+    assert obj.connections.dtype == np.int32
+    pairs = obj.connections.tolist()
+    assert pairs == sorted(pairs)
+    assert sorted(full_connections(cells).tolist()) == pairs
+
+
+def test_given_connections_are_sorted_and_unique() -> None:
+    obj = wv.WorldObject.from_array("a", [[1, 1], [1, 1]], 0, 0, np.array([[3, 1, 0, 2], [2, 0, 1, 3.0]]))
+    assert obj.connections.tolist() == [[0, 1], [2, 3]]
+    alone = wv.WorldObject.from_array("a", [[1, 1]], 0, 0, np.empty((2, 0)))
+    assert alone.connections.shape == (0, 2)
+    assert alone != wv.WorldObject.from_array("a", [[1, 1]])
+
+
+# ---------------------------------------------------------------------- identity
+
+
+@given(worlds())
+def test_copies_are_equal_and_independent(world: wv.World) -> None:
+    other = world.copy()
+    assert other == world
+    assert other.key() == world.key()
+    other.add_from_array("new", [[1]], 30, 30)
+    assert other != world
+    assert "new" not in world
+
+
+def test_keys_tell_worlds_apart_but_not_orders() -> None:
+    base = walker_world()
+    keys = {base.key()}
+    shifted, renamed, cut, wider = (wv.World(20, 1) for _ in range(4))
+    for world in (shifted, renamed, cut):
+        world.add_from_array("ground", np.full((1, 20), 5), 0, 0)
+    body = wv.example_design("walker")
+    shifted.add_from_array("robot", body, 2, 1)
+    renamed.add_from_array("robots", body, 1, 1)
+    cut.add_from_array("robot", body, 1, 1, full_connections(body)[1:].T)
+    wider.add_from_array("ground", np.full((1, 21), 5), 0, 0)
+    wider.add_from_array("robot", body, 1, 1)
+    keys |= {world.key() for world in (shifted, renamed, cut, wider)}
+    assert len(keys) == 5
+    reverse = wv.World(20, 1)
+    reverse.add_from_array("robot", body, 1, 1)
+    reverse.add_from_array("ground", np.full((1, 20), 5), 0, 0)
+    assert reverse.key() == base.key()
+    assert reverse == base
+
+
+def test_drawing() -> None:
+    world = wv.World(4, 1)
+    world.add_from_array("ground", [[5, 5, 5]], 0, 0)
+    world.add_from_array("robot", [[3, 4], [1, 2]], 1, 1)
+    assert world.pretty() == ".HV.\n.RS.\nFFF."
+    assert repr(world) == "World(4x3: ground 3x1 at (0, 0), robot 2x2 at (1, 1))"
+    assert repr(world.objects["robot"]) == "WorldObject('robot', 2 wide, 2 high, at (1, 1))"
+
+
+# ---------------------------------------------------------------------- files
+
+
+@given(worlds())
+def test_json_round_trip(tmp_path_factory: pytest.TempPathFactory, world: wv.World) -> None:
+    path = tmp_path_factory.mktemp("worlds") / "world.json"
+    text = world.to_json(path)
+    for source in (text, path, str(path), json.loads(text)):
+        again = wv.World.from_json(source)
+        assert again == world
+        assert list(again.objects) == list(world.objects)
+
+
+HAND_MADE = {
+    "grid_width": 4,
+    "grid_height": 3,
+    "objects": {
+        "peg": {
+            # x = 1..2, y = 1..2; the cells come in no particular order, (2, 2) is not connected to (1, 2)
+            "indices": [9, 5, 6, 10],
+            "types": [2, 1, 5, 3],
+            "neighbors": {"5": [6, 9], "6": [5, 10], "9": [5], "10": [6]},
+        }
+    },
+}
+
+
+def test_a_file_made_by_hand() -> None:
+    world = wv.World.from_json(HAND_MADE)
+    peg = world.objects["peg"]
+    assert (world.width, world.height, peg.x, peg.y) == (4, 3, 1, 1)
+    assert peg.grid.tolist() == [[2, 3], [1, 5]]
+    assert peg.connections.tolist() == [[0, 2], [1, 3], [2, 3]]
+    entry = json.loads(world.to_json())["objects"]["peg"]
+    assert set(entry) == {"indices", "types", "neighbors"}
+    assert dict(zip(entry["indices"], entry["types"], strict=True)) == {9: 2, 10: 3, 5: 1, 6: 5}
+    assert {k: sorted(v) for k, v in entry["neighbors"].items()} == HAND_MADE["objects"]["peg"]["neighbors"]
+
+
+def broken(**changes: object) -> dict[str, object]:
+    return HAND_MADE | {"objects": {"peg": HAND_MADE["objects"]["peg"] | changes}}
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("{", "not valid JSON"),
+        ('{"grid_width": 1}', "it lacks grid_height, objects"),
+        ('{"grid_width": 1, "grid_height": 1, "objects": {"a": 1, "a": 2}}', "'a' occurs twice"),
+        ("nowhere.json", "There is no world file 'nowhere.json'"),
+        (7, "got int"),
+        (HAND_MADE | {"grid_width": 0}, "whole numbers >= 1"),
+        (HAND_MADE | {"objects": []}, "must map names to objects"),
+        (HAND_MADE | {"objects": {"a": []}}, "needs the entries"),
+        (broken(types=[1, 2]), "as many types and neighbors as indices"),
+        (broken(types=[1, 2, 3, 0]), "the cell type 0 of 'peg' at index 10"),
+        (broken(types=[1, 2, 3, 6]), "the cell type 6 of 'peg' at index 10"),
+        (broken(indices=[9, 5, 6, 12]), "different whole numbers from 0 to 11"),
+        (broken(indices=[9, 5, 6, 9]), "different whole numbers from 0 to 11"),
+        (broken(indices=5), "lists of indices"),
+        (broken(indices=[], types=[], neighbors={}), "at least one"),
+        (broken(neighbors={"5": [6], "6": [5], "9": [], "11": []}), "the neighbors of index 10"),
+        (broken(neighbors={"5": [0], "6": [5], "9": [], "10": []}), "the neighbors of index 5"),
+        (broken(neighbors={"5": [10], "6": [5], "9": [], "10": []}), "not two neighbouring filled cells"),
+        (broken(box=[0, 0, 2, 2]), "holds its cells"),
+        (broken(box=[0, 0, 9, 3]), "sticks out"),
+    ],
+)
+def test_bad_files_change_nothing(source: object, words: str) -> None:
+    world = walker_world()
+    before = world.key()
+    with pytest.raises(wv.WorldError, match=words):
+        world.add_from_json(source)
+    assert world.key() == before
+
+
+def test_adding_a_file_to_a_world_is_all_or_nothing(tmp_path: Path) -> None:
+    both = wv.World(9, 9)
+    both.add_from_array("free", [[1]], 8, 8)
+    both.add_from_array("blocked", [[1]], 1, 0)
+    both.to_json(tmp_path / "both.json")
+    world = walker_world()
+    with pytest.raises(wv.WorldError, match="overlaps 'ground'"):
+        world.add_from_json(tmp_path / "both.json")
+    assert list(world.objects) == ["ground", "robot"]
+    both.move_object("blocked", 7, 7)
+    world.add_from_json(both.to_json())
+    assert list(world.objects) == ["ground", "robot", "free", "blocked"]
+    assert (world.width, world.height) == (20, 9)

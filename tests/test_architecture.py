@@ -1,0 +1,138 @@
+"""The house has layers; these tests keep them. See CONTRIBUTING.md for what belongs where."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+MAPPED = ("kernels", "envs", "algos", "configs")
+MAX_LINES = 600
+
+# A module may import its own layer and those before it. A name covers everything below it.
+LAYERS = (
+    ("warpvox.errors", "warpvox.files", "warpvox.types", "warpvox.examples"),
+    ("warpvox.kernels",),
+    ("warpvox.design", "warpvox.world"),
+    (
+        "warpvox.compile",
+        "warpvox.sim",
+        "warpvox.views",
+        "warpvox.rollout",
+        "warpvox.render",
+        "warpvox.usd",
+        "warpvox.player",
+    ),
+    ("warpvox.envs",),
+    ("warpvox.algos", "warpvox.configs"),
+    ("warpvox.cli", "warpvox.__main__"),
+)
+CORE = (
+    "warpvox.errors",
+    "warpvox.files",
+    "warpvox.types",
+    "warpvox.examples",
+    "warpvox.design",
+    "warpvox.world",
+)
+HEAVY = {"torch", "warp", "hydra", "omegaconf", "rsl_rl", "gymnasium", "matplotlib", "pxr"}
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    if parts[0] in MAPPED:
+        parts = ("warpvox", *parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+SOURCES = {
+    module_name(path): path
+    for folder in ("warpvox", *MAPPED)
+    for path in sorted((ROOT / folder).rglob("*.py"))
+}
+ALL_FILES = [*SOURCES.values(), *sorted((ROOT / "tests").rglob("*.py"))]
+
+
+def layer(module: str) -> int | None:
+    for number, names in enumerate(LAYERS):
+        if any(module == name or module.startswith(name + ".") for name in names):
+            return number
+    return None
+
+
+def for_type_checkers_only(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
+
+
+def imports(tree: ast.AST, *, inside_functions: bool = True) -> Iterator[tuple[int, str]]:
+    """Yield (line, module) for all imports; ``from package import module`` counts as the module."""
+    for node in ast.iter_child_nodes(tree):
+        if for_type_checkers_only(node):
+            continue
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                yield node.lineno, full if full in SOURCES else node.module
+        elif inside_functions or not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)):
+            yield from imports(node, inside_functions=inside_functions)
+
+
+def parse(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+
+
+def test_every_module_has_a_layer() -> None:
+    homeless = [name for name in SOURCES if name != "warpvox" and layer(name) is None]
+    assert not homeless, f"add these to LAYERS: {homeless}"
+
+
+@pytest.mark.parametrize("module", sorted(set(SOURCES) - {"warpvox"}))
+def test_left_never_imports_right(module: str) -> None:
+    own = layer(module)
+    assert own is not None
+    for line, target in imports(parse(SOURCES[module])):
+        place = f"{SOURCES[module].relative_to(ROOT)}:{line}"
+        if target == "warpvox":
+            # the package's face imports everything; only the command line, the last layer, may look at it
+            assert own == len(LAYERS) - 1, f"{place} imports warpvox itself instead of the module it needs"
+        elif target.startswith("warpvox."):
+            other = layer(target)
+            assert other is not None, f"{place} imports {target}, which has no layer"
+            assert other <= own, f"{place} imports {target}, which lies further right"
+
+
+@pytest.mark.parametrize("path", ALL_FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_mapped_folders_are_imported_by_their_full_name(path: Path) -> None:
+    # `import kernels.x` works when the root is on sys.path and registers every Warp module twice
+    for line, target in imports(parse(path)):
+        assert target.split(".")[0] not in MAPPED, f"{path.relative_to(ROOT)}:{line} imports {target}"
+
+
+@pytest.mark.parametrize("path", ALL_FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_files_stay_readable(path: Path) -> None:
+    lines = len(path.read_text(encoding="utf-8").splitlines())
+    assert lines <= MAX_LINES, f"{path.relative_to(ROOT)} has {lines} lines: split it"
+
+
+@pytest.mark.parametrize("module", sorted(SOURCES))
+def test_only_the_command_line_knows_hydra(module: str) -> None:
+    if module.startswith("warpvox.cli"):
+        return
+    used = {target.split(".")[0] for _, target in imports(parse(SOURCES[module]))}
+    assert "hydra" not in used
+
+
+@pytest.mark.parametrize("module", CORE)
+def test_the_core_imports_nothing_heavy(module: str) -> None:
+    used = {target.split(".")[0] for _, target in imports(parse(SOURCES[module]), inside_functions=False)}
+    assert not used & HEAVY
+
+
+@pytest.mark.parametrize("module", sorted(SOURCES))
+def test_every_module_says_what_it_is_for(module: str) -> None:
+    assert ast.get_docstring(parse(SOURCES[module]))

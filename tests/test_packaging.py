@@ -1,0 +1,197 @@
+"""What is installed is what lies in the checkout, and importing it stays cheap."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import warpvox
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+MAPPED = ("kernels", "envs", "algos", "configs")
+"""Top-level folders that are subpackages of warpvox."""
+DATA_SUFFIXES = {".yaml", ".html", ".js", ".css", ".h", ".typed"}
+HEAVY = ("torch", "warp", "hydra", "omegaconf", "rsl_rl", "gymnasium", "matplotlib", "pxr", "tensorboard")
+IMPORT_SECONDS = 1.0
+
+
+@pytest.fixture(scope="module")
+def project(repository: Path) -> dict[str, object]:
+    return tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def installed_name(repository: Path, path: Path) -> str:
+    """Where a file of the checkout lies after installation, e.g. envs/spec.py -> warpvox/envs/spec.py."""
+    relative = path.relative_to(repository)
+    return (Path("warpvox") / relative if relative.parts[0] in MAPPED else relative).as_posix()
+
+
+def shipped_files(repository: Path) -> set[str]:
+    """Every source and data file of the five package folders, by installed name."""
+    return {
+        installed_name(repository, path)
+        for folder in ("warpvox", *MAPPED)
+        for path in (repository / folder).rglob("*")
+        if path.is_file() and (path.suffix == ".py" or path.suffix in DATA_SUFFIXES)
+    }
+
+
+def test_every_package_is_listed(repository: Path, project: dict) -> None:
+    # setuptools cannot discover packages in mapped folders, and an editable install misses none
+    listed = project["tool"]["setuptools"]["packages"]
+    found = {
+        Path(name).parent.as_posix().replace("/", ".")
+        for name in shipped_files(repository)
+        if name.endswith(".py")
+    }
+    assert sorted(listed) == sorted(found)
+    for package in found:
+        assert package.replace(".", "/") + "/__init__.py" in shipped_files(repository)
+
+
+def test_mapped_folders_refuse_a_second_import(repository: Path) -> None:
+    for folder in MAPPED:
+        code = f"import {folder}"
+        run = subprocess.run([sys.executable, "-c", code], cwd=repository, capture_output=True, text=True)
+        assert run.returncode != 0
+        assert f"import this package as warpvox.{folder}" in run.stderr
+
+
+@pytest.fixture(scope="module")
+def wheel(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wheel built from a copy of the checkout, so that no build folder is left behind."""
+    pytest.importorskip("setuptools", minversion="77")
+    copy = tmp_path_factory.mktemp("checkout")
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(repository / name, copy / name)
+    for name in ("warpvox", *MAPPED):
+        shutil.copytree(repository / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    code = "import sys; from setuptools import build_meta; build_meta.build_wheel(sys.argv[1])"
+    out = tmp_path_factory.mktemp("wheel")
+    run = subprocess.run([sys.executable, "-c", code, out], cwd=copy, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    (built,) = out.glob("*.whl")
+    return built
+
+
+def test_the_wheel_holds_every_file_of_the_tree(repository: Path, wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        inside = {name for name in archive.namelist() if ".dist-info/" not in name}
+    assert inside == shipped_files(repository)
+
+
+def test_the_wheel_works_without_the_checkout(wheel: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path)
+    code = (
+        "import importlib.resources as r\n"
+        "import warpvox, warpvox.kernels, warpvox.envs, warpvox.algos, warpvox.configs\n"
+        "print(warpvox.__file__)\n"
+        "print(sum(f.name.endswith('.yaml') for f in r.files('warpvox.configs').iterdir()))\n"
+    )
+    # an editable install of the checkout comes after PYTHONPATH
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
+    place, configs = run.stdout.split()
+    assert Path(place).is_relative_to(tmp_path)
+    assert int(configs) > 0
+
+
+def test_the_version_is_said_once(project: dict, wheel: Path) -> None:
+    assert project["project"]["dynamic"] == ["version"]
+    assert wheel.name.startswith(f"warpvox-{warpvox.__version__}-")
+
+
+def run_python(code: str, cwd: Path) -> str:
+    run = subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
+def test_import_is_fast_and_light(tmp_path: Path) -> None:
+    code = (
+        "import sys, time; start = time.perf_counter(); import warpvox\n"
+        "print(time.perf_counter() - start, *[m for m in sys.modules if '.' not in m])"
+    )
+    seconds = []
+    for _ in range(3):  # the best of three: a busy machine may delay any one of them
+        first, *modules = run_python(code, tmp_path).split()
+        assert not set(HEAVY) & set(modules)
+        seconds.append(float(first))
+    assert min(seconds) < IMPORT_SECONDS
+
+
+def test_designs_and_worlds_need_numpy_only(tmp_path: Path) -> None:
+    code = (
+        "import sys, warpvox as wv\n"
+        "world = wv.World(9, 1); world.add_from_array('robot', wv.sample_design(seed=0), 0, 0)\n"
+        "wv.World.from_json(world.to_json()); wv.load_design('walker'); wv.Physics(); wv.Cell.RIGID\n"
+        "print(*[m for m in sys.modules if '.' not in m])"
+    )
+    assert not set(HEAVY) & set(run_python(code, tmp_path).split())
+
+
+def test_public_names_are_the_same_everywhere(repository: Path) -> None:
+    tree = ast.parse((repository / "warpvox" / "__init__.py").read_text(encoding="utf-8"))
+    guarded = next(node for node in tree.body if isinstance(node, ast.If))
+    for_checkers = {
+        (node.module, alias.name)
+        for node in guarded.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    at_run_time = {(module, name) for module, names in warpvox._PLACES.items() for name in names}
+    assert for_checkers == at_run_time
+    assert set(warpvox.__all__) == {name for _, name in at_run_time} | {"__version__"}
+    assert set(warpvox.__all__) <= set(dir(warpvox))
+
+
+@pytest.mark.parametrize("name", sorted(warpvox.__all__))
+def test_every_public_name_resolves(name: str) -> None:
+    value = getattr(warpvox, name)
+    module = warpvox._HOME.get(name)
+    if module is not None:
+        assert value is getattr(importlib.import_module(module), name)
+        assert value.__doc__
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        warpvox.nonsense  # noqa: B018
+
+
+def test_constraints_pin_what_the_project_asks_for(repository: Path, project: dict) -> None:
+    pinned = set()
+    for line in (repository / "constraints.txt").read_text(encoding="utf-8").splitlines():
+        if line and not line.startswith("#"):
+            name, _, version = line.partition("==")
+            assert version, f"constraints.txt: '{line}' pins no version"
+            assert "+" not in version, f"constraints.txt: '{line}' names one build"
+            pinned.add(normal(name))
+    asked = list(project["project"]["dependencies"])
+    for extra in project["project"]["optional-dependencies"].values():
+        asked += extra
+    assert {normal(entry) for entry in asked} <= pinned
+
+
+def normal(requirement: str) -> str:
+    """The bare name of a requirement, as package indexes compare it."""
+    name = requirement
+    for mark in "[<>=!~; ":
+        name = name.split(mark)[0]
+    return name.lower().replace("_", "-").replace(".", "-")
