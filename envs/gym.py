@@ -9,7 +9,7 @@ import numpy as np
 
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ActionError
+from warpvox.errors import ActionError, ConfigError, listing
 from warpvox.types import ACTION_HIGH, ACTION_LOW, Physics
 
 __all__ = ["VoxelEnv", "register"]
@@ -48,7 +48,8 @@ class VoxelEnv(gymnasium.Env):
         rules, physics, dtype, device: as in :func:`warpvox.make_vec`.
 
     Raises:
-        TaskError, DesignError, WorldError, ConfigError, DeviceError: as :func:`warpvox.make_vec`.
+        TaskError, DesignError, WorldError, DeviceError: as :func:`warpvox.make_vec`. ConfigError: unknown
+            rules or render mode.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 50}  # noqa: RUF012
@@ -66,6 +67,9 @@ class VoxelEnv(gymnasium.Env):
     ) -> None:
         from warpvox.envs.vec_env import make_vec  # brings torch, which registering must not
 
+        modes = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in modes:
+            raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {render_mode!r}.")
         self._vec = make_vec(
             task,
             designs=None if body is None else [body],

@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.lanes import casts, lane_ops
+from warpvox.kernels.lanes import casts, inline, lane_ops
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
@@ -19,7 +19,7 @@ def goals(precision: str, width: int):
     ops, types = lane_ops("float64", width), structs(precision)
     load, store, splat = ops.load, ops.store, ops.splat
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         for s in range(model.springs[design]):
             rest = model.spring_rest[design, s]
@@ -45,7 +45,7 @@ def creep(precision: str, width: int):
     load, mul, root, store = wide.load, wide.mul, wide.root, lane_ops(precision, width).store
     narrow = casts(precision, width).narrow
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         for s in range(model.springs[design]):
             a, b = 2 * model.spring_ends[design, s][0], 2 * model.spring_ends[design, s][1]

@@ -10,7 +10,7 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.lanes import lane_ops
+from warpvox.kernels.lanes import inline, lane_ops
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import OVERFLOW, structs
 
@@ -28,7 +28,7 @@ def boxes(precision: str, width: int):
     ops, types = lane_ops("float64", width), structs(precision)
     load, store, lower, upper = ops.load, ops.store, ops.lower, ops.upper
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         for v in range(model.voxels[design]):
             c = model.corner[design, v]
@@ -49,7 +49,7 @@ def box_overlap(precision: str, width: int):
     ops, types = lane_ops("float64", width), structs(precision)
     load, splat, at_most = ops.load, ops.splat, ops.at_most
 
-    @wp.func
+    @inline
     def overlap(data: types.Data, pack: int, lane: int, i: int, j: int, margin: wp.float64):
         m = splat(margin)
         lanes = at_most(load(data.box, pack, 4 * i, lane), load(data.box, pack, 4 * j + 1, lane) + m)
@@ -79,7 +79,7 @@ def add_pair(precision: str):
                 bits = bits | (1 << c)
         return bits
 
-    @wp.func
+    @inline
     def add(model: types.Model, data: types.Data, design: int, unit: int, i: int, j: int):
         if model.still[design, i] == 1 and model.still[design, j] == 1:
             return
@@ -106,7 +106,7 @@ def collect_all(precision: str, width: int):
     types = structs(precision)
     overlap, add = box_overlap(precision, width), add_pair(precision)
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         data.pair_count[unit] = 0
         n = model.voxels[design]
@@ -124,11 +124,11 @@ def collect_grid(precision: str, width: int):
     types = structs(precision)
     add = add_pair(precision)
 
-    @wp.func
+    @inline
     def slot_of(data: types.Data, x: int, y: int):
         return ((x * 73856093) ^ (y * 19349663)) & (data.grid_head.shape[1] - 1)
 
-    @wp.func
+    @inline
     def cells(data: types.Data, pack: int, k: int, v: int, margin: wp.float64):
         """First and last grid column and row of a voxel's box, half the margin wider; empty if not finite."""
         half = margin * wp.float64(0.5)
@@ -139,7 +139,7 @@ def collect_grid(precision: str, width: int):
             return int(wp.floor(x0 * s)), int(wp.floor(x1 * s)), int(wp.floor(y0 * s)), int(wp.floor(y1 * s))
         return 0, -1, 0, -1
 
-    @wp.func
+    @inline
     def insert(data: types.Data, pack: int, k: int, unit: int, v: int, entries: int, margin: wp.float64):
         """Enter a voxel into its cells; the number of entries after that."""
         n = int(entries)
@@ -156,7 +156,7 @@ def collect_grid(precision: str, width: int):
                 n += 1
         return n
 
-    @wp.func
+    @inline
     def meets(data: types.Data, pack: int, k: int, i: int, j: int, m: wp.float64):
         return (
             data.box[pack, 4 * i, k] <= data.box[pack, 4 * j + 1, k] + m
@@ -165,7 +165,7 @@ def collect_grid(precision: str, width: int):
             and data.box[pack, 4 * j + 2, k] <= data.box[pack, 4 * i + 3, k] + m
         )
 
-    @wp.func
+    @inline
     def mark(data: types.Data, pack: int, k: int, unit: int, v: int, words: int, margin: wp.float64):
         """Set the bits of all pairs (w, v), w < v, that meet in this lane."""
         x0, x1, y0, y1 = cells(data, pack, k, v, margin)
@@ -179,7 +179,7 @@ def collect_grid(precision: str, width: int):
                         data.pair_bit[unit, word] = data.pair_bit[unit, word] | (1 << (v % 32))
                     e = data.grid_next[unit, e]
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         n = model.voxels[design]
         words = (n + 31) // 32
@@ -207,7 +207,7 @@ def collect_grid(precision: str, width: int):
 def lattice_range(precision: str):
     """Function: columns and rows of the terrain lattice under a box that is ``margin`` wider on every side."""
     types = structs(precision)
-    @wp.func
+    @inline
     def span(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int, margin: wp.float64):
         size = model.terrain[design]
         x0, x1 = data.box[pack, 4 * v, k] - margin, data.box[pack, 4 * v + 1, k] + margin
@@ -232,7 +232,7 @@ def collect_near(precision: str, width: int):
     types = structs(precision)
     span = lattice_range(precision)
 
-    @wp.func
+    @inline
     def touches(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int):
         x0, x1, y0, y1 = span(model, data, design, pack, k, v, model.margin)
         for y in range(y0, y1 + 1):
@@ -241,7 +241,7 @@ def collect_near(precision: str, width: int):
                     return 1
         return 0
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         n = int(0)
         for v in range(model.voxels[design]):
@@ -265,7 +265,7 @@ def collect(precision: str, width: int):
     by_grid, by_all = collect_grid(precision, width), collect_all(precision, width)
     near = collect_near(precision, width)
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         if data.drift[unit] + data.drift[unit] >= model.margin:
             if model.voxels[design] >= GRID_FROM:

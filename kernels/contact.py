@@ -10,7 +10,7 @@ import functools
 import warp as wp
 
 from warpvox.kernels.broadphase import DISTANT, lattice_range
-from warpvox.kernels.lanes import REALS, lane_ops
+from warpvox.kernels.lanes import REALS, inline, lane_ops
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
@@ -102,21 +102,21 @@ def resolve(precision: str):
     nearest_side = geometry()
 
     @wp.func
-    def push(data: types.Data, pack: int, k: int, p: int, fx: real, fy: real):
+    def push(out: wp.array3d(dtype=force), pack: int, k: int, p: int, fx: real, fy: real):
         if p >= 0:
-            data.contact[pack, 2 * p, k] = data.contact[pack, 2 * p, k] + force(fx)
-            data.contact[pack, 2 * p + 1, k] = data.contact[pack, 2 * p + 1, k] + force(fy)
+            out[pack, 2 * p, k] = out[pack, 2 * p, k] + force(fx)
+            out[pack, 2 * p + 1, k] = out[pack, 2 * p + 1, k] + force(fy)
 
     @wp.func
-    def speed(data: types.Data, pack: int, k: int, p: int, nx: real, ny: real):
+    def speed(true_vel: wp.array3d(dtype=real), pack: int, k: int, p: int, nx: real, ny: real):
         """True velocity of a point along a direction; terrain stands still."""
         if p < 0:
             return real(0.0)
-        return nx * data.true_vel[pack, 2 * p, k] + ny * data.true_vel[pack, 2 * p + 1, k]
+        return nx * true_vel[pack, 2 * p, k] + ny * true_vel[pack, 2 * p + 1, k]
 
     @wp.func
     def contact(
-        model: types.Model, data: types.Data, pack: int, k: int,
+        law: types.Contact, true_vel: wp.array3d(dtype=real), out: wp.array3d(dtype=force), pack: int, k: int,
         m: quad, m_sides: int, p: int, c: int, r: quad, r_sides: int, r_points: wp.vec4i, times: real,
     ):  # fmt: skip
         side, depth = nearest_side(m, m_sides, c, r, r_sides)
@@ -126,23 +126,23 @@ def resolve(precision: str):
         ux, uy = r[2 * f] - r[2 * side], r[2 * f + 1] - r[2 * side + 1]
         length = wp.sqrt(ux * ux + uy * uy)
         nx, ny = -uy / length, ux / length
-        normal = model.contact_stiffness * (model.contact_depth + depth)
+        normal = law.stiffness * (law.depth + depth)
         half = real(0.5)
         a, b = r_points[side], r_points[f]
         # Friction along t = (-ny, nx): viscous at small slip, at most friction_multiplier * friction * normal.
-        slip = speed(data, pack, k, p, -ny, nx)
-        grip = model.friction * normal
+        slip = speed(true_vel, pack, k, p, -ny, nx)
+        grip = law.friction * normal
         drag = real(0.0)
         if slip != real(0.0):
-            drag = -model.friction_multiplier * grip * wp.tanh(slip / grip)
+            drag = -law.friction_multiplier * grip * wp.tanh(slip / grip)
         fx, fy = times * (nx * normal - ny * drag), times * (ny * normal + nx * drag)
-        damp = times * model.contact_damping
-        dp = damp * speed(data, pack, k, p, nx, ny)
-        da = damp * speed(data, pack, k, a, nx, ny)
-        db = damp * speed(data, pack, k, b, nx, ny)
-        push(data, pack, k, p, fx - nx * dp, fy - ny * dp)
-        push(data, pack, k, a, -(fx + nx * da) * half, -(fy + ny * da) * half)
-        push(data, pack, k, b, -(fx + nx * db) * half, -(fy + ny * db) * half)
+        damp = times * law.damping
+        dp = damp * speed(true_vel, pack, k, p, nx, ny)
+        da = damp * speed(true_vel, pack, k, a, nx, ny)
+        db = damp * speed(true_vel, pack, k, b, nx, ny)
+        push(out, pack, k, p, fx - nx * dp, fy - ny * dp)
+        push(out, pack, k, a, -(fx + nx * da) * half, -(fy + ny * da) * half)
+        push(out, pack, k, b, -(fx + nx * db) * half, -(fy + ny * db) * half)
 
     return contact
 
@@ -152,7 +152,7 @@ def voxel_frame(precision: str):
     """Function: a voxel as a quad."""
     types = structs(precision)
 
-    @wp.func
+    @inline
     def frame(data: types.Data, pack: int, k: int, c: wp.vec4i):
         q = quad()
         four = int(4)
@@ -171,7 +171,7 @@ def voxel_contacts(precision: str, width: int):
     load, at_most, first, drop = ops.load, ops.at_most, ops.first, ops.drop
     contact, frame = resolve(precision), voxel_frame(precision)
 
-    @wp.func
+    @inline
     def corner_hits(data: types.Data, pack: int, lane: int, p: int, r: int):
         """Lanes in which point p is in the box of voxel r."""
         x, y = load(data.pos, pack, 2 * p, lane), load(data.pos, pack, 2 * p + 1, lane)
@@ -181,16 +181,16 @@ def voxel_contacts(precision: str, width: int):
         lanes = lanes & at_most(load(data.box, pack, 4 * r + 2, lane), y)
         return lanes & at_most(y, load(data.box, pack, 4 * r + 3, lane))
 
-    @wp.func
+    @inline
     def touch(
         model: types.Model, data: types.Data, design: int, pack: int, k: int, i: int, j: int, c: int, times: real
     ):
         mc, rc = model.corner[design, i], model.corner[design, j]
         m, r = frame(data, pack, k, mc), frame(data, pack, k, rc)
         sides = model.side[design, j]
-        contact(model, data, pack, k, m, model.side[design, i], mc[c], c, r, sides, rc, times)
+        contact(model.contact, data.true_vel, data.contact, pack, k, m, model.side[design, i], mc[c], c, r, sides, rc, times)
 
-    @wp.func
+    @inline
     def one_way(
         model: types.Model, data: types.Data, design: int, pack: int, lane: int,
         i: int, j: int, corners: int, times: real, active: int,
@@ -204,7 +204,7 @@ def voxel_contacts(precision: str, width: int):
                     touch(model, data, design, pack, lane + first(lanes), i, j, c, times)
                     lanes = drop(lanes)
 
-    @wp.func
+    @inline
     def stage(
         model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, active: int
     ):
@@ -213,8 +213,11 @@ def voxel_contacts(precision: str, width: int):
             i, j = pair[0], pair[1]
             # Inside one object each pair is met twice.
             times = wp.where(model.body[design, i] == model.body[design, j], real(2.0), real(1.0))
-            one_way(model, data, design, pack, lane, i, j, pair[2] & (DISTANT - 1), times, active)
-            one_way(model, data, design, pack, lane, j, i, pair[3], times, active)
+            corners = pair[2] & (DISTANT - 1)
+            ways = int(2)
+            for way in range(ways):
+                one_way(model, data, design, pack, lane, i, j, corners, times, active)
+                i, j, corners = pair[1], pair[0], pair[3]
 
     return stage
 
@@ -226,7 +229,7 @@ def terrain_contacts(precision: str, width: int):
     first, drop = ops.first, ops.drop
     contact, frame, span = resolve(precision), voxel_frame(precision), lattice_range(precision)
 
-    @wp.func
+    @inline
     def cell_quad(model: types.Model, design: int, cell: int):
         x0, x1 = model.terrain_box[design, cell, 0], model.terrain_box[design, cell, 1]
         y0, y1 = model.terrain_box[design, cell, 2], model.terrain_box[design, cell, 3]
@@ -236,7 +239,7 @@ def terrain_contacts(precision: str, width: int):
     def holds(x0: real, x1: real, y0: real, y1: real, x: real, y: real):
         return x0 <= x and x <= x1 and y0 <= y and y <= y1
 
-    @wp.func
+    @inline
     def with_cell(
         model: types.Model, data: types.Data, pack: int, k: int,
         m: quad, m_sides: int, mc: wp.vec4i, r: quad, r_sides: int,
@@ -251,12 +254,12 @@ def terrain_contacts(precision: str, width: int):
         four = int(4)
         for c in range(four):
             if holds(r[0], r[2], r[5], r[1], m[2 * c], m[2 * c + 1]):
-                contact(model, data, pack, k, m, m_sides, mc[c], c, r, r_sides, none, one)
+                contact(model.contact, data.true_vel, data.contact, pack, k, m, m_sides, mc[c], c, r, r_sides, none, one)
         for c in range(four):
             if holds(x0, x1, y0, y1, r[2 * c], r[2 * c + 1]):
-                contact(model, data, pack, k, r, r_sides, -1, c, m, m_sides, mc, one)
+                contact(model.contact, data.true_vel, data.contact, pack, k, r, r_sides, -1, c, m, m_sides, mc, one)
 
-    @wp.func
+    @inline
     def with_terrain(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int):
         cx0, cx1, cy0, cy1 = span(model, data, design, pack, k, v, real(0.0))
         loaded = int(0)
@@ -272,7 +275,7 @@ def terrain_contacts(precision: str, width: int):
                         loaded = 1
                     with_cell(model, data, pack, k, m, model.side[design, v], mc, cell_quad(model, design, cell), sides)
 
-    @wp.func
+    @inline
     def stage(
         model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, active: int
     ):
@@ -293,7 +296,7 @@ def contacts(precision: str, width: int):
     zero, store, splat = ops.real, ops.store, ops.splat
     with_voxels, with_terrain = voxel_contacts(precision, width), terrain_contacts(precision, width)
 
-    @wp.func
+    @inline
     def active_lanes(data: types.Data, pack: int, lane: int):
         mask = int(0)
         for k in range(int(width)):
@@ -301,7 +304,7 @@ def contacts(precision: str, width: int):
                 mask = mask | (1 << k)
         return mask
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         for r in range(2 * model.points[design]):
             store(data.contact, pack, r, lane, splat(zero(0.0)))

@@ -8,7 +8,7 @@ import functools
 import warp as wp
 
 from warpvox.kernels.broadphase import DISTANT, box_overlap
-from warpvox.kernels.lanes import lane_ops
+from warpvox.kernels.lanes import inline, lane_ops
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import UNSTABLE, structs
 
@@ -20,20 +20,20 @@ def check(precision: str, width: int):
     first, drop = ops.first, ops.drop
     overlap = box_overlap(precision, width)
 
-    @wp.func
+    @inline
     def clear(data: types.Data, pack: int, lane: int, robots: int):
         for robot in range(robots):
             for k in range(lane, lane + int(width)):
                 data.folds[pack, robot, k] = 0
 
-    @wp.func
+    @inline
     def judge(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         for robot in range(model.robots[design]):
             for k in range(lane, lane + int(width)):
                 if data.folds[pack, robot, k] > model.fold_limit[design, robot]:
                     data.status[pack, k] = data.status[pack, k] | UNSTABLE
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         found = int(0)
         for n in range(data.pair_count[unit]):

@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.lanes import casts, lane_ops
+from warpvox.kernels.lanes import casts, inline, lane_ops
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
@@ -20,7 +20,7 @@ def outer_forces(precision: str, width: int):
     real, load, store, splat = ops.real, ops.load, ops.store, ops.splat
     at_most, first, drop = ops.at_most, ops.first, ops.drop
 
-    @wp.func
+    @inline
     def stand(model: types.Model, data: types.Data, pack: int, p: int, lane: int, y: real):
         normal = -model.floor_stiffness * wp.float64(y)
         grip = model.friction * normal
@@ -29,7 +29,7 @@ def outer_forces(precision: str, width: int):
         data.force[pack, 2 * p, lane] = data.force[pack, 2 * p, lane] - drag
         data.force[pack, 2 * p + 1, lane] = data.force[pack, 2 * p + 1, lane] + real(normal)
 
-    @wp.func
+    @inline
     def outer(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         weight = splat(model.gravity)
         for p in range(model.points[design]):
@@ -54,7 +54,7 @@ def spring_forces(precision: str, width: int):
     ops, types = lane_ops(precision, width), structs(precision)
     real, load, store, mul, div, root = ops.real, ops.load, ops.store, ops.mul, ops.div, ops.root
 
-    @wp.func
+    @inline
     def springs(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         for s in range(model.springs[design]):
             ends = model.spring_ends[design, s]
@@ -89,7 +89,7 @@ def runge_kutta(precision: str, width: int):
     outer = outer_forces(precision, width)
     springs = spring_forces(precision, width)
 
-    @wp.func
+    @inline
     def start(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         zero = splat(real(0.0))
         for r in range(2 * model.points[design]):
@@ -102,7 +102,7 @@ def runge_kutta(precision: str, width: int):
         for p in range(model.points[design]):
             store(data.height, pack, p, lane, narrow(load_state(data.pos, pack, 2 * p + 1, lane)))
 
-    @wp.func
+    @inline
     def slope(
         model: types.Model, data: types.Data, design: int, pack: int, lane: int, weight: real, bend: real, ahead: real
     ):
@@ -116,7 +116,7 @@ def runge_kutta(precision: str, width: int):
             store(data.disp, pack, r, lane, load(data.stage_vel, pack, r, lane) * ahead)
             store(data.stage_vel, pack, r, lane, load(data.start_vel, pack, r, lane) + force * ahead)
 
-    @wp.func
+    @inline
     def finish(data: types.Data, pack: int, r: int, lane: int, dt: wp.float64, free: wp.float64):
         """x += dt v + dt^2 / 6 (a1 + a2 + a3) and v += dt / 6 (a1 + 2 a2 + 2 a3 + a4), in float64."""
         velocity = load_state(data.vel, pack, r, lane)
@@ -126,7 +126,7 @@ def runge_kutta(precision: str, width: int):
         store(data.disp, pack, r, lane, narrow(move))
         store_state(data.vel, pack, r, lane, velocity + widen(load(data.sum_vel, pack, r, lane)) * sixth)
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         start(model, data, design, pack, lane)
         step = real(dt)
@@ -152,7 +152,7 @@ def advance(precision: str, width: int):
     ops, types = lane_ops("float64", width), structs(precision)
     load, store, splat, grow, largest = ops.load, ops.store, ops.splat, ops.grow, ops.largest
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         path = splat(wp.float64(0.0))
         for r in range(2 * model.points[design]):

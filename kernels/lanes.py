@@ -18,6 +18,9 @@ import warp as wp
 REALS = {"float32": wp.float32, "float64": wp.float64}
 MAX_WIDTH = 32  # a mask of lanes is one 32-bit integer
 
+# Warp passes structs by value: a call that is not inlined copies all of Model and Data.
+inline = functools.partial(wp.func, inline=True)
+
 _C_NAMES = {wp.float32: "float", wp.float64: "double"}
 
 

@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.lanes import lane_ops
+from warpvox.kernels.lanes import inline, lane_ops
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import NOT_FINITE, UNSTABLE, structs
 
@@ -17,7 +17,7 @@ def save(precision: str, width: int):
     ops, types = lane_ops("float64", width), structs(precision)
     load, store = ops.load, ops.store
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         for r in range(2 * model.points[design]):
             store(data.saved_pos, pack, r, lane, load(data.pos, pack, r, lane))
@@ -32,14 +32,14 @@ def settle(precision: str, width: int):
     ops, types = lane_ops("float64", width), structs(precision)
     load, finite, full = ops.load, ops.finite, ops.full
 
-    @wp.func
+    @inline
     def restore(model: types.Model, data: types.Data, design: int, pack: int, k: int):
         for r in range(2 * model.points[design]):
             data.pos[pack, r, k] = data.saved_pos[pack, r, k]
             data.vel[pack, r, k] = data.saved_vel[pack, r, k]
             data.true_vel[pack, r, k] = data.saved_true_vel[pack, r, k]
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         sound = int(full)
         for r in range(2 * model.points[design]):

@@ -48,20 +48,11 @@ MODEL = {
     "terrain_box": (STATE, "design cell 4", "left, right, bottom, top of the cell"),
 }
 
-CONSTANTS = {name: REAL for name in ("gravity", "drag")} | {
-    name: STATE
-    for name in (
-        "actuation_rate",
-        "contact_stiffness",
-        "contact_depth",
-        "contact_damping",
-        "friction",
-        "friction_multiplier",
-        "floor_stiffness",
-        "floor_friction",
-        "margin",
-    )
-}
+CONSTANTS = {"gravity": REAL, "drag": REAL} | dict.fromkeys(
+    ("actuation_rate", "friction", "floor_stiffness", "floor_friction", "margin"), STATE
+)
+# A struct of its own: the contact function is too large to be inlined and is called with as little as it needs.
+CONTACT = dict.fromkeys(("stiffness", "depth", "damping", "friction", "friction_multiplier"), STATE)
 
 DATA = {
     "pos": (STATE, "pack 2*point lane", "position"),
@@ -114,7 +105,7 @@ def rows(shape: str, sizes: dict[str, int]) -> tuple[int, ...]:
 
 @functools.cache
 def structs(precision: str) -> SimpleNamespace:
-    """The Warp structs ``Model`` and ``Data`` for a precision."""
+    """The Warp structs ``Model``, ``Data`` and ``Contact`` (constants of contacts) for a precision."""
     real = REALS[precision]
 
     def struct(name, table, scalars):
@@ -122,7 +113,9 @@ def structs(precision: str) -> SimpleNamespace:
         fields.update({k: real if t is REAL else t for k, t in scalars.items()})
         return wp.struct(type(f"{name}_{precision}", (), {"__annotations__": fields, "__module__": __name__}))
 
-    return SimpleNamespace(Model=struct("Model", MODEL, CONSTANTS), Data=struct("Data", DATA, {}))
+    contact = struct("Contact", {}, CONTACT)
+    model = struct("Model", MODEL, CONSTANTS | {"contact": contact})
+    return SimpleNamespace(Model=model, Data=struct("Data", DATA, {}), Contact=contact)
 
 
 def allocate(table, sizes, precision, device) -> dict[str, wp.array]:

@@ -12,7 +12,7 @@ from warpvox.kernels.broadphase import boxes, collect
 from warpvox.kernels.contact import contacts
 from warpvox.kernels.folding import check
 from warpvox.kernels.integrate import advance, runge_kutta
-from warpvox.kernels.lanes import REALS
+from warpvox.kernels.lanes import REALS, inline
 from warpvox.kernels.launch import EXACT
 from warpvox.kernels.reset import save, settle
 from warpvox.kernels.state import structs
@@ -28,7 +28,7 @@ def step_kernel(precision: str, width: int) -> wp.Kernel:
     begin, aim, end = save(precision, width), goals(precision, width), settle(precision, width)
     bound, gather, touch, pull, move, strain, place, fold = (build(precision, width) for build in SUBSTEP)
 
-    @wp.func
+    @inline
     def idle(data: types.Data, pack: int, lane: int):
         still = int(1)
         for k in range(lane, lane + int(width)):

@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.lanes import casts, lane_ops
+from warpvox.kernels.lanes import casts, inline, lane_ops
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
@@ -24,13 +24,13 @@ def limit(precision: str, width: int):
     at_most, upper, lower = ops.at_most, ops.upper, ops.lower
     load_state, store_state, widen = wide.load, wide.store, casts(precision, width).widen
 
-    @wp.func
+    @inline
     def across(data: types.Data, pack: int, row: int, a: int, b: int, lane: int):
         """One component of a displaced spring."""
         shift = load(data.disp, pack, b, lane) - load(data.disp, pack, a, lane)
         return load(data.span, pack, row, lane) + shift
 
-    @wp.func
+    @inline
     def is_strained(model: types.Model, data: types.Data, design: int, pack: int, s: int, lane: int, bound: real):
         """Whether a spring is beyond the bound in any lane."""
         a, b = 2 * model.spring_ends[design, s][0], 2 * model.spring_ends[design, s][1]
@@ -41,7 +41,7 @@ def limit(precision: str, width: int):
         shortest = real(model.spring_rest[design, s]) * (real(1.0) - bound)
         return (at_most(splat(longest * longest), square) | at_most(square, splat(shortest * shortest))) != 0
 
-    @wp.func
+    @inline
     def correction(
         model: types.Model, data: types.Data, design: int, pack: int, s: int, lane: int, bound: real, share: real
     ):
@@ -57,12 +57,12 @@ def limit(precision: str, width: int):
         part = div(excess * (real(0.5) * share), length)
         return mul(ex, part), mul(ey, part)
 
-    @wp.func
+    @inline
     def shift(data: types.Data, a: wp.array3d(dtype=real), pack: int, p: int, lane: int, dx: ops.value, dy: ops.value):
         store(a, pack, 2 * p, lane, load(a, pack, 2 * p, lane) + dx)
         store(a, pack, 2 * p + 1, lane, load(a, pack, 2 * p + 1, lane) + dy)
 
-    @wp.func
+    @inline
     def collect(model: types.Model, data: types.Data, design: int, pack: int, lane: int, clear: bool):
         """Clear the corrections in ``force``, which is free after the integration, or take them into ``move``."""
         for r in range(2 * model.points[design]):
@@ -72,7 +72,7 @@ def limit(precision: str, width: int):
                 change = widen(load(data.force, pack, r, lane))
                 store_state(data.move, pack, r, lane, load_state(data.move, pack, r, lane) + change)
 
-    @wp.func
+    @inline
     def all_springs(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         found = int(0)
         for s in range(model.springs[design]):
@@ -91,7 +91,7 @@ def limit(precision: str, width: int):
                 store(data.disp, pack, r, lane, load(data.disp, pack, r, lane) + load(data.force, pack, r, lane))
             collect(model, data, design, pack, lane, False)
 
-    @wp.func
+    @inline
     def rigid_sides(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         found = int(0)
         for n in range(model.rigids[design]):
@@ -111,7 +111,7 @@ def limit(precision: str, width: int):
         if found == 1:
             collect(model, data, design, pack, lane, False)
 
-    @wp.func
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         all_springs(model, data, design, pack, lane)
         rigid_sides(model, data, design, pack, lane)

@@ -19,7 +19,7 @@ from warpvox.kernels import step as step_stage
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.reset import STALE
-from warpvox.kernels.state import CONSTANTS, DATA, MODEL, NOT_FINITE, OVERFLOW, REAL, UNSTABLE, allocate, structs
+from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, NOT_FINITE, OVERFLOW, REAL, UNSTABLE, allocate, structs
 from warpvox.types import ACTION_HIGH, ACTION_LOW, DT, SUBSTEPS, VOXEL, Physics
 from warpvox.world import World
 
@@ -454,6 +454,10 @@ def _allocate(sim: Simulation, index: list[int], precision: str, lanes: int) -> 
             setattr(struct, name, array)
     for name in CONSTANTS:
         setattr(state.model, name, MARGIN if name == "margin" else getattr(sim.physics, name))
+    contact = types.Contact()
+    for name in CONTACT:
+        setattr(contact, name, getattr(sim.physics, name if name.startswith("friction") else f"contact_{name}"))
+    state.model.contact = contact
     # Lanes without an environment hold the design at rest, frozen.
     home = wp.to_torch(model["home"])[torch.as_tensor(pack_design, device=sim.device)]
     wp.to_torch(data["pos"]).copy_(home[:, :, None].expand(-1, -1, lanes))

@@ -1,6 +1,6 @@
 """Runs recordings of the reference through our environments and says how far apart the two are.
 
-A recording file holds several runs of one task; ``record.py`` beside this file tells the format and makes more.
+A recording file holds several runs of one task, as ``record.py`` beside this file writes them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 
 @dataclass(frozen=True)
 class Run:
-    """One recorded episode: ``info`` is its entry in the file's list of runs, ``arrays`` what was recorded."""
+    """One recorded episode: ``info`` is its entry in the file's list, ``arrays`` what was recorded."""
 
     task: str
     index: int
@@ -111,7 +111,7 @@ def position_error(run: Run, ours: Replay) -> np.ndarray:
 
 
 def obs_error(run: Run, ours: Replay) -> tuple[np.ndarray, np.ndarray]:
-    """float64 ``[steps + 1]`` twice: largest difference of any entry but angles, and of angles modulo 2 pi."""
+    """float64 ``[steps + 1]`` twice: largest difference of entries but angles, and of angles modulo 2 pi."""
     rows = min(len(run.arrays["obs"]), len(ours.obs))
     gap = np.abs(run.arrays["obs"][:rows] - ours.obs[:rows])
     turned = gap[:, ours.angles]

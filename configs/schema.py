@@ -1,0 +1,216 @@
+"""The keys of every command: type, meaning, range. Values that depend on a choice stand in the YAML files.
+
+The command line composes these dataclasses with the YAML files beside them, checks types, choices and ranges
+against the metadata below, and prints the same metadata as ``warpvox COMMAND --help``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field, make_dataclass
+from typing import Any
+
+from warpvox.types import Physics
+
+__all__ = [
+    "COMMANDS",
+    "GROUPS",
+    "MISSING",
+    "BenchConfig",
+    "DemoConfig",
+    "ExportConfig",
+    "PhysicsConfig",
+    "PlayConfig",
+    "PpoConfig",
+    "TrainConfig",
+]
+
+MISSING: Any = "???"
+"""A key without a value of its own: one of the group's YAML files must set it."""
+
+ACTIVATIONS = ("tanh", "elu", "relu", "selu", "gelu", "swish")
+EXPORTS = ("usd", "gif", "html")
+AUTO = "auto"
+
+
+def key(
+    default: Any,
+    meaning: str,
+    *,
+    choices: tuple[str, ...] | None = None,
+    low: float | None = None,
+    above: float | None = None,
+    high: float | None = None,
+) -> Any:
+    """A field that knows its meaning and valid values: ``low <= value <= high`` and ``value > above``."""
+    limits = {"choices": choices, "low": low, "above": above, "high": high}
+    metadata = {"help": meaning} | {name: limit for name, limit in limits.items() if limit is not None}
+    if isinstance(default, list):
+        return field(default_factory=lambda: list(default), metadata=metadata)
+    if isinstance(default, type):
+        return field(default_factory=default, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+def _physics_fields() -> list[tuple[str, Any, Any]]:
+    """One optional key per constant of :class:`warpvox.types.Physics`; null keeps the preset's value."""
+    presets = (AUTO, *Physics.presets())
+    fields = [("preset", str, key(AUTO, "preset to start from; auto: that of the rules", choices=presets))]
+    for constant in dataclasses.fields(Physics):
+        if constant.name == "name":
+            continue
+        is_text = isinstance(constant.default, str)
+        meaning = f"instead of the preset's {constant.name.replace('_', ' ')}"
+        fields.append((constant.name, (str if is_text else float) | None, key(None, meaning)))
+    return fields
+
+
+PhysicsConfig = make_dataclass("PhysicsConfig", _physics_fields(), namespace={"__module__": __name__})
+"""Keys ``physics.*``: a preset, and constants that differ from it (paper section A, Table 1)."""
+
+
+@dataclass
+class PpoConfig:
+    """Keys ``ppo.*``: policy, value function and their optimisation."""
+
+    steps: int = key(MISSING, "control steps of each environment in an iteration", low=1)
+    epochs: int = key(MISSING, "passes over the data of an iteration", low=1)
+    minibatches: int = key(MISSING, "parts into which a pass is cut", low=1)
+    gamma: float = key(MISSING, "discount of a control step", low=0, high=1)
+    lam: float = key(MISSING, "lambda of generalised advantage estimation", low=0, high=1)
+    clip: float = key(MISSING, "clip range of the probability ratio (and of value changes)", above=0)
+    clip_values: bool = key(MISSING, "clip changes of the value function")
+    value_coef: float = key(MISSING, "weight of the value loss", low=0)
+    entropy_coef: float = key(MISSING, "weight of the entropy bonus", low=0)
+    max_grad_norm: float = key(MISSING, "gradients are scaled down to this norm", above=0)
+    learning_rate: float = key(MISSING, "step size of Adam (at the start)", above=0)
+    schedule: str = key(
+        MISSING,
+        "of the learning rate: fixed, linear decay to 0, or adaptive to the KL divergence",
+        choices=("fixed", "linear", "adaptive"),
+    )
+    desired_kl: float = key(MISSING, "KL divergence of an update that the adaptive schedule aims at", above=0)
+    adam_eps: float = key(MISSING, "epsilon of Adam", above=0)
+    hidden: list[int] = key([64, 64], "units of the hidden layers of both networks", low=1)
+    activation: str = key(MISSING, "of the hidden layers", choices=ACTIVATIONS)
+    init_std: float = key(MISSING, "standard deviation of exploration at the start, in units of a", above=0)
+    action_scale: float = key(0.5, "an action is 1.1 + action_scale * a for the policy's output a", above=0)
+    normalize_obs: bool = key(MISSING, "scale observations by their running mean and deviation")
+    reward_scale: float = key(MISSING, "factor of the rewards that PPO sees", above=0)
+    normalize_reward: bool = key(MISSING, "divide rewards by the running deviation of the discounted return")
+    bootstrap_time_limit: bool = key(MISSING, "a time limit ends the episode, not the future: add its value")
+    random_start: bool = key(MISSING, "spread the ends of the first episodes over time")
+
+
+@dataclass
+class TrainConfig:
+    """Keys of ``warpvox train``."""
+
+    task: str = key("Walker-v0", "task id; `warpvox tasks` lists them")
+    design: Any = key(
+        "walker", "body: name of an example, random, random:5x7, a .json/.npz/.npy file, or rows of cells"
+    )
+    rules: str = key(
+        "evogym", "the benchmark as released (evogym) or as printed (paper)", choices=("evogym", "paper")
+    )
+    physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the dynamics")
+    ppo: PpoConfig = key(PpoConfig, "training method")
+    num_envs: int = key(MISSING, "environments stepped together", low=1)
+    max_iterations: int = key(MISSING, "iterations in all, those before a resume included", low=1)
+    eval_interval: int = key(MISSING, "iterations between deterministic evaluations", low=1)
+    eval_envs: int = key(1, "environments of an evaluation, for each design", low=1)
+    stop_return: float | None = key(None, "stop as soon as an evaluation reaches this return")
+    save_interval: int = key(50, "iterations between checkpoints", low=1)
+    seed: int = key(0, "governs everything random", low=0)
+    device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
+    dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
+    threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
+    lanes: int | None = key(None, "environments that a thread advances at once; null: chosen by size")
+    torch_threads: int = key(1, "threads of PyTorch; more than 1 slows small networks down", low=1)
+    resume: str | None = key(None, "go on with a run: latest, its folder or its number of a checkpoint file")
+    name: str | None = key(None, "appended to the name of the run's folder")
+    output_dir: str = key("outputs", "folder that runs are written to")
+
+
+@dataclass
+class DemoConfig(TrainConfig):
+    """Keys of ``warpvox demo``: training, then the exports."""
+
+    export: list[str] = key(["usd", "gif", "html"], "what to write of the rollout", choices=EXPORTS)
+
+
+@dataclass
+class _RolloutConfig:
+    """What play and export share."""
+
+    run: str = key("latest", "latest, the folder of a run, or a checkpoint file")
+    checkpoint: str = key("best", "of that run: best, last, or an iteration")
+    steps: int | None = key(None, "control steps to record; null: until the episode ends", low=1)
+    device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
+    dtype: str | None = key(
+        None, "precision of the simulation; null: that of the run", choices=("float32", "float64")
+    )
+    seed: int = key(0, "governs everything random", low=0)
+    threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
+    torch_threads: int = key(1, "threads of PyTorch", low=1)
+    name: str | None = key(None, "appended to the name of the result's folder")
+    output_dir: str = key("outputs", "folder that runs are written to and looked up in")
+
+
+@dataclass
+class PlayConfig(_RolloutConfig):
+    """Keys of ``warpvox play``."""
+
+    num_envs: int = key(4, "environments; a multiple of the run's number of designs", low=1)
+    export: list[str] = key([], "what to write of the rollout: usd, gif, html", choices=EXPORTS)
+
+
+@dataclass
+class ExportConfig(_RolloutConfig):
+    """Keys of ``warpvox export``."""
+
+    num_envs: int = key(1, "environments; a multiple of the run's number of designs", low=1)
+    format: Any = key("usd", "usd, gif, html, or a list of them: [usd,gif]")
+
+
+@dataclass
+class PeerConfig:
+    """Keys ``peer.*``: the reference implementation to compare with."""
+
+    python: str | None = key(None, "interpreter of an environment that has evogym 2.0.0 installed")
+    steps: int = key(150, "control steps of a timed repetition of the reference", low=1)
+
+
+@dataclass
+class BenchConfig:
+    """Keys of ``warpvox bench``."""
+
+    suite: str = key(
+        "peer", "peer: beside the reference; step: ours alone, by part", choices=("peer", "step")
+    )
+    task: str = key("Walker-v0", "task id")
+    design: Any = key("walker", "body, as for train")
+    num_envs: int = key(512, "environments stepped together", low=1)
+    steps: int = key(40, "control steps of a timed repetition", low=1)
+    repeats: int = key(5, "repetitions, of which the median counts", low=1)
+    device: str = key("cpu", "auto, cpu, cuda, cuda:<index>")
+    dtype: str = key("float32", "precision that is timed", choices=("float32", "float64"))
+    threads: int = key(1, "threads of the simulation on the CPU", low=1)
+    torch_threads: int = key(1, "threads of PyTorch", low=1)
+    seed: int = key(0, "of the random actions", low=0)
+    peer: PeerConfig = key(PeerConfig, "the reference")
+    name: str | None = key(None, "appended to the name of the result's folder")
+    output_dir: str = key("outputs", "folder that results are written to")
+
+
+COMMANDS: dict[str, type] = {
+    "train": TrainConfig,
+    "demo": DemoConfig,
+    "play": PlayConfig,
+    "export": ExportConfig,
+    "bench": BenchConfig,
+}
+"""Commands that take keys, and the dataclass of each."""
+
+GROUPS = ("physics", "ppo")
+"""Keys that also take the name of a YAML file in the folder of the same name."""

@@ -1,0 +1,194 @@
+"""A :class:`VoxelVecEnv` as rsl-rl's runners want it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+
+from warpvox.envs.state import State
+from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.errors import ConfigError
+
+__all__ = ["ACTION_CENTER", "ACTION_SCALE", "OBS_GROUP", "RslRlVecEnv"]
+
+ACTION_CENTER = 1.1
+"""The middle of the range of actions: what a policy's output of 0 means."""
+ACTION_SCALE = 0.5
+"""Half of that range: outputs of -1 and 1 are its ends."""
+OBS_GROUP = "policy"
+"""rsl-rl's name for the one group of observations that there is."""
+
+REWARD_CLIP = 10.0
+REWARD_EPS = 1e-8
+
+
+class RslRlVecEnv(VecEnv):
+    """Adapter: what the policy puts out becomes actions, rewards are scaled, ends are sorted by their cause.
+
+    ``extras`` of a step hold ``log`` (means of this step for TensorBoard) and, if time limits are to be
+    bootstrapped, ``time_outs`` (bool ``[num_envs]``: ended by the time limit alone) with ``final_obs``
+    (TensorDict: the last observations of what ended). Episodes that the task stopped, self-folding included,
+    have been reset by the environment. All tensors are fresh.
+
+    Args:
+        env: made with ``auto_reset=True``.
+        action_scale: an action is ``1.1 + action_scale * a``, clipped to [0.6, 1.6] by the environment.
+        reward_scale: factor of the rewards (those in ``log`` and :meth:`pop_episodes` stay as they are).
+        reward_gamma: if given, rewards are divided by the running standard deviation of the return discounted
+            with it, and clipped to +-10.
+        bootstrap_time_limit: report ``time_outs``. Without, a time limit counts as an end like any other.
+
+    Raises:
+        ConfigError: ``env`` does not reset by itself.
+    """
+
+    def __init__(
+        self,
+        env: VoxelVecEnv,
+        *,
+        action_scale: float = ACTION_SCALE,
+        reward_scale: float = 1.0,
+        reward_gamma: float | None = None,
+        bootstrap_time_limit: bool = True,
+    ) -> None:
+        if not env.auto_reset:
+            raise ConfigError("Training needs environments that reset themselves: make_vec(auto_reset=True).")
+        self.env = env
+        self.num_envs, self.num_actions = env.num_envs, env.num_actions
+        self.max_episode_length = env.max_episode_steps
+        self.device = env.device
+        self.cfg = {"task": env.spec.id, "rules": env.rules}
+        self.action_scale, self.reward_scale = action_scale, reward_scale
+        self.bootstrap_time_limit = bootstrap_time_limit
+        self.reward_norm = (
+            None if reward_gamma is None else _ReturnScale(env.num_envs, reward_gamma, env.device)
+        )
+        # The length that random starts pretend is none that the policy has lived through.
+        self._shortened = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+        self._clear_episodes()
+        self._obs = env.reset()[0]
+
+    @property
+    def episode_length_buf(self) -> torch.Tensor:
+        """long ``[num_envs]``: control steps of the episode so far. rsl-rl assigns it to spread the ends."""
+        return self.env.episode_length
+
+    @episode_length_buf.setter
+    def episode_length_buf(self, lengths: torch.Tensor) -> None:
+        self.env.episode_length = lengths.to(self.env.episode_length)
+        self._shortened = torch.ones_like(self._shortened)
+
+    def get_observations(self) -> TensorDict:
+        """The current observations, group ``policy``: float32 ``[num_envs, num_obs]``."""
+        return self._group(self._obs)
+
+    def reset(self) -> TensorDict:
+        """Begin new episodes everywhere."""
+        self._obs, _ = self.env.reset()
+        self._shortened = torch.zeros_like(self._shortened)
+        return self.get_observations()
+
+    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """One control step; ``actions`` ``[num_envs, num_actions]`` are outputs of the policy."""
+        obs, reward, terminated, truncated, info = self.env.step(ACTION_CENTER + self.action_scale * actions)
+        self._obs = obs
+        done = terminated | truncated
+        self._count(info["episode"], done)
+        extras: dict[str, Any] = {"log": self._log(info)}
+        if self.bootstrap_time_limit:
+            extras["time_outs"] = truncated & ~terminated
+            extras["final_obs"] = self._group(info["final_obs"])
+        reward = reward.float()
+        if self.reward_norm is not None:
+            reward = self.reward_norm(reward, done)
+        return self._group(obs), reward * self.reward_scale, done, extras
+
+    def _group(self, obs: torch.Tensor) -> TensorDict:
+        return TensorDict({OBS_GROUP: obs.float()}, batch_size=[self.num_envs], device=self.device)
+
+    @staticmethod
+    def _log(info: dict[str, Any]) -> dict[str, torch.Tensor]:
+        log = {f"Reward/{name}": values.mean() for name, values in info["reward_terms"].items()}
+        return log | {"Episode/unstable": info["unstable"].float().mean()}
+
+    def _clear_episodes(self) -> None:
+        self._sums = torch.zeros(3, dtype=torch.float64, device=self.device)
+
+    def _count(self, episode: dict[str, torch.Tensor], done: torch.Tensor) -> None:
+        whole = done & ~self._shortened
+        parts = (whole, episode["return"] * whole, episode["length"] * whole)
+        self._sums = self._sums + torch.stack([part.sum(dtype=torch.float64) for part in parts])
+        self._shortened = self._shortened & ~done
+
+    def pop_episodes(self) -> dict[str, float]:
+        """``episodes`` (how many ended since the last call), their mean ``return`` and ``length`` (NaN for none).
+
+        Returns are the task's own, not scaled. Episodes that were shortened for a random start do not count.
+        """
+        count, total, length = self._sums.tolist()
+        self._clear_episodes()
+        if not count:
+            return {"episodes": 0, "return": float("nan"), "length": float("nan")}
+        return {"episodes": int(count), "return": total / count, "length": length / count}
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes, as tensors: what :meth:`set_state` takes back."""
+        env = self.env
+        return {
+            "sim": env.sim.state(),
+            "episode_length": env.episode_length.clone(),
+            "episode_return": env._return.clone(),
+            "obs": self._obs.clone(),
+            "shortened": self._shortened.clone(),
+            "sums": self._sums.clone(),
+            "reward_norm": None if self.reward_norm is None else self.reward_norm.state(),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from :meth:`state` of an adapter with the same task, designs and settings.
+
+        Raises:
+            SimulationError: the state is that of other worlds or another number of environments.
+        """
+        env = self.env
+        env.sim.set_state({name: value.to(self.device) for name, value in state["sim"].items()})
+        env.episode_length = state["episode_length"].to(self.device)
+        env._return = state["episode_return"].to(self.device)
+        env._before = State(env.sim).remember(env._needed_before)
+        self._obs = state["obs"].to(self.device)
+        self._shortened = state["shortened"].to(self.device)
+        self._sums = state["sums"].to(self.device)
+        if self.reward_norm is not None and state["reward_norm"] is not None:
+            self.reward_norm.set_state(state["reward_norm"])
+
+
+class _ReturnScale:
+    """Divides rewards by the running standard deviation of the discounted return (population variance)."""
+
+    def __init__(self, num_envs: int, gamma: float, device: str) -> None:
+        self.gamma = gamma
+        self._return = torch.zeros(num_envs, dtype=torch.float64, device=device)
+        # count, mean and sum of squared deviations; the count starts small so that early rewards stay tame
+        self._moments = torch.tensor([1e-4, 0.0, 1e-4], dtype=torch.float64, device=device)
+
+    def __call__(self, reward: torch.Tensor, done: torch.Tensor) -> torch.Tensor:
+        self._return = self._return * self.gamma + reward
+        count, mean, squares = self._moments
+        new = self._return.numel()
+        gap = self._return.mean() - mean
+        total = count + new
+        spread = self._return.var(unbiased=False) * new + gap.square() * count * new / total
+        self._moments = torch.stack([total, mean + gap * new / total, squares + spread])
+        self._return = self._return.masked_fill(done, 0.0)
+        scale = torch.sqrt(self._moments[2] / self._moments[0] + REWARD_EPS)
+        return (reward / scale).clamp(-REWARD_CLIP, REWARD_CLIP).to(reward.dtype)
+
+    def state(self) -> dict[str, torch.Tensor]:
+        return {"return": self._return.clone(), "moments": self._moments.clone()}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        self._return = state["return"].to(self._return)
+        self._moments = state["moments"].to(self._moments)
