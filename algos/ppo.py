@@ -1,4 +1,4 @@
-"""PPO: rsl-rl's, with a linear schedule, Adam's epsilon and time limits bootstrapped from where they struck."""
+"""rsl-rl's PPO with a linear schedule, Adam's epsilon and time limits bootstrapped where they struck."""
 
 from __future__ import annotations
 

@@ -4,6 +4,8 @@ The command line composes these dataclasses with the YAML files beside them, che
 against the metadata below, and prints the same metadata as ``warpvox COMMAND --help``.
 """
 
+# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
+
 from __future__ import annotations
 
 import dataclasses
@@ -29,8 +31,30 @@ MISSING: Any = "???"
 """A key without a value of its own: one of the group's YAML files must set it."""
 
 ACTIVATIONS = ("tanh", "elu", "relu", "selu", "gelu", "swish")
-EXPORTS = ("usd", "gif", "html")
+EXPORTS = ("usd", "gif", "mp4", "html")
 AUTO = "auto"
+
+
+CONSTANTS = {
+    "gravity": "acceleration downward, in simulator units",
+    "drag": "share of its velocity that a point loses per unit of time",
+    "contact_stiffness": "force per depth of penetration",
+    "contact_depth": "length added to the depth of penetration",
+    "contact_damping": "force per velocity of approach",
+    "friction": "coefficient of friction between voxels",
+    "friction_multiplier": "force per sliding velocity, up to friction's limit",
+    "floor_stiffness": "force per depth below y = 0",
+    "floor_friction": "friction of the floor at y = 0",
+    "actuation_rate": "share of the way to its goal that a length goes in a sub-step",
+    "rigid_main": "stiffness of the sides of rigid voxels",
+    "rigid_structural": "stiffness of the diagonals of rigid voxels",
+    "soft_main": "stiffness of the sides of soft voxels",
+    "soft_structural": "stiffness of the diagonals of soft voxels",
+    "actuator_main": "stiffness of the sides of actuators",
+    "actuator_structural": "stiffness of the diagonals of actuators",
+    "shared_edge": "which voxel sets a shared side: last or stiffest",
+}
+"""Meanings of the constants of the physics."""
 
 
 def key(
@@ -60,7 +84,7 @@ def _physics_fields() -> list[tuple[str, Any, Any]]:
         if constant.name == "name":
             continue
         is_text = isinstance(constant.default, str)
-        meaning = f"instead of the preset's {constant.name.replace('_', ' ')}"
+        meaning = CONSTANTS.get(constant.name, constant.name.replace("_", " ")) + "; null: the preset's"
         fields.append((constant.name, (str if is_text else float) | None, key(None, meaning)))
     return fields
 
@@ -113,8 +137,6 @@ class TrainConfig:
     rules: str = key(
         "evogym", "the benchmark as released (evogym) or as printed (paper)", choices=("evogym", "paper")
     )
-    physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the dynamics")
-    ppo: PpoConfig = key(PpoConfig, "training method")
     num_envs: int = key(MISSING, "environments stepped together", low=1)
     max_iterations: int = key(MISSING, "iterations in all, those before a resume included", low=1)
     eval_interval: int = key(MISSING, "iterations between deterministic evaluations", low=1)
@@ -127,9 +149,11 @@ class TrainConfig:
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
     lanes: int | None = key(None, "environments that a thread advances at once; null: chosen by size")
     torch_threads: int = key(1, "threads of PyTorch; more than 1 slows small networks down", low=1)
-    resume: str | None = key(None, "go on with a run: latest, its folder or its number of a checkpoint file")
+    resume: str | None = key(None, "go on with a run: latest, its folder, or a checkpoint file in it")
     name: str | None = key(None, "appended to the name of the run's folder")
     output_dir: str = key("outputs", "folder that runs are written to")
+    physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the dynamics")
+    ppo: PpoConfig = key(PpoConfig, "training method")
 
 
 @dataclass
@@ -162,7 +186,9 @@ class PlayConfig(_RolloutConfig):
     """Keys of ``warpvox play``."""
 
     num_envs: int = key(4, "environments; a multiple of the run's number of designs", low=1)
-    export: list[str] = key([], "what to write of the rollout: usd, gif, html", choices=EXPORTS)
+    export: list[str] = key(
+        [], "what to write of the rollout: [usd,gif,mp4,html] or some of them", choices=EXPORTS
+    )
 
 
 @dataclass
@@ -170,7 +196,7 @@ class ExportConfig(_RolloutConfig):
     """Keys of ``warpvox export``."""
 
     num_envs: int = key(1, "environments; a multiple of the run's number of designs", low=1)
-    format: Any = key("usd", "usd, gif, html, or a list of them: [usd,gif]")
+    format: Any = key("usd", "usd, gif, mp4, html, or a list of them: [usd,gif]")
 
 
 @dataclass

@@ -124,7 +124,7 @@ class RslRlVecEnv(VecEnv):
         self._shortened = self._shortened & ~done
 
     def pop_episodes(self) -> dict[str, float]:
-        """``episodes`` (how many ended since the last call), their mean ``return`` and ``length`` (NaN for none).
+        """How many ``episodes`` ended since the last call, their mean ``return`` and ``length`` (NaN: none).
 
         Returns are the task's own, not scaled. Episodes that were shortened for a random start do not count.
         """

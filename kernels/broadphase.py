@@ -12,7 +12,7 @@ import warp as wp
 
 from warpvox.kernels.lanes import inline, lane_ops
 from warpvox.kernels.launch import launch_stage
-from warpvox.kernels.state import OVERFLOW, structs
+from warpvox.kernels.state import structs
 
 GRID_FROM = 64  # surface voxels from which the grid is used
 SLOT = 0.2  # size of a grid cell: a voxel with its margin covers 1 to 4 cells
@@ -268,15 +268,13 @@ def collect(precision: str, width: int):
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         if data.drift[unit] + data.drift[unit] >= model.margin:
+            data.overflow[unit] = 0
             if model.voxels[design] >= GRID_FROM:
                 by_grid(model, data, design, pack, lane, unit, dt)
             else:
                 by_all(model, data, design, pack, lane, unit, dt)
             near(model, data, design, pack, lane, unit, dt)
             data.drift[unit] = wp.float64(0.0)
-            if data.overflow[unit] == 1:
-                for k in range(lane, lane + int(width)):
-                    data.status[pack, k] = data.status[pack, k] | OVERFLOW
 
     return stage
 

@@ -6,7 +6,7 @@ import warp as wp
 
 from warpvox.kernels.lanes import inline, lane_ops
 from warpvox.kernels.launch import launch_stage
-from warpvox.kernels.state import NOT_FINITE, UNSTABLE, structs
+from warpvox.kernels.state import NOT_FINITE, OVERFLOW, UNSTABLE, structs
 
 STALE = 1.0e9  # a drift that makes the next sub-step collect its candidates anew
 
@@ -48,6 +48,8 @@ def settle(precision: str, width: int):
             e = lane + k
             if ((sound >> k) & 1) == 0:
                 data.status[pack, e] = data.status[pack, e] | NOT_FINITE
+            if data.overflow[unit] == 1:
+                data.status[pack, e] = data.status[pack, e] | OVERFLOW
             if data.frozen[pack, e] == 1:
                 data.status[pack, e] = 0
             if data.frozen[pack, e] == 1 or (data.status[pack, e] & (UNSTABLE | NOT_FINITE)) != 0:

@@ -23,7 +23,7 @@ SKY, GRID, GRID_STRONG = (249, 250, 252), (233, 237, 242), (214, 220, 229)
 BEYOND, BEYOND_INK = (226, 230, 236), (120, 128, 140)
 GROUND, GROUND_LINE, GROUND_EDGE = (74, 80, 92), (86, 93, 106), (40, 44, 52)
 INK, PALE_INK = (28, 30, 36), (98, 100, 108)
-SMOOTH = 3  # pictures of moving objects are painted this many times larger
+SMOOTH = 4  # pictures of moving objects are painted this many times larger
 VIEW = 12.0  # voxels from the bottom to the top of a picture, if the robot is not higher than half of that
 BELOW = 1.25  # voxels that the camera shows below and beside the world
 ANCHOR = 0.42  # height of the robot's centre in the picture, if the world's bottom does not come into view
@@ -46,8 +46,9 @@ def camera_path(rollout: Rollout, env: int, view: tuple[float, float]) -> np.nda
         view: width and height of the picture in voxels.
     """
     scene = rollout.scene(env)
-    centre = rollout.positions[:, env, scene.robot_points].astype(np.float64).mean(axis=1) / VOXEL
-    centre = np.clip(centre, -1e4, 1e4)
+    points = np.clip(rollout.positions[:, env, scene.robot_points] / np.float32(VOXEL), -1e4, 1e4)
+    low, high = points.min(axis=1).astype(np.float64), points.max(axis=1).astype(np.float64)
+    centre = points.mean(axis=1, dtype=np.float64)
     size, anchor = np.array(view), np.array([0.5, ANCHOR])
     corner = np.stack([_smooth(centre[:, k], STEADY[k]) for k in (0, 1)], axis=1) - size * anchor
     world = np.array([scene.width, scene.height], dtype=np.float64)
@@ -56,7 +57,9 @@ def camera_path(rollout: Rollout, env: int, view: tuple[float, float]) -> np.nda
     corner[:, 0] = np.clip(corner[:, 0], -BELOW, room[0] - BELOW) if room[0] > 0 else middle[0]
     # Upwards there is always air: only the bottom of the world is a border.
     corner[:, 1] = np.maximum(corner[:, 1], -BELOW)
-    return np.clip(corner, centre - 0.85 * size, centre - 0.15 * size)
+    # The robot as a whole stays in the picture, if there is room for it.
+    least, most = high + 0.5 - size, low - 0.5
+    return np.where(least <= most, np.clip(corner, least, most), centre - size / 2)
 
 
 def _smooth(values: np.ndarray, width: float) -> np.ndarray:
@@ -89,7 +92,9 @@ class Painter:
         voxels: voxels from bottom to top; None fits the robot.
     """
 
-    def __init__(self, rollout: Rollout, env: int, size: tuple[int, int], voxels: float | None = None) -> None:
+    def __init__(
+        self, rollout: Rollout, env: int, size: tuple[int, int], voxels: float | None = None
+    ) -> None:
         self.rollout, self.env, self.size = rollout, rollout.check_env(env), size
         self.scene = rollout.scene(env)
         start = rollout.positions[0, env, self.scene.robot_points] / VOXEL

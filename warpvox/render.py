@@ -55,7 +55,7 @@ class Film:
             raise RolloutError("No environment was chosen to be drawn.")
         if voxels is not None and not 1 <= voxels <= 1000:
             raise RolloutError(f"voxels must be a number from 1 to 1000, got {voxels!r}.")
-        self._band = max(20, self.size[1] // 16) if len(self.envs) > 1 and hud else 0
+        self._band = max(20, self.size[1] // 22) if len(self.envs) > 1 and hud else 0
         self._columns, self._tile = _layout(len(self.envs), (self.size[0], self.size[1] - self._band))
         self._painters = [Painter(rollout, env, self._tile, voxels) for env in self.envs]
 
@@ -94,7 +94,9 @@ class Film:
         title = self.rollout.title
         wide = max(draw.textlength(title, font=large), unit * 9.2) + unit * 1.6
         gap = unit // 2
-        draw.rounded_rectangle((gap, gap, gap + wide, gap + unit * 3.3), radius=gap, fill=(255, 255, 255, 216))
+        draw.rounded_rectangle(
+            (gap, gap, gap + wide, gap + unit * 3.3), radius=gap, fill=(255, 255, 255, 216)
+        )
         x, y, line = gap + unit * 0.8, gap + unit * 0.95, unit * 1.4
         draw.text((x, y), title, fill=INK, font=large, anchor="lm")
         gained = self.rollout.returns[frame, self.envs[0]]
@@ -108,7 +110,9 @@ class Film:
         draw, letters = ImageDraw.Draw(tile, "RGBA"), font(unit)
         text = f"{env}:  {self.rollout.returns[frame, env]:.2f}"
         wide = draw.textlength(text, font=letters)
-        draw.rounded_rectangle((3, 3, wide + unit + 3, unit * 1.5 + 3), radius=unit // 3, fill=(255, 255, 255, 216))
+        draw.rounded_rectangle(
+            (3, 3, wide + unit + 3, unit * 1.5 + 3), radius=unit // 3, fill=(255, 255, 255, 216)
+        )
         draw.text((3 + unit / 2, 3 + unit * 0.76), text, INK, letters, "lm")
 
     def _write_band(self, picture: Image.Image, frame: int) -> None:
@@ -244,9 +248,8 @@ def write_gif(
         for number, frame in enumerate(frames):
             if on_frame:
                 on_frame(number + 1, len(frames))
-            five = film.array(frame) >> 3
-            key = (five[..., 0].astype(np.uint16) << 10) | (five[..., 1].astype(np.uint16) << 5) | five[..., 2]
-            picture = Image.fromarray(table[key])
+            five = (film.array(frame) >> 3).astype(np.uint16)
+            picture = Image.fromarray(table[five[..., 0] << 10 | five[..., 1] << 5 | five[..., 2]])
             picture.putpalette(colours)
             yield picture
 
@@ -255,7 +258,14 @@ def write_gif(
     pause = round(100 / fps) * 10  # a GIF counts in hundredths of a second
     with atomic_path(path) as temporary:
         first.save(
-            temporary, "GIF", save_all=True, append_images=every, duration=pause, loop=0, optimize=False, disposal=1
+            temporary,
+            "GIF",
+            save_all=True,
+            append_images=every,
+            duration=pause,
+            loop=0,
+            optimize=False,
+            disposal=1,
         )
     return Path(path)
 
@@ -315,7 +325,9 @@ def _frames(
         stop = int(rollout.lengths.max()) + 1 if rollout.num_steps else 1
     begin, end, _ = slice(start, stop).indices(rollout.num_frames)
     if begin >= end:
-        raise RolloutError(f"There are no frames from {start} to {stop}; the rollout has {rollout.num_frames}.")
+        raise RolloutError(
+            f"There are no frames from {start} to {stop}; the rollout has {rollout.num_frames}."
+        )
     count = max(1, round((end - begin) * FRAME_SECONDS * fps))
     return [min(end - 1, begin + round(k / (fps * FRAME_SECONDS))) for k in range(count)]
 
@@ -326,17 +338,20 @@ def _gif_palette(sample: Sequence[Image.Image]) -> tuple[bytes, np.ndarray]:
     One palette means that a pixel that does not change keeps its number, which is what makes the file small; a
     table is many times faster than asking for the nearest entry pixel by pixel.
     """
-    sheet = np.concatenate([np.asarray(image) for image in sample])
-    reduced = Image.fromarray(sheet).quantize(GIF_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    colours = np.frombuffer(reduced.getpalette("RGB")[: 3 * GIF_COLOURS] and bytes(reduced.getpalette("RGB")), np.uint8)
-    colours = colours.reshape(-1, 3)[:GIF_COLOURS]
-    # Large areas keep their exact colour.
+    sheet = Image.fromarray(np.concatenate([np.asarray(image) for image in sample]))
+    reduced = sheet.quantize(GIF_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    colours = np.array(reduced.getpalette("RGB"), np.uint8).reshape(-1, 3)[:GIF_COLOURS]
     levels = np.arange(32) * 8 + 4
     cells = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 1, 3)
     near = [
         ((part.astype(np.float32) - colours) ** 2).sum(-1).argmin(-1) for part in np.array_split(cells, 16)
     ]
-    return colours.tobytes(), np.concatenate(near).astype(np.uint8)
+    table = np.concatenate(near).astype(np.uint8)
+    # Of the colours that share a cell the most frequent one owns it, so that large areas keep their exact colour.
+    for entry in np.argsort(reduced.histogram()[: len(colours)], kind="stable"):
+        red, green, blue = (colours[entry] >> 3).tolist()
+        table[red << 10 | green << 5 | blue] = entry
+    return colours.tobytes(), table
 
 
 def _layout(count: int, size: tuple[int, int]) -> tuple[int, tuple[int, int]]:

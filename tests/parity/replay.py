@@ -34,9 +34,10 @@ class Run:
         return self.arrays["actions"] / 1024.0
 
     @property
-    def full_steps(self) -> int:
-        """Steps of which positions and observations are recorded."""
-        return int(self.info["n_full"])
+    def frames(self) -> np.ndarray:
+        """int ``[rows]``: the rows of a replay that positions and observations are recorded of."""
+        rows = np.arange(len(self.arrays["pos"]))
+        return self.arrays.get("frames", rows).astype(int)
 
     @property
     def unstable_at(self) -> int:
@@ -105,15 +106,15 @@ def moving_positions(env: VoxelVecEnv, run: Run) -> np.ndarray:
 
 
 def position_error(run: Run, ours: Replay) -> np.ndarray:
-    """float64 ``[steps + 1]``: largest difference of any coordinate, over the steps that both sides have."""
-    rows = min(len(run.arrays["pos"]), len(ours.positions))
-    return np.abs(run.arrays["pos"][:rows] - ours.positions[:rows]).max(axis=(1, 2))
+    """float64 ``[frames]``: largest difference of any coordinate, over the frames that both sides have."""
+    rows = run.frames[run.frames < len(ours.positions)]
+    return np.abs(run.arrays["pos"][: len(rows)] - ours.positions[rows]).max(axis=(1, 2))
 
 
 def obs_error(run: Run, ours: Replay) -> tuple[np.ndarray, np.ndarray]:
-    """float64 ``[steps + 1]`` twice: largest difference of entries but angles, and of angles modulo 2 pi."""
-    rows = min(len(run.arrays["obs"]), len(ours.obs))
-    gap = np.abs(run.arrays["obs"][:rows] - ours.obs[:rows])
+    """float64 ``[frames]`` twice: largest difference of entries but angles, and of angles modulo 2 pi."""
+    rows = run.frames[run.frames < len(ours.obs)]
+    gap = np.abs(run.arrays["obs"][: len(rows)] - ours.obs[rows])
     turned = gap[:, ours.angles]
     turned = np.minimum(turned, np.abs(2 * np.pi - turned))
     return np.delete(gap, ours.angles, axis=1).max(axis=1), turned.max(axis=1, initial=0.0)

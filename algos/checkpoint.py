@@ -1,0 +1,126 @@
+"""Checkpoints: files that hold a policy and everything needed to rebuild it, written whole or not at all."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from rsl_rl.models import MLPModel
+from tensordict import TensorDict
+
+from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.errors import RunError
+from warpvox.files import atomic_path
+from warpvox.types import ACTION_HIGH, ACTION_LOW
+
+__all__ = ["Controller", "PolicySpec", "load_checkpoint", "load_controller", "save_checkpoint"]
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """What it takes to rebuild a policy before its weights are loaded."""
+
+    num_obs: int
+    num_actions: int
+    hidden: list[int]
+    activation: str
+    normalize_obs: bool
+    action_scale: float
+
+
+class Controller:
+    """A trained policy without exploration, observations to actions.
+
+    Args:
+        actor: rsl-rl's model of the mean of the outputs.
+        spec: of this model.
+    """
+
+    def __init__(self, actor: MLPModel, spec: PolicySpec) -> None:
+        self.actor, self.spec = actor, spec
+
+    @torch.no_grad()
+    def __call__(self, obs: torch.Tensor) -> torch.Tensor:
+        """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
+        group = TensorDict({OBS_GROUP: obs.float()}, batch_size=[len(obs)])
+        actions = ACTION_CENTER + self.spec.action_scale * self.actor(group)
+        return actions.clamp(ACTION_LOW, ACTION_HIGH)
+
+    def check(self, env: VoxelVecEnv) -> None:
+        """Raise RunError unless ``env`` has this policy's sizes."""
+        for what, ours, theirs in (
+            ("observations", self.spec.num_obs, env.num_obs),
+            ("actions", self.spec.num_actions, env.num_actions),
+        ):
+            if ours != theirs:
+                raise RunError(
+                    f"The policy was trained with {ours} {what}, but the task and design have {theirs}."
+                )
+
+
+def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
+    """Write tensors, numbers, texts, lists and dictionaries of them to ``path``, atomically."""
+    with atomic_path(path) as temporary:
+        torch.save(content, temporary)
+
+
+def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
+    """Read a checkpoint; nothing but data is ever loaded from the file.
+
+    Raises:
+        RunError: no such file, or none that :func:`save_checkpoint` wrote.
+    """
+    if not path.is_file():
+        raise RunError(f"There is no checkpoint file {path}.")
+    try:
+        content = torch.load(path, map_location=device, weights_only=True)
+    except (RuntimeError, OSError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
+        raise RunError(f"{path} is not a readable checkpoint ({_first_line(error)}).") from None
+    if not isinstance(content, dict) or "policy" not in content or "actor_state_dict" not in content:
+        raise RunError(f"{path} is not a checkpoint of warpvox: it holds no policy.")
+    return content
+
+
+def load_controller(path: Path, device: str = "cpu") -> Controller:
+    """The policy of a checkpoint.
+
+    Raises:
+        RunError: the file is missing or not a checkpoint.
+    """
+    content = load_checkpoint(path, device)
+    try:
+        spec = PolicySpec(**content["policy"])
+        actor = build_actor(spec).to(device)
+        actor.load_state_dict(content["actor_state_dict"])
+    except (TypeError, RuntimeError) as error:
+        raise RunError(f"{path} holds a policy of another kind ({_first_line(error)}).") from None
+    return Controller(actor.eval(), spec)
+
+
+def build_actor(spec: PolicySpec) -> MLPModel:
+    """A policy network with fresh weights."""
+    obs = TensorDict({OBS_GROUP: torch.zeros(1, spec.num_obs)}, batch_size=[1])
+    return MLPModel(
+        obs,
+        {"actor": [OBS_GROUP]},
+        "actor",
+        spec.num_actions,
+        hidden_dims=list(spec.hidden),
+        activation=spec.activation,
+        obs_normalization=spec.normalize_obs,
+        distribution_cfg={"class_name": "GaussianDistribution", "std_type": "log"},
+    )
+
+
+def spec_dict(spec: PolicySpec) -> dict[str, Any]:
+    """The form in which a specification stands in a checkpoint."""
+    return asdict(spec)
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0][:120] if lines else type(error).__name__

@@ -1,0 +1,91 @@
+"""How good is a policy? Whole episodes without exploration, the same for training, play and design search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+
+from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.errors import ConfigError
+
+__all__ = ["Evaluation", "Evaluator", "Policy", "evaluate", "evaluator"]
+
+Policy = Callable[[torch.Tensor], torch.Tensor]
+"""Observations ``[num_envs, num_obs]`` to actions ``[num_envs, num_actions]`` in [0.6, 1.6]."""
+
+LOOK_EVERY = 25
+"""Steps between looks at whether all episodes have ended, where a look means waiting for the device."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One episode of every environment, on the CPU.
+
+    ``returns`` float64 and ``lengths`` long (control steps), ``unstable`` bool (self-folding ended it),
+    ``design_index`` long: all ``[num_envs]``.
+    """
+
+    returns: torch.Tensor
+    lengths: torch.Tensor
+    unstable: torch.Tensor
+    design_index: torch.Tensor
+
+    @property
+    def mean_return(self) -> float:
+        """Over all episodes."""
+        return float(self.returns.mean())
+
+    @property
+    def fitness(self) -> torch.Tensor:
+        """float64 ``[num_designs]``: the mean return of each design, what a design search maximises."""
+        designs = int(self.design_index.max()) + 1
+        sums = torch.zeros(designs, dtype=torch.float64).index_add_(0, self.design_index, self.returns)
+        return sums / torch.bincount(self.design_index, minlength=designs)
+
+
+class Evaluator(Protocol):
+    """Anything that can say how good a policy is: what training asks now and then."""
+
+    def __call__(self, policy: Policy) -> Evaluation:
+        """Evaluate ``policy``; must not touch the environments that it is trained in."""
+
+
+def evaluate(env: VoxelVecEnv, policy: Policy, max_steps: int | None = None) -> Evaluation:
+    """Run one episode in every environment of ``env`` from its beginning.
+
+    Args:
+        env: made with ``auto_reset=False``: an environment that has ended waits for the others.
+        policy: without exploration, for a result that can be repeated bit for bit.
+        max_steps: stop earlier than the task would.
+
+    Raises:
+        ConfigError: ``env`` resets itself.
+    """
+    if env.auto_reset:
+        raise ConfigError(
+            "An evaluation needs environments that wait at the end: make_vec(auto_reset=False)."
+        )
+    steps = env.max_episode_steps if max_steps is None else min(max_steps, env.max_episode_steps)
+    look_every = 1 if torch.device(env.device).type == "cpu" else LOOK_EVERY
+    unstable = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+    with torch.no_grad():
+        obs, _ = env.reset()
+        for step in range(steps):
+            obs, _, terminated, truncated, info = env.step(policy(obs))
+            unstable = unstable | info["unstable"]
+            if (step + 1) % look_every == 0 and bool((terminated | truncated).all()):
+                break
+    return Evaluation(
+        info["episode"]["return"].double().cpu(),
+        info["episode"]["length"].long().cpu(),
+        unstable.cpu(),
+        env.design_index.cpu(),
+    )
+
+
+def evaluator(env: VoxelVecEnv) -> Evaluator:
+    """An :class:`Evaluator` that uses ``env`` over and over."""
+    return lambda policy: evaluate(env, policy)

@@ -1,0 +1,83 @@
+"""The command line: ``warpvox COMMAND [KEY=VALUE ...]``.
+
+Each command lives in a module of its own with a function ``run``, imported when it is asked for, so that help
+and mistakes are answered at once. This package is the only place that imports Hydra.
+
+Exit codes: 0 done, 2 bad usage or bad input (one line on stderr), 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+import warpvox
+from warpvox.errors import ConfigError, WarpvoxError, did_you_mean
+
+__all__ = ["COMMANDS", "main"]
+
+COMMANDS = {
+    "train": "train a controller for a body on a task",
+    "play": "run a trained controller, print its returns, export what it did",
+    "export": "write a run's rollout as USD, GIF or page",
+    "demo": "train a walker in a minute or two and export it",
+    "bench": "measure speed, beside the reference",
+    "tasks": "list the tasks, or show one in detail",
+    "info": "versions, devices, kernel cache",
+}
+DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit code.
+
+    Args:
+        argv: arguments without the program's name; None: those of the process.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _dispatch(arguments)
+    except WarpvoxError as error:
+        return _complain(error)
+    except KeyboardInterrupt:
+        print("warpvox: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader (`warpvox tasks | head`) has seen enough; keep Python from complaining at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+
+
+def _dispatch(arguments: list[str]) -> int:
+    if not arguments:
+        print(_help(), file=sys.stderr)
+        return BAD_INPUT
+    command, rest = arguments[0], arguments[1:]
+    if command in ("-h", "--help", "help"):
+        print(_help())
+        return DONE
+    if command in ("-V", "--version"):
+        print(f"warpvox {warpvox.__version__}")
+        return DONE
+    if command not in COMMANDS:
+        hint = did_you_mean(command, COMMANDS)
+        raise ConfigError(f"Unknown command '{command}'; there are {', '.join(COMMANDS)}.{hint}")
+    import_module(f"warpvox.cli.{command}").run(rest)
+    return DONE
+
+
+def _help() -> str:
+    commands = "\n".join(f"  {name:<8} {meaning}" for name, meaning in COMMANDS.items())
+    return (
+        f"usage: warpvox COMMAND [KEY=VALUE ...]\n\n{commands}\n\n"
+        "`warpvox COMMAND --help` lists the keys of a command. For instance:\n"
+        "  warpvox train task=Walker-v0 design=walker num_envs=512\n"
+        "  warpvox play run=latest export=[usd,gif,html]"
+    )
+
+
+def _complain(error: WarpvoxError) -> int:
+    print("warpvox: " + " ".join(str(error).split()), file=sys.stderr)
+    return BAD_INPUT

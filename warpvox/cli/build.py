@@ -1,0 +1,104 @@
+"""From a checked configuration to environments."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from warpvox.design import load_design
+from warpvox.envs.registry import get_task
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.errors import DesignError
+from warpvox.sim import resolve_device
+from warpvox.types import Physics
+
+__all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve"]
+
+
+def prepare(torch_threads: int, seed: int) -> None:
+    """Settings of the process: threads, random numbers, and no chatter from Warp."""
+    wp.config.log_level = wp.LOG_WARNING
+    torch.set_num_threads(torch_threads)
+    torch.manual_seed(seed)
+
+
+def load_bodies(spec: Any, seed: int) -> list[np.ndarray]:
+    """The bodies that the key ``design`` names: one, or one an entry for a list of names, files or bodies.
+
+    Raises:
+        DesignError: not valid or not readable.
+    """
+    if isinstance(spec, str):
+        return [load_design(spec, seed=seed)]
+    if not isinstance(spec, list) or not spec:
+        raise DesignError(
+            f"design must be a name, a file or rows of cells such as [[3,3],[4,4]]; got {spec!r}."
+        )
+    several = all(isinstance(item, str) or _is_body(item) for item in spec)
+    if not several:
+        return [load_design(spec, seed=seed)]
+    return [load_design(item, seed=seed + number) for number, item in enumerate(spec)]
+
+
+def _is_body(item: Any) -> bool:
+    return isinstance(item, list) and bool(item) and all(isinstance(row, list) for row in item)
+
+
+def physics_of(config: Any) -> Physics:
+    """The constants that ``physics`` and ``rules`` name together.
+
+    Raises:
+        ConfigError: a constant out of range.
+    """
+    values = dict(
+        config.physics if isinstance(config.physics, Mapping) else dataclasses.asdict(config.physics)
+    )
+    preset = values.pop("preset")
+    changes = {name: value for name, value in values.items() if value is not None}
+    return Physics.preset(config.rules if preset == "auto" else preset, **changes)
+
+
+def resolve(config: Any) -> Any:
+    """A copy of a training configuration with what its names stand for: bodies, constants, device.
+
+    Raises:
+        TaskError, DesignError, DeviceError, ConfigError: what does not exist or is not valid.
+    """
+    get_task(config.task)
+    bodies = [body.tolist() for body in load_bodies(config.design, config.seed)]
+    constants = dataclasses.asdict(physics_of(config))
+    preset = constants.pop("name")
+    return dataclasses.replace(
+        config,
+        design=bodies[0] if len(bodies) == 1 else bodies,
+        physics=type(config.physics)(preset=preset, **constants),
+        device=resolve_device(config.device),
+    )
+
+
+def make_env(config: Any, num_envs: int, *, auto_reset: bool, **changes: Any) -> VoxelVecEnv:
+    """Environments of a resolved training configuration; ``changes`` are other arguments of ``make_vec``."""
+    options = {
+        "device": config.device,
+        "rules": config.rules,
+        "dtype": config.dtype,
+        "seed": config.seed,
+        "physics": physics_of(config),
+        "threads": config.threads,
+        "lanes": config.lanes,
+    }
+    bodies = load_bodies(config.design, config.seed)
+    return make_vec(config.task, bodies, num_envs, auto_reset=auto_reset, **(options | changes))
+
+
+def shown(path: Path) -> str:
+    """A path as people like to read it: relative to here where that is shorter."""
+    relative = os.path.relpath(path)
+    return relative if len(relative) < len(str(path)) else str(path)

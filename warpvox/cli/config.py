@@ -1,0 +1,274 @@
+"""From ``KEY=VALUE`` to a checked configuration: Hydra composes, the schema's metadata judges."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra import compose, initialize_config_module
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from warpvox.cli.help import flat_keys
+from warpvox.configs.schema import COMMANDS, GROUPS
+from warpvox.errors import ConfigError, did_you_mean, listing
+
+__all__ = ["Arguments", "check_values", "expand", "load", "load_values", "read_arguments", "to_yaml"]
+
+TYPES = {"int": "a whole number", "float": "a number", "bool": "true or false", "list": "a list"}
+
+
+@dataclass
+class Arguments:
+    """The words after a command, sorted."""
+
+    overrides: list[str] = field(default_factory=list)
+    help: bool = False
+    multirun: bool = False
+    show: bool = False
+    config_dir: Path | None = None
+
+
+def read_arguments(words: list[str]) -> Arguments:
+    """Sort flags from overrides.
+
+    Raises:
+        ConfigError: an unknown flag, or a folder of configurations that does not exist.
+    """
+    arguments, rest = Arguments(), iter(words)
+    flags = {
+        "-h": "help",
+        "--help": "help",
+        "-m": "multirun",
+        "--multirun": "multirun",
+        "--cfg": "show",
+        "-c": "show",
+    }
+    for word in rest:
+        if word in flags:
+            setattr(arguments, flags[word], True)
+        elif word.split("=")[0] in ("--config-dir", "-cd"):
+            folder = word.partition("=")[2] or next(rest, "")
+            if not folder or not Path(folder).is_dir():
+                raise ConfigError(f"--config-dir needs an existing folder, got '{folder}'.")
+            arguments.config_dir = Path(folder).resolve()
+        elif word.startswith("-"):
+            known = [*flags, "--config-dir"]
+            raise ConfigError(
+                f"Unknown option '{word}'; there are {listing(known)}.{did_you_mean(word, known)}"
+            )
+        else:
+            arguments.overrides.append(word)
+    return arguments
+
+
+def expand(arguments: Arguments, command: str) -> list[list[str]]:
+    """The overrides of each run: one list, or with ``--multirun`` one per combination of listed values.
+
+    Raises:
+        ConfigError: an override that cannot be read, an unknown key, several values without ``--multirun``.
+    """
+    runs: list[list[str]] = [[]]
+    for override in _parse(arguments, command):
+        text = str(override.input_line)
+        if not override.is_sweep_override():
+            runs = [[*run, text] for run in runs]
+            continue
+        key = override.key_or_group
+        if not arguments.multirun:
+            raise ConfigError(
+                f"'{text}' lists several values: add --multirun to run them one after another"
+                f" (a value that is itself a list is written {key}=[a,b])."
+            )
+        if override.is_interval_sweep():
+            raise ConfigError(f"'{text}': an interval has no end of values; use range(...) or choice(...).")
+        values = list(override.sweep_string_iterator())
+        runs = [[*run, f"{key}={value}"] for run in runs for value in values]
+    return runs
+
+
+def load(command: str, overrides: list[str], config_dir: Path | None = None, base: dict | None = None) -> Any:
+    """Compose, check and return the dataclass of a command.
+
+    Args:
+        overrides: of a single run.
+        base: values that lie below the overrides, instead of those of the YAML files.
+
+    Raises:
+        ConfigError: anything wrong with keys, values or YAML files.
+    """
+    schema = COMMANDS[command]
+    parsed = _parse(Arguments(overrides=overrides, config_dir=config_dir), command)
+    for override in parsed:
+        _check_override(override, schema, config_dir)
+    _register()
+    search = [f"hydra.searchpath=[file://{config_dir}]"] if config_dir else []
+    try:
+        with initialize_config_module("warpvox.configs", version_base="1.3"):
+            config = compose(config_name=command, overrides=[*overrides, *search])
+        if base is not None:
+            config = _over_base(command, base, config, parsed)
+        result = OmegaConf.to_object(config)
+    except (HydraException, OmegaConfBaseException, yaml.YAMLError) as error:
+        raise ConfigError(_one_line(error)) from None
+    check_values(result)
+    return result
+
+
+def load_values(command: str, values: dict[str, Any]) -> Any:
+    """The dataclass of a command from the values of a stored ``config.yaml``; unknown ones are left out.
+
+    Raises:
+        ConfigError: values of the wrong type or out of range.
+    """
+    schema = COMMANDS[command]
+    names = {item.name for item in dataclasses.fields(schema)}
+    try:
+        known = {name: value for name, value in values.items() if name in names}
+        result = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), known))
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"The stored configuration is not valid: {_one_line(error)}") from None
+    check_values(result)
+    return result
+
+
+def _over_base(command: str, base: dict, config: Any, parsed: list[Override]) -> Any:
+    """``base`` with what the overrides change; a group that is named brings all its values."""
+    below = OmegaConf.merge(OmegaConf.structured(COMMANDS[command]), base)
+    for override in parsed:
+        key = override.key_or_group
+        if key in GROUPS:
+            below = OmegaConf.merge(below, {key: OmegaConf.to_container(config[key])})
+        else:
+            OmegaConf.update(below, key, OmegaConf.select(config, key))
+    return below
+
+
+def check_values(config: Any, prefix: str = "") -> None:
+    """Check choices and ranges of a dataclass of the schema.
+
+    Raises:
+        ConfigError: the first value that is not valid.
+    """
+    for item in dataclasses.fields(config):
+        name, value = prefix + item.name, getattr(config, item.name)
+        if dataclasses.is_dataclass(value):
+            check_values(value, name + ".")
+        elif value is not None:
+            for entry in value if isinstance(value, list) and item.name != "design" else [value]:
+                _check_entry(name, entry, item.metadata)
+
+
+def _check_entry(name: str, value: Any, limits: Any) -> None:
+    choices = limits.get("choices")
+    if choices is not None and value not in choices:
+        hint = did_you_mean(value, choices)
+        raise ConfigError(f"{name} must be one of {listing(choices)}; got {value!r}.{hint}")
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return
+    if not math.isfinite(value):
+        raise ConfigError(f"{name} must be a finite number, got {value!r}.")
+    for bound, valid, words in (
+        ("low", lambda limit: value >= limit, "at least"),
+        ("above", lambda limit: value > limit, "greater than"),
+        ("high", lambda limit: value <= limit, "at most"),
+    ):
+        if bound in limits and not valid(limits[bound]):
+            raise ConfigError(f"{name} must be {words} {limits[bound]}, got {value!r}.")
+
+
+def to_yaml(config: Any) -> str:
+    """A configuration as YAML; lists of plain values take one line."""
+    return yaml.dump(dataclasses.asdict(config), Dumper=_Dumper, sort_keys=False, width=110)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Rows of a body on one line each."""
+
+
+def _represent_list(dumper: _Dumper, values: list) -> yaml.Node:
+    flat = not any(isinstance(value, list | dict) for value in values)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=flat)
+
+
+_Dumper.add_representer(list, _represent_list)
+
+
+# ----------------------------------------------------------------------------------------------- overrides
+
+
+def _register() -> None:
+    store = ConfigStore.instance()
+    for command, schema in COMMANDS.items():
+        store.store(name=f"{command}_schema", node=schema)
+
+
+def _parse(arguments: Arguments, command: str) -> list[Override]:
+    """Read overrides and check their keys."""
+    known = [name for name, _ in flat_keys(COMMANDS[command])]
+    parsed = []
+    for text in arguments.overrides:
+        try:
+            override = OverridesParser.create().parse_override(text)
+        except HydraException:
+            raise ConfigError(
+                f"'{text}' is not KEY=VALUE, or its value has unbalanced brackets or quotes."
+            ) from None
+        key = override.key_or_group
+        if override.is_delete() or override.is_add() or override.is_force_add():
+            raise ConfigError(f"'{text}': keys cannot be added or removed; write {key}=VALUE.")
+        if override.package is not None or key not in known:
+            hint = did_you_mean(key, known) or did_you_mean(key.split(".")[-1], known)
+            raise ConfigError(
+                f"Unknown key '{override.get_key_element()}'.{hint} `warpvox {command} --help` lists them all."
+            )
+        parsed.append(override)
+    keys = [override.key_or_group for override in parsed]
+    twice = [key for key in dict.fromkeys(keys) if keys.count(key) > 1]
+    if twice:
+        raise ConfigError(f"The key '{twice[0]}' is given more than once.")
+    return parsed
+
+
+def _check_override(override: Override, schema: type, config_dir: Path | None) -> None:
+    """Check the name of a group's file, or the type of a value, with words that name key and value."""
+    key, value = override.key_or_group, override.value()
+    if key in GROUPS:
+        options = sorted(_options(key, config_dir))
+        if value not in options:
+            hint = did_you_mean(value, options)
+            raise ConfigError(
+                f"{key} must be one of {listing(options)}, got '{override.get_value_string()}'.{hint}"
+                f" Single values are set by {key}.NAME=VALUE."
+            )
+        return
+    try:
+        OmegaConf.update(OmegaConf.structured(schema), key, value)
+    except OmegaConfBaseException as error:
+        kind = dict(flat_keys(schema))[key].type
+        words = next((text for name, text in TYPES.items() if name in str(kind)), f"{kind}")
+        optional = " or null" if "None" in str(kind) else ""
+        if "Unsupported interpolation" in str(error):
+            words = "a plain value"
+        raise ConfigError(f"{key} must be {words}{optional}, got '{override.get_value_string()}'.") from None
+
+
+def _options(group: str, config_dir: Path | None) -> Iterator[str]:
+    for folder in [files("warpvox.configs") / group, *([config_dir / group] if config_dir else [])]:
+        if folder.is_dir():
+            yield from (item.name[:-5] for item in folder.iterdir() if item.name.endswith(".yaml"))
+
+
+def _one_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[0] if lines else type(error).__name__

@@ -1,0 +1,47 @@
+"""``warpvox demo``: from nothing to a walking robot that can be looked at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from warpvox.cli.config import expand, load, read_arguments
+from warpvox.cli.exports import check_formats, load_run, record_run, write_exports
+from warpvox.cli.play import print_returns
+from warpvox.cli.runs import check_name, find_run
+from warpvox.cli.say import say
+from warpvox.cli.train import Job, describe, train
+from warpvox.configs.schema import PlayConfig
+from warpvox.errors import ConfigError
+
+__all__ = ["run"]
+
+
+def run(words: list[str]) -> None:
+    """Train, record the best policy, export it, and say where everything is."""
+    arguments = read_arguments(words)
+    if describe("demo", arguments):
+        return
+    console = Console()
+    for overrides in expand(arguments, "demo"):
+        config = load("demo", overrides, arguments.config_dir)
+        if config.resume is not None:
+            raise ConfigError("A demo starts anew; go on with it by `warpvox train resume=FOLDER`.")
+        check_name(config.name)
+        formats = check_formats(config.export, "export") if config.export else []
+        folder = train(Job(config), console, "demo")
+        _show(folder, config.output_dir, formats, console)
+
+
+def _show(folder: Path, output_dir: str, formats: list[str], console: Console) -> None:
+    """Record the best policy of a run and write it into the run's folder."""
+    source = find_run(str(folder), output_dir)
+    env, controller = load_run(source, PlayConfig(num_envs=1, device="cpu"))
+    with console.status("simulating"):
+        rollout = record_run(source, env, controller, None)
+    print_returns(rollout, console)
+    write_exports(rollout, folder, formats, console)
+    page = folder / "rollout.html"
+    if page.is_file():
+        say(console, f"open in a browser: {page.resolve().as_uri()}")

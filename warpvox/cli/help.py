@@ -1,0 +1,96 @@
+"""The help of a command, made from the schema."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import textwrap
+from collections.abc import Iterator
+from importlib.resources import files
+from typing import Any, get_type_hints
+
+from warpvox.configs.schema import COMMANDS, GROUPS, MISSING
+
+__all__ = ["command_help", "flat_keys"]
+
+OPTIONS = """\
+options:
+  -h, --help           this text
+  -m, --multirun       run all combinations of listed values: seed=1,2,3 task=Walker-v0,Climber-v0
+  -c, --cfg            print the configuration that would be used, and stop
+  --config-dir FOLDER  folder with YAML files of your own, for instance FOLDER/ppo/mine.yaml for ppo=mine"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Key:
+    """A key of a command as the schema has it."""
+
+    type: Any
+    default: Any
+    help: str
+    choices: tuple[str, ...] = ()
+
+
+def flat_keys(schema: type, prefix: str = "") -> Iterator[tuple[str, Key]]:
+    """All keys of a dataclass by their dotted names; those with parts come before their parts."""
+    types = get_type_hints(schema)
+    for item in dataclasses.fields(schema):
+        name = prefix + item.name
+        made = item.default_factory is not dataclasses.MISSING
+        default = item.default_factory() if made else item.default
+        yield name, Key(types[item.name], default, item.metadata["help"], item.metadata.get("choices", ()))
+        if dataclasses.is_dataclass(default):
+            yield from flat_keys(type(default), name + ".")
+
+
+def command_help(command: str, summary: str, values: dict[str, Any]) -> str:
+    """The help text of a command.
+
+    Args:
+        summary: what the command does.
+        values: the composed defaults by dotted key, where the schema leaves them to YAML files.
+    """
+    width = min(shutil.get_terminal_size().columns, 120)
+    lines = [
+        f"usage: warpvox {command} [KEY=VALUE ...]",
+        "",
+        summary[0].upper() + summary[1:] + ".",
+        "",
+        "keys:",
+    ]
+    for name, key in flat_keys(COMMANDS[command]):
+        if name in GROUPS:
+            options = sorted(
+                f.name[:-5] for f in (files("warpvox.configs") / name).iterdir() if f.name.endswith(".yaml")
+            )
+            lines += ["", *_entry(f"{name}=NAME", f"{key.help}: {', '.join(options)}", width)]
+        elif not dataclasses.is_dataclass(key.default):
+            value = values.get(name, key.default)
+            lines += _entry(f"{name}={_text(value)}", _meaning(key), width)
+    return "\n".join([*lines, "", OPTIONS])
+
+
+def _meaning(key: Key) -> str:
+    missing = [choice for choice in key.choices if choice not in key.help]
+    return key.help + (f": {', '.join(key.choices)}" if missing else "")
+
+
+def _entry(left: str, meaning: str, width: int) -> list[str]:
+    margin = 34
+    body = textwrap.wrap(meaning, max(width - margin, 30))
+    lines = [
+        f"  {left:<{margin - 2}}{body[0]}" if len(left) < margin - 2 else f"  {left}\n{' ' * margin}{body[0]}"
+    ]
+    return lines + [" " * margin + line for line in body[1:]]
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "null"
+    if value == MISSING:
+        return "?"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return "[" + ",".join(map(str, value)) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value)

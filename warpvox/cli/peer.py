@@ -1,0 +1,85 @@
+"""The reference's half of ``warpvox bench suite=peer``.
+
+Runs as a script under an interpreter that has evogym installed (Python 3.10, no warpvox), reads one JSON request
+a line from stdin and answers each with one JSON line on stdout:
+
+``{"do": "start", "task": ..., "body": ...}``      the versions; must come first
+``{"do": "check", "actions": [steps][actuators]}`` ``com`` ``[steps][2]``: the robot's centre of mass after each step
+``{"do": "time", "actions": ...}``                 ``seconds`` of CPU for these steps after a reset, rewards and
+                                                   observations included
+"""
+
+import json
+import os
+import sys
+import time
+import warnings
+
+
+def main():
+    """Answer requests until stdin ends."""
+    # Whatever the libraries print must not mix with the answers.
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    warnings.filterwarnings("ignore")
+    env = None
+    for line in sys.stdin:
+        request = json.loads(line)
+        try:
+            if request["do"] == "start":
+                env, answer = start(request["task"], request["body"])
+            else:
+                answer = {"check": check, "time": measure}[request["do"]](env, request["actions"])
+        except Exception as error:
+            answer = {"error": "%s: %s" % (type(error).__name__, error)}
+        answers.write(json.dumps(answer) + "\n")
+        answers.flush()
+
+
+def start(task, body):
+    """Make the environment; returns it and the versions."""
+    import evogym
+    import evogym.envs
+    import gymnasium
+    import numpy
+
+    gymnasium.logger.min_level = 50
+    env = gymnasium.make(task, body=numpy.array(body, dtype=float), disable_env_checker=True)
+    env.reset()
+    return env, {"python": sys.version.split()[0], "evogym": version("evogym"), "module": evogym.__name__}
+
+
+def version(package):
+    """The installed version of a package."""
+    from importlib.metadata import version as installed
+
+    return installed(package)
+
+
+def check(env, actions):
+    """The trajectory of the centre of mass."""
+    import numpy
+
+    env.reset()
+    com = []
+    for action in actions:
+        env.step(numpy.array(action))
+        world = env.unwrapped
+        com.append(world.object_pos_at_time(world.get_time(), "robot").mean(axis=1).tolist())
+    return {"com": com}
+
+
+def measure(env, actions):
+    """CPU seconds of the steps."""
+    import numpy
+
+    actions = numpy.array(actions)
+    env.reset()
+    began = time.process_time()
+    for action in actions:
+        env.step(action)
+    return {"seconds": time.process_time() - began}
+
+
+if __name__ == "__main__":
+    main()

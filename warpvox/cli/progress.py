@@ -1,0 +1,94 @@
+"""The live line of a training run."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from warpvox.cli.say import say
+
+__all__ = ["TrainingProgress"]
+
+QUIET_SECONDS = 10.0
+"""Without a terminal, seconds between lines (an evaluation prints one in any case)."""
+
+
+class TrainingProgress:
+    """Shows iterations, speed, returns, time left: a live line on a terminal, else a line now and then.
+
+    Args:
+        total: iterations of the whole run.
+        done: iterations complete at the start.
+    """
+
+    def __init__(self, total: int, done: int = 0, console: Console | None = None) -> None:
+        self.console = console or Console()
+        self.total = total
+        self._start, self._began, self._printed = done, time.monotonic(), time.monotonic()
+        self._exploring = math.nan
+        self._last_eval = math.nan
+        self._bar = None
+        if self.console.is_terminal:
+            self._bar = Progress(
+                TextColumn("iteration {task.completed}/{task.total}"),
+                BarColumn(bar_width=20),
+                TaskProgressColumn(),
+                TextColumn("{task.fields[figures]}"),
+                TimeElapsedColumn(),
+                TextColumn("left"),
+                TimeRemainingColumn(),
+                console=self.console,
+            )
+            self._line = self._bar.add_task("", total=total, completed=done, figures="")
+
+    def __enter__(self) -> TrainingProgress:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def __call__(self, row: Mapping[str, float]) -> None:
+        """Show a row of ``metrics.csv``."""
+        if math.isfinite(row["return_mean"]):
+            self._exploring = row["return_mean"]
+        evaluated = math.isfinite(row["eval_return"])
+        if evaluated:
+            self._last_eval = row["eval_return"]
+        figures = self._figures(row)
+        if self._bar is not None:
+            self._bar.update(self._line, completed=row["iteration"], figures=figures)
+            return
+        now = time.monotonic()
+        if evaluated or now - self._printed >= QUIET_SECONDS or row["iteration"] == self.total:
+            self._printed = now
+            left = self._left(row["iteration"], now)
+            say(self.console, f"iteration {row['iteration']}/{self.total}  {figures}  left {left}")
+
+    def _figures(self, row: Mapping[str, float]) -> str:
+        return (
+            f"{row['steps_per_second']:,.0f} steps/s  return {_figure(self._exploring)}"
+            f"  evaluation {_figure(self._last_eval)}  best {_figure(row['best_return'])}"
+        )
+
+    def _left(self, iteration: int, now: float) -> str:
+        seconds = (now - self._began) / max(iteration - self._start, 1) * (self.total - iteration)
+        minutes, seconds = divmod(round(seconds), 60)
+        return f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"
+
+
+def _figure(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else "-"

@@ -1,0 +1,153 @@
+"""Run folders: ``outputs/<command>/<task>/<date_time>[_name]/``."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from warpvox.errors import ConfigError, RunError, listing
+from warpvox.files import write_text
+
+__all__ = ["Run", "find_run", "new_folder", "write_summary"]
+
+CONFIG, SUMMARY = "config.yaml", "summary.json"
+STATE, BEST = "state.pt", "model_best.pt"
+TRAINING = ("train", "demo")
+NAME = re.compile(r"[\w.+-]+")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A folder that training has left; ``checkpoint`` is set if a single file was named."""
+
+    folder: Path
+    config: dict[str, Any]
+    checkpoint: Path | None = None
+
+    @property
+    def iterations(self) -> list[int]:
+        """Of which there is a checkpoint, ascending."""
+        found = (re.fullmatch(r"model_(\d+)\.pt", file.name) for file in self.folder.iterdir())
+        return sorted(int(match[1]) for match in found if match)
+
+    def find_checkpoint(self, which: str) -> Path:
+        """The file of ``best`` (the last if there was no evaluation), ``last`` or an iteration.
+
+        Raises:
+            RunError: there is none.
+        """
+        if self.checkpoint is not None:
+            return self.checkpoint
+        if which == "best" and (self.folder / BEST).is_file():
+            return self.folder / BEST
+        known = self.iterations
+        if not known:
+            raise RunError(f"The run {self.folder} has no checkpoint yet.")
+        if which in ("best", "last"):
+            return self.folder / f"model_{known[-1]}.pt"
+        if not which.isdigit() or int(which) not in known:
+            raise RunError(f"checkpoint must be best, last or one of {listing(known)}, got '{which}'.")
+        return self.folder / f"model_{which}.pt"
+
+
+def find_run(text: str, output_dir: str) -> Run:
+    """The run that ``text`` names: ``latest``, a folder, or a checkpoint file in one.
+
+    Raises:
+        RunError: no such folder, or one that is no run.
+    """
+    path = _latest(Path(output_dir)) if text == "latest" else Path(text).expanduser()
+    if not path.exists():
+        raise RunError(
+            f"There is no run at {path}: expected latest, the folder of a run or a checkpoint in it."
+        )
+    folder = path if path.is_dir() else path.parent
+    config = folder / CONFIG
+    if not config.is_file():
+        raise RunError(f"{folder} is not a run: it has no {CONFIG}. Runs are made by `warpvox train`.")
+    try:
+        content = yaml.safe_load(config.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, OSError, UnicodeDecodeError):
+        raise RunError(f"{config} cannot be read as YAML: is {folder} a run?") from None
+    if not isinstance(content, dict) or not {"task", "design", "ppo"} <= content.keys():
+        raise RunError(
+            f"{folder} is not a run of `warpvox train`: its {CONFIG} names no task, design and ppo."
+        )
+    return Run(folder, content, path if path.is_file() else None)
+
+
+def _latest(root: Path) -> Path:
+    folders = [
+        folder
+        for command in TRAINING
+        for folder in root.glob(f"{command}/*/*")
+        if (folder / CONFIG).is_file() and next(folder.glob("model_*.pt"), None) is not None
+    ]
+    if not folders:
+        raise RunError(f"There is no run in {root / TRAINING[0]} yet; `warpvox train` makes one.")
+    # names begin with the date and time of the start
+    return max(folders, key=lambda folder: (folder.name, folder.stat().st_mtime))
+
+
+@contextmanager
+def new_folder(output_dir: str, command: str, task: str, name: str | None, config: str) -> Iterator[Path]:
+    """Make a run's folder with its ``config.yaml``; it goes again if the block fails before a result is in it.
+
+    Raises:
+        ConfigError: a name that no folder can have. RunError: the folder cannot be written.
+    """
+    check_name(name)
+    stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    parent = Path(output_dir) / command / task
+    made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
+    folder = _make(parent, stamp, f"_{name}" if name else "")
+    write_text(folder / CONFIG, config)
+    try:
+        yield folder
+    except BaseException:
+        if not _has_result(folder):
+            shutil.rmtree(folder)
+            for empty in made:
+                if empty.is_dir() and not any(empty.iterdir()):
+                    empty.rmdir()
+        raise
+
+
+def check_name(name: str | None) -> None:
+    """Raise ConfigError unless ``name`` can end the name of a folder."""
+    if name and not NAME.fullmatch(name):
+        raise ConfigError(f"name may hold letters, digits and . _ + - only, got '{name}'.")
+
+
+def _make(parent: Path, stamp: str, ending: str) -> Path:
+    """A new folder; runs that start in the same second get a number."""
+    for number in range(1, 1000):
+        folder = parent / (stamp + (f"-{number}" if number > 1 else "") + ending)
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            if not parent.is_dir():
+                raise RunError(f"{parent} cannot be made: a file is in the way.") from None
+            continue
+        except OSError as error:
+            raise RunError(f"The folder {folder} cannot be made: {error.strerror}.") from None
+        return folder
+    raise RunError(f"{parent} has too many runs of this second.")
+
+
+def _has_result(folder: Path) -> bool:
+    return any(file.suffix in (".pt", ".npz", ".json") for file in folder.iterdir())
+
+
+def write_summary(folder: Path, content: dict[str, Any]) -> None:
+    """Write ``summary.json``."""
+    write_text(folder / SUMMARY, json.dumps(content, indent=2) + "\n")

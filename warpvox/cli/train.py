@@ -1,0 +1,221 @@
+"""``warpvox train``: from a configuration to a run folder with a trained policy."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from warpvox import __version__
+from warpvox.cli import COMMANDS
+from warpvox.cli.config import expand, load, read_arguments, to_yaml
+from warpvox.cli.help import command_help
+from warpvox.cli.runs import CONFIG, STATE, check_name, find_run, new_folder, write_summary
+from warpvox.cli.say import say
+from warpvox.configs.schema import TrainConfig
+from warpvox.errors import ConfigError, RunError, listing
+from warpvox.files import write_text
+
+__all__ = ["Job", "describe", "run", "train"]
+
+CHANGEABLE = (
+    "max_iterations",
+    "eval_interval",
+    "eval_envs",
+    "stop_return",
+    "save_interval",
+    "device",
+    "threads",
+    "torch_threads",
+    "resume",
+    "output_dir",
+)
+"""Keys that may differ when a run is resumed: they do not change what is learned."""
+
+
+@dataclass
+class Job:
+    """One run to be made: a configuration, and what it resumes."""
+
+    config: TrainConfig
+    folder: Path | None = None
+    checkpoint: Path | None = None
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox train`` is asked for; all runs of a sweep are checked before the first begins."""
+    arguments = read_arguments(words)
+    if describe("train", arguments):
+        return
+    runs = expand(arguments, "train")
+    jobs = [_job(overrides, arguments.config_dir) for overrides in runs]
+    from warpvox.cli.build import resolve
+
+    if len(jobs) > 1:
+        for job in jobs:  # a mistake in the last of a hundred runs should not show after a day
+            resolve(job.config)
+    console = Console()
+    for number, job in enumerate(jobs):
+        if len(jobs) > 1:
+            console.rule(f"run {number + 1} of {len(jobs)}: {' '.join(runs[number])}")
+        train(job, console)
+
+
+def describe(command: str, arguments: Any) -> bool:
+    """Print the help or the configuration, if that is what was asked for."""
+    if arguments.help:
+        defaults = load(command, [], None)
+        print(command_help(command, COMMANDS[command], _flat(dataclasses.asdict(defaults))))
+        return True
+    if arguments.show:
+        for overrides in expand(arguments, command):
+            print(to_yaml(load(command, overrides, arguments.config_dir)), end="")
+        return True
+    return False
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat = {}
+    for name, value in values.items():
+        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+    return flat
+
+
+def _job(overrides: list[str], config_dir: Path | None) -> Job:
+    """Compose a run; with ``resume`` on top of the configuration of the run that it goes on with.
+
+    Raises:
+        ConfigError, RunError: what is wrong with it.
+    """
+    config = load("train", overrides, config_dir)
+    check_name(config.name)
+    if config.resume is None:
+        return Job(config)
+    source = find_run(config.resume, config.output_dir)
+    config = load("train", overrides, config_dir, base=_known(source.config))
+    before, after = _flat(_known(source.config)), _flat(dataclasses.asdict(config))
+    changed = [
+        key
+        for key, value in after.items()
+        if key in before and before[key] != value and key not in CHANGEABLE
+    ]
+    if changed:
+        key = changed[0]
+        raise ConfigError(
+            f"{key} cannot change when a run is resumed (it has {before[key]}, asked for {after[key]});"
+            f" what can: {listing(CHANGEABLE[:-2])}."
+        )
+    checkpoint = source.checkpoint or source.folder / STATE
+    if not checkpoint.is_file():
+        raise RunError(f"The run {source.folder} cannot be resumed: it has no {STATE}.")
+    return Job(dataclasses.replace(config, resume=None), source.folder, checkpoint)
+
+
+def _known(config: dict[str, Any]) -> dict[str, Any]:
+    """Without the keys that training does not have (a demo is trained like any other run)."""
+    names = {item.name for item in dataclasses.fields(TrainConfig)}
+    return {name: value for name, value in config.items() if name in names}
+
+
+def train(job: Job, console: Console, command: str = "train") -> Path:
+    """Make a run; returns its folder. Nothing is written before everything has been checked.
+
+    Raises:
+        WarpvoxError: something asked for does not exist or is not valid, or learning has diverged.
+        KeyboardInterrupt: interrupted; the state has been saved.
+    """
+    with console.status("loading"):
+        from warpvox.algos.evaluate import evaluator
+        from warpvox.algos.runner import Runner, Schedule, adapt
+        from warpvox.cli.build import make_env, prepare, resolve
+
+        config = resolve(job.config)
+        prepare(config.torch_threads, config.seed)
+        designs = config.design if isinstance(config.design[0][0], list) else [config.design]
+    with console.status("preparing the simulation (the first time on a machine its kernels are compiled)"):
+        schedule = Schedule(
+            config.max_iterations, config.save_interval, config.eval_interval, config.stop_return
+        )
+        env = adapt(make_env(config, config.num_envs, auto_reset=True), config.ppo)
+        judge = evaluator(make_env(config, config.eval_envs * len(designs), auto_reset=False))
+        runner = Runner(env, config.ppo, schedule, evaluator=judge)
+        if job.checkpoint is not None:
+            runner.resume(job.checkpoint)
+            runner.check_schedule()
+    with _folder(job, config, command) as folder:
+        runner.folder = folder
+        _announce(console, config, runner, folder)
+        _learn(runner, console, folder, command)
+    return folder
+
+
+@contextmanager
+def _folder(job: Job, config: TrainConfig, command: str) -> Iterator[Path]:
+    """The folder of a new run, or that of the one which is resumed."""
+    if job.folder is None:
+        with new_folder(config.output_dir, command, config.task, config.name, to_yaml(config)) as folder:
+            yield folder
+    else:
+        write_text(job.folder / CONFIG, to_yaml(config))
+        yield job.folder
+
+
+def _announce(console: Console, config: TrainConfig, runner: Any, folder: Path) -> None:
+    from warpvox.cli.build import shown
+
+    done = runner.current_learning_iteration
+    verb = f"resuming after iteration {done}" if done else "training"
+    text = f"{verb}: {config.task}, {config.num_envs} environments on {config.device}, rules {config.rules}"
+    say(console, f"{text}\nrun folder: {shown(folder)}")
+
+
+def _learn(runner: Any, console: Console, folder: Path, command: str) -> None:
+    """Learn with a live line, and sum up however it ends."""
+    from warpvox.cli.progress import TrainingProgress
+
+    began, status = time.perf_counter(), "failed"
+    started_at = runner.steps
+    progress = TrainingProgress(runner.schedule.total, runner.current_learning_iteration, console)
+    runner.report = progress
+    try:
+        with progress:
+            runner.run()
+        status = "done"
+    except KeyboardInterrupt:
+        status = "interrupted"
+        raise
+    finally:
+        seconds = time.perf_counter() - began
+        if runner.current_learning_iteration:
+            summary = {
+                "command": command,
+                "task": runner.env.cfg["task"],
+                "status": status,
+                "version": __version__,
+            }
+            summary |= runner.summary() | {
+                "steps_per_second": round((runner.steps - started_at) / seconds, 1)
+            }
+            write_summary(folder, summary)
+            _conclude(console, runner, status, seconds, folder)
+
+
+def _conclude(console: Console, runner: Any, status: str, seconds: float, folder: Path) -> None:
+    from warpvox.cli.build import shown
+
+    best = runner.summary()["best_return"]
+    words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
+    text = f"{words} after {runner.steps:,} control steps in {seconds:.0f} s"
+    if best is not None:
+        text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
+    say(console, text)
+    if status == "done":
+        say(console, f"look at it: warpvox play run={shown(folder)} export=[gif,html]")
+    else:
+        say(console, f"go on: warpvox train resume={shown(folder)}")
