@@ -207,6 +207,7 @@ def collect_grid(precision: str, width: int):
 def lattice_range(precision: str):
     """Function: columns and rows of the terrain lattice under a box that is ``margin`` wider on every side."""
     types = structs(precision)
+
     @inline
     def span(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int, margin: wp.float64):
         size = model.terrain[design]

@@ -29,6 +29,7 @@ def geometry():
     A quad holds x, y of top left, top right, bottom right, bottom left. Comparisons and their order of evaluation
     follow the released simulator: at time 0 they decide ties in the last bit.
     """
+
     @wp.func
     def cross(ax: real, ay: real, bx: real, by: real):
         return ax * by - ay * bx
@@ -183,12 +184,34 @@ def voxel_contacts(precision: str, width: int):
 
     @inline
     def touch(
-        model: types.Model, data: types.Data, design: int, pack: int, k: int, i: int, j: int, c: int, times: real
+        model: types.Model,
+        data: types.Data,
+        design: int,
+        pack: int,
+        k: int,
+        i: int,
+        j: int,
+        c: int,
+        times: real,
     ):
         mc, rc = model.corner[design, i], model.corner[design, j]
         m, r = frame(data, pack, k, mc), frame(data, pack, k, rc)
         sides = model.side[design, j]
-        contact(model.contact, data.true_vel, data.contact, pack, k, m, model.side[design, i], mc[c], c, r, sides, rc, times)
+        contact(
+            model.contact,
+            data.true_vel,
+            data.contact,
+            pack,
+            k,
+            m,
+            model.side[design, i],
+            mc[c],
+            c,
+            r,
+            sides,
+            rc,
+            times,
+        )
 
     @inline
     def one_way(
@@ -205,9 +228,7 @@ def voxel_contacts(precision: str, width: int):
                     lanes = drop(lanes)
 
     @inline
-    def stage(
-        model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, active: int
-    ):
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, active: int):
         for n in range(data.pair_count[unit]):
             pair = data.pairs[unit, n]
             i, j = pair[0], pair[1]
@@ -246,18 +267,52 @@ def terrain_contacts(precision: str, width: int):
     ):  # fmt: skip
         """Corners of the voxel in the cell and of the cell in the voxel; each behind a test of boxes."""
         none = wp.vec4i(-1, -1, -1, -1)
-        x0, x1 = wp.min(wp.min(m[0], m[2]), wp.min(m[4], m[6])), wp.max(wp.max(m[0], m[2]), wp.max(m[4], m[6]))
-        y0, y1 = wp.min(wp.min(m[1], m[3]), wp.min(m[5], m[7])), wp.max(wp.max(m[1], m[3]), wp.max(m[5], m[7]))
+        x0, x1 = (
+            wp.min(wp.min(m[0], m[2]), wp.min(m[4], m[6])),
+            wp.max(wp.max(m[0], m[2]), wp.max(m[4], m[6])),
+        )
+        y0, y1 = (
+            wp.min(wp.min(m[1], m[3]), wp.min(m[5], m[7])),
+            wp.max(wp.max(m[1], m[3]), wp.max(m[5], m[7])),
+        )
         if x1 < r[0] or r[2] < x0 or y1 < r[5] or r[1] < y0:
             return
         one = real(1.0)
         four = int(4)
         for c in range(four):
             if holds(r[0], r[2], r[5], r[1], m[2 * c], m[2 * c + 1]):
-                contact(model.contact, data.true_vel, data.contact, pack, k, m, m_sides, mc[c], c, r, r_sides, none, one)
+                contact(
+                    model.contact,
+                    data.true_vel,
+                    data.contact,
+                    pack,
+                    k,
+                    m,
+                    m_sides,
+                    mc[c],
+                    c,
+                    r,
+                    r_sides,
+                    none,
+                    one,
+                )
         for c in range(four):
             if holds(x0, x1, y0, y1, r[2 * c], r[2 * c + 1]):
-                contact(model.contact, data.true_vel, data.contact, pack, k, r, r_sides, -1, c, m, m_sides, mc, one)
+                contact(
+                    model.contact,
+                    data.true_vel,
+                    data.contact,
+                    pack,
+                    k,
+                    r,
+                    r_sides,
+                    -1,
+                    c,
+                    m,
+                    m_sides,
+                    mc,
+                    one,
+                )
 
     @inline
     def with_terrain(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int):
@@ -273,12 +328,20 @@ def terrain_contacts(precision: str, width: int):
                     if loaded == 0:
                         m = frame(data, pack, k, mc)
                         loaded = 1
-                    with_cell(model, data, pack, k, m, model.side[design, v], mc, cell_quad(model, design, cell), sides)
+                    with_cell(
+                        model,
+                        data,
+                        pack,
+                        k,
+                        m,
+                        model.side[design, v],
+                        mc,
+                        cell_quad(model, design, cell),
+                        sides,
+                    )
 
     @inline
-    def stage(
-        model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, active: int
-    ):
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, active: int):
         for n in range(data.near_count[unit]):
             v = data.near[unit, n]
             lanes = int(active)

@@ -52,7 +52,7 @@ def outer_forces(precision: str, width: int):
 def spring_forces(precision: str, width: int):
     """Hooke forces k (l - l_eq) along the springs, added to ``force`` in the order of the springs."""
     ops, types = lane_ops(precision, width), structs(precision)
-    real, load, store, mul, div, root = ops.real, ops.load, ops.store, ops.mul, ops.div, ops.root
+    load, store, mul, div, root = ops.load, ops.store, ops.mul, ops.div, ops.root
 
     @inline
     def springs(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
@@ -104,7 +104,14 @@ def runge_kutta(precision: str, width: int):
 
     @inline
     def slope(
-        model: types.Model, data: types.Data, design: int, pack: int, lane: int, weight: real, bend: real, ahead: real
+        model: types.Model,
+        data: types.Data,
+        design: int,
+        pack: int,
+        lane: int,
+        weight: real,
+        bend: real,
+        ahead: real,
     ):
         """Add a stage's acceleration to the sums, and go to the next stage, ``ahead`` of the start."""
         outer(model, data, design, pack, lane)

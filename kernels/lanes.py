@@ -201,4 +201,8 @@ def _vector_ops(real, width):
 
     names = "splat load store mul div root lower upper grow largest at_most finite".split()
     scope = locals()
-    return {"value": value, "full": (1 << width) - 1 if width < 32 else -1, **{name: scope[name] for name in names}}
+    return {
+        "value": value,
+        "full": (1 << width) - 1 if width < 32 else -1,
+        **{name: scope[name] for name in names},
+    }

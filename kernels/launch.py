@@ -10,8 +10,8 @@ import warp as wp
 
 from warpvox.kernels.state import structs
 
-# Contacts at time 0 hang on the last bit of a double: round as the formulas are written.
-EXACT = {"cpu_compiler_flags": "-march=native -ffp-contract=off"}
+# Contacts at time 0 hang on the last bit of a double: round as the formulas are written, without fused operations.
+EXACT = {"fuse_fp": False}
 
 
 @functools.cache
@@ -31,4 +31,9 @@ def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
 def launch_stage(build, state) -> None:
     """Run one stage for every environment of a :class:`warpvox.sim.State`."""
     kernel = stage_kernel(build, state.precision, state.width)
-    wp.launch(kernel, (state.packs, state.units), [state.model, state.data, state.units, state.dt], device=state.device)
+    wp.launch(
+        kernel,
+        (state.packs, state.units),
+        [state.model, state.data, state.units, state.dt],
+        device=state.device,
+    )

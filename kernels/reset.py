@@ -23,6 +23,7 @@ def save(precision: str, width: int):
             store(data.saved_pos, pack, r, lane, load(data.pos, pack, r, lane))
             store(data.saved_vel, pack, r, lane, load(data.vel, pack, r, lane))
             store(data.saved_true_vel, pack, r, lane, load(data.true_vel, pack, r, lane))
+
     return stage
 
 

@@ -20,7 +20,15 @@ RIGID_LIMIT, RIGID_SHARE = 0.03, 0.5
 def limit(precision: str, width: int):
     """Stage: both passes."""
     ops, types, wide = lane_ops(precision, width), structs(precision), lane_ops("float64", width)
-    real, load, store, mul, div, splat, root = ops.real, ops.load, ops.store, ops.mul, ops.div, ops.splat, ops.root
+    real, load, store, mul, div, splat, root = (
+        ops.real,
+        ops.load,
+        ops.store,
+        ops.mul,
+        ops.div,
+        ops.splat,
+        ops.root,
+    )
     at_most, upper, lower = ops.at_most, ops.upper, ops.lower
     load_state, store_state, widen = wide.load, wide.store, casts(precision, width).widen
 
@@ -43,7 +51,14 @@ def limit(precision: str, width: int):
 
     @inline
     def correction(
-        model: types.Model, data: types.Data, design: int, pack: int, s: int, lane: int, bound: real, share: real
+        model: types.Model,
+        data: types.Data,
+        design: int,
+        pack: int,
+        s: int,
+        lane: int,
+        bound: real,
+        share: real,
     ):
         """How far the first end moves, toward the second where the spring is too long; 0 within the bound."""
         a, b = 2 * model.spring_ends[design, s][0], 2 * model.spring_ends[design, s][1]
@@ -58,7 +73,15 @@ def limit(precision: str, width: int):
         return mul(ex, part), mul(ey, part)
 
     @inline
-    def shift(data: types.Data, a: wp.array3d(dtype=real), pack: int, p: int, lane: int, dx: ops.value, dy: ops.value):
+    def shift(
+        data: types.Data,
+        a: wp.array3d(dtype=real),
+        pack: int,
+        p: int,
+        lane: int,
+        dx: ops.value,
+        dy: ops.value,
+    ):
         store(a, pack, 2 * p, lane, load(a, pack, 2 * p, lane) + dx)
         store(a, pack, 2 * p + 1, lane, load(a, pack, 2 * p + 1, lane) + dy)
 

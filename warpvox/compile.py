@@ -19,7 +19,12 @@ __all__ = ["Body", "Design", "compile_world", "model_arrays"]
 # Corners and sides of a voxel in clockwise order; side k runs from corner k to corner k + 1.
 TL, TR, BR, BL = range(4)
 CREATION = (TL, TR, BL, BR)
-SIDE_ENDS = ((TL, TR), (BL, BR), (TL, BL), (TR, BR))  # top, bottom, left, right: the order in which sides are made
+SIDE_ENDS = (
+    (TL, TR),
+    (BL, BR),
+    (TL, BL),
+    (TR, BR),
+)  # top, bottom, left, right: the order in which sides are made
 SIDE_BIT = {"top": 1, "right": 2, "bottom": 4, "left": 8}
 
 
@@ -76,7 +81,9 @@ def compile_world(world: World, physics: Physics) -> Design:
     ordered = sorted(world.objects.values(), key=lambda o: (not o.is_robot, o.name))
     bodies = [mesh(o, physics) for o in ordered if not o.is_static]
     if not bodies:
-        raise SimulationError("The world has nothing that can move: add a robot or an object with a cell that is not fixed.")
+        raise SimulationError(
+            "The world has nothing that can move: add a robot or an object with a cell that is not fixed."
+        )
     point = spring = action = 0
     for body in bodies:
         body.first_point, body.first_spring, body.first_action = point, spring, action
@@ -200,7 +207,13 @@ def _set_drives(body: Body) -> None:
 def model_arrays(designs: list[Design]) -> tuple[dict[str, np.ndarray], dict[str, int]]:
     """The Model's arrays for a list of designs, padded to common capacities, and those capacities."""
     parts = [_design_arrays(design) for design in designs]
-    count = {"point": "home", "spring": "spring_rest", "rigid": "rigid_spring", "voxel": "side", "robot": "fold_limit"}
+    count = {
+        "point": "home",
+        "spring": "spring_rest",
+        "rigid": "rigid_spring",
+        "voxel": "side",
+        "robot": "fold_limit",
+    }
     sizes = {symbol: max(len(part[name]) for part in parts) for symbol, name in count.items()}
     sizes["point"] //= 2
     sizes["cell"] = max(len(part["terrain_side"]) for part in parts)

@@ -1,8 +1,9 @@
 """One environment of a rollout as pictures: camera, terrain, voxels.
 
-Everything that does not move is painted once, as a wide sprite from which each frame is cut: a whole number of
-pixels to a voxel and a camera that moves by whole pixels keep terrain and grid sharp without any filtering. Only
-the boxes around moving objects are painted larger and scaled down, which is what makes their edges smooth.
+Everything that does not move is painted once, as a wide sprite from which each frame is cut: a whole number
+of pixels to a voxel and a camera that moves by whole pixels keep terrain and grid sharp without any
+filtering. Only the boxes around moving objects are painted larger and scaled down, which is what makes their
+edges smooth.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from warpvox.palette import colour_index, palette
-from warpvox.rollout import Rollout, Scene
+from warpvox.rollout import Rollout
+from warpvox.scene import Scene
 from warpvox.types import VOXEL, Cell
 
 __all__ = ["INK", "Painter", "camera_path", "font"]
@@ -38,8 +40,8 @@ def font(size: int) -> ImageFont.FreeTypeFont:
 def camera_path(rollout: Rollout, env: int, view: tuple[float, float]) -> np.ndarray:
     """Lower left corner of the picture in voxels for every frame, float64 ``[T + 1, 2]``.
 
-    The camera follows the robot's centre, smoothed over past and future alike, so that it neither shakes nor lags.
-    It shows no more of what lies beyond the world than it must to keep the robot in view.
+    The camera follows the robot's centre, smoothed over past and future alike, so that it neither shakes nor
+    lags. It shows no more of what lies beyond the world than it must to keep the robot in view.
 
     Args:
         rollout, env: what to follow.
@@ -92,9 +94,7 @@ class Painter:
         voxels: voxels from bottom to top; None fits the robot.
     """
 
-    def __init__(
-        self, rollout: Rollout, env: int, size: tuple[int, int], voxels: float | None = None
-    ) -> None:
+    def __init__(self, rollout: Rollout, env: int, size: tuple[int, int], voxels: float | None = None) -> None:
         self.rollout, self.env, self.size = rollout, rollout.check_env(env), size
         self.scene = rollout.scene(env)
         start = rollout.positions[0, env, self.scene.robot_points] / VOXEL

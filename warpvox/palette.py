@@ -30,9 +30,7 @@ _MIDDLE = LEVELS // 2
 def palette() -> np.ndarray:
     """uint8 ``[colours, 3]``: what :func:`colour_index` points into; entries LEVELS * (type - 1) + level."""
     knots = (0, _MIDDLE, LEVELS - 1)
-    rows = [
-        [np.interp(range(LEVELS), knots, channel) for channel in np.transpose(RAMPS[cell])] for cell in RAMPS
-    ]
+    rows = [[np.interp(range(LEVELS), knots, channel) for channel in np.transpose(RAMPS[cell])] for cell in RAMPS]
     return np.rint(np.concatenate([np.transpose(row) for row in rows])).astype(np.uint8)
 
 

@@ -94,9 +94,7 @@ class Film:
         title = self.rollout.title
         wide = max(draw.textlength(title, font=large), unit * 9.2) + unit * 1.6
         gap = unit // 2
-        draw.rounded_rectangle(
-            (gap, gap, gap + wide, gap + unit * 3.3), radius=gap, fill=(255, 255, 255, 216)
-        )
+        draw.rounded_rectangle((gap, gap, gap + wide, gap + unit * 3.3), radius=gap, fill=(255, 255, 255, 216))
         x, y, line = gap + unit * 0.8, gap + unit * 0.95, unit * 1.4
         draw.text((x, y), title, fill=INK, font=large, anchor="lm")
         gained = self.rollout.returns[frame, self.envs[0]]
@@ -110,9 +108,7 @@ class Film:
         draw, letters = ImageDraw.Draw(tile, "RGBA"), font(unit)
         text = f"{env}:  {self.rollout.returns[frame, env]:.2f}"
         wide = draw.textlength(text, font=letters)
-        draw.rounded_rectangle(
-            (3, 3, wide + unit + 3, unit * 1.5 + 3), radius=unit // 3, fill=(255, 255, 255, 216)
-        )
+        draw.rounded_rectangle((3, 3, wide + unit + 3, unit * 1.5 + 3), radius=unit // 3, fill=(255, 255, 255, 216))
         draw.text((3 + unit / 2, 3 + unit * 0.76), text, INK, letters, "lm")
 
     def _write_band(self, picture: Image.Image, frame: int) -> None:
@@ -298,9 +294,7 @@ def write_mp4(
         raise RolloutError(f"The width and the height of an MP4 must be even, got {width} x {height}.")
     film, frames = Film(rollout, envs, size, hud, voxels), _frames(rollout, envs, fps, start, stop, most=240)
     with atomic_path(path) as temporary:
-        writer = write_frames(
-            str(temporary), (width, height), fps=fps, codec="libx264", quality=7, macro_block_size=2
-        )
+        writer = write_frames(str(temporary), (width, height), fps=fps, codec="libx264", quality=7, macro_block_size=2)
         writer.send(None)
         try:
             for number, frame in enumerate(frames):
@@ -315,9 +309,7 @@ def write_mp4(
 # ---------------------------------------------------------------------------------------------------- helpers
 
 
-def _frames(
-    rollout: Rollout, envs: object, fps: float, start: int, stop: int | None, most: float
-) -> list[int]:
+def _frames(rollout: Rollout, envs: object, fps: float, start: int, stop: int | None, most: float) -> list[int]:
     """Frames of the rollout to show, so that time runs as in the simulation."""
     if not 1 <= fps <= most:
         raise RolloutError(f"fps must lie in 1 to {most:g}, got {fps!r}.")
@@ -325,9 +317,7 @@ def _frames(
         stop = int(rollout.lengths.max()) + 1 if rollout.num_steps else 1
     begin, end, _ = slice(start, stop).indices(rollout.num_frames)
     if begin >= end:
-        raise RolloutError(
-            f"There are no frames from {start} to {stop}; the rollout has {rollout.num_frames}."
-        )
+        raise RolloutError(f"There are no frames from {start} to {stop}; the rollout has {rollout.num_frames}.")
     count = max(1, round((end - begin) * FRAME_SECONDS * fps))
     return [min(end - 1, begin + round(k / (fps * FRAME_SECONDS))) for k in range(count)]
 
@@ -335,19 +325,18 @@ def _frames(
 def _gif_palette(sample: Sequence[Image.Image]) -> tuple[bytes, np.ndarray]:
     """A palette for all frames, and the entry for each colour cut to 5 bits a channel, uint8 [32768].
 
-    One palette means that a pixel that does not change keeps its number, which is what makes the file small; a
-    table is many times faster than asking for the nearest entry pixel by pixel.
+    One palette means that a pixel that does not change keeps its number, which is what makes the file small;
+    a table is many times faster than asking for the nearest entry pixel by pixel.
     """
     sheet = Image.fromarray(np.concatenate([np.asarray(image) for image in sample]))
     reduced = sheet.quantize(GIF_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     colours = np.array(reduced.getpalette("RGB"), np.uint8).reshape(-1, 3)[:GIF_COLOURS]
     levels = np.arange(32) * 8 + 4
     cells = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    near = [
-        ((part.astype(np.float32) - colours) ** 2).sum(-1).argmin(-1) for part in np.array_split(cells, 16)
-    ]
+    near = [((part.astype(np.float32) - colours) ** 2).sum(-1).argmin(-1) for part in np.array_split(cells, 16)]
     table = np.concatenate(near).astype(np.uint8)
-    # Of the colours that share a cell the most frequent one owns it, so that large areas keep their exact colour.
+    # Of the colours that share a cell the most frequent one owns it, so that large areas keep their exact
+    # colour.
     for entry in np.argsort(reduced.histogram()[: len(colours)], kind="stable"):
         red, green, blue = (colours[entry] >> 3).tolist()
         table[red << 10 | green << 5 | blue] = entry

@@ -3,11 +3,11 @@
 Pictures, USD and the page of the browser player are all made from a :class:`Rollout`, so that an episode is
 simulated once and can be looked at anywhere later.
 
-The file (version 1) is a compressed ``.npz`` that numpy reads without pickle. T is the number of control steps,
-E of environments, P of points and A of actions (the largest over the designs; padded with 0)::
+The file (version 1) is a compressed ``.npz`` that numpy reads without pickle. T is the number of control
+steps, E of environments, P of points and A of actions (the largest over the designs; padded with 0)::
 
     header        uint8 [bytes]            JSON in UTF-8, see below
-    positions     float32 [T + 1, E, P, 2] points of everything that can move; entry 0 is the state after reset
+    positions     float32 [T + 1, E, P, 2] points of all that can move; entry 0 is the state after reset
     design_index  int32 [E]                which scene an environment has
     actions       float32 [T, E, A]        as applied, in [0.6, 1.6]
     rewards       float64 [T, E]           0 after the end of an episode
@@ -15,11 +15,12 @@ E of environments, P of points and A of actions (the largest over the designs; p
     truncated     bool [T, E]
 
 The header: ``format`` ("warpvox-rollout"), ``version``, ``units`` (``voxel``: side of a voxel in units of
-``positions``; ``dt``: nominal seconds from one entry to the next), ``metadata`` (task, rules, seed and whatever
-the recorder added) and ``scenes``, one for every distinct world: ``width``, ``height`` and ``objects``, each with
-``name``, ``grid`` (cells, row 0 on top), ``x``, ``y`` (cell of its lower left corner), ``first_point``,
-``num_points`` (0 for terrain, which its grid describes completely) and ``corners``, for every cell that is not
-empty, row by row from the top left, its points at the top left, top right, bottom right and bottom left.
+``positions``; ``dt``: nominal seconds from one entry to the next), ``metadata`` (task, rules, seed and
+whatever the recorder added) and ``scenes``, one for every distinct world: ``width``, ``height`` and
+``objects``, each with ``name``, ``grid`` (cells, row 0 on top), ``x``, ``y`` (cell of its lower left corner),
+``first_point``, ``num_points`` (0 for terrain, which its grid describes completely) and ``corners``, for
+every cell that is not empty, row by row from the top left, its points at the top left, top right, bottom
+right and bottom left.
 """
 
 from __future__ import annotations
@@ -38,9 +39,10 @@ import numpy as np
 
 from warpvox.errors import ConfigError, RolloutError, did_you_mean, listing
 from warpvox.files import atomic_path
+from warpvox.scene import Scene, SceneObject, check_scene, scene_from_json, scene_to_json
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, Cell
 
-__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "Scene", "SceneObject", "record"]
+__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "record"]
 
 FORMAT, VERSION = "warpvox-rollout", 1
 FRAME_SECONDS = 1 / 50
@@ -55,104 +57,6 @@ ARRAYS = {
     "terminated": np.bool_,
     "truncated": np.bool_,
 }
-
-
-@dataclass(frozen=True, eq=False)
-class SceneObject:
-    """One object of a scene.
-
-    Attributes:
-        name: of the object; a robot is the object that has actuators.
-        grid: int8 ``[rows, columns]``, row 0 on top.
-        x, y: cell of the lower left corner of ``grid`` at the start.
-        first_point, num_points: its share of the points of an environment; no points if it never moves.
-        corners: int32 ``[cells, 4]``: points of every cell that is not empty at the top left, top right, bottom
-            right and bottom left, counted over all points of the environment; ``[0, 4]`` if it never moves.
-    """
-
-    name: str
-    grid: np.ndarray
-    x: int
-    y: int
-    first_point: int
-    num_points: int
-    corners: np.ndarray
-
-    @property
-    def is_static(self) -> bool:
-        """Whether the object is terrain, which never moves."""
-        return self.num_points == 0
-
-    @property
-    def is_robot(self) -> bool:
-        """Whether the object has actuators."""
-        return bool(np.isin(self.grid, (int(Cell.H_ACT), int(Cell.V_ACT))).any())
-
-    @property
-    def cells(self) -> np.ndarray:
-        """int8 ``[cells]``: types of the cells that are not empty, in the order of ``corners``."""
-        return self.grid[self.grid != Cell.EMPTY]
-
-    @property
-    def places(self) -> np.ndarray:
-        """int ``[cells, 2]``: row and column in ``grid`` of those cells."""
-        return np.argwhere(self.grid != Cell.EMPTY)
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """One distinct world of a rollout: its objects and their meshes.
-
-    Attributes:
-        width, height: of the world in cells.
-        objects: in the order of the simulator: robots, then the rest, each by name.
-    """
-
-    width: int
-    height: int
-    objects: tuple[SceneObject, ...]
-
-    @property
-    def moving(self) -> tuple[SceneObject, ...]:
-        """Objects that have points."""
-        return tuple(obj for obj in self.objects if not obj.is_static)
-
-    @property
-    def robots(self) -> tuple[SceneObject, ...]:
-        """Objects with actuators; where there is none, everything that moves."""
-        return tuple(obj for obj in self.moving if obj.is_robot) or self.moving
-
-    @cached_property
-    def corners(self) -> np.ndarray:
-        """int32 ``[cells, 4]``: corners of all cells that move, object after object."""
-        return np.concatenate([obj.corners for obj in self.moving])
-
-    @cached_property
-    def cells(self) -> np.ndarray:
-        """int8 ``[cells]``: types of all cells that move, in the order of ``corners``."""
-        return np.concatenate([obj.cells for obj in self.moving])
-
-    @cached_property
-    def robot_points(self) -> np.ndarray:
-        """int ``[k]``: the points of the robots."""
-        return np.concatenate([np.arange(o.first_point, o.first_point + o.num_points) for o in self.robots])
-
-    @property
-    def num_points(self) -> int:
-        """Points of this scene; entries of a rollout's positions beyond them are padding."""
-        return sum(obj.num_points for obj in self.moving)
-
-    @cached_property
-    def terrain(self) -> np.ndarray:
-        """int8 ``[height, width]``, row 0 on top: all cells that never move."""
-        cells = np.zeros((self.height, self.width), np.int8)
-        for obj in self.objects:
-            if obj.is_static:
-                rows, columns = obj.grid.shape
-                top = self.height - obj.y - rows
-                view = cells[top : top + rows, obj.x : obj.x + columns]
-                np.copyto(view, obj.grid, where=obj.grid != 0)
-        return cells
 
 
 @dataclass(eq=False)
@@ -187,7 +91,7 @@ class Rollout:
         self.scenes = tuple(self.scenes)
         _check_shapes(self)
         for number, scene in enumerate(self.scenes):
-            _check_scene(scene, number, self.positions.shape[2])
+            check_scene(scene, number, self.positions.shape[2])
 
     @property
     def num_frames(self) -> int:
@@ -248,9 +152,7 @@ class Rollout:
         """
         count = self.num_frames
         if not isinstance(frame, int | np.integer) or isinstance(frame, bool) or not -count <= frame < count:
-            raise RolloutError(
-                f"No frame {frame!r}: the rollout has {count}, 0 to {count - 1} (-1: the last)."
-            )
+            raise RolloutError(f"No frame {frame!r}: the rollout has {count}, 0 to {count - 1} (-1: the last).")
         return int(frame) % count
 
     def stretch(self, frame: int | slice, env: int) -> np.ndarray:
@@ -279,7 +181,7 @@ class Rollout:
             "version": VERSION,
             "units": {"voxel": VOXEL, "dt": FRAME_SECONDS},
             "metadata": self.metadata,
-            "scenes": [_scene_to_json(scene) for scene in self.scenes],
+            "scenes": [scene_to_json(scene) for scene in self.scenes],
         }
         try:
             text = json.dumps(header, allow_nan=False).encode()
@@ -299,7 +201,7 @@ class Rollout:
         """
         header, arrays = _read(Path(path))
         try:
-            scenes = tuple(_scene_from_json(scene) for scene in header["scenes"])
+            scenes = tuple(scene_from_json(scene) for scene in header["scenes"])
             metadata = dict(header["metadata"])
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError):
             raise RolloutError(f"{path} is damaged: its header does not describe scenes.") from None
@@ -321,8 +223,8 @@ def record(
 ) -> Rollout:
     """Reset ``env``, let ``policy`` act for one episode everywhere and return what happened.
 
-    An environment whose episode ends stays as it ended until the recording is over, whatever ``env.auto_reset``
-    says (an environment that resets itself is left reset).
+    An environment whose episode ends stays as it ended until the recording is over, whatever
+    ``env.auto_reset`` says (an environment that resets itself is left reset).
 
     Args:
         env: what :func:`warpvox.make_vec` makes.
@@ -332,7 +234,8 @@ def record(
         metadata: JSON values to keep with the rollout, for instance the configuration of a run.
 
     Raises:
-        ConfigError: an unknown agent or a number of steps below 1. ActionError: what the policy gives is refused.
+        ConfigError: an unknown agent or a number of steps below 1. ActionError: what the policy gives is
+        refused.
     """
     import torch
 
@@ -368,9 +271,7 @@ def record(
     )
 
 
-def _run(
-    env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], np.ndarray]
-) -> dict[str, np.ndarray]:
+def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], np.ndarray]) -> dict[str, np.ndarray]:
     """Step until all episodes have ended; what happened, as arrays with the step first."""
     import torch
 
@@ -398,9 +299,7 @@ def _scenes(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], np.ndarray]]:
         for name in sim.object_names
         if any(name in world and not world.objects[name].is_static for world in sim.worlds)
     ]
-    starts = dict(
-        zip(names, np.cumsum([0, *(sim.num_points(name) for name in names)]).tolist(), strict=False)
-    )
+    starts = dict(zip(names, np.cumsum([0, *(sim.num_points(name) for name in names)]).tolist(), strict=False))
     scenes, sources = [], []
     for design, world in enumerate(sim.worlds):
         objects, source = [], []
@@ -412,13 +311,12 @@ def _scenes(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], np.ndarray]]:
                 count = int(corners.max()) + 1
                 source += range(starts[name], starts[name] + count)
             grid = np.asarray(item.grid, np.int8)
-            objects.append(
-                SceneObject(name, grid, item.x, item.y, first if count else 0, count, corners + first)
-            )
+            objects.append(SceneObject(name, grid, item.x, item.y, first if count else 0, count, corners + first))
         scenes.append(Scene(world.width, world.height, tuple(objects)))
         sources.append(source)
     longest = max(len(source) for source in sources)
-    # Objects have their widest design's room in the simulation; here the points of an environment are contiguous.
+    # Objects have their widest design's room in the simulation; here the points of an environment are
+    # contiguous.
     table = torch.tensor([source + [0] * (longest - len(source)) for source in sources], device=sim.device)
     index = table[sim.design_index]
     real = (
@@ -460,49 +358,12 @@ def _agent(name: str, env: Any) -> Callable[[Any], Any]:
 # ------------------------------------------------------------------------------------------------------ files
 
 
-def _scene_to_json(scene: Scene) -> dict[str, Any]:
-    return {
-        "width": scene.width,
-        "height": scene.height,
-        "objects": [
-            {
-                "name": obj.name,
-                "x": obj.x,
-                "y": obj.y,
-                "grid": obj.grid.tolist(),
-                "first_point": obj.first_point,
-                "num_points": obj.num_points,
-                "corners": obj.corners.tolist(),
-            }
-            for obj in scene.objects
-        ],
-    }
-
-
-def _scene_from_json(scene: Mapping[str, Any]) -> Scene:
-    objects = tuple(
-        SceneObject(
-            name=str(obj["name"]),
-            grid=np.array(obj["grid"], np.int8),
-            x=int(obj["x"]),
-            y=int(obj["y"]),
-            first_point=int(obj["first_point"]),
-            num_points=int(obj["num_points"]),
-            corners=np.array(obj["corners"], np.int32).reshape(-1, 4),
-        )
-        for obj in scene["objects"]
-    )
-    return Scene(int(scene["width"]), int(scene["height"]), objects)
-
-
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Header and arrays of a file."""
     if not path.is_file():
         raise RolloutError(f"There is no rollout at {path}: no such file.")
     if not zipfile.is_zipfile(path):
-        raise RolloutError(
-            f"{path} is truncated or no rollout: expected a .npz file that warpvox has written."
-        )
+        raise RolloutError(f"{path} is truncated or no rollout: expected a .npz file that warpvox has written.")
     try:
         with np.load(path, allow_pickle=False) as archive:
             if "header" not in archive.files:
@@ -523,14 +384,10 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
-        raise RolloutError(
-            f"{path} is damaged or no rollout: {str(error) or type(error).__name__}."
-        ) from None
+        raise RolloutError(f"{path} is damaged or no rollout: {str(error) or type(error).__name__}.") from None
     for name, dtype in ARRAYS.items():
         if arrays[name].dtype != dtype:
-            raise RolloutError(
-                f"{path} is damaged: {name} is {arrays[name].dtype}, expected {np.dtype(dtype)}."
-            )
+            raise RolloutError(f"{path} is damaged: {name} is {arrays[name].dtype}, expected {np.dtype(dtype)}.")
     return header, arrays
 
 
@@ -549,9 +406,7 @@ def _check_version(path: Path, header: Any) -> None:
 def _check_shapes(rollout: Rollout) -> None:
     shape = rollout.positions.shape
     if len(shape) != 4 or shape[0] < 1 or shape[1] < 1 or shape[3] != 2:
-        raise RolloutError(
-            f"positions must be [frames, envs, points, 2] with a frame or more, got {list(shape)}."
-        )
+        raise RolloutError(f"positions must be [frames, envs, points, 2] with a frame or more, got {list(shape)}.")
     frames, envs = shape[:2]
     expected = {
         "design_index": (envs,),
@@ -572,23 +427,3 @@ def _check_shapes(rollout: Rollout) -> None:
     index, count = rollout.design_index, len(rollout.scenes)
     if index.min() < 0 or index.max() >= count:
         raise RolloutError(f"design_index must lie in 0 to {count - 1}, got {index.min()} to {index.max()}.")
-
-
-def _check_scene(scene: Scene, number: int, points: int) -> None:
-    if not scene.moving:
-        raise RolloutError(f"Scene {number} has nothing that moves.")
-    for obj in scene.objects:
-        what = f"The object '{obj.name}' of scene {number}"
-        if obj.grid.ndim != 2 or not np.isin(obj.grid, [int(cell) for cell in Cell]).all():
-            raise RolloutError(f"{what} has a grid that is not made of cells.")
-        if obj.x < 0 or obj.y < 0 or obj.x + obj.grid.shape[1] > scene.width:
-            raise RolloutError(f"{what} sticks out of its world.")
-        if obj.y + obj.grid.shape[0] > scene.height:
-            raise RolloutError(f"{what} sticks out of its world.")
-        if obj.is_static:
-            continue
-        first, end = obj.first_point, obj.first_point + obj.num_points
-        if first < 0 or obj.num_points < 0 or end > points:
-            raise RolloutError(f"{what} has points {first} to {end - 1}, but there are {points}.")
-        if obj.corners.shape != (len(obj.cells), 4) or obj.corners.min() < first or obj.corners.max() >= end:
-            raise RolloutError(f"{what} has corners that are not its points.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +12,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from warpvox.compile import Body, Design, compile_world, model_arrays
+from warpvox.compile import Body, compile_world, model_arrays
 from warpvox.errors import ActionError, DeviceError, SimulationError, did_you_mean, listing
 from warpvox.kernels import reset as reset_stage
 from warpvox.kernels import sensing
@@ -19,14 +20,30 @@ from warpvox.kernels import step as step_stage
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.reset import STALE
-from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, NOT_FINITE, OVERFLOW, REAL, UNSTABLE, allocate, structs
+from warpvox.kernels.state import (
+    CONSTANTS,
+    CONTACT,
+    DATA,
+    MODEL,
+    NOT_FINITE,
+    OVERFLOW,
+    REAL,
+    UNSTABLE,
+    allocate,
+    structs,
+)
 from warpvox.types import ACTION_HIGH, ACTION_LOW, DT, SUBSTEPS, VOXEL, Physics
 from warpvox.world import World
 
 __all__ = ["Simulation", "State"]
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
-WIDTHS = (1, 8, 16, 32)  # lane widths offered on the CPU; the narrowest that holds a design's environments is taken
+WIDTHS = (
+    1,
+    8,
+    16,
+    32,
+)  # lane widths offered on the CPU; the narrowest that holds a design's environments is taken
 CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
 MARGIN = 0.02  # width added to boxes when candidates are collected, a fifth of a voxel
 PAIRS_PER_VOXEL = 24  # capacity of the candidate list for bodies that go through the hashed grid
@@ -125,7 +142,9 @@ class Simulation:
         actions = torch.as_tensor(actions)
         if tuple(actions.shape) != tuple(self._actions.shape):
             expected = list(self._actions.shape)
-            raise ActionError(f"Actions must have the shape {expected} [num_envs, num_actions], got {list(actions.shape)}.")
+            raise ActionError(
+                f"Actions must have the shape {expected} [num_envs, num_actions], got {list(actions.shape)}."
+            )
         if actions.device.type == "cpu" and not bool(torch.isfinite(actions).all()):
             bad = int((~torch.isfinite(actions)).nonzero()[0, 0])
             raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
@@ -148,7 +167,7 @@ class Simulation:
         step_stage.step_kernel(state.precision, state.width).module.load(wp.get_device("cpu"))
         jobs = [
             self._pool.submit(step_stage.launch, state, SUBSTEPS, begin, end - begin)
-            for begin, end in zip(cuts, cuts[1:], strict=False)
+            for begin, end in itertools.pairwise(cuts)
         ]
         for job in jobs:
             job.result()
@@ -187,9 +206,7 @@ class Simulation:
     def _check_mask(self, mask) -> torch.Tensor:
         mask = torch.as_tensor(mask, device=self.device)
         if tuple(mask.shape) != (self.num_envs,) or mask.dtype != torch.bool:
-            raise SimulationError(
-                f"A mask must be bool [{self.num_envs}], got {mask.dtype} {list(mask.shape)}."
-            )
+            raise SimulationError(f"A mask must be bool [{self.num_envs}], got {mask.dtype} {list(mask.shape)}.")
         return mask
 
     # ------------------------------------------------------------------ status
@@ -358,7 +375,9 @@ class Simulation:
         for name in STATE_FIELDS:
             here = wp.to_torch(self._state.arrays[name])
             if name not in state or state[name].shape != here.shape or state[name].dtype != here.dtype:
-                raise SimulationError(f"The state's {name!r} is not that of this simulation: expected {list(here.shape)}.")
+                raise SimulationError(
+                    f"The state's {name!r} is not that of this simulation: expected {list(here.shape)}."
+                )
         for name in STATE_FIELDS:
             wp.to_torch(self._state.arrays[name]).copy_(state[name])
         self._views["drift"].fill_(STALE)
@@ -437,7 +456,11 @@ def _allocate(sim: Simulation, index: list[int], precision: str, lanes: int) -> 
         pack_design += [design] * -(-len(members) // lanes)
     host, sizes = model_arrays(sim.designs)
     units = lanes // width
-    sizes |= _capacities(sizes["voxel"]) | {"pack": len(pack_design), "lane": lanes, "unit": len(pack_design) * units}
+    sizes |= _capacities(sizes["voxel"]) | {
+        "pack": len(pack_design),
+        "lane": lanes,
+        "unit": len(pack_design) * units,
+    }
     host["pack_design"] = np.asarray(pack_design, dtype=np.int32)
     model, data = allocate(MODEL, sizes, precision, sim.device), allocate(DATA, sizes, precision, sim.device)
     for name, values in host.items():

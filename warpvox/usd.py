@@ -1,17 +1,17 @@
 """Rollouts as USD stages: time-sampled meshes that usdview, Blender and Omniverse open.
 
-Conventions: Y is up, one unit is a metre (a voxel is 0.1, as in the simulator), 50 time codes a second, frame k of
-the rollout at time code k. The default prim ``/World`` holds an Xform ``env_000`` for every environment (set apart
-by a translation, so that points are those of the rollout) with
+Conventions: Y is up, one unit is a metre (a voxel is 0.1, as in the simulator), 50 time codes a second, frame
+k of the rollout at time code k. The default prim ``/World`` holds an Xform ``env_000`` for every environment
+(set apart by a translation, so that points are those of the rollout) with
 
 - ``voxels``: one Mesh, a quad for every cell that moves, counter-clockwise seen from +Z. Its points are
-  time-sampled. ``displayColor`` is a palette that never changes with one time-sampled index for every face, so that
-  shading actuators by their stretch costs next to nothing. A GeomSubset for each cell type binds a material:
-  a constant colour, or for actuators displayColor.
+  time-sampled. ``displayColor`` is a palette that never changes with one time-sampled index for every face,
+  so that shading actuators by their stretch costs next to nothing. A GeomSubset for each cell type binds a
+  material: a constant colour, or for actuators displayColor.
 - ``terrain``: one Mesh of everything that never moves, a hair behind the voxels.
 
-Beside them: ``camera`` (follows the robot of the first environment), ``overview`` (all environments), ``sun`` and
-``sky``. Task, rules and returns stand in the custom data of ``/World`` and of every environment.
+Beside them: ``camera`` (follows the robot of the first environment), ``overview`` (all environments), ``sun``
+and ``sky``. Task, rules and returns stand in the custom data of ``/World`` and of every environment.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 
 from warpvox.errors import RolloutError
 from warpvox.files import atomic_path
-from warpvox.palette import LEVELS, RAMPS, colour_index, palette
+from warpvox.palette import RAMPS, colour_index, palette
 from warpvox.rollout import FRAME_SECONDS, Rollout
 from warpvox.types import VOXEL, Cell
 
@@ -47,9 +47,7 @@ APERTURE = (20.955, 11.787)  # of the cameras, mm: 35 mm film cut to 16:9
 FOCAL = 50.0
 
 
-def write_usd(
-    rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | None = None, stride: int = 1
-) -> Path:
+def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | None = None, stride: int = 1) -> Path:
     """Write a rollout as a USD stage; return the path.
 
     Args:
@@ -137,9 +135,7 @@ def _define_materials(stage: Any) -> dict[Cell, Any]:
             diffuse.ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float3))
         else:
             diffuse.Set(rest)
-        material.CreateSurfaceOutput().ConnectToSource(
-            surface.CreateOutput("surface", Sdf.ValueTypeNames.Token)
-        )
+        material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
         materials[cell] = material
     return materials
 
@@ -158,9 +154,7 @@ def _places(rollout: Rollout, envs: list[int]) -> np.ndarray:
     return np.stack([number % COLUMNS, -(number // COLUMNS)], axis=1) * step
 
 
-def _define_env(
-    stage: Any, rollout: Rollout, env: int, place: np.ndarray, materials: dict[Cell, Any]
-) -> None:
+def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, materials: dict[Cell, Any]) -> None:
     from pxr import Gf, UsdGeom
 
     scene, root = rollout.scene(env), _root(env)
@@ -253,9 +247,7 @@ def _changes(values: np.ndarray, interpolated: bool) -> list[int]:
     return [int(frame) for frame in moved]
 
 
-def _define_cameras(
-    stage: Any, rollout: Rollout, envs: list[int], places: np.ndarray, frames: list[int]
-) -> None:
+def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.ndarray, frames: list[int]) -> None:
     """One camera that follows the first environment's robot, one that sees everything."""
     from pxr import Gf
 

@@ -149,7 +149,9 @@ def test_a_body_in_the_air_falls_as_gravity_says():
 
 def test_momentum_does_not_come_from_springs_or_self_contact():
     physics = Physics.preset("evogym", gravity=0.0, drag=0.0)
-    sim = Simulation([world_of(sample_design((5, 5), seed=3), False, 5, 5)], device="cpu", physics=physics, dtype="float64")
+    sim = Simulation(
+        [world_of(sample_design((5, 5), seed=3), False, 5, 5)], device="cpu", physics=physics, dtype="float64"
+    )
     run(sim, actions_for(sim, 10))
     assert float(sim.velocity("robot").abs().max()) < 1e-9
 
@@ -229,7 +231,10 @@ def test_bad_actions_are_refused():
 
 def test_actions_are_clipped():
     low, high = (Simulation(worlds(1), device="cpu", lanes=1) for _ in range(2))
-    assert torch.equal(run(low, torch.full((5, 1, low.num_actions), 9.0)), run(high, torch.full((5, 1, low.num_actions), 1.6)))
+    assert torch.equal(
+        run(low, torch.full((5, 1, low.num_actions), 9.0)),
+        run(high, torch.full((5, 1, low.num_actions), 1.6)),
+    )
 
 
 def test_static_objects_have_positions_too():

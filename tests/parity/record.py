@@ -75,7 +75,7 @@ def moving_points(env, order):
     held = set()
     for name in order:
         thing = env.world.objects[name]
-        for y, x in zip(*np.nonzero(np.asarray(thing.grid) == FIXED)):
+        for y, x in zip(*np.nonzero(np.asarray(thing.grid) == FIXED), strict=False):
             held |= {(name, thing.pos.x + x + dx, thing.pos.y + y + dy) for dx in (0, 1) for dy in (0, 1)}
     moving, first = [], 0
     for name in order:
@@ -116,7 +116,7 @@ def record(task, body, actions):
     stops = np.cumsum(counts).tolist()
     info = dict(
         unstable_at=unstable_at,
-        objects=[dict(name=n, start=b - c, stop=b) for n, b, c in zip(order, stops, counts)],
+        objects=[dict(name=n, start=b - c, stop=b) for n, b, c in zip(order, stops, counts, strict=False)],
     )
     env.close()
     return info, dict(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import statistics
 import subprocess
@@ -26,9 +27,9 @@ __all__ = ["run"]
 
 CHECK_STEPS = 60
 TOLERANCE = 1e-6
-"""Largest difference of the centre of mass over CHECK_STEPS in float64, in simulator units: over so many steps the
-two differ by round-off only, which contacts have not yet amplified beyond this."""
-HOW_TO_GET_IT = "python3.10 -m venv ref && ref/bin/pip install evogym==2.0.0, then warpvox bench peer.python=ref/bin/python"
+"""Largest difference of the centre of mass over CHECK_STEPS in float64, in simulator units: over so many
+steps the two differ by round-off only, which contacts have not yet amplified beyond this."""
+HOW_TO_GET_IT = "python3.10 -m venv ref && ref/bin/pip install evogym==2.0.0, then peer.python=ref/bin/python"
 
 
 def run(words: list[str]) -> None:
@@ -69,7 +70,7 @@ def peer_suite(config: Any, console: Console) -> dict[str, Any]:
             error = _check_physics(config, body, peer)
         say(
             console,
-            f"physics: centre of mass within {error:.1e} of the reference over {CHECK_STEPS} steps in float64",
+            f"physics: within {error:.1e} of the reference over {CHECK_STEPS} steps in float64",
         )
         ours, theirs = [], []
         with console.status("measuring"):
@@ -105,7 +106,8 @@ def step_suite(config: Any, console: Console) -> dict[str, Any]:
     if not bool(np.isfinite(env.sim.object_positions("robot").cpu().numpy()).all()):
         raise SimulationError("The simulation has left the finite numbers: its speed means nothing.")
     unit = "second" if config.device.startswith("cuda") else "second of CPU time"
-    title = f"{config.task}, {config.num_envs} environments, {config.dtype}, {env.device}: control steps per {unit}"
+    where = f"{config.task}, {config.num_envs} environments, {config.dtype}, {env.device}"
+    title = f"{where}: control steps per {unit}"
     _print_rates(console, title, rates)
     return {"rates": rates}
 
@@ -139,8 +141,8 @@ def _check_physics(config: Any, body: np.ndarray, peer: Peer) -> float:
     error = float(np.abs(np.array(ours) - np.array(theirs)).max())
     if not error < TOLERANCE:
         raise SimulationError(
-            f"The centre of mass differs from the reference by {error:.1e} within {CHECK_STEPS} steps (allowed:"
-            f" {TOLERANCE:.0e}): no speed is worth printing."
+            f"The centre of mass differs from the reference by {error:.1e} within {CHECK_STEPS} steps"
+            f" (allowed: {TOLERANCE:.0e}): no speed is worth printing."
         )
     return error
 
@@ -247,7 +249,8 @@ class Peer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._process.stdin.close()
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.close()
         try:
             self._process.wait(timeout=10)
         except subprocess.TimeoutExpired:

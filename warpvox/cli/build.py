@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import torch
-import warp as wp
 
+from warpvox.cli.start import start_warp
 from warpvox.design import load_design
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
@@ -24,7 +24,7 @@ __all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve"]
 
 def prepare(torch_threads: int, seed: int) -> None:
     """Settings of the process: threads, random numbers, and no chatter from Warp."""
-    wp.config.log_level = wp.LOG_WARNING
+    start_warp()
     torch.set_num_threads(torch_threads)
     torch.manual_seed(seed)
 

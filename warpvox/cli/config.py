@@ -25,7 +25,15 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 
 __all__ = ["Arguments", "check_values", "expand", "load", "load_values", "read_arguments", "to_yaml"]
 
-TYPES = {"int": "a whole number", "float": "a number", "bool": "true or false", "list": "a list"}
+# the first that occurs in the name of a type
+TYPES = {
+    "list[int]": "a list of whole numbers",
+    "list": "a list",
+    "int": "a whole number",
+    "float": "a number",
+    "bool": "true or false",
+    "str": "text",
+}
 
 
 @dataclass
@@ -229,9 +237,8 @@ def _parse(arguments: Arguments, command: str) -> list[Override]:
             raise ConfigError(f"'{text}': keys cannot be added or removed; write {key}=VALUE.")
         if override.package is not None or key not in known:
             hint = did_you_mean(key, known) or did_you_mean(key.split(".")[-1], known)
-            raise ConfigError(
-                f"Unknown key '{override.get_key_element()}'.{hint} `warpvox {command} --help` lists them all."
-            )
+            given = override.get_key_element()
+            raise ConfigError(f"Unknown key '{given}'.{hint} `warpvox {command} --help` lists all keys.")
         parsed.append(override)
     keys = [override.key_or_group for override in parsed]
     twice = [key for key in dict.fromkeys(keys) if keys.count(key) > 1]

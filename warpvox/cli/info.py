@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 import warpvox
+from warpvox.cli.start import start_warp
 from warpvox.errors import ConfigError
 
 __all__ = ["cpu_name", "run"]
@@ -53,7 +54,7 @@ def _devices() -> list[tuple[str, str]]:
     import torch
     import warp as wp
 
-    wp.config.log_level = wp.LOG_WARNING
+    start_warp()
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     rows = [("cpu", f"{cpu_name()}, {usable} of {os.cpu_count()} cores usable")]
     if torch.cuda.is_available() and wp.is_cuda_available():
@@ -79,7 +80,6 @@ def cpu_name() -> str:
 def _cache() -> list[tuple[str, str]]:
     import warp as wp
 
-    wp.init()
     folder = Path(wp.config.kernel_cache_dir)
     files = [file for file in folder.rglob("*") if file.is_file()] if folder.is_dir() else []
     modules = sum(1 for item in folder.iterdir() if item.is_dir()) if folder.is_dir() else 0

@@ -1,12 +1,13 @@
 """The reference's half of ``warpvox bench suite=peer``.
 
-Runs as a script under an interpreter that has evogym installed (Python 3.10, no warpvox), reads one JSON request
-a line from stdin and answers each with one JSON line on stdout:
+Runs as a script under an interpreter that has evogym installed (Python 3.10, no warpvox), reads one JSON
+request a line from stdin and answers each with one JSON line on stdout:
 
-``{"do": "start", "task": ..., "body": ...}``      the versions; must come first
-``{"do": "check", "actions": [steps][actuators]}`` ``com`` ``[steps][2]``: the robot's centre of mass after each step
-``{"do": "time", "actions": ...}``                 ``seconds`` of CPU for these steps after a reset, rewards and
-                                                   observations included
+- ``{"do": "start", "task": ..., "body": ...}`` comes first and gives the versions;
+- ``{"do": "check", "actions": [steps][actuators]}`` gives ``com`` ``[steps][2]``, the robot's centre of mass
+  after each step;
+- ``{"do": "time", "actions": ...}`` gives the CPU ``seconds`` of these steps after a reset, rewards and
+  observations included.
 """
 
 import json
@@ -31,7 +32,7 @@ def main():
             else:
                 answer = {"check": check, "time": measure}[request["do"]](env, request["actions"])
         except Exception as error:
-            answer = {"error": "%s: %s" % (type(error).__name__, error)}
+            answer = {"error": f"{type(error).__name__}: {error}"}
         answers.write(json.dumps(answer) + "\n")
         answers.flush()
 

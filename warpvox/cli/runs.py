@@ -100,7 +100,7 @@ def _latest(root: Path) -> Path:
 
 @contextmanager
 def new_folder(output_dir: str, command: str, task: str, name: str | None, config: str) -> Iterator[Path]:
-    """Make a run's folder with its ``config.yaml``; it goes again if the block fails before a result is in it.
+    """Make a run's folder with its ``config.yaml``; gone again if the block fails before any result.
 
     Raises:
         ConfigError: a name that no folder can have. RunError: the folder cannot be written.

@@ -55,10 +55,11 @@ def run(words: list[str]) -> None:
         return
     runs = expand(arguments, "train")
     jobs = [_job(overrides, arguments.config_dir) for overrides in runs]
-    from warpvox.cli.build import resolve
-
     if len(jobs) > 1:
+        from warpvox.cli.build import prepare, resolve
+
         for job in jobs:  # a mistake in the last of a hundred runs should not show after a day
+            prepare(job.config.torch_threads, job.config.seed)
             resolve(job.config)
     console = Console()
     for number, job in enumerate(jobs):
@@ -135,8 +136,8 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         from warpvox.algos.runner import Runner, Schedule, adapt
         from warpvox.cli.build import make_env, prepare, resolve
 
+        prepare(job.config.torch_threads, job.config.seed)
         config = resolve(job.config)
-        prepare(config.torch_threads, config.seed)
         designs = config.design if isinstance(config.design[0][0], list) else [config.design]
     with console.status("preparing the simulation (the first time on a machine its kernels are compiled)"):
         schedule = Schedule(

@@ -1,16 +1,16 @@
 """The browser player: a rollout as one self-contained page, which needs no network and no server.
 
-The page carries the rollout in two script elements that are not scripts. ``meta`` is JSON: the numbers below, the
-scenes and the colours. ``data`` is base64 of raw deflate of these little-endian arrays, one after the other, for
-E environments, P their points, F frames::
+The page carries the rollout in two script elements that are not scripts. ``meta`` is JSON: the numbers below,
+the scenes and the colours. ``data`` is base64 of raw deflate of these little-endian arrays, one after the
+other, for E environments, P their points, F frames::
 
     start    int32 [sum of P, 2]              positions in frame 0
     rewards  float32 [E, F - 1]
     low      uint8 [sum of P, 2, F - 1]       low bytes of the int16 differences from frame to frame
     high     uint8 [sum of P, 2, F - 1]       their high bytes (apart, bytes repeat more and pack better)
 
-Positions are whole multiples of ``1 / scale`` simulator units. Differences are taken after rounding, so errors do
-not add up: a position is off by half of that at most.
+Positions are whole multiples of ``1 / scale`` simulator units. Differences are taken after rounding, so
+errors do not add up: a position is off by half of that at most.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ import numpy as np
 from warpvox.errors import RolloutError
 from warpvox.files import write_text
 from warpvox.palette import CELL_NAMES, RAMPS
-from warpvox.rollout import FRAME_SECONDS, Rollout, Scene
+from warpvox.rollout import FRAME_SECONDS, Rollout
+from warpvox.scene import Scene
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 
 __all__ = ["write_html"]
@@ -135,9 +136,7 @@ def _pack(rollout: Rollout, envs: list[int]) -> tuple[int, bytes]:
     while scale > 1 and jump * scale > 32766:
         scale //= 2
     if jump * scale > 32766:
-        raise RolloutError(
-            f"Points leap {jump:.3g} simulator units in a step: too far for the page's format."
-        )
+        raise RolloutError(f"Points leap {jump:.3g} simulator units in a step: too far for the page's format.")
     whole = np.rint(values * scale).astype(np.int32)
     steps = np.diff(np.ascontiguousarray(whole), axis=1).astype("<i2", order="C")
     arrays = (

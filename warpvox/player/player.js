@@ -15,6 +15,7 @@ class Player {
     this.playing = !wish.has("paused") && !matchMedia("(prefers-reduced-motion: reduce)").matches && this.last > 0;
     const points = Math.max(...envs.map((env) => env.scene.points));
     this.style = { colourOf: makeColours(meta), buffer: new Float32Array(points * 2), theme: null };
+    this.timeline = new Timeline(envs);
     this.chooseTheme(wish.get("theme"));
     this.fillIn();
     this.listen();
@@ -219,11 +220,10 @@ class Player {
       drawEnv(g, box.env, this.time, box, box.look, this.style, ratio);
       if (this.many) drawLabel(g, box.env, box, this.time, theme, box.env === this.env);
     }
-    const line = this.prepare(byId("timeline"));
-    drawTimeline(line.g, this.envs, this.env, this.time, line, theme);
+    this.timeline.draw(this.prepare(byId("timeline")), this.env, this.time, theme);
     byId("timeline").setAttribute("aria-valuenow", this.frame);
     const { dt } = this.meta;
-    byId("clock").textContent = `${(this.frame * dt).toFixed(2)} / ${(this.last * dt).toFixed(2)} s   frame ${this.frame}`;
+    byId("clock").textContent = `${(this.frame * dt).toFixed(2)} / ${(this.last * dt).toFixed(2)} s · frame ${this.frame}`;
     byId("return").textContent = this.env.returns[this.frame].toFixed(2);
     this.showTip();
   }

@@ -97,27 +97,35 @@ const drawCells = (g, env, xy, colourOf, theme, pixel) => {
       g.lineTo(xy[2 * pairs[i + 1]], xy[2 * pairs[i + 1] + 1]);
     }
   };
+  // Cells of one colour make one path: fewer calls, and no seams between them.
+  const byColour = new Map();
   for (const { cells, corners } of env.scene.objects) {
     for (let i = 0; i < cells.length; i++) {
-      const quad = corners[i];
-      g.beginPath();
+      const colour = colourOf(cells[i], stretchOf(xy, corners[i], cells[i]));
+      const quads = byColour.get(colour);
+      if (quads) quads.push(corners[i]); else byColour.set(colour, [corners[i]]);
+    }
+  }
+  for (const [colour, quads] of byColour) {
+    g.beginPath();
+    for (const quad of quads) {
       g.moveTo(xy[2 * quad[0]], xy[2 * quad[0] + 1]);
       for (let c = 1; c < 4; c++) g.lineTo(xy[2 * quad[c]], xy[2 * quad[c] + 1]);
       g.closePath();
-      g.fillStyle = g.strokeStyle = colourOf(cells[i], stretchOf(xy, quad, cells[i]));
-      g.lineWidth = pixel * 0.6; // without it the background shines through between neighbours
-      g.fill();
+    }
+    g.fillStyle = colour;
+    g.fill();
+  }
+  if (pixel < 0.2) {
+    g.lineWidth = Math.max(0.6 * pixel, 0.032);
+    for (const [pairs, colour] of [[env.scene.innerDark, theme["ink-dark"]], [env.scene.inner, theme["ink-inner"]]]) {
+      g.strokeStyle = colour;
+      trace(pairs);
       g.stroke();
     }
   }
-  g.lineWidth = Math.max(0.6 * pixel, 0.032);
-  for (const [pairs, colour] of [[env.scene.innerDark, theme["ink-dark"]], [env.scene.inner, theme["ink-inner"]]]) {
-    g.strokeStyle = colour;
-    trace(pairs);
-    g.stroke();
-  }
   g.strokeStyle = theme.ink;
-  g.lineWidth = Math.max(pixel, 0.065);
+  g.lineWidth = Math.max(pixel, 0.055);
   trace(env.scene.outer);
   g.stroke();
 };
@@ -148,8 +156,7 @@ const drawLabel = (g, env, box, time, theme, chosen) => {
   g.fillText(text, box.x + 4 + size * 0.6, box.y + 4 + size * 0.92);
 };
 
-// One environment in its box (in CSS pixels); ratio: device pixels to a CSS pixel. Returns what is needed to find
-// the voxel under the pointer.
+// One environment in its box (in CSS pixels); ratio: device pixels to a CSS pixel.
 const drawEnv = (g, env, time, box, look, style, ratio) => {
   const { theme, colourOf, buffer } = style, pixel = 1 / look.scale;
   const xy = pointsAt(env, time, buffer);
@@ -189,41 +196,69 @@ const cellAt = (env, time, x, y, buffer) => {
   return null;
 };
 
-// Returns of all environments over time, that of the chosen one strong, with the time that has passed shaded.
-const drawTimeline = (g, envs, chosen, time, box, theme) => {
-  const frames = envs[0].returns.length, last = Math.max(1, frames - 1), pad = 8;
-  let low = 0, high = 0;
-  for (const env of envs) for (const value of env.returns) { low = Math.min(low, value); high = Math.max(high, value); }
-  if (high - low < 1e-9) high = low + 1;
-  const toX = (k) => (k / last) * box.w, toY = (value) => box.h - pad - ((value - low) / (high - low)) * (box.h - 2 * pad);
-  g.fillStyle = theme.press;
-  g.fillRect(0, 0, box.w, box.h);
-  g.fillStyle = theme.line;
-  g.fillRect(0, 0, toX(time), box.h);
-  g.fillStyle = theme["grid-strong"];
-  g.fillRect(0, toY(0), box.w, 1);
+// Returns of all environments over time, that of the chosen one strong. Painted on a canvas of its own, because it
+// changes with the choice, the theme and the size only.
+const drawCurves = (g, envs, chosen, box, theme) => {
+  const frames = envs[0].returns.length, last = Math.max(1, frames - 1);
   const stride = Math.max(1, Math.floor(last / (2 * box.w)));
   const curve = (env, colour, width) => {
     g.beginPath();
-    for (let k = 0; k <= last && k < frames; k += stride) g.lineTo(toX(k), toY(env.returns[k]));
+    for (let k = 0; k <= last && k < frames; k += stride) g.lineTo(box.toX(k), box.toY(env.returns[k]));
     g.strokeStyle = colour;
     g.lineWidth = width;
     g.stroke();
   };
+  g.fillStyle = theme["grid-strong"];
+  g.fillRect(0, box.toY(0), box.w, 1);
   g.lineJoin = "round";
   for (const env of envs) if (env !== chosen) curve(env, theme["curve-other"], 1.5);
   curve(chosen, theme.curve, 2);
-  g.fillStyle = theme.faint;
   g.font = "11px system-ui, sans-serif";
   g.textAlign = "right";
-  g.textBaseline = "top";
-  g.fillText(`return ${high.toFixed(2)}`, box.w - 6, 3);
-  g.textBaseline = "bottom";
-  g.fillText(low.toFixed(2), box.w - 6, box.h - 3);
-  g.fillStyle = theme.text;
-  g.fillRect(toX(time) - 1, 0, 2, box.h);
-  g.beginPath();
-  g.arc(toX(time), toY(valueAt(chosen.returns, time)), 4, 0, 7);
-  g.fillStyle = theme.curve;
-  g.fill();
+  for (const [text, y, side] of [[`return ${box.high.toFixed(2)}`, 4, "top"], [box.low.toFixed(2), box.h - 4, "bottom"]]) {
+    g.textBaseline = side;
+    g.strokeStyle = theme.press;
+    g.lineWidth = 4; // a halo keeps the figures legible where curves cross them
+    g.strokeText(text, box.w - 6, y);
+    g.fillStyle = theme.faint;
+    g.fillText(text, box.w - 6, y);
+  }
 };
+
+class Timeline {
+  constructor(envs) {
+    this.envs = envs;
+    this.low = this.high = 0;
+    for (const env of envs) for (const value of env.returns) this.include(value);
+    if (this.high - this.low < 1e-9) this.high = this.low + 1;
+    this.curves = document.createElement("canvas");
+  }
+
+  include(value) {
+    this.low = Math.min(this.low, value);
+    this.high = Math.max(this.high, value);
+  }
+
+  draw({ g, w, h, ratio }, chosen, time, theme) {
+    const last = Math.max(1, chosen.returns.length - 1), pad = 8, { low, high } = this;
+    const toX = (k) => (k / last) * w, toY = (value) => h - pad - ((value - low) / (high - low)) * (h - 2 * pad);
+    if (this.chosen !== chosen || this.theme !== theme || this.w !== w || this.h !== h || this.ratio !== ratio) {
+      Object.assign(this, { chosen, theme, w, h, ratio });
+      Object.assign(this.curves, { width: Math.max(1, w * ratio), height: Math.max(1, h * ratio) });
+      const own = this.curves.getContext("2d");
+      own.setTransform(ratio, 0, 0, ratio, 0, 0);
+      drawCurves(own, this.envs, chosen, { w, h, low, high, toX, toY }, theme);
+    }
+    g.fillStyle = theme.press;
+    g.fillRect(0, 0, w, h);
+    g.fillStyle = theme.line;
+    g.fillRect(0, 0, toX(time), h);
+    g.drawImage(this.curves, 0, 0, w, h);
+    g.fillStyle = theme.text;
+    g.fillRect(toX(time) - 1, 0, 2, h);
+    g.beginPath();
+    g.arc(toX(time), toY(valueAt(chosen.returns, time)), 4, 0, 7);
+    g.fillStyle = theme.curve;
+    g.fill();
+  }
+}

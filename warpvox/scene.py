@@ -1,0 +1,176 @@
+"""Scenes: the worlds of a rollout as meshes, everything that pictures need besides positions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from warpvox.errors import RolloutError
+from warpvox.types import Cell
+
+__all__ = ["Scene", "SceneObject", "check_scene", "scene_from_json", "scene_to_json"]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """One object of a scene.
+
+    Attributes:
+        name: of the object; a robot is the object that has actuators.
+        grid: int8 ``[rows, columns]``, row 0 on top.
+        x, y: cell of the lower left corner of ``grid`` at the start.
+        first_point, num_points: its share of the points of an environment; no points if it never moves.
+        corners: int32 ``[cells, 4]``: points of every cell that is not empty at the top left, top right,
+            bottom right and bottom left, counted over all points of the environment; ``[0, 4]`` if it never
+            moves.
+    """
+
+    name: str
+    grid: np.ndarray
+    x: int
+    y: int
+    first_point: int
+    num_points: int
+    corners: np.ndarray
+
+    @property
+    def is_static(self) -> bool:
+        """Whether the object is terrain, which never moves."""
+        return self.num_points == 0
+
+    @property
+    def is_robot(self) -> bool:
+        """Whether the object has actuators."""
+        return bool(np.isin(self.grid, (int(Cell.H_ACT), int(Cell.V_ACT))).any())
+
+    @property
+    def cells(self) -> np.ndarray:
+        """int8 ``[cells]``: types of the cells that are not empty, in the order of ``corners``."""
+        return self.grid[self.grid != Cell.EMPTY]
+
+    @property
+    def places(self) -> np.ndarray:
+        """int ``[cells, 2]``: row and column in ``grid`` of those cells."""
+        return np.argwhere(self.grid != Cell.EMPTY)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One distinct world of a rollout: its objects and their meshes.
+
+    Attributes:
+        width, height: of the world in cells.
+        objects: in the order of the simulator: robots, then the rest, each by name.
+    """
+
+    width: int
+    height: int
+    objects: tuple[SceneObject, ...]
+
+    @property
+    def moving(self) -> tuple[SceneObject, ...]:
+        """Objects that have points."""
+        return tuple(obj for obj in self.objects if not obj.is_static)
+
+    @property
+    def robots(self) -> tuple[SceneObject, ...]:
+        """Objects with actuators; where there is none, everything that moves."""
+        return tuple(obj for obj in self.moving if obj.is_robot) or self.moving
+
+    @cached_property
+    def corners(self) -> np.ndarray:
+        """int32 ``[cells, 4]``: corners of all cells that move, object after object."""
+        return np.concatenate([obj.corners for obj in self.moving])
+
+    @cached_property
+    def cells(self) -> np.ndarray:
+        """int8 ``[cells]``: types of all cells that move, in the order of ``corners``."""
+        return np.concatenate([obj.cells for obj in self.moving])
+
+    @cached_property
+    def robot_points(self) -> np.ndarray:
+        """int ``[k]``: the points of the robots."""
+        return np.concatenate([np.arange(o.first_point, o.first_point + o.num_points) for o in self.robots])
+
+    @property
+    def num_points(self) -> int:
+        """Points of this scene; entries of a rollout's positions beyond them are padding."""
+        return sum(obj.num_points for obj in self.moving)
+
+    @cached_property
+    def terrain(self) -> np.ndarray:
+        """int8 ``[height, width]``, row 0 on top: all cells that never move."""
+        cells = np.zeros((self.height, self.width), np.int8)
+        for obj in self.objects:
+            if obj.is_static:
+                rows, columns = obj.grid.shape
+                top = self.height - obj.y - rows
+                view = cells[top : top + rows, obj.x : obj.x + columns]
+                np.copyto(view, obj.grid, where=obj.grid != 0)
+        return cells
+
+
+def scene_to_json(scene: Scene) -> dict[str, Any]:
+    """A scene as JSON values; the rollout file describes them."""
+    return {
+        "width": scene.width,
+        "height": scene.height,
+        "objects": [
+            {
+                "name": obj.name,
+                "x": obj.x,
+                "y": obj.y,
+                "grid": obj.grid.tolist(),
+                "first_point": obj.first_point,
+                "num_points": obj.num_points,
+                "corners": obj.corners.tolist(),
+            }
+            for obj in scene.objects
+        ],
+    }
+
+
+def scene_from_json(scene: Mapping[str, Any]) -> Scene:
+    """The scene of :func:`scene_to_json`.
+
+    Raises:
+        KeyError, TypeError, ValueError, OverflowError: it is not one.
+    """
+    objects = tuple(
+        SceneObject(
+            name=str(obj["name"]),
+            grid=np.array(obj["grid"], np.int8),
+            x=int(obj["x"]),
+            y=int(obj["y"]),
+            first_point=int(obj["first_point"]),
+            num_points=int(obj["num_points"]),
+            corners=np.array(obj["corners"], np.int32).reshape(-1, 4),
+        )
+        for obj in scene["objects"]
+    )
+    return Scene(int(scene["width"]), int(scene["height"]), objects)
+
+
+def check_scene(scene: Scene, number: int, points: int) -> None:
+    """Raise RolloutError if parts of a scene do not fit together, or do not fit ``points`` points."""
+    if not scene.moving:
+        raise RolloutError(f"Scene {number} has nothing that moves.")
+    for obj in scene.objects:
+        what = f"The object '{obj.name}' of scene {number}"
+        if obj.grid.ndim != 2 or not np.isin(obj.grid, [int(cell) for cell in Cell]).all():
+            raise RolloutError(f"{what} has a grid that is not made of cells.")
+        if obj.x < 0 or obj.y < 0 or obj.x + obj.grid.shape[1] > scene.width:
+            raise RolloutError(f"{what} sticks out of its world.")
+        if obj.y + obj.grid.shape[0] > scene.height:
+            raise RolloutError(f"{what} sticks out of its world.")
+        if obj.is_static:
+            continue
+        first, end = obj.first_point, obj.first_point + obj.num_points
+        if first < 0 or obj.num_points < 0 or end > points:
+            raise RolloutError(f"{what} has points {first} to {end - 1}, but there are {points}.")
+        if obj.corners.shape != (len(obj.cells), 4) or obj.corners.min() < first or obj.corners.max() >= end:
+            raise RolloutError(f"{what} has corners that are not its points.")
