@@ -20,8 +20,10 @@ LAYERS = (
     (
         "warpvox.compile",
         "warpvox.sim",
-        "warpvox.views",
+        "warpvox.palette",
+        "warpvox.scene",
         "warpvox.rollout",
+        "warpvox.painter",
         "warpvox.render",
         "warpvox.usd",
         "warpvox.player",

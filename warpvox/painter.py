@@ -52,13 +52,14 @@ def camera_path(rollout: Rollout, env: int, view: tuple[float, float]) -> np.nda
     low, high = points.min(axis=1).astype(np.float64), points.max(axis=1).astype(np.float64)
     centre = points.mean(axis=1, dtype=np.float64)
     size, anchor = np.array(view), np.array([0.5, ANCHOR])
-    corner = np.stack([_smooth(centre[:, k], STEADY[k]) for k in (0, 1)], axis=1) - size * anchor
+    corner = centre - size * anchor
     world = np.array([scene.width, scene.height], dtype=np.float64)
     room = world + 2 * BELOW - size
     middle = (world - size) / 2
     corner[:, 0] = np.clip(corner[:, 0], -BELOW, room[0] - BELOW) if room[0] > 0 else middle[0]
     # Upwards there is always air: only the bottom of the world is a border.
     corner[:, 1] = np.maximum(corner[:, 1], -BELOW)
+    corner = np.stack([_smooth(corner[:, k], STEADY[k]) for k in (0, 1)], axis=1)
     # The robot as a whole stays in the picture, if there is room for it.
     least, most = high + 0.5 - size, low - 0.5
     return np.where(least <= most, np.clip(corner, least, most), centre - size / 2)

@@ -171,7 +171,7 @@ def filmstrip(
     if _is_whole(frames):
         if not 1 <= frames <= 64:
             raise RolloutError(f"A strip shows 1 to 64 frames, got {frames!r}.")
-        last = int(rollout.lengths[env]) if rollout.num_steps else 0
+        last = int(rollout.lengths[env])
         frames = np.unique(np.rint(np.linspace(0, last, frames)).astype(int)).tolist()
     chosen = [rollout.check_frame(frame) for frame in frames]
     if not chosen:
@@ -314,7 +314,7 @@ def _frames(rollout: Rollout, envs: object, fps: float, start: int, stop: int | 
     if not 1 <= fps <= most:
         raise RolloutError(f"fps must lie in 1 to {most:g}, got {fps!r}.")
     if stop is None:
-        stop = int(rollout.lengths.max()) + 1 if rollout.num_steps else 1
+        stop = int(rollout.lengths.max()) + 1
     begin, end, _ = slice(start, stop).indices(rollout.num_frames)
     if begin >= end:
         raise RolloutError(f"There are no frames from {start} to {stop}; the rollout has {rollout.num_frames}.")

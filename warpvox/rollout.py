@@ -28,7 +28,6 @@ from __future__ import annotations
 import json
 import os
 import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -368,22 +367,14 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         with np.load(path, allow_pickle=False) as archive:
             if "header" not in archive.files:
                 raise RolloutError(f"{path} is no rollout: it is an archive without a header of warpvox.")
-            header = json.loads(archive["header"].tobytes().decode())
+            header = json.loads(np.asarray(archive["header"], np.uint8).tobytes().decode())
             _check_version(path, header)
-            arrays = {name: archive[name] for name in ARRAYS}
+            arrays = {name: np.asarray(archive[name]) for name in ARRAYS}
     except RolloutError:
         raise
     except KeyError as error:
         raise RolloutError(f"{path} is damaged: {error.args[0]}.") from None
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        MemoryError,
-        RuntimeError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except Exception as error:  # a damaged archive makes zipfile, zlib and numpy raise nearly anything
         raise RolloutError(f"{path} is damaged or no rollout: {str(error) or type(error).__name__}.") from None
     for name, dtype in ARRAYS.items():
         if arrays[name].dtype != dtype:

@@ -162,7 +162,7 @@ def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, mater
     xform.AddTranslateOp().Set(Gf.Vec3d(*place.tolist(), 0.0))
     prim = xform.GetPrim()
     prim.SetCustomDataByKey("warpvox:return", float(rollout.returns[-1, env]))
-    prim.SetCustomDataByKey("warpvox:length", int(rollout.lengths[env]) if rollout.num_steps else 0)
+    prim.SetCustomDataByKey("warpvox:length", int(rollout.lengths[env]))
     prim.SetCustomDataByKey("warpvox:design", int(rollout.design_index[env]))
     points = rollout.positions[:, env, : scene.num_points]
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
@@ -240,7 +240,8 @@ def _animate(layer: Any, rollout: Rollout, env: int, frames: list[int]) -> None:
 def _changes(values: np.ndarray, interpolated: bool) -> list[int]:
     """Frames that must be written: those unlike the one before, and, if between samples values are
     interpolated, the last one before each change as well."""
-    moved = [0, *(np.flatnonzero((values[1:] != values[:-1]).reshape(len(values) - 1, -1).any(axis=1)) + 1)]
+    differs = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
+    moved = [0, *(np.flatnonzero(differs) + 1)]
     if interpolated:
         held = [after - 1 for before, after in pairwise(moved) if after - 1 > before]
         moved = sorted([*moved, *held])

@@ -211,9 +211,7 @@ def _print_rates(console: Console, title: str, rows: dict[str, list[float]]) -> 
     for heading in ("median", "least", "most"):
         table.add_column(heading, justify="right")
     for name, rates in rows.items():
-        table.add_row(
-            name, *(f"{value:,.0f}" for value in (statistics.median(rates), min(rates), max(rates)))
-        )
+        table.add_row(name, *(f"{value:,.0f}" for value in (statistics.median(rates), min(rates), max(rates))))
     console.print(table)
 
 

@@ -16,10 +16,10 @@ from warpvox.design import load_design
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import DesignError
-from warpvox.sim import resolve_device
+from warpvox.sim import WIDTHS, resolve_device
 from warpvox.types import Physics
 
-__all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve"]
+__all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "shown", "training_lanes"]
 
 
 def prepare(torch_threads: int, seed: int) -> None:
@@ -38,9 +38,7 @@ def load_bodies(spec: Any, seed: int) -> list[np.ndarray]:
     if isinstance(spec, str):
         return [load_design(spec, seed=seed)]
     if not isinstance(spec, list) or not spec:
-        raise DesignError(
-            f"design must be a name, a file or rows of cells such as [[3,3],[4,4]]; got {spec!r}."
-        )
+        raise DesignError(f"design must be a name, a file or rows of cells such as [[3,3],[4,4]]; got {spec!r}.")
     several = all(isinstance(item, str) or _is_body(item) for item in spec)
     if not several:
         return [load_design(spec, seed=seed)]
@@ -57,9 +55,7 @@ def physics_of(config: Any) -> Physics:
     Raises:
         ConfigError: a constant out of range.
     """
-    values = dict(
-        config.physics if isinstance(config.physics, Mapping) else dataclasses.asdict(config.physics)
-    )
+    values = dict(config.physics if isinstance(config.physics, Mapping) else dataclasses.asdict(config.physics))
     preset = values.pop("preset")
     changes = {name: value for name, value in values.items() if value is not None}
     return Physics.preset(config.rules if preset == "auto" else preset, **changes)
@@ -96,6 +92,14 @@ def make_env(config: Any, num_envs: int, *, auto_reset: bool, **changes: Any) ->
     }
     bodies = load_bodies(config.design, config.seed)
     return make_vec(config.task, bodies, num_envs, auto_reset=auto_reset, **(options | changes))
+
+
+def training_lanes(config: Any, device: str) -> int | None:
+    """The lanes that training with ``config`` uses: evaluations with as many need no kernels of their own."""
+    if config.lanes is not None or device != "cpu":
+        return config.lanes if device == "cpu" else None
+    share = config.num_envs // len(load_bodies(config.design, config.seed))
+    return next((width for width in WIDTHS if width >= share), WIDTHS[-1])
 
 
 def shown(path: Path) -> str:

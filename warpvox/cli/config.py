@@ -72,9 +72,7 @@ def read_arguments(words: list[str]) -> Arguments:
             arguments.config_dir = Path(folder).resolve()
         elif word.startswith("-"):
             known = [*flags, "--config-dir"]
-            raise ConfigError(
-                f"Unknown option '{word}'; there are {listing(known)}.{did_you_mean(word, known)}"
-            )
+            raise ConfigError(f"Unknown option '{word}'; there are {listing(known)}.{did_you_mean(word, known)}")
         else:
             arguments.overrides.append(word)
     return arguments
@@ -229,9 +227,7 @@ def _parse(arguments: Arguments, command: str) -> list[Override]:
         try:
             override = OverridesParser.create().parse_override(text)
         except HydraException:
-            raise ConfigError(
-                f"'{text}' is not KEY=VALUE, or its value has unbalanced brackets or quotes."
-            ) from None
+            raise ConfigError(f"'{text}' is not KEY=VALUE, or its value has unbalanced brackets or quotes.") from None
         key = override.key_or_group
         if override.is_delete() or override.is_add() or override.is_force_add():
             raise ConfigError(f"'{text}': keys cannot be added or removed; write {key}=VALUE.")

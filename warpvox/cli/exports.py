@@ -42,9 +42,7 @@ def check_formats(formats: Any, key: str) -> list[str]:
     for name in names:
         if name not in EXPORTS:
             hint = did_you_mean(name, EXPORTS)
-            raise ConfigError(
-                f"{key} must be one of {listing(EXPORTS)} or a list of them, got {name!r}.{hint}"
-            )
+            raise ConfigError(f"{key} must be one of {listing(EXPORTS)} or a list of them, got {name!r}.{hint}")
     return list(dict.fromkeys(names))
 
 
@@ -55,14 +53,14 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
         RunError: no checkpoint, or one that does not fit. ConfigError, DeviceError: ``config`` asks too much.
     """
     from warpvox.algos.checkpoint import load_controller
-    from warpvox.cli.build import make_env
+    from warpvox.cli.build import make_env, training_lanes
     from warpvox.cli.config import load_values
     from warpvox.sim import resolve_device
 
     device = resolve_device(config.device)
     path = run.find_checkpoint(config.checkpoint)
     trained = load_values("train", run.config)
-    changes = {"device": device, "threads": config.threads, "seed": config.seed, "lanes": None}
+    changes = {"device": device, "threads": config.threads, "lanes": training_lanes(trained, device)}
     if config.dtype is not None:
         changes["dtype"] = config.dtype
     env = make_env(trained, config.num_envs, auto_reset=False, **changes)

@@ -78,9 +78,7 @@ def _meaning(key: Key) -> str:
 def _entry(left: str, meaning: str, width: int) -> list[str]:
     margin = 34
     body = textwrap.wrap(meaning, max(width - margin, 30))
-    lines = [
-        f"  {left:<{margin - 2}}{body[0]}" if len(left) < margin - 2 else f"  {left}\n{' ' * margin}{body[0]}"
-    ]
+    lines = [f"  {left:<{margin - 2}}{body[0]}" if len(left) < margin - 2 else f"  {left}\n{' ' * margin}{body[0]}"]
     return lines + [" " * margin + line for line in body[1:]]
 
 

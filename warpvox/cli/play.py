@@ -53,9 +53,7 @@ def play(config: Any, formats: list[str], console: Console, command: str) -> Pat
         env, controller = load_run(source, config)
     with console.status("simulating"):
         rollout = record_run(source, env, controller, config.steps)
-    resolved = dataclasses.replace(
-        config, run=str(source.checkpoint or source.folder), device=str(env.device)
-    )
+    resolved = dataclasses.replace(config, run=str(source.checkpoint or source.folder), device=str(env.device))
     task = env.spec.id
     with new_folder(config.output_dir, command, task, config.name, to_yaml(resolved)) as folder:
         say(console, f"run: {shown(source.folder)}")

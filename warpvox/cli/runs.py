@@ -67,9 +67,7 @@ def find_run(text: str, output_dir: str) -> Run:
     """
     path = _latest(Path(output_dir)) if text == "latest" else Path(text).expanduser()
     if not path.exists():
-        raise RunError(
-            f"There is no run at {path}: expected latest, the folder of a run or a checkpoint in it."
-        )
+        raise RunError(f"There is no run at {path}: expected latest, the folder of a run or a checkpoint in it.")
     folder = path if path.is_dir() else path.parent
     config = folder / CONFIG
     if not config.is_file():
@@ -79,9 +77,7 @@ def find_run(text: str, output_dir: str) -> Run:
     except (yaml.YAMLError, OSError, UnicodeDecodeError):
         raise RunError(f"{config} cannot be read as YAML: is {folder} a run?") from None
     if not isinstance(content, dict) or not {"task", "design", "ppo"} <= content.keys():
-        raise RunError(
-            f"{folder} is not a run of `warpvox train`: its {CONFIG} names no task, design and ppo."
-        )
+        raise RunError(f"{folder} is not a run of `warpvox train`: its {CONFIG} names no task, design and ppo.")
     return Run(folder, content, path if path.is_file() else None)
 
 

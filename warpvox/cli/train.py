@@ -101,11 +101,7 @@ def _job(overrides: list[str], config_dir: Path | None) -> Job:
     source = find_run(config.resume, config.output_dir)
     config = load("train", overrides, config_dir, base=_known(source.config))
     before, after = _flat(_known(source.config)), _flat(dataclasses.asdict(config))
-    changed = [
-        key
-        for key, value in after.items()
-        if key in before and before[key] != value and key not in CHANGEABLE
-    ]
+    changed = [key for key, value in after.items() if key in before and before[key] != value and key not in CHANGEABLE]
     if changed:
         key = changed[0]
         raise ConfigError(
@@ -134,17 +130,16 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
     with console.status("loading"):
         from warpvox.algos.evaluate import evaluator
         from warpvox.algos.runner import Runner, Schedule, adapt
-        from warpvox.cli.build import make_env, prepare, resolve
+        from warpvox.cli.build import make_env, prepare, resolve, training_lanes
 
         prepare(job.config.torch_threads, job.config.seed)
         config = resolve(job.config)
         designs = config.design if isinstance(config.design[0][0], list) else [config.design]
     with console.status("preparing the simulation (the first time on a machine its kernels are compiled)"):
-        schedule = Schedule(
-            config.max_iterations, config.save_interval, config.eval_interval, config.stop_return
-        )
+        schedule = Schedule(config.max_iterations, config.save_interval, config.eval_interval, config.stop_return)
         env = adapt(make_env(config, config.num_envs, auto_reset=True), config.ppo)
-        judge = evaluator(make_env(config, config.eval_envs * len(designs), auto_reset=False))
+        lanes = training_lanes(config, config.device)
+        judge = evaluator(make_env(config, config.eval_envs * len(designs), auto_reset=False, lanes=lanes))
         runner = Runner(env, config.ppo, schedule, evaluator=judge)
         if job.checkpoint is not None:
             runner.resume(job.checkpoint)
@@ -200,23 +195,22 @@ def _learn(runner: Any, console: Console, folder: Path, command: str) -> None:
                 "status": status,
                 "version": __version__,
             }
-            summary |= runner.summary() | {
-                "steps_per_second": round((runner.steps - started_at) / seconds, 1)
-            }
+            summary |= runner.summary() | {"steps_per_second": round((runner.steps - started_at) / seconds, 1)}
             write_summary(folder, summary)
-            _conclude(console, runner, status, seconds, folder)
+            _conclude(console, runner, summary, seconds, folder)
 
 
-def _conclude(console: Console, runner: Any, status: str, seconds: float, folder: Path) -> None:
+def _conclude(console: Console, runner: Any, summary: dict[str, Any], seconds: float, folder: Path) -> None:
+    """Say how the run has ended and what one can do next."""
     from warpvox.cli.build import shown
 
-    best = runner.summary()["best_return"]
+    command, status, best = summary["command"], summary["status"], summary["best_return"]
     words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
     text = f"{words} after {runner.steps:,} control steps in {seconds:.0f} s"
     if best is not None:
         text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
     say(console, text)
-    if status == "done":
+    if status == "done" and command == "train":
         say(console, f"look at it: warpvox play run={shown(folder)} export=[gif,html]")
-    else:
+    if status != "done":
         say(console, f"go on: warpvox train resume={shown(folder)}")

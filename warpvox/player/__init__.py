@@ -88,7 +88,7 @@ def _describe(rollout: Rollout, envs: list[int], scale: int) -> dict[str, Any]:
         for key in ("rules", "physics", "agent", "seed", "iteration")
         if isinstance(rollout.metadata.get(key), str | int)
     }
-    lengths = rollout.lengths if rollout.num_steps else np.zeros(rollout.num_envs, int)
+    lengths = rollout.lengths
     return {
         "frames": rollout.num_frames,
         "dt": FRAME_SECONDS,
