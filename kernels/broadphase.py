@@ -243,6 +243,24 @@ def collect_near(precision: str, width: int):
         return 0
 
     @inline
+    def bound(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int):
+        """Bounds of the surface cells in reach, inside out where there are none."""
+        x0, x1, y0, y1 = span(model, data, design, pack, k, v, model.margin)
+        left, right, bottom, top = wp.float64(FAR), wp.float64(-FAR), wp.float64(FAR), wp.float64(-FAR)
+        for y in range(y0, y1 + 1):
+            for x in range(x0, x1 + 1):
+                cell = y * model.terrain[design][0] + x
+                if model.terrain_side[design, cell] != 0:
+                    left = wp.min(left, model.terrain_box[design, cell, 0])
+                    right = wp.max(right, model.terrain_box[design, cell, 1])
+                    bottom = wp.min(bottom, model.terrain_box[design, cell, 2])
+                    top = wp.max(top, model.terrain_box[design, cell, 3])
+        data.near_box[pack, 4 * v, k] = left
+        data.near_box[pack, 4 * v + 1, k] = right
+        data.near_box[pack, 4 * v + 2, k] = bottom
+        data.near_box[pack, 4 * v + 3, k] = top
+
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         n = int(0)
         for v in range(model.voxels[design]):
@@ -254,6 +272,8 @@ def collect_near(precision: str, width: int):
             if found == 1:
                 data.near[unit, n] = v
                 n += 1
+                for e in range(lane, lane + int(width)):
+                    bound(model, data, design, pack, e, v)
         data.near_count[unit] = n
 
     return stage

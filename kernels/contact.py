@@ -54,8 +54,10 @@ def geometry():
             return False
         wx, wy = cx - ax, cy - ay
         t = (-vy * wx + vx * wy) / det
+        if t < real(0.0) or t > real(1.0):
+            return False
         s = (-uy * wx + ux * wy) / det
-        return real(0.0) <= t and t <= real(1.0) and real(0.0) <= s and s <= real(1.0)
+        return real(0.0) <= s and s <= real(1.0)
 
     @wp.func
     def edge_crosses(m: quad, sides: int, e: int, cx: real, cy: real, dx: real, dy: real):
@@ -246,8 +248,8 @@ def voxel_contacts(precision: str, width: int):
 @functools.cache
 def terrain_contacts(precision: str, width: int):
     """Stage: contacts of the near voxels with the cells of the terrain lattice."""
-    ops, types = lane_ops(precision, width), structs(precision)
-    first, drop = ops.first, ops.drop
+    ops, types = lane_ops("float64", width), structs(precision)
+    load, at_most, first, drop = ops.load, ops.at_most, ops.first, ops.drop
     contact, frame, span = resolve(precision), voxel_frame(precision), lattice_range(precision)
 
     @inline
@@ -341,10 +343,21 @@ def terrain_contacts(precision: str, width: int):
                     )
 
     @inline
+    def in_reach(data: types.Data, pack: int, lane: int, v: int):
+        """Lanes in which a voxel's box overlaps the bounds of the cells near it."""
+        x, y = 4 * v, 4 * v + 2
+        lanes = at_most(load(data.box, pack, y, lane), load(data.near_box, pack, y + 1, lane))
+        if lanes != 0:
+            lanes = lanes & at_most(load(data.near_box, pack, y, lane), load(data.box, pack, y + 1, lane))
+            lanes = lanes & at_most(load(data.box, pack, x, lane), load(data.near_box, pack, x + 1, lane))
+            lanes = lanes & at_most(load(data.near_box, pack, x, lane), load(data.box, pack, x + 1, lane))
+        return lanes
+
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, active: int):
         for n in range(data.near_count[unit]):
             v = data.near[unit, n]
-            lanes = int(active)
+            lanes = active & in_reach(data, pack, lane, v)
             while lanes != 0:
                 with_terrain(model, data, design, pack, lane + first(lanes), v)
                 lanes = drop(lanes)

@@ -97,6 +97,7 @@ DATA = {
     "pair_count": (int, "unit", ""),
     "near": (int, "unit voxel", "voxels that may touch terrain"),
     "near_count": (int, "unit", ""),
+    "near_box": (STATE, "pack 4*voxel lane", "bounds of the terrain cells that a near voxel may touch, as box"),
     "overflow": (int, "unit", "1: more pairs than capacity"),
     "pair_bit": (int, "unit word", "candidate matrix, a bit per pair"),
     "grid_head": (int, "unit slot", "first entry of a hash slot, or -1"),

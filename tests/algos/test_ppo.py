@@ -131,7 +131,9 @@ def test_resumed_learning_is_the_same_bit_for_bit(tmp_path: Path, changes: dict)
     assert second.current_learning_iteration == 2
     second.run()
     assert_same_weights(whole, second)
-    rows = [[{k: v for k, v in row.items() if k not in TIMING} for row in read_metrics(r.folder)] for r in (whole, second)]
+    rows = [
+        [{k: v for k, v in row.items() if k not in TIMING} for row in read_metrics(r.folder)] for r in (whole, second)
+    ]
     assert str(rows[0]) == str(rows[1])  # as text, because NaN is not equal to itself
     assert [row["iteration"] for row in rows[0]] == [1, 2, 3, 4]
 
@@ -170,7 +172,11 @@ def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
 def test_the_best_evaluation_is_kept(tmp_path: Path) -> None:
     runner = make_runner(6, folder=tmp_path)
     runner.run()
-    returns = {row["iteration"]: row["eval_return"] for row in read_metrics(tmp_path) if row["eval_return"] == row["eval_return"]}
+    returns = {
+        row["iteration"]: row["eval_return"]
+        for row in read_metrics(tmp_path)
+        if row["eval_return"] == row["eval_return"]
+    }
     assert sorted(returns) == [2, 4, 6]
     best = max(returns, key=returns.get)
     content = load_checkpoint(tmp_path / "model_best.pt")
@@ -289,10 +295,14 @@ def test_an_evaluation_is_the_sum_of_rewards_of_one_episode() -> None:
 
 
 def test_fitness_is_per_design() -> None:
-    env = make_vec("Walker-v0", ["mini", "worm"], 4, device="cpu", max_episode_steps=6, threads=1, lanes=8, auto_reset=False)
+    env = make_vec(
+        "Walker-v0", ["mini", "worm"], 4, device="cpu", max_episode_steps=6, threads=1, lanes=8, auto_reset=False
+    )
     policy = lambda obs: torch.full((4, env.num_actions), 0.8)  # noqa: E731
     result = evaluate(env, policy)
-    assert result.fitness.tolist() == pytest.approx([result.returns[:2].mean().item(), result.returns[2:].mean().item()])
+    assert result.fitness.tolist() == pytest.approx(
+        [result.returns[:2].mean().item(), result.returns[2:].mean().item()]
+    )
     assert result.fitness[0] != result.fitness[1]
 
 

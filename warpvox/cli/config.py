@@ -273,5 +273,9 @@ def _options(group: str, config_dir: Path | None) -> Iterator[str]:
 
 
 def _one_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[0] if lines else type(error).__name__
+    """What an error of Hydra and what has caused it say first."""
+    lines = []
+    while error is not None and len(lines) < 2:
+        lines += [line.strip() for line in str(error).splitlines() if line.strip()][:1]
+        error = error.__cause__
+    return " ".join(lines)

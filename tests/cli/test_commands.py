@@ -1,0 +1,235 @@
+"""Commands from end to end, on runs of a second."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+
+from warpvox.algos.checkpoint import load_checkpoint
+from warpvox.algos.metrics import COLUMNS, read_metrics
+from warpvox.cli import main
+from warpvox.design import example_design
+from warpvox.rollout import Rollout
+
+TIMING = {"steps_per_second", "elapsed"}
+
+
+def summary(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text())
+
+
+def rows(folder: Path) -> str:
+    """Everything but the timing, as text, because NaN is not equal to itself."""
+    return str([{name: value for name, value in row.items() if name not in TIMING} for row in read_metrics(folder)])
+
+
+def test_a_run_leaves_what_was_promised(train: Callable) -> None:
+    folder = train("max_iterations=4", "save_interval=2", "name=first", "seed=3")
+    assert folder.parent == Path("outputs/train/Walker-v0")
+    assert folder.name.endswith("_first")
+    kinds = {file.name.split(".out.")[0] for file in folder.iterdir()}
+    assert kinds == {
+        "config.yaml", "summary.json", "metrics.csv", "state.pt", "model_best.pt", "model_2.pt", "model_4.pt",
+        "events",
+    }  # fmt: skip
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    assert config["design"] == example_design("mini").tolist()
+    assert config["physics"]["preset"] == "evogym"
+    assert config["physics"]["gravity"] == 110.0
+    assert (config["device"], config["seed"], config["num_envs"]) == ("cpu", 3, 8)
+    written = (folder / "metrics.csv").read_text().splitlines()
+    assert tuple(written[0].split(",")) == COLUMNS
+    assert [row["iteration"] for row in read_metrics(folder)] == [1, 2, 3, 4]
+    figures = summary(folder)
+    assert figures["status"] == "done"
+    assert (figures["iterations"], figures["steps"]) == (4, 4 * 4 * 8)
+    assert figures["best_return"] == pytest.approx(read_metrics(folder)[-1]["best_return"], rel=1e-6)
+
+
+def test_the_same_seed_gives_the_same_run(train: Callable) -> None:
+    one, same, other = (train("max_iterations=2", f"seed={seed}") for seed in (1, 1, 2))
+    assert rows(one) == rows(same)
+    assert rows(one) != rows(other)
+
+
+def test_resumed_is_the_same_as_uninterrupted(train: Callable, warpvox: Callable) -> None:
+    whole = train("max_iterations=4")
+    parts = train("max_iterations=2")
+    assert warpvox("train", "resume=latest", "max_iterations=4").code == 0
+    assert rows(parts) == rows(whole)
+    ours, theirs = (load_checkpoint(folder / "model_4.pt") for folder in (parts, whole))
+    for name, value in theirs["actor_state_dict"].items():
+        assert torch.equal(value, ours["actor_state_dict"][name])
+    assert yaml.safe_load((parts / "config.yaml").read_text())["max_iterations"] == 4
+    assert summary(parts)["iterations"] == 4
+    assert len(list(Path("outputs/train/Walker-v0").iterdir())) == 2
+
+
+def test_resuming_refuses_what_would_be_another_run(train: Callable, warpvox: Callable) -> None:
+    folder = train("max_iterations=1")
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    for word, phrase in {
+        "seed=5": "seed cannot change",
+        "physics=paper": "physics.preset cannot change",
+        "ppo.gamma=0.5": "ppo.gamma cannot change",
+        "seed=0": "max_iterations=2",
+    }.items():
+        outcome = warpvox("train", f"resume={folder}", word)
+        assert outcome.code == 2
+        assert phrase in outcome.err
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+
+
+def test_an_interrupt_saves_and_the_run_goes_on(
+    train: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from warpvox.cli.progress import TrainingProgress
+
+    whole = train("max_iterations=4")
+    shown = TrainingProgress.__call__
+
+    def interrupt(self: TrainingProgress, row: Mapping[str, float]) -> None:
+        shown(self, row)
+        if row["iteration"] == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TrainingProgress, "__call__", interrupt)
+        words = whole_words(whole)
+        outcome = warpvox("train", *words)
+    assert outcome.code == 130
+    assert "interrupted, state saved" in outcome.out
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    (parts,) = set(Path("outputs/train/Walker-v0").iterdir()) - {whole}
+    assert summary(parts)["status"] == "interrupted"
+    assert warpvox("train", f"resume={parts}").code == 0
+    assert rows(parts) == rows(whole)
+    assert summary(parts)["status"] == "done"
+
+
+def whole_words(folder: Path) -> list[str]:
+    """The words that make the same run again."""
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    keys = ("num_envs", "max_iterations", "eval_interval", "threads", "device")
+    words = [f"{key}={config[key]}" for key in keys] + ["design=mini"]
+    return words + [f"ppo.{key}={config['ppo'][key]}".replace(" ", "") for key in ("steps", "hidden", "epochs")]
+
+
+def test_sweeps_make_a_run_of_each(warpvox: Callable) -> None:
+    words = "design=mini num_envs=8 threads=1 ppo.steps=2 ppo.hidden=[4] max_iterations=1".split()
+    outcome = warpvox("train", "-m", "task=Walker-v0,UpStepper-v0", "seed=1,2", *words)
+    assert outcome.code == 0, outcome.err
+    assert len(list(Path("outputs/train/Walker-v0").iterdir())) == 2
+    assert len(list(Path("outputs/train/UpStepper-v0").iterdir())) == 2
+
+
+def test_several_designs_train_together_and_play(train: Callable, warpvox: Callable) -> None:
+    folder = train("max_iterations=1", "design=[mini,worm]")
+    outcome = warpvox("play", f"run={folder}", "num_envs=2", "steps=3", "threads=1")
+    assert outcome.code == 0, outcome.err
+    assert "design" in outcome.out
+    assert warpvox("play", f"run={folder}", "num_envs=3").code == 2
+
+
+def test_play_prints_returns_and_writes_files(train: Callable, warpvox: Callable) -> None:
+    train("max_iterations=2")
+    outcome = warpvox("play", "num_envs=2", "steps=12", "export=[usd,gif,html]", "threads=1")
+    assert outcome.code == 0, outcome.err
+    (folder,) = Path("outputs/play/Walker-v0").iterdir()
+    names = {file.name for file in folder.iterdir()}
+    assert names == {
+        "config.yaml", "summary.json", "rollout.npz", "rollout.usd", "rollout.gif", "rollout.html"
+    }  # fmt: skip
+    assert all(str(folder / name) in outcome.out for name in names if name.startswith("rollout"))
+    rollout = Rollout.load(folder / "rollout.npz")
+    assert summary(folder)["returns"] == pytest.approx(rollout.returns[-1].tolist())
+    assert rollout.num_steps == 12
+
+
+def test_play_repeats_the_best_evaluation(train: Callable, warpvox: Callable) -> None:
+    run = train("max_iterations=2")
+    assert warpvox("play", f"run={run}", "num_envs=1", "threads=1").code == 0
+    (folder,) = Path("outputs/play/Walker-v0").iterdir()
+    assert summary(folder)["mean_return"] == pytest.approx(summary(run)["best_return"], abs=1e-6)
+
+
+def test_export_one_format_of_a_checkpoint(train: Callable, warpvox: Callable) -> None:
+    run = train("max_iterations=2", "save_interval=1")
+    outcome = warpvox("export", f"run={run / 'model_1.pt'}", "format=html", "steps=5", "threads=1")
+    assert outcome.code == 0, outcome.err
+    (folder,) = Path("outputs/export/Walker-v0").iterdir()
+    assert (folder / "rollout.html").stat().st_size > 1000
+
+
+def test_latest_is_the_newest_run(train: Callable, warpvox: Callable) -> None:
+    train("max_iterations=1", "name=old")
+    newest = train("max_iterations=1", "name=new")
+    outcome = warpvox("play", "steps=2", "threads=1")
+    assert str(newest) in outcome.out
+
+
+def test_the_demo_trains_and_exports(warpvox: Callable) -> None:
+    words = "design=mini num_envs=8 threads=1 ppo.steps=4 ppo.hidden=[8] max_iterations=1 export=[html]".split()
+    outcome = warpvox("demo", *words)
+    assert outcome.code == 0, outcome.err
+    (folder,) = Path("outputs/demo/Walker-v0").iterdir()
+    assert (folder / "rollout.html").as_posix() in outcome.out
+    assert (folder / "rollout.html").resolve().as_uri() in outcome.out
+    assert warpvox("play", "run=latest", "steps=2", "threads=1").code == 0
+
+
+def test_the_table_of_tasks_and_one_in_detail(warpvox: Callable) -> None:
+    from warpvox.envs.registry import get_task, task_ids
+
+    table = warpvox("tasks").out
+    for name in task_ids():
+        assert name in table
+        detail = warpvox("tasks", name)
+        assert detail.code == 0
+        assert get_task(name).section in detail.out
+        assert "RRRRR" in detail.out
+
+
+def test_info_names_versions_devices_and_the_cache(warpvox: Callable) -> None:
+    outcome = warpvox("info")
+    assert outcome.code == 0
+    assert outcome.err == ""
+    for word in ("warpvox", "warp-lang", "cpu", "cuda", "kernel cache"):
+        assert word in outcome.out
+
+
+def test_bench_of_the_parts(warpvox: Callable) -> None:
+    outcome = warpvox(*"bench suite=step design=mini num_envs=8 steps=2 repeats=1".split())
+    assert outcome.code == 0, outcome.err
+    (folder,) = Path("outputs/bench/Walker-v0").iterdir()
+    assert set(summary(folder)["rates"]) == {"simulation only", "environment", "with a policy", "with training"}
+
+
+def test_a_reference_without_evogym_says_how_to_get_it(warpvox: Callable, tmp_path: Path) -> None:
+    script = tmp_path / "python"
+    script.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')  # without site-packages
+    script.chmod(0o755)
+    outcome = warpvox("bench", "design=mini", "num_envs=8", f"peer.python={script}")
+    assert outcome.code == 2
+    assert "evogym==2.0.0" in outcome.err
+    assert not Path("outputs").exists()
+
+
+def test_python_m_warpvox(tmp_path: Path) -> None:
+    import runpy
+
+    with pytest.raises(SystemExit) as exit_info:
+        sys_argv, sys.argv = sys.argv, ["warpvox", "--version"]
+        try:
+            runpy.run_module("warpvox", run_name="__main__")
+        finally:
+            sys.argv = sys_argv
+    assert exit_info.value.code == 0
+    assert main(["--version"]) == 0

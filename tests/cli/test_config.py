@@ -1,0 +1,126 @@
+"""From words to configurations."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+import yaml
+
+from warpvox.cli import COMMANDS, main
+from warpvox.cli.build import physics_of
+from warpvox.cli.config import Arguments, expand, load, load_values, to_yaml
+from warpvox.cli.help import flat_keys
+from warpvox.configs import schema
+from warpvox.errors import ConfigError
+from warpvox.types import Physics
+
+TABLE_6 = {
+    "learning_rate": 2.5e-4,
+    "schedule": "linear",
+    "clip": 0.1,
+    "value_coef": 0.5,
+    "entropy_coef": 0.01,
+    "steps": 128,
+}
+"""Paper section D.3."""
+
+
+def test_the_papers_settings() -> None:
+    config = load("train", ["ppo=evogym"])
+    assert {name: getattr(config.ppo, name) for name in TABLE_6} == TABLE_6
+    assert (config.num_envs, config.eval_interval, config.max_iterations) == (4, 50, 1000)
+
+
+@pytest.mark.parametrize("words", [["ppo=evogym", "num_envs=8"], ["num_envs=8", "ppo=evogym"]])
+def test_what_is_typed_goes_before_what_a_group_brings(words: list[str]) -> None:
+    config = load("train", words)
+    assert (config.num_envs, config.ppo.steps) == (8, 128)
+
+
+@pytest.mark.parametrize("words", [[], ["rules=paper"], ["physics=paper_literal"], ["rules=paper", "physics=evogym"]])
+def test_physics_goes_with_the_rules_unless_named(words: list[str]) -> None:
+    config = load("train", words)
+    named = config.physics.preset
+    assert physics_of(config) == Physics.preset(config.rules if named == "auto" else named)
+
+
+def test_a_constant_changes_alone_whatever_the_order() -> None:
+    expected = dataclasses.replace(Physics.preset("paper"), gravity=80.0)
+    for words in (["physics=paper", "physics.gravity=80"], ["physics.gravity=80", "physics=paper"]):
+        assert physics_of(load("train", words)) == expected
+
+
+def test_every_constant_of_the_physics_is_a_key_with_a_meaning() -> None:
+    constants = {field.name for field in dataclasses.fields(Physics)} - {"name"}
+    assert {field.name for field in dataclasses.fields(schema.PhysicsConfig)} == constants | {"preset"}
+    assert set(schema.CONSTANTS) == constants
+
+
+@pytest.mark.parametrize("command", schema.COMMANDS)
+def test_no_default_is_missing_and_none_is_out_of_range(command: str) -> None:
+    values = yaml.safe_load(to_yaml(load(command, [])))
+    assert "???" not in str(values)
+
+
+@pytest.mark.parametrize("group", schema.GROUPS)
+def test_every_file_of_a_group_composes(group: str, repository: Path) -> None:
+    names = sorted(path.stem for path in (repository / "configs" / group).glob("*.yaml"))
+    assert len(names) >= 2
+    for name in names:
+        load("train", [f"{group}={name}"])
+
+
+def test_yaml_round_trip_keeps_everything() -> None:
+    config = load("train", ["design=[[3,3],[4,4]]", "ppo=evogym", "physics.drag=0.2", "name=x"])
+    text = to_yaml(config)
+    assert load_values("train", yaml.safe_load(text)) == config
+    assert "- [3, 3]\n- [4, 4]\n" in text
+
+
+def test_a_folder_of_ones_own(tmp_path: Path) -> None:
+    (tmp_path / "ppo").mkdir()
+    (tmp_path / "ppo" / "mine.yaml").write_text(
+        "# @package _global_\ndefaults: [parallel, _self_]\nppo:\n  gamma: 0.5\n"
+    )
+    config = load("train", ["ppo=mine"], tmp_path)
+    assert (config.ppo.gamma, config.ppo.steps) == (0.5, load("train", []).ppo.steps)
+    (tmp_path / "ppo" / "mine.yaml").write_text("# @package _global_\nppo:\n  gama: 0.5\n")
+    with pytest.raises(ConfigError, match="gama"):
+        load("train", ["ppo=mine"], tmp_path)
+
+
+def test_sweeps() -> None:
+    arguments = Arguments(overrides=["seed=1,2", "task=Walker-v0", "num_envs=choice(4,8)"], multirun=True)
+    assert expand(arguments, "train") == [
+        ["seed=1", "task=Walker-v0", "num_envs=4"],
+        ["seed=1", "task=Walker-v0", "num_envs=8"],
+        ["seed=2", "task=Walker-v0", "num_envs=4"],
+        ["seed=2", "task=Walker-v0", "num_envs=8"],
+    ]
+    assert len(expand(Arguments(overrides=["seed=range(5)"], multirun=True), "train")) == 5
+
+
+def test_lists_are_values_not_sweeps() -> None:
+    words = ["design=[[3,3],[4,4]]", "ppo.hidden=[32,16]"]
+    assert expand(Arguments(overrides=words), "train") == [words]
+    assert load("train", words).ppo.hidden == [32, 16]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_names_every_key_with_its_meaning(command: str, capsys: pytest.CaptureFixture) -> None:
+    assert main([command, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert f"warpvox {command}" in text
+    if command in schema.COMMANDS:
+        for name, key in flat_keys(schema.COMMANDS[command]):
+            assert key.help
+            if not dataclasses.is_dataclass(key.default):
+                assert f"  {name}=" in text, name
+        assert "=?" not in text
+
+
+def test_configuration_can_be_shown(capsys: pytest.CaptureFixture) -> None:
+    assert main(["train", "--cfg", "seed=7"]) == 0
+    assert yaml.safe_load(capsys.readouterr().out)["seed"] == 7

@@ -1,0 +1,155 @@
+"""Every mistake gets one clear line and exit code 2, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+MISTAKES = {
+    "trian": "Did you mean 'train'",
+    "train task=Walkr-v0": "Did you mean 'Walker-v0'",
+    "train task=null": "task must be text",
+    "train design=walkr": "Did you mean 'walker'",
+    "train design=[[0,0],[0,0]]": "empty",
+    "train design=[[3,0],[0,3]]": "not connected",
+    "train design=[[1,1],[1,2]]": "no actuator",
+    "train design=[[9,1],[1,3]]": "unknown cell type 9",
+    "train design=nothing.json": "nothing.json",
+    "train design=5": "design must be",
+    "train task=Climber-v0 design=random:12x12": "does not fit",
+    "train device=gpu": "valid are 'auto', 'cpu'",
+    "train device=cuda:63": "not available",
+    "train sede=1": "Did you mean 'seed'",
+    "train gravity=1": "Did you mean 'physics.gravity'",
+    "train ppo.gama=1": "Did you mean 'ppo.gamma'",
+    "train +extra=1": "cannot be added",
+    "train ~seed": "cannot be added or removed",
+    "train hydra.run.dir=x": "Unknown key",
+    "train seed": "not KEY=VALUE",
+    "train design=[[1,2": "not KEY=VALUE",
+    "train seed=1 seed=2": "more than once",
+    "train seed=1,2": "add --multirun",
+    "train -m seed=interval(0,1)": "range",
+    "train -m seed=1,2 task=Walker-v0,Wolker-v0": "Did you mean 'Walker-v0'",
+    "train num_envs=abc": "num_envs must be a whole number, got 'abc'",
+    "train num_envs=0": "at least 1",
+    "train num_envs=3 design=[mini,worm]": "multiple of the number of designs",
+    "train physics=papr": "Did you mean 'paper'",
+    "train physics.gravity=heavy": "must be a number or null",
+    "train physics.gravity=-1": ">= 0",
+    "train rules=papers": "Did you mean 'paper'",
+    "train ppo=evogm": "Did you mean 'evogym'",
+    "train ppo.schedule=lin": "fixed, linear, adaptive",
+    "train ppo.hidden=[a]": "list of whole numbers",
+    "train ppo.hidden=[0]": "at least 1",
+    "train ppo.gamma=1.5": "at most 1",
+    "train name=a/b": "letters, digits",
+    "train --foo": "Unknown option",
+    "train --config-dir nowhere": "existing folder",
+    "train output_dir=/proc/nowhere num_envs=1 design=mini lanes=8 threads=1": "cannot be made",
+    "train resume=latest": "no run",
+    "train resume=nowhere": "no run at nowhere",
+    "train resume=.": "not a run",
+    "play": "no run",
+    "play run=nowhere": "no run at nowhere",
+    "play run=.": "not a run",
+    "play export=[usd,gf]": "Did you mean 'gif'",
+    "export format=pdf": "usd, gif, mp4, html",
+    "export format=[]": "usd, gif, mp4, html",
+    "demo resume=latest": "starts anew",
+    "bench suite=per": "Did you mean 'peer'",
+    "bench num_envs=1 design=mini": "evogym==2.0.0",
+    "bench num_envs=1 design=mini peer.python=nowhere": "no file",
+    "tasks Walkr": "Did you mean 'Walker-v0'",
+    "tasks a b": "one task id",
+    "info x": "no arguments",
+}
+
+
+@pytest.mark.parametrize("words", MISTAKES)
+def test_one_clear_line_and_nothing_written(words: str, warpvox: Callable, tmp_path: Path) -> None:
+    outcome = warpvox(*words.split())
+    assert outcome.code == 2
+    assert outcome.err.startswith("warpvox: ")
+    assert outcome.err.count("\n") == 1
+    assert MISTAKES[words] in outcome.err
+    assert "Traceback" not in outcome.out + outcome.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
+def test_a_missing_gpu(warpvox: Callable, tmp_path: Path) -> None:
+    outcome = warpvox("train", "device=cuda")
+    assert outcome.code == 2
+    assert "no CUDA device" in outcome.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_command_shows_the_help(warpvox: Callable) -> None:
+    outcome = warpvox()
+    assert outcome.code == 2
+    assert "usage: warpvox COMMAND" in outcome.err
+    assert warpvox("--help").out.strip() == outcome.err.strip()
+    assert warpvox("--version").out.startswith("warpvox ")
+
+
+def test_a_folder_with_another_config_is_not_a_run(warpvox: Callable, tmp_path: Path) -> None:
+    for text in ("a: 1\n", "- 1\n", "{", "\0"):
+        (tmp_path / "config.yaml").write_text(text)
+        outcome = warpvox("play", "run=.")
+        assert outcome.code == 2
+        assert outcome.err.count("\n") == 1
+
+
+def test_a_damaged_checkpoint(train: Callable, warpvox: Callable) -> None:
+    folder = train("max_iterations=1")
+    for content in (b"", b"no checkpoint", (folder / "model_1.pt").read_bytes()[:1000]):
+        (folder / "model_best.pt").write_bytes(content)
+        outcome = warpvox("play", f"run={folder}")
+        assert outcome.code == 2
+        assert "model_best.pt is not a readable checkpoint" in outcome.err
+        assert outcome.err.count("\n") == 1
+    assert not Path("outputs/play").exists()
+
+
+def test_a_checkpoint_holds_nothing_but_data(train: Callable, warpvox: Callable) -> None:
+    folder = train("max_iterations=1")
+
+    class Evil:
+        def __reduce__(self) -> tuple:
+            return os.mkdir, ("evil",)
+
+    torch.save({"policy": Evil(), "actor_state_dict": {}}, folder / "model_best.pt")
+    assert warpvox("play", f"run={folder}").code == 2
+    assert not Path("evil").exists()
+
+
+def test_a_run_that_fails_before_any_result_leaves_nothing(
+    warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from warpvox.algos.runner import Runner
+    from warpvox.errors import RunError
+
+    def fail(self: Runner) -> None:
+        raise RunError("it broke")
+
+    monkeypatch.setattr(Runner, "run", fail)
+    outcome = warpvox("train", "design=mini", "num_envs=8", "threads=1")
+    assert (outcome.code, outcome.err) == (2, "warpvox: it broke\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_and_mistakes_load_nothing_heavy(tmp_path: Path) -> None:
+    code = (
+        "import sys; from warpvox.cli import main; main(['--help']); main(['trian']); "
+        "main(['train', '--help']); main(['train', 'sede=1']); "
+        "print('LOADED', *{'torch', 'warp', 'rsl_rl', 'tensorboard'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
+    assert done.stdout.splitlines()[-1].strip() == "LOADED"
