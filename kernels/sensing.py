@@ -171,8 +171,7 @@ def kernels(precision: str):
     return {"centres": centres, "orientations": orientations, "points": points, "scans": scans}
 
 
-def launch(state, name: str, dim, *inputs):
-    """Run one sensing kernel; ``inputs`` follow the arrays that all of them take."""
-    table = kernels(state.precision)
+def record(state, name: str, dim, *inputs) -> wp.Launch:
+    """A command that runs one sensing kernel; ``inputs`` follow the arrays that all of them take."""
     first = [state.model, state.data, state.env_pack, state.env_lane, state.ranges]
-    wp.launch(table[name], dim, [*first, *inputs], device=state.device)
+    return wp.launch(kernels(state.precision)[name], dim, [*first, *inputs], device=state.device, record_cmd=True)

@@ -78,17 +78,14 @@ def action_kernel(precision: str) -> wp.Kernel:
     return place_actions
 
 
-def launch_actions(state, actions, low: float, high: float):
-    """Take the actions of all environments, a Warp array [environment, action]."""
-    if actions.shape[1] > 0:
-        kernel = action_kernel(state.precision)
-        inputs = [state.data, state.env_pack, state.env_lane, actions, low, high]
-        wp.launch(kernel, actions.shape, inputs, device=state.device)
+def record_actions(state, actions, low: float, high: float) -> wp.Launch:
+    """A command that takes the actions of all environments, a Warp array [environment, action]."""
+    inputs = [state.data, state.env_pack, state.env_lane, actions, low, high]
+    return wp.launch(action_kernel(state.precision), actions.shape, inputs, device=state.device, record_cmd=True)
 
 
-def launch(state, substeps: int, first: int = 0, packs: int | None = None):
-    """One control step of the packs ``first`` to ``first + packs`` (default: all) from the actions taken."""
+def record(state, substeps: int, first: int, packs: int) -> wp.Launch:
+    """A command that does one control step of the packs ``first`` to ``first + packs`` from the actions taken."""
     kernel = step_kernel(state.precision, state.width)
-    count = state.packs if packs is None else packs
     inputs = [state.model, state.data, first, state.units, substeps, state.dt]
-    wp.launch(kernel, (count, state.units), inputs, device=state.device)
+    return wp.launch(kernel, (packs, state.units), inputs, device=state.device, record_cmd=True)

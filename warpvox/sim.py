@@ -115,14 +115,16 @@ class Simulation:
         self.num_actions = max(sum(b.source.num_actuators for b in design.bodies) for design in self.designs)
         self._name_objects()
         self._threads = _check_threads(threads)
-        self._pool = ThreadPoolExecutor(self._threads) if self.device == "cpu" and self._threads > 1 else None
+        self._pool = ThreadPoolExecutor(self._threads)
+        self._shares: list[wp.Launch] = []
+        self._sensors: dict[tuple, tuple[wp.Launch, list[torch.Tensor]]] = {}
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in ("frozen", "status", "time", "drift")}
         self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
         self._actions = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
         self._action_array = wp.from_torch(self._actions)
         self._graph = None
         self._scans: dict[tuple, tuple] = {}
-        self._sensed: dict[str, torch.Tensor] = {}
+        self._centres_are_new = False
         self._views["frozen"].fill_(1)  # lanes that belong to no environment stay so
         self.reset()
 
@@ -153,24 +155,25 @@ class Simulation:
             self._control_step()
         else:
             self._replay()
-        self._sensed.clear()
+        self._centres_are_new = False
 
     def _control_step(self) -> None:
-        state = self._state
-        step_stage.launch_actions(state, self._action_array, ACTION_LOW, ACTION_HIGH)
-        if self._pool is None:
-            step_stage.launch(state, SUBSTEPS)
-            return
-        # A launch runs on one core and lets go of the GIL: share the packs among threads.
-        share = min(self._threads, state.packs)
-        cuts = [state.packs * k // share for k in range(share + 1)]
-        step_stage.step_kernel(state.precision, state.width).module.load(wp.get_device("cpu"))
-        jobs = [
-            self._pool.submit(step_stage.launch, state, SUBSTEPS, begin, end - begin)
-            for begin, end in itertools.pairwise(cuts)
-        ]
+        if not self._shares:
+            self._shares = self._record_shares()
+            self._take = step_stage.record_actions(self._state, self._action_array, ACTION_LOW, ACTION_HIGH)
+        if self.num_actions:
+            self._take.launch()
+        jobs = [self._pool.submit(share.launch) for share in self._shares[1:]]
+        self._shares[0].launch()
         for job in jobs:
             job.result()
+
+    def _record_shares(self) -> list[wp.Launch]:
+        """On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs."""
+        packs = self._state.packs
+        count = min(self._threads, packs) if self.device == "cpu" else 1
+        cuts = [packs * k // count for k in range(count + 1)]
+        return [step_stage.record(self._state, SUBSTEPS, begin, end - begin) for begin, end in itertools.pairwise(cuts)]
 
     def _replay(self) -> None:
         """The control step as a CUDA graph, captured on first use; arrays never move afterwards."""
@@ -193,7 +196,7 @@ class Simulation:
             mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         mask = self._check_mask(mask)
         reset_stage.launch(self._state, wp.from_torch(mask.contiguous()))
-        self._sensed.clear()
+        self._centres_are_new = False
 
     def set_frozen(self, mask: torch.Tensor) -> None:
         """Freeze (True) or thaw environments: a frozen one keeps its state and its time.
@@ -298,11 +301,25 @@ class Simulation:
         """[num_envs, 2, points]: x row and y row minus the centre of mass, padded with 0."""
         return self._points(name, 2).transpose(1, 2)
 
+    def _sense(self, key: tuple, kernel: str, dim, shapes: list[tuple], dtype: torch.dtype, *inputs):
+        """Run a sensing kernel into buffers of its own; a recorded launch costs a fraction of a new one."""
+        if key not in self._sensors:
+            buffers = [torch.zeros(shape, dtype=dtype, device=self.device) for shape in shapes]
+            kind = wp.vec2d if kernel == "centres" else None
+            arrays = [wp.from_torch(buffer, dtype=kind) for buffer in buffers]
+            self._sensors[key] = sensing.record(self._state, kernel, dim, *inputs, *arrays), buffers
+        command, buffers = self._sensors[key]
+        command.launch()
+        return buffers
+
     def _points(self, name: str, what: int) -> torch.Tensor:
         bodies = self._bodies(name)
-        out = torch.zeros((self.num_envs, self.num_points(name), 2), dtype=self.dtype, device=self.device)
+        shape = (self.num_envs, self.num_points(name), 2)
         if any(body in design.bodies for body, design in zip(bodies, self.designs, strict=True) if body):
-            sensing.launch(self._state, "points", self.num_envs, self._index(name), what, wp.from_torch(out))
+            inputs = [self._index(name), what]
+            out = self._sense(("points", *inputs), "points", self.num_envs, [shape], self.dtype, *inputs)[0].clone()
+        else:
+            out = torch.zeros(shape, dtype=self.dtype, device=self.device)
         for d, body in enumerate(bodies):
             if body and body in self.designs[d].statics and what != 1:
                 fixed = torch.tensor(body.points, dtype=torch.float64, device=self.device)
@@ -324,20 +341,18 @@ class Simulation:
             raise SimulationError(f"The object {name!r} is made of fixed cells only: it never moves.")
         return index
 
-    def _centres(self) -> tuple[torch.Tensor, torch.Tensor]:
-        if "com" not in self._sensed:
-            shape = (self.num_envs, len(self.object_names), 2)
-            pair = [torch.zeros(shape, dtype=torch.float64, device=self.device) for _ in range(2)]
-            arrays = [wp.from_torch(t, dtype=wp.vec2d) for t in pair]
-            sensing.launch(self._state, "centres", shape[:2], *arrays)
-            self._sensed["com"], self._sensed["velocity"] = pair
-        return self._sensed["com"], self._sensed["velocity"]
+    def _centres(self) -> list[torch.Tensor]:
+        shape = (self.num_envs, len(self.object_names), 2)
+        if self._centres_are_new:
+            return self._sensors["centres",][1]
+        self._centres_are_new = True
+        return self._sense(("centres",), "centres", shape[:2], [shape, shape], torch.float64)
 
     def orientation(self, name: str) -> torch.Tensor:
         """float64 [num_envs]: orientation in [0, 2 pi), counter-clockwise since time 0 (B.1)."""
-        out = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
-        sensing.launch(self._state, "orientations", self.num_envs, self._moving(name), wp.from_torch(out))
-        return out
+        index = self._moving(name)
+        shape = (self.num_envs,)
+        return self._sense(("orientations", index), "orientations", shape, [shape], torch.float64, index)[0].clone()
 
     def floor_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
         """float64 [num_envs, 2 reach + 1]: depth of the terrain below an object's centre of mass.
@@ -352,13 +367,15 @@ class Simulation:
         return self._scan(name, reach, objects, 1)
 
     def _scan(self, name: str, reach: int, objects: Sequence[str] | None, up: int) -> torch.Tensor:
-        key = tuple(objects) if objects is not None else None
-        if key not in self._scans:
-            self._scans[key] = _scan_tables(self, key)
-        out = torch.zeros((self.num_envs, 2 * reach + 1), dtype=torch.float64, device=self.device)
-        inputs = [self._moving(name), reach, SIGHT, up, *self._scans[key], wp.from_torch(out)]
-        sensing.launch(self._state, "scans", tuple(out.shape), *inputs)
-        return out
+        listed = tuple(objects) if objects is not None else None
+        if listed not in self._scans:
+            self._scans[listed] = _scan_tables(self, listed)
+        shape = (self.num_envs, 2 * reach + 1)
+        inputs = [self._moving(name), reach, SIGHT, up]
+        tables = self._scans[listed]
+        return self._sense(("scans", *inputs, listed), "scans", shape, [shape], torch.float64, *inputs, *tables)[
+            0
+        ].clone()
 
     # ---------------------------------------------------------------- state io
 
@@ -381,7 +398,7 @@ class Simulation:
         for name in STATE_FIELDS:
             wp.to_torch(self._state.arrays[name]).copy_(state[name])
         self._views["drift"].fill_(STALE)
-        self._sensed.clear()
+        self._centres_are_new = False
 
 
 STATE_FIELDS = ("pos", "vel", "true_vel", "frozen", "status", "time")

@@ -273,9 +273,5 @@ def _options(group: str, config_dir: Path | None) -> Iterator[str]:
 
 
 def _one_line(error: Exception) -> str:
-    """What an error of Hydra and what has caused it say first."""
-    lines = []
-    while error is not None and len(lines) < 2:
-        lines += [line.strip() for line in str(error).splitlines() if line.strip()][:1]
-        error = error.__cause__
-    return " ".join(lines)
+    """Where and what: the first two lines of an error of Hydra; those below are its inner names."""
+    return " ".join([line.strip() for line in str(error).splitlines() if line.strip()][:2])

@@ -10,7 +10,6 @@ from rich.console import Console
 from rich.progress import (
     BarColumn,
     Progress,
-    TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
@@ -22,6 +21,8 @@ __all__ = ["TrainingProgress"]
 
 QUIET_SECONDS = 10.0
 """Without a terminal, seconds between lines (an evaluation prints one in any case)."""
+WIDE = 110
+"""Columns from which on there is room for a bar."""
 
 
 class TrainingProgress:
@@ -40,15 +41,16 @@ class TrainingProgress:
         self._last_eval = math.nan
         self._bar = None
         if self.console.is_terminal:
+            wide = self.console.width >= WIDE
             self._bar = Progress(
-                TextColumn("iteration {task.completed}/{task.total}"),
-                BarColumn(bar_width=20),
-                TaskProgressColumn(),
+                TextColumn("{task.completed}/{task.total}"),
+                *([BarColumn(bar_width=16)] if wide else []),
                 TextColumn("{task.fields[figures]}"),
-                TimeElapsedColumn(),
+                *([TimeElapsedColumn()] if wide else []),
                 TextColumn("left"),
                 TimeRemainingColumn(),
                 console=self.console,
+                refresh_per_second=4,
             )
             self._line = self._bar.add_task("", total=total, completed=done, figures="")
 
@@ -81,7 +83,7 @@ class TrainingProgress:
     def _figures(self, row: Mapping[str, float]) -> str:
         return (
             f"{row['steps_per_second']:,.0f} steps/s  return {_figure(self._exploring)}"
-            f"  evaluation {_figure(self._last_eval)}  best {_figure(row['best_return'])}"
+            f"  eval {_figure(self._last_eval)}  best {_figure(row['best_return'])}"
         )
 
     def _left(self, iteration: int, now: float) -> str:
