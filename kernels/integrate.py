@@ -173,6 +173,10 @@ def advance(precision: str, width: int):
 
 
 def launch(state):
-    """Integrate one sub-step from the current contacts and pulls, without strain limiting."""
+    """Displacements and velocities after one sub-step, from the current contacts and pulls."""
     launch_stage(runge_kutta, state)
+
+
+def launch_advance(state):
+    """Move the points."""
     launch_stage(advance, state)
