@@ -57,9 +57,7 @@ class Controller:
             ("actions", self.spec.num_actions, env.num_actions),
         ):
             if ours != theirs:
-                raise RunError(
-                    f"The policy was trained with {ours} {what}, but the task and design have {theirs}."
-                )
+                raise RunError(f"The policy was trained with {ours} {what}, but the task and design have {theirs}.")
 
 
 def save_checkpoint(path: Path, content: dict[str, Any]) -> None:

@@ -65,9 +65,7 @@ def evaluate(env: VoxelVecEnv, policy: Policy, max_steps: int | None = None) -> 
         ConfigError: ``env`` resets itself.
     """
     if env.auto_reset:
-        raise ConfigError(
-            "An evaluation needs environments that wait at the end: make_vec(auto_reset=False)."
-        )
+        raise ConfigError("An evaluation needs environments that wait at the end: make_vec(auto_reset=False).")
     steps = env.max_episode_steps if max_steps is None else min(max_steps, env.max_episode_steps)
     look_every = 1 if torch.device(env.device).type == "cpu" else LOOK_EVERY
     unstable = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)

@@ -60,9 +60,7 @@ class PPO(RslRlPPO):
             extras = {name: value for name, value in extras.items() if name != "time_outs"}
         super().process_env_step(obs, rewards, dones, extras)
 
-    def _beyond_the_limit(
-        self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict
-    ) -> torch.Tensor:
+    def _beyond_the_limit(self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict) -> torch.Tensor:
         # Looking first saves the forward pass of nearly all steps; on CUDA looking would wait for the device.
         if time_outs.device.type == "cpu" and not bool(time_outs.any()):
             return rewards

@@ -126,9 +126,7 @@ class Runner(OnPolicyRunner):
         """Raise RunError if there is nothing left to do."""
         done = self.current_learning_iteration
         if done >= self.schedule.total:
-            raise RunError(
-                f"This run has made {done} iterations already; ask for more: max_iterations={2 * done}."
-            )
+            raise RunError(f"This run has made {done} iterations already; ask for more: max_iterations={2 * done}.")
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Learn for so many iterations; random lengths apply to the very first one only."""
@@ -287,9 +285,7 @@ class Runner(OnPolicyRunner):
         """
         content = load_checkpoint(path, self.device)
         if content["policy"] != spec_dict(self.spec):
-            raise RunError(
-                f"{path} holds another kind of policy: {content['policy']}, not {spec_dict(self.spec)}."
-            )
+            raise RunError(f"{path} holds another kind of policy: {content['policy']}, not {spec_dict(self.spec)}.")
         self.alg.load(content, None, True)
         self.current_learning_iteration = content["iter"]
         self.last_return = content["eval_return"]

@@ -134,9 +134,7 @@ class TrainConfig:
     design: Any = key(
         "walker", "body: name of an example, random, random:5x7, a .json/.npz/.npy file, or rows of cells"
     )
-    rules: str = key(
-        "evogym", "the benchmark as released (evogym) or as printed (paper)", choices=("evogym", "paper")
-    )
+    rules: str = key("evogym", "the benchmark as released (evogym) or as printed (paper)", choices=("evogym", "paper"))
     num_envs: int = key(MISSING, "environments stepped together", low=1)
     max_iterations: int = key(MISSING, "iterations in all, those before a resume included", low=1)
     eval_interval: int = key(MISSING, "iterations between deterministic evaluations", low=1)
@@ -171,9 +169,7 @@ class _RolloutConfig:
     checkpoint: str = key("best", "of that run: best, last, or an iteration")
     steps: int | None = key(None, "control steps to record; null: until the episode ends", low=1)
     device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
-    dtype: str | None = key(
-        None, "precision of the simulation; null: that of the run", choices=("float32", "float64")
-    )
+    dtype: str | None = key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
     seed: int = key(0, "governs everything random", low=0)
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
     torch_threads: int = key(1, "threads of PyTorch", low=1)
@@ -186,9 +182,7 @@ class PlayConfig(_RolloutConfig):
     """Keys of ``warpvox play``."""
 
     num_envs: int = key(4, "environments; a multiple of the run's number of designs", low=1)
-    export: list[str] = key(
-        [], "what to write of the rollout: [usd,gif,mp4,html] or some of them", choices=EXPORTS
-    )
+    export: list[str] = key([], "what to write of the rollout: [usd,gif,mp4,html] or some of them", choices=EXPORTS)
 
 
 @dataclass
@@ -212,7 +206,9 @@ class BenchConfig:
     """Keys of ``warpvox bench``."""
 
     suite: str = key(
-        "peer", "peer: beside the reference; step: ours alone, by part", choices=("peer", "step")
+        "peer",
+        "peer: beside the reference; step: ours alone, by part; precision: float32 returns against float64",
+        choices=("peer", "step", "precision"),
     )
     task: str = key("Walker-v0", "task id")
     design: Any = key("walker", "body, as for train")

@@ -84,9 +84,7 @@ class VoxelEnv(gymnasium.Env):
         )
         self.render_mode = render_mode
         shape = (self._vec.num_obs,)
-        self.observation_space = gymnasium.spaces.Box(
-            -OBSERVATION_BOUND, OBSERVATION_BOUND, shape, np.float64
-        )
+        self.observation_space = gymnasium.spaces.Box(-OBSERVATION_BOUND, OBSERVATION_BOUND, shape, np.float64)
         shape = (self._vec.num_actions,)
         self.action_space = gymnasium.spaces.Box(ACTION_LOW, ACTION_HIGH, shape, np.float64)
 

@@ -63,9 +63,7 @@ class RslRlVecEnv(VecEnv):
         self.cfg = {"task": env.spec.id, "rules": env.rules}
         self.action_scale, self.reward_scale = action_scale, reward_scale
         self.bootstrap_time_limit = bootstrap_time_limit
-        self.reward_norm = (
-            None if reward_gamma is None else _ReturnScale(env.num_envs, reward_gamma, env.device)
-        )
+        self.reward_norm = None if reward_gamma is None else _ReturnScale(env.num_envs, reward_gamma, env.device)
         # The length that random starts pretend is none that the policy has lived through.
         self._shortened = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._clear_episodes()

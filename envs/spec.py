@@ -74,16 +74,12 @@ def observes(function: Callable[..., Tensor], name: str = "robot", **params: Any
     return Observation(function, (("name", name), *params.items()))
 
 
-def rewards(
-    function: Callable[..., Tensor], name: str = "robot", weight: float = 1.0, **params: Any
-) -> Reward:
+def rewards(function: Callable[..., Tensor], name: str = "robot", weight: float = 1.0, **params: Any) -> Reward:
     """A reward for what the object ``name`` does."""
     return Reward(function, (("name", name), *params.items()), weight)
 
 
-def ends(
-    function: Callable[..., Tensor], name: str = "robot", bonus: float = 0.0, **params: Any
-) -> Termination:
+def ends(function: Callable[..., Tensor], name: str = "robot", bonus: float = 0.0, **params: Any) -> Termination:
     """An end of the episode caused by the object ``name``."""
     return Termination(function, (("name", name), *params.items()), bonus)
 
@@ -136,7 +132,5 @@ class TaskSpec:
             ConfigError: unknown rules.
         """
         if rules not in RULES:
-            raise ConfigError(
-                f"rules must be one of {listing(RULES)}, got {rules!r}.{did_you_mean(rules, RULES)}"
-            )
+            raise ConfigError(f"rules must be one of {listing(RULES)}, got {rules!r}.{did_you_mean(rules, RULES)}")
         return replace(self, paper={}, **self.paper) if rules == "paper" else self

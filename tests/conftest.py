@@ -8,9 +8,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 # The same examples on every run, and no time limit for one: a shared machine may stall at any moment.
-settings.register_profile(
-    "repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)
+settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
 
 

@@ -50,11 +50,7 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-SOURCES = {
-    module_name(path): path
-    for folder in ("warpvox", *MAPPED)
-    for path in sorted((ROOT / folder).rglob("*.py"))
-}
+SOURCES = {module_name(path): path for folder in ("warpvox", *MAPPED) for path in sorted((ROOT / folder).rglob("*.py"))}
 ALL_FILES = [*SOURCES.values(), *sorted((ROOT / "tests").rglob("*.py"))]
 
 

@@ -52,9 +52,7 @@ def test_every_package_is_listed(repository: Path, project: dict) -> None:
     # setuptools cannot discover packages in mapped folders, and an editable install misses none
     listed = project["tool"]["setuptools"]["packages"]
     found = {
-        Path(name).parent.as_posix().replace("/", ".")
-        for name in shipped_files(repository)
-        if name.endswith(".py")
+        Path(name).parent.as_posix().replace("/", ".") for name in shipped_files(repository) if name.endswith(".py")
     }
     assert sorted(listed) == sorted(found)
     for package in found:
@@ -103,9 +101,7 @@ def test_the_wheel_works_without_the_checkout(wheel: Path, tmp_path: Path) -> No
     )
     # an editable install of the checkout comes after PYTHONPATH
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-    run = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
-    )
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     place, configs = run.stdout.split()
     assert Path(place).is_relative_to(tmp_path)
@@ -150,10 +146,7 @@ def test_public_names_are_the_same_everywhere(repository: Path) -> None:
     tree = ast.parse((repository / "warpvox" / "__init__.py").read_text(encoding="utf-8"))
     guarded = next(node for node in tree.body if isinstance(node, ast.If))
     for_checkers = {
-        (node.module, alias.name)
-        for node in guarded.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
+        (node.module, alias.name) for node in guarded.body if isinstance(node, ast.ImportFrom) for alias in node.names
     }
     at_run_time = {(module, name) for module, names in warpvox._PLACES.items() for name in names}
     assert for_checkers == at_run_time

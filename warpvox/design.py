@@ -166,9 +166,7 @@ def sample_design(
     try:
         rng = np.random.default_rng(seed)
     except (TypeError, ValueError):
-        raise DesignError(
-            f"The seed must be None, an integer >= 0 or a numpy Generator, got {seed!r}."
-        ) from None
+        raise DesignError(f"The seed must be None, an integer >= 0 or a numpy Generator, got {seed!r}.") from None
     # One body per draw: a shared Generator then advances by exactly what was rejected, whatever else uses it.
     cumulative = np.cumsum(weights)
     cumulative[-1] = 1.0
@@ -308,9 +306,7 @@ def _parse_list(text: str, source: str) -> object:
         if "body" in value:
             return value["body"]
         if "objects" in value:
-            raise DesignError(
-                f"{source} is a world, not a design: use World.from_json(path).objects[NAME].grid."
-            )
+            raise DesignError(f"{source} is a world, not a design: use World.from_json(path).objects[NAME].grid.")
         raise DesignError(f"{source} has no entry 'body'; it has {listing(value)}.")
     return value
 
@@ -320,9 +316,7 @@ def _parse_size(text: str) -> tuple[int, int]:
         return (5, 5)
     match = re.fullmatch(r"random:(\d+)[xX](\d+)", text)
     if match is None:
-        raise DesignError(
-            f"Cannot read the size in '{_shorten(text)}': expected random:ROWSxCOLUMNS, e.g. random:5x7."
-        )
+        raise DesignError(f"Cannot read the size in '{_shorten(text)}': expected random:ROWSxCOLUMNS, e.g. random:5x7.")
     return int(match[1]), int(match[2])
 
 
@@ -342,8 +336,7 @@ def _check_weights(weights: Sequence[float]) -> np.ndarray:
     array = np.asarray(weights, dtype=float) if np.ndim(weights) == 1 else np.empty(0)
     if array.shape != (5,):
         raise DesignError(
-            "The probabilities must be five weights (empty, rigid, soft, horizontal, vertical), got"
-            f" {weights!r}."
+            f"The probabilities must be five weights (empty, rigid, soft, horizontal, vertical), got {weights!r}."
         )
     if not np.isfinite(array).all() or (array < 0).any() or array[Cell.H_ACT] + array[Cell.V_ACT] <= 0:
         raise DesignError(

@@ -150,9 +150,7 @@ class World:
         self._grow(obj)
         return obj
 
-    def add_from_array(
-        self, name: str, structure: object, x: int, y: int, connections: object = None
-    ) -> WorldObject:
+    def add_from_array(self, name: str, structure: object, x: int, y: int, connections: object = None) -> WorldObject:
         """Add cells ``[rows, columns]`` (row 0 on top) with the lower left corner at cell (x, y).
 
         ``connections``: EvoGym's ``[2, k]`` array of flat index pairs, or None to connect all neighbours.
@@ -274,8 +272,7 @@ class World:
     def _find(self, name: str) -> WorldObject:
         if name not in self.objects:
             raise WorldError(
-                f"The world has no object '{name}'.{did_you_mean(name, self.objects)}"
-                f" It has {listing(self.objects)}."
+                f"The world has no object '{name}'.{did_you_mean(name, self.objects)} It has {listing(self.objects)}."
             )
         return self.objects[name]
 
@@ -352,9 +349,7 @@ def _parse_world(source: object) -> tuple[int, int, list[WorldObject]]:
         raise WorldError(f"{origin} is not a world: it lacks {listing(missing)}.")
     width, height, objects = data["grid_width"], data["grid_height"], data["objects"]
     if not _is_whole(width) or not _is_whole(height) or width < 1 or height < 1:
-        raise WorldError(
-            f"{origin}: grid_width and grid_height must be whole numbers >= 1, got {width!r}, {height!r}."
-        )
+        raise WorldError(f"{origin}: grid_width and grid_height must be whole numbers >= 1, got {width!r}, {height!r}.")
     if not isinstance(objects, Mapping):
         raise WorldError(f"{origin}: 'objects' must map names to objects, got {type(objects).__name__}.")
     parsed = []
@@ -448,9 +443,7 @@ def _bounding_box(name: str, box: object, columns: list[int], rows: list[int]) -
         return x, y, right - x, top - y
     fits = isinstance(box, list) and len(box) == 4 and all(_is_whole(n) and n >= 0 for n in box)
     if not fits or box[0] > x or box[1] > y or box[0] + box[2] < right or box[1] + box[3] < top:
-        raise WorldError(
-            f"the box {box!r} of the object '{name}' is no [x, y, width, height] that holds its cells."
-        )
+        raise WorldError(f"the box {box!r} of the object '{name}' is no [x, y, width, height] that holds its cells.")
     return box[0], box[1], box[2], box[3]
 
 

@@ -17,9 +17,7 @@ def _sees(terrain, *objects):
     return (observes(velocity), observes(orientation), observes(shape), below)
 
 
-STAIRS_UP = rows(
-    "ground", "21F", "20. 10F", "29. 8F", "36. 7F", "42. 6F", "47. 5F", "51. 5F", "55. 7F", "61. 9F"
-)
+STAIRS_UP = rows("ground", "21F", "20. 10F", "29. 8F", "36. 7F", "42. 6F", "47. 5F", "51. 5F", "55. 7F", "61. 9F")
 
 UP_STEPPER = TaskSpec(
     id="UpStepper-v0",

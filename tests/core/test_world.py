@@ -12,9 +12,9 @@ from hypothesis.extra import numpy as hnp
 import warpvox as wv
 from warpvox.design import full_connections
 
-CELLS = hnp.arrays(
-    np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=4), elements=st.integers(0, 5)
-).filter(np.any)
+CELLS = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=4), elements=st.integers(0, 5)).filter(
+    np.any
+)
 PLACES = st.tuples(st.integers(0, 9), st.integers(0, 7))
 OBJECTS = st.lists(st.tuples(CELLS, PLACES), min_size=1, max_size=5)
 

@@ -47,9 +47,7 @@ class Puppet:
         self.unstable = self.fold & ~self.frozen
         moves = ~(self.fold | self.frozen)
         for name, push in self.push.items():
-            self.points[name] = (
-                self.points[name] + (push * moves[:, None])[:, None] * self.point_mask(name)[:, :, None]
-            )
+            self.points[name] = self.points[name] + (push * moves[:, None])[:, None] * self.point_mask(name)[:, :, None]
         self.angle = (self.angle + self.turn * moves) % (2 * torch.pi)
 
     def reset(self, mask: torch.Tensor | None = None) -> None:

@@ -45,9 +45,7 @@ def test_passing_the_goal_ends_the_episode_with_a_bonus(puppet, task, axis, limi
     assert info["episode"]["done"].tolist() == [False, True, True]
 
 
-@pytest.mark.parametrize(
-    ("degrees", "ends"), [(74, False), (76, True), (180, True), (284, True), (286, False)]
-)
+@pytest.mark.parametrize(("degrees", "ends"), [(74, False), (76, True), (180, True), (284, True), (286, False)])
 def test_up_stepper_ends_when_the_robot_tilts(puppet, degrees: float, ends: bool) -> None:
     env = make(puppet, "UpStepper-v0")
     env.sim.turn[:] = torch.deg2rad(torch.tensor([degrees, 0.0, 0.0], dtype=torch.float64))

@@ -129,7 +129,5 @@ def test_specifications_that_make_no_sense_are_refused(changes: dict, words: str
 
 
 def test_asking_for_ids_does_not_load_torch() -> None:
-    code = (
-        "import sys, warpvox; warpvox.task_ids(); sys.exit('torch' in sys.modules or 'warp' in sys.modules)"
-    )
+    code = "import sys, warpvox; warpvox.task_ids(); sys.exit('torch' in sys.modules or 'warp' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -82,7 +82,5 @@ def test_elevation_counts_a_point_on_a_border_on_both_sides() -> None:
 
 
 def test_elevation_takes_the_higher_of_several_objects() -> None:
-    state = Moment(
-        com_robot=[[0.5, 0.7]], positions_a=[[(0.55, 0.2)]], positions_b=[[(0.55, 0.3), (0.45, 0.1)]]
-    )
+    state = Moment(com_robot=[[0.5, 0.7]], positions_a=[[(0.55, 0.2)]], positions_b=[[(0.55, 0.3), (0.45, 0.1)]])
     assert observations.elevation(state, "robot", 1, ("a", "b"))[0].tolist() == [0.1, 0.3, 0.0]

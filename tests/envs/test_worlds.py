@@ -102,9 +102,7 @@ def test_the_robot_stands_in_its_cell(task: str) -> None:
 
 
 def test_a_body_that_does_not_fit_is_refused_by_name_of_the_task() -> None:
-    with pytest.raises(
-        WorldError, match=r"5x6 body does not fit the world of Climber-v0: .*'pipe' at cell \(6, 1\)"
-    ):
+    with pytest.raises(WorldError, match=r"5x6 body does not fit the world of Climber-v0: .*'pipe' at cell \(6, 1\)"):
         task_world(get_task("Climber-v0"), np.full((5, 6), 3, np.int8))
 
 

@@ -18,6 +18,7 @@ from rich.table import Table
 from warpvox import __version__
 from warpvox.cli.config import expand, load, read_arguments, to_yaml
 from warpvox.cli.info import cpu_name
+from warpvox.cli.precision import precision_suite
 from warpvox.cli.runs import check_name, new_folder, write_summary
 from warpvox.cli.say import say
 from warpvox.cli.train import describe
@@ -45,7 +46,7 @@ def run(words: list[str]) -> None:
             from warpvox.cli.build import prepare
 
             prepare(config.torch_threads, config.seed)
-        result = {"peer": peer_suite, "step": step_suite}[config.suite](config, console)
+        result = {"peer": peer_suite, "step": step_suite, "precision": precision_suite}[config.suite](config, console)
         facts = {"suite": config.suite, "task": config.task, "version": __version__, "cpu": cpu_name()}
         with new_folder(config.output_dir, "bench", config.task, config.name, to_yaml(config)) as folder:
             write_summary(folder, facts | result)
