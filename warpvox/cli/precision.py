@@ -8,7 +8,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-
 __all__ = ["precision_suite"]
 
 DESIGNS = 50
@@ -71,10 +70,7 @@ def _returns(config: Any, bodies: list[np.ndarray], kind: str, dtype: str, noise
     rate, phase = rng.uniform(0.01, 0.1, shape), rng.uniform(0.0, 1.0, shape)
     total = np.zeros(env.num_envs)
     for t in range(env.max_episode_steps):
-        if kind == "sine":
-            actions = 1.1 + 0.5 * np.sin(2 * np.pi * (rate * t + phase))
-        else:
-            actions = rng.uniform(0.6, 1.6, shape)
+        actions = 1.1 + 0.5 * np.sin(2 * np.pi * (rate * t + phase)) if kind == "sine" else rng.uniform(0.6, 1.6, shape)
         actions = np.rint(actions * 1024) / 1024  # exact in every precision
         actions += noise * np.random.default_rng([config.seed, t]).uniform(-1.0, 1.0, shape)
         _, reward, _, _, _ = env.step(torch.as_tensor(actions))

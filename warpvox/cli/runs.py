@@ -22,6 +22,7 @@ __all__ = ["Run", "find_run", "new_folder", "write_summary"]
 CONFIG, SUMMARY = "config.yaml", "summary.json"
 STATE, BEST = "state.pt", "model_best.pt"
 TRAINING = ("train", "demo")
+STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 NAME = re.compile(r"[\w.+-]+")
 
 
@@ -90,8 +91,8 @@ def _latest(root: Path) -> Path:
     ]
     if not folders:
         raise RunError(f"There is no run in {root / TRAINING[0]} yet; `warpvox train` makes one.")
-    # names begin with the date and time of the start
-    return max(folders, key=lambda folder: (folder.name, folder.stat().st_mtime))
+    # names begin with the date and time of the start; what started within one second differs by its first file
+    return max(folders, key=lambda folder: (folder.name[:STAMP_LENGTH], (folder / CONFIG).stat().st_mtime_ns))
 
 
 @contextmanager
@@ -102,7 +103,7 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
         ConfigError: a name that no folder can have. RunError: the folder cannot be written.
     """
     check_name(name)
-    stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    stamp = datetime.now().strftime(STAMP)
     parent = Path(output_dir) / command / task
     made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
     folder = _make(parent, stamp, f"_{name}" if name else "")
