@@ -441,14 +441,18 @@ def _group(worlds: Sequence[World]) -> list[int]:
     return index
 
 
+def lanes_for(environments: int) -> int:
+    """The lanes that are chosen on the CPU for a number of environments of one design."""
+    return next((width for width in WIDTHS if width >= environments), MAX_WIDTH)
+
+
 def _choose_lanes(index: list[int], lanes: int | None, device: str) -> int:
     if device != "cpu":
         if lanes not in (None, CUDA_LANES):
             raise SimulationError(f"lanes must be {CUDA_LANES} or None on CUDA, got {lanes!r}.")
         return CUDA_LANES
     if lanes is None:
-        most = int(np.bincount(index).max())
-        return next((w for w in WIDTHS if w >= most), MAX_WIDTH)
+        return lanes_for(int(np.bincount(index).max()))
     if lanes not in WIDTHS:
         raise SimulationError(f"lanes must be one of {listing(WIDTHS)}, got {lanes!r}.")
     return lanes

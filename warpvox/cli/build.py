@@ -16,7 +16,7 @@ from warpvox.design import load_design
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import DesignError
-from warpvox.sim import WIDTHS, resolve_device
+from warpvox.sim import lanes_for, resolve_device
 from warpvox.types import Physics
 
 __all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "shown", "training_lanes"]
@@ -98,8 +98,7 @@ def training_lanes(config: Any, device: str) -> int | None:
     """The lanes that training with ``config`` uses: evaluations with as many need no kernels of their own."""
     if config.lanes is not None or device != "cpu":
         return config.lanes if device == "cpu" else None
-    share = config.num_envs // len(load_bodies(config.design, config.seed))
-    return next((width for width in WIDTHS if width >= share), WIDTHS[-1])
+    return lanes_for(config.num_envs // len(load_bodies(config.design, config.seed)))
 
 
 def shown(path: Path) -> str:
