@@ -141,15 +141,43 @@ def runs_of(task, seed):
         yield "folding, square", body, waves(body, np.random.default_rng(FOLDING_SEED), "square")
 
 
+def all_tasks():
+    """Our ids of the reference's tasks."""
+    from evogym.utils import BASELINE_ENV_NAMES
+
+    return [task.replace("Mazimizer", "Maximizer") for task in BASELINE_ENV_NAMES]
+
+
+def checksums(task):
+    """Of every object but the robot: x, y, width, height and CRC of the cells, before any random shift."""
+    import gymnasium as gym
+
+    base = gym.make(task.replace("WingspanMax", "WingspanMaz"), body=np.array([[3.0]])).unwrapped
+    dx, dy = getattr(base, "offsetx", 0), getattr(base, "offsety", 0)
+    out = {}
+    for name, thing in sorted(base.world.objects.items()):
+        grid = np.ascontiguousarray(thing.grid[::-1]).astype(np.int8)  # theirs has the bottom row first
+        if not np.isin(grid, ACTUATORS).any():
+            moved = name != "ground"
+            place = [int(thing.pos.x) - dx * moved, int(thing.pos.y) - dy * moved]
+            out[name] = [*place, grid.shape[1], grid.shape[0], zlib.crc32(grid.tobytes())]
+    return out
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tasks", nargs="*", default=TASKS)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--worlds", action="store_true", help="write OUT/worlds.json instead")
     args = parser.parse_args()
     warnings.filterwarnings("ignore")
     with contextlib.redirect_stdout(io.StringIO()):
         import evogym.envs  # noqa: F401  (registers the tasks)
+    if args.worlds:
+        lines = [f"{json.dumps(task)}: {json.dumps(checksums(task))}" for task in all_tasks()]
+        (args.out / "worlds.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
+        return
     args.out.mkdir(parents=True, exist_ok=True)
     for task in args.tasks:
         random.seed(args.seed)

@@ -40,6 +40,11 @@ class Run:
         return self.arrays.get("frames", rows).astype(int)
 
     @property
+    def memory(self) -> dict[str, list[list[int]]]:
+        """What was random in the run, in the form in which an environment of ours remembers it."""
+        return {name: [self.info[name]] for name in ("goals", "offset") if self.info.get(name) is not None}
+
+    @property
     def unstable_at(self) -> int:
         """The step that self-folding has stopped, or -1."""
         return int(self.info["unstable_at"])
@@ -84,7 +89,7 @@ def replay(run: Run, steps: int | None = None, env: VoxelVecEnv | None = None) -
     """Repeat the first ``steps`` (default: all) actions of a run."""
     env = make_env(run) if env is None else env
     actions = torch.as_tensor(run.actions[:steps]).to(env.dtype)
-    observations = [env.reset()[0][0]]
+    observations = [env.reset(memory=run.memory)[0][0]]
     positions = [moving_positions(env, run)]
     outcomes = []
     for action in actions:
