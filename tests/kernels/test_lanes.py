@@ -75,7 +75,7 @@ def test_the_lanes_of_a_mask_come_in_order():
     def kernel(masks: wp.array(dtype=int), out: wp.array2d(dtype=int)):
         i = wp.tid()
         mask = masks[i]
-        n = 0
+        n = int(0)  # noqa: UP018, RUF046 (to Warp a literal is a constant)
         while mask != 0:
             out[i, n] = first(mask)
             mask = drop(mask)
