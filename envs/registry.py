@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from warpvox.envs.spec import TaskSpec
-from warpvox.envs.tasks import locomotion, manipulate, traverse
+from warpvox.envs.tasks import climb, locomotion, manipulate, misc, shape, traverse
 from warpvox.errors import TaskError, did_you_mean, listing
 
 __all__ = ["get_task", "task_ids"]
 
-_FAMILIES = (locomotion, manipulate, traverse)
+_FAMILIES = (locomotion, manipulate, climb, traverse, shape, misc)
+_ALIASES = {"WingspanMazimizer-v0": "WingspanMaximizer-v0"}  # the release's spelling
 
 
 def _in_order_of_the_paper(spec: TaskSpec) -> list[int]:
@@ -29,11 +30,14 @@ def task_ids() -> list[str]:
 def get_task(task: str | TaskSpec) -> TaskSpec:
     """The task with this id; a specification (a task of the user's own) is returned as it is.
 
+    The release's misspelling ``WingspanMazimizer-v0`` is understood.
+
     Raises:
         TaskError: no such task; the message names the nearest and lists all.
     """
     if isinstance(task, TaskSpec):
         return task
+    task = _ALIASES.get(task, task) if isinstance(task, str) else task
     if not isinstance(task, str) or task not in _TASKS:
         raise TaskError(f"Unknown task {task!r}.{did_you_mean(task, _TASKS)} Tasks: {listing(_TASKS, 40)}.")
     return _TASKS[task]

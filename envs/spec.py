@@ -17,8 +17,12 @@ from warpvox.world import WorldObject
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from warpvox.envs.draws import Draws
+    from warpvox.envs.state import State
+
 __all__ = [
     "RULES",
+    "Memory",
     "Observation",
     "Reward",
     "TaskSpec",
@@ -69,6 +73,23 @@ class Termination(Term):
     bonus: float = 0.0
 
 
+@dataclass(frozen=True)
+class Memory:
+    """Something that environments remember during an episode, read by terms with ``state.memory(name)``.
+
+    Attributes:
+        name: unique in its task.
+        start: ``start(draws)`` gives the value at the beginning of an episode, ``[num_envs, ...]``; what is random
+            in it comes from the :class:`warpvox.envs.draws.Draws`.
+        update: ``update(state)`` gives the value after a step; None: it stays what it was. Observations are made
+            before the update, rewards and ends look at the new value.
+    """
+
+    name: str
+    start: Callable[[Draws], Tensor]
+    update: Callable[[State], Tensor] | None = None
+
+
 def observes(function: Callable[..., Tensor], name: str = "robot", **params: Any) -> Observation:
     """An observation of the object ``name``."""
     return Observation(function, (("name", name), *params.items()))
@@ -99,6 +120,9 @@ class TaskSpec:
         observations: in the order in which they are concatenated.
         rewards: summed.
         terminations: independent of each other; several may fire in one step.
+        memory: what environments remember during an episode, random values included; later entries may use
+            earlier ones when they are updated.
+        scattered: objects that every episode moves by the cells (x, y) that the memory ``offset`` holds.
         unstable_penalty: added to the reward of a step that self-folding has stopped; the episode ends.
         paper: fields that differ under ``rules="paper"``.
     """
@@ -113,6 +137,8 @@ class TaskSpec:
     observations: tuple[Observation, ...]
     rewards: tuple[Reward, ...]
     terminations: tuple[Termination, ...] = ()
+    memory: tuple[Memory, ...] = ()
+    scattered: tuple[str, ...] = ()
     unstable_penalty: float = -3.0
     paper: Mapping[str, Any] = field(default_factory=dict)
 
@@ -122,8 +148,16 @@ class TaskSpec:
             raise TaskError(f"The task '{self.id}' needs an observation and at least one step an episode.")
         names = [term.name for term in (*self.rewards, *self.terminations)]
         twice = {name for name in names if names.count(name) > 1}
+        kept = [memory.name for memory in self.memory]
+        twice |= {name for name in kept if kept.count(name) > 1}
+        if self.scattered and "offset" not in kept:
+            raise TaskError(
+                f"The task '{self.id}' scatters objects but has no memory named 'offset' that says how far."
+            )
         if twice:
-            raise TaskError(f"The task '{self.id}' has several reward or end terms named {listing(twice)}.")
+            raise TaskError(
+                f"The task '{self.id}' has several reward terms, end terms or memories named {listing(twice)}."
+            )
 
     def under(self, rules: str) -> TaskSpec:
         """The task as ``rules`` (one of :data:`RULES`) have it.

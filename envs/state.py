@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from warpvox.envs.spec import Memory
     from warpvox.sim import Simulation
 
 __all__ = ["State"]
@@ -24,10 +25,15 @@ class State:
 
     Lengths are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step
     lasts 30 x 1e-4), angles in radians. Terms must not write into the tensors.
+
+    Args:
+        sim: the simulation that stands at this moment.
+        memory: what the environments remember of their episodes, by name.
     """
 
-    def __init__(self, sim: Simulation) -> None:
+    def __init__(self, sim: Simulation, memory: Mapping[str, Tensor] | None = None) -> None:
         self._sim = sim
+        self._memory = memory or {}
         self._values: dict[Quantity, Tensor] = {}
 
     @property
@@ -40,6 +46,14 @@ class State:
         for quantity in quantities:
             self._ask(*quantity)
         return self
+
+    def update(self, memories: Iterable[Memory]) -> dict[str, Tensor]:
+        """Update what this state remembers, one memory after the other; return all of it."""
+        self._memory = dict(self._memory)
+        for memory in memories:
+            if memory.update is not None:
+                self._memory[memory.name] = memory.update(self)
+        return self._memory
 
     def com(self, name: str) -> Tensor:
         """float64 ``[num_envs, 2]``: centre of mass of an object (p in B.1)."""
@@ -64,6 +78,22 @@ class State:
     def floor_scan(self, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
         """float64 ``[num_envs, 2 reach + 1]``: distances down to ``objects`` in windows about an object."""
         return self._ask("floor_scan", name, reach, objects)
+
+    def ceiling_scan(self, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
+        """float64 ``[num_envs, 2 reach + 1]``: distances up to ``objects`` in windows about an object."""
+        return self._ask("ceiling_scan", name, reach, objects)
+
+    def extent(self, name: str) -> Tensor:
+        """float64 ``[num_envs, 2]``: width and height of the box about all points of an object."""
+        return self._ask("extent", name)
+
+    def hull_area(self, name: str) -> Tensor:
+        """float64 ``[num_envs]``: area of the convex hull of all points of an object."""
+        return self._ask("hull_area", name)
+
+    def memory(self, name: str) -> Tensor:
+        """``[num_envs, ...]``: what the environments remember under this name (the task's ``memory``)."""
+        return self._memory[name]
 
     def _ask(self, method: str, *args: object) -> Tensor:
         key = (method, *args)

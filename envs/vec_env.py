@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,12 +10,13 @@ import numpy as np
 import torch
 
 from warpvox.design import Design, load_design
+from warpvox.envs.draws import Draws
 from warpvox.envs.layout import Layout
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.state import State
 from warpvox.envs.worlds import task_world
-from warpvox.errors import ConfigError, DesignError
+from warpvox.errors import ConfigError, DesignError, did_you_mean, listing
 from warpvox.sim import Simulation
 from warpvox.types import Physics
 
@@ -51,7 +52,8 @@ def make_vec(
         device: ``auto`` (CUDA where there is one), ``cpu``, ``cuda`` or ``cuda:<index>``.
         rules: ``evogym`` (as released) or ``paper`` (section B as printed).
         dtype: ``float32`` or ``float64``, of the simulation, observations and rewards.
-        seed: governs everything random in a task (nothing in the deterministic ones).
+        seed: governs everything random in a task (nothing in the deterministic ones). Environment k draws the same
+            whatever the other environments are.
         auto_reset: reset environments in the step in which they end; otherwise they stay as they ended.
         physics: preset or constants; default: the preset named as the rules.
         lanes, threads: see :class:`warpvox.Simulation`.
@@ -82,6 +84,7 @@ def make_vec(
         dtype=dtype,
         lanes=lanes,
         threads=threads,
+        loose=spec.scattered,
     )
     return VoxelVecEnv(spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset)
 
@@ -123,8 +126,13 @@ class VoxelVecEnv:
         self.max_episode_steps = spec.max_episode_steps
         block = sim.num_envs // len(designs)
         self.design_index = torch.arange(len(designs), device=sim.device).repeat_interleave(block)
+        self._draws = Draws(seed, self.num_envs, sim.device) if spec.memory else None
+        self._memory: dict[str, torch.Tensor] = {}
+        self._drawn = True  # the first episode is drawn; a reset before it begins keeps it
+        if spec.memory:
+            self._start_memory(None)
         # Rewards compare with the state before a step: find out once which quantities they need.
-        probe = State(sim)
+        probe = State(sim, self._memory)
         for term in spec.rewards:
             term(probe, probe)
         self._needed_before = probe.quantities
@@ -150,18 +158,67 @@ class VoxelVecEnv:
         self._terminated = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
         self._truncated = self._terminated.clone()
 
-    def reset(self, seed: int | None = None) -> tuple[torch.Tensor, dict[str, Any]]:
+    @property
+    def memory(self) -> dict[str, torch.Tensor]:
+        """What the environments remember, by name (``spec.memory``): fresh tensors ``[num_envs, ...]``."""
+        return {name: value.clone() for name, value in self._memory.items()}
+
+    def reset(
+        self, seed: int | None = None, memory: Mapping[str, Any] | None = None
+    ) -> tuple[torch.Tensor, dict[str, Any]]:
         """Begin a new episode everywhere.
+
+        Args:
+            seed: begin the random numbers anew, from this seed; None goes on with those there are.
+            memory: what environments shall remember instead of what the task draws, ``[num_envs, ...]`` by the name
+                of the memory; entries that are missing at the end of a row are 0. For this episode only.
 
         Returns:
             Observations ``[num_envs, num_obs]`` and an empty dictionary.
+
+        Raises:
+            ConfigError: the task has no memory of that name, or not of that shape.
         """
+        self.sim.reset()
         if seed is not None:
             self.seed = seed
-        self.sim.reset()
+        if self._draws is not None:
+            if seed is not None:
+                self._draws = Draws(seed, self.num_envs, self.device)
+            elif not self._drawn:
+                self._draws.episode = self._draws.episode + 1
+            self._drawn = False
+            self._start_memory(None, memory)
+        elif memory:
+            raise ConfigError(f"{self.spec.id} remembers nothing: there is no {listing(memory)} to set.")
         self._clear_episodes()
-        self._before = State(self.sim).remember(self._needed_before)
+        self._before = State(self.sim, self._memory).remember(self._needed_before)
         return self._layout.observe(self._before), {}
+
+    def _start_memory(self, mask: torch.Tensor | None, given: Mapping[str, Any] | None = None) -> None:
+        """Fill the memory of episodes that begin, where ``mask`` (None: everywhere), and place what is scattered."""
+        draws = self._draws.rewind()
+        fresh = {memory.name: memory.start(draws) for memory in self.spec.memory}
+        for name, values in (given or {}).items():
+            fresh[name] = self._given(name, values, fresh)
+        if mask is not None:
+            fresh = {name: _where(mask, value, self._memory[name]) for name, value in fresh.items()}
+        self._memory = fresh
+        if self.spec.scattered:
+            self.sim.shift(fresh["offset"], mask)
+
+    def _given(self, name: str, values: Any, drawn: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Values for a memory from outside, padded with 0 to the shape of those that would have been drawn."""
+        if name not in drawn:
+            raise ConfigError(f"{self.spec.id} remembers {listing(drawn)}, not {name!r}.{did_you_mean(name, drawn)}")
+        like = drawn[name]
+        values = torch.as_tensor(values, dtype=like.dtype, device=like.device)
+        shape, most = tuple(values.shape), tuple(like.shape)
+        if len(shape) != len(most) or shape[:1] != most[:1] or any(n > m for n, m in zip(shape, most, strict=True)):
+            raise ConfigError(f"The memory {name!r} must have the shape {list(most)}, got {list(shape)}.")
+        whole = torch.zeros_like(like)
+        whole[tuple(slice(n) for n in shape)] = values
+        return whole
 
     def step(self, actions: torch.Tensor | np.ndarray) -> StepResult:
         """One control step everywhere.
@@ -189,15 +246,17 @@ class VoxelVecEnv:
                 then. On CUDA an environment with such entries becomes unstable.
         """
         self.sim.step(actions)
+        self._drawn = False
         going = None if self.auto_reset else ~(self._terminated | self._truncated)
-        after = State(self.sim)
+        after = State(self.sim, self._memory)
+        obs = self._layout.observe(after)
+        remembered = after.update(self.spec.memory)
         unstable = self.sim.unstable if going is None else self.sim.unstable & going
         terms, terminated = self._judge(self._before, after, unstable, going)
         reward = sum(terms.values())
         self.episode_length = self.episode_length + (1 if going is None else going)
         self._return = self._return + reward
         truncated = self.episode_length >= self.max_episode_steps
-        obs = self._layout.observe(after)
         done = terminated | truncated
         if going is not None:
             done = done & going
@@ -212,8 +271,11 @@ class VoxelVecEnv:
             "reward_terms": terms,
         }
         if going is None:
+            self._memory = remembered
             obs = self._restart(done, after, obs)
         else:
+            # An ended environment remembers what its last observation was made of.
+            self._memory = {name: _where(going & ~done, new, self._memory[name]) for name, new in remembered.items()}
             terminated = self._terminated = self._terminated | terminated
             truncated = self._truncated = self._truncated | (truncated & going)
             self._before = after
@@ -242,10 +304,18 @@ class VoxelVecEnv:
             self._before = after
             return obs
         self.sim.reset(done)
+        if self._draws is not None:
+            self._draws.episode = self._draws.episode + done
+            self._start_memory(done)
         self.episode_length = self.episode_length.masked_fill(done, 0)
         self._return = self._return.masked_fill(done, 0.0)
-        self._before = State(self.sim).remember(self._needed_before)
+        self._before = State(self.sim, self._memory).remember(self._needed_before)
         return self._layout.observe(self._before)
+
+
+def _where(mask: torch.Tensor, new: torch.Tensor, old: torch.Tensor) -> torch.Tensor:
+    """Rows of ``new`` where the mask says so, else of ``old``."""
+    return torch.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
 def _load_designs(designs: object) -> list[Design]:

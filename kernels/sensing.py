@@ -1,4 +1,4 @@
-"""What tasks sense: centre of mass, velocity, orientation, relative positions, floor and ceiling (tasks.md, B.1).
+"""What tasks sense: centre of mass, velocity, orientation, relative positions, extent, hull, floor and ceiling (B.1).
 
 One thread an environment, results in the order of the environments. Sums run in float64 in the order of the points.
 """
@@ -52,6 +52,14 @@ def kernels(precision: str):
         velocity[env, o] = wp.vec2d(vx / n, vy / n)
 
     @wp.func
+    def place(data: types.Data, pack: int, p: int, k: int):
+        return wp.vec2d(data.pos[pack, 2 * p, k], data.pos[pack, 2 * p + 1, k])
+
+    @wp.func
+    def rest(model: types.Model, design: int, p: int):
+        return wp.vec2d(model.home[design, 2 * p], model.home[design, 2 * p + 1])
+
+    @wp.func
     def turn(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64):
         """Angle between two vectors, and the cross product of their directions."""
         la, lb = wp.sqrt(ax * ax + ay * ay), wp.sqrt(bx * bx + by * by)
@@ -76,12 +84,24 @@ def kernels(precision: str):
         begin, end = ranges[design, o][0], ranges[design, o][1]
         if end <= begin:
             return
-        x, y = centre(data, pack, k, begin, end)
-        hx, hy = wp.float64(0.0), wp.float64(0.0)
-        for p in range(begin, end):
-            hx += model.home[design, 2 * p]
-            hy += model.home[design, 2 * p + 1]
-        hx, hy = hx / wp.float64(end - begin), hy / wp.float64(end - begin)
+        # The released simulator sums the first point, then four at a time in two pairs, then the rest. At time 0, where
+        # rounding decides what the guard does, only this order gives its value.
+        now, home = place(data, pack, begin, k), rest(model, design, begin)
+        q = begin + 1
+        while q + 3 < end:
+            now += (place(data, pack, q, k) + place(data, pack, q + 1, k)) + (
+                place(data, pack, q + 2, k) + place(data, pack, q + 3, k)
+            )
+            home += (rest(model, design, q) + rest(model, design, q + 1)) + (
+                rest(model, design, q + 2) + rest(model, design, q + 3)
+            )
+            q += 4
+        while q < end:
+            now += place(data, pack, q, k)
+            home += rest(model, design, q)
+            q += 1
+        n = wp.float64(end - begin)
+        x, y, hx, hy = now[0] / n, now[1] / n, home[0] / n, home[1] / n
         angle, weight, crosses = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
         for p in range(begin, end):
             a, c, w = turn(
@@ -118,6 +138,75 @@ def kernels(precision: str):
             else:
                 out[env, n, 0] = real(data.pos[pack, 2 * p, k] - x)
                 out[env, n, 1] = real(data.pos[pack, 2 * p + 1, k] - y)
+
+    @wp.func
+    def later(a: wp.vec2d, b: wp.vec2d):
+        """Whether b comes after a in the order from bottom to top, and from left to right within a height."""
+        return b[1] > a[1] or (b[1] == a[1] and b[0] > a[0])
+
+    @wp.func
+    def cross(a: wp.vec2d, b: wp.vec2d):
+        return a[0] * b[1] - a[1] * b[0]
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def extents(
+        model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
+        ranges: wp.array2d(dtype=wp.vec2i), o: int, out: wp.array(dtype=wp.vec2d),
+    ):  # fmt: skip
+        """Width and height of the bounding box of one object [environment]."""
+        env = wp.tid()
+        pack, k = env_pack[env], env_lane[env]
+        span = ranges[model.pack_design[pack], o]
+        if span[1] <= span[0]:
+            return
+        low = place(data, pack, span[0], k)
+        high = low
+        for p in range(span[0] + 1, span[1]):
+            point = place(data, pack, p, k)
+            low, high = wp.min(low, point), wp.max(high, point)
+        out[env] = high - low
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def hulls(
+        model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
+        ranges: wp.array2d(dtype=wp.vec2i), o: int, out: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        """Area of the convex hull of one object [environment].
+
+        Wraps the hull in two chains, up from the lowest point along its right side and down along its left: each
+        step goes strictly on in one order of the points, so that rounding cannot send it round in circles.
+        """
+        env = wp.tid()
+        pack, k = env_pack[env], env_lane[env]
+        span = ranges[model.pack_design[pack], o]
+        if span[1] <= span[0]:
+            return
+        low = place(data, pack, span[0], k)
+        for p in range(span[0] + 1, span[1]):
+            point = place(data, pack, p, k)
+            if later(point, low):
+                low = point
+        here = low  # the area is a fan of triangles about the lowest point
+        area = wp.float64(0.0)
+        up, steps = int(1), int(0)
+        while up >= -1 and steps < 2 * (span[1] - span[0]) + 2:
+            found = int(0)
+            best = here
+            for p in range(span[0], span[1]):
+                point = place(data, pack, p, k)
+                ahead = later(here, point)
+                if up == -1:
+                    ahead = later(point, here)
+                # Strictly to the right of the line to the best so far.
+                if ahead and (found == 0 or cross(best - here, point - here) < wp.float64(0.0)):
+                    found, best = 1, point
+            if found == 0:
+                up = up - 2
+            else:
+                area += cross(here - low, best - low)
+                here = best
+            steps += 1
+        out[env] = area * wp.float64(0.5)
 
     @wp.func
     def seen(y: wp.float64, at: wp.float64, best: wp.float64, up: int):
@@ -168,7 +257,8 @@ def kernels(precision: str):
                     best = seen(data.pos[pack, 2 * p + 1, k] / VOXEL, y, best, up)
         out[env, window] = best * VOXEL
 
-    return {"centres": centres, "orientations": orientations, "points": points, "scans": scans}
+    named = {"centres": centres, "orientations": orientations, "points": points, "scans": scans}
+    return named | {"extents": extents, "hulls": hulls}
 
 
 def record(state, name: str, dim, *inputs) -> wp.Launch:

@@ -6,6 +6,7 @@ each by name; inside an object points in the order in which its voxels, row by r
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -72,14 +73,15 @@ class Design:
         return next((body for body in self.bodies + self.statics if body.name == name), None)
 
 
-def compile_world(world: World, physics: Physics) -> Design:
-    """Mesh every object of a world.
+def compile_world(world: World, physics: Physics, loose: Sequence[str] = ()) -> Design:
+    """Mesh every object of a world; those named in ``loose`` become bodies even if none of their cells can move.
 
     Raises:
         SimulationError: the world has no object that can move.
     """
     ordered = sorted(world.objects.values(), key=lambda o: (not o.is_robot, o.name))
-    bodies = [mesh(o, physics) for o in ordered if not o.is_static]
+    terrain = {o.name for o in ordered if o.is_static and o.name not in loose}
+    bodies = [mesh(o, physics) for o in ordered if o.name not in terrain]
     if not bodies:
         raise SimulationError(
             "The world has nothing that can move: add a robot or an object with a cell that is not fixed."
@@ -89,7 +91,7 @@ def compile_world(world: World, physics: Physics) -> Design:
         body.first_point, body.first_spring, body.first_action = point, spring, action
         point, spring = point + len(body.points), spring + len(body.springs)
         action += body.source.num_actuators
-    return Design(world, bodies, [mesh(o, physics) for o in ordered if o.is_static])
+    return Design(world, bodies, [mesh(o, physics) for o in ordered if o.name in terrain])
 
 
 def mesh(source: WorldObject, physics: Physics) -> Body:

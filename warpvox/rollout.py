@@ -296,7 +296,7 @@ def _scenes(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], np.ndarray]]:
     names = [
         name
         for name in sim.object_names
-        if any(name in world and not world.objects[name].is_static for world in sim.worlds)
+        if name in sim.loose or any(name in world and not world.objects[name].is_static for world in sim.worlds)
     ]
     starts = dict(zip(names, np.cumsum([0, *(sim.num_points(name) for name in names)]).tolist(), strict=False))
     scenes, sources = [], []
@@ -305,7 +305,7 @@ def _scenes(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], np.ndarray]]:
         for name in (name for name in sim.object_names if name in world):
             item = world.objects[name]
             corners, count, first = np.zeros((0, 4), np.int32), 0, len(source)
-            if not item.is_static:
+            if name in sim.loose or not item.is_static:
                 corners = sim.voxel_corners(name, design=design)
                 count = int(corners.max()) + 1
                 source += range(starts[name], starts[name] + count)

@@ -82,6 +82,7 @@ class Simulation:
             State and contacts are float64 in both.
         lanes: environments that one CPU thread advances at once (1, 8, 16 or 32); None chooses.
         threads: CPU threads; None takes all cores.
+        loose: names of objects that :meth:`shift` may move; terrain among them is not merged with the rest.
 
     Positions are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step lasts
     30 x 1e-4). Tensors that methods return are fresh; they never alias the simulator's buffers.
@@ -98,6 +99,7 @@ class Simulation:
         dtype: str = "float32",
         lanes: int | None = None,
         threads: int | None = None,
+        loose: Sequence[str] = (),
     ):
         if not worlds or not all(isinstance(world, World) for world in worlds):
             raise SimulationError(f"Simulation needs a list of one World or more, got {worlds!r:.80}.")
@@ -108,12 +110,14 @@ class Simulation:
         self.dtype = DTYPES[dtype]
         index = _group(worlds)
         self.worlds = [worlds[index.index(d)] for d in range(max(index) + 1)]
-        self.designs = [compile_world(world, self.physics) for world in self.worlds]
+        self.designs = [compile_world(world, self.physics, loose) for world in self.worlds]
         self.num_envs, self.num_designs = len(worlds), len(self.worlds)
         self.design_index = torch.tensor(index, dtype=torch.long, device=self.device)
         self._state = _allocate(self, index, dtype, _choose_lanes(index, lanes, self.device))
         self.num_actions = max(sum(b.source.num_actuators for b in design.bodies) for design in self.designs)
         self._name_objects()
+        self.loose = tuple(loose)
+        self._loose = _loose_points(self, self.loose)
         self._threads = _check_threads(threads)
         self._pool = ThreadPoolExecutor(self._threads)
         self._shares: list[wp.Launch] = []
@@ -197,6 +201,34 @@ class Simulation:
         mask = self._check_mask(mask)
         reset_stage.launch(self._state, wp.from_torch(mask.contiguous()))
         self._centres_are_new = False
+
+    def shift(self, cells: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+        """Put all ``loose`` objects where they would begin, had the world placed them ``cells`` further, and at rest.
+
+        Meant for the beginning of an episode: whether they then overlap other objects is not looked at.
+
+        Args:
+            cells: whole numbers ``[num_envs, 2]``, to the right and up, from their places in the world.
+            mask: bool ``[num_envs]``, the environments to change; None means all.
+        """
+        mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device) if mask is None else mask
+        mask = self._check_mask(mask)[:, None]
+        cells = torch.as_tensor(cells, device=self.device)
+        if tuple(cells.shape) != (self.num_envs, 2) or cells.dtype.is_floating_point:
+            raise SimulationError(f"Shifts must be whole numbers [{self.num_envs}, 2], got {list(cells.shape)}.")
+        point, corner, height, inside = (table[self.design_index] for table in self._loose)
+        # The expressions with which a world is compiled, one operation at a time: the last bit matters.
+        x, y = (corner + cells[:, None]).double().unbind(-1)
+        across, down = inside.double().unbind(-1)
+        x = x * VOXEL + across * VOXEL
+        y = (y * VOXEL + height.double() * VOXEL) - down * VOXEL
+        pack, lane = (index[:, None] for index in self._env)
+        for row, values in ((2 * point, x), (2 * point + 1, y)):
+            for name, new in (("pos", values), ("vel", 0.0), ("true_vel", 0.0)):
+                view = wp.to_torch(self._state.arrays[name])
+                view[pack, row, lane] = torch.where(mask, new, view[pack, row, lane])
+        self._views["drift"].fill_(STALE)
+        self._sensed.clear()
 
     def set_frozen(self, mask: torch.Tensor) -> None:
         """Freeze (True) or thaw environments: a frozen one keeps its state and its time.
@@ -353,6 +385,18 @@ class Simulation:
         index = self._moving(name)
         shape = (self.num_envs,)
         return self._sense(("orientations", index), "orientations", shape, [shape], torch.float64, index)[0].clone()
+
+    def extent(self, name: str) -> torch.Tensor:
+        """float64 [num_envs, 2]: width and height of the box about all points of an object that can move."""
+        out = torch.zeros((self.num_envs, 2), dtype=torch.float64, device=self.device)
+        sensing.launch(self._state, "extents", self.num_envs, self._moving(name), wp.from_torch(out, dtype=wp.vec2d))
+        return out
+
+    def hull_area(self, name: str) -> torch.Tensor:
+        """float64 [num_envs]: area of the convex hull of all points of an object that can move (B.6.1)."""
+        out = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
+        sensing.launch(self._state, "hulls", self.num_envs, self._moving(name), wp.from_torch(out))
+        return out
 
     def floor_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
         """float64 [num_envs, 2 reach + 1]: depth of the terrain below an object's centre of mass.
@@ -519,6 +563,26 @@ def _capacities(voxels: int) -> dict[str, int]:
         "slot": 1 << (2 * voxels - 1).bit_length(),
         "word": voxels * -(-voxels // 32),
     }
+
+
+def _loose_points(sim: Simulation, names: Sequence[str]) -> tuple[torch.Tensor, ...]:
+    """Of all points of the loose objects, for every design: index, cell and height of the object, column and row."""
+    tables: list[list[list[int]]] = []
+    for design in sim.designs:
+        rows = []
+        for name in names:
+            body = design.body(name)
+            if body is None:
+                raise SimulationError(f"All worlds need the loose object {name!r}; one has no object of that name.")
+            source = body.source
+            for p, (x, y) in enumerate(body.points):
+                column, row = round(x / VOXEL) - source.x, source.y + source.height - round(y / VOXEL)
+                rows.append([body.first_point + p, source.x, source.y, source.height, column, row])
+        tables.append(rows)
+    if len({len(rows) for rows in tables}) != 1:
+        raise SimulationError(f"The loose objects {listing(names)} must have the same cells in all worlds.")
+    table = torch.tensor(tables, dtype=torch.long, device=sim.device).reshape(len(tables), -1 if tables[0] else 0, 6)
+    return table[..., 0], table[..., 1:3], table[..., 3], table[..., 4:6]
 
 
 def _scan_tables(sim: Simulation, objects: tuple[str, ...] | None) -> tuple[wp.array, wp.array, wp.array]:

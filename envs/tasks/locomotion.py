@@ -1,10 +1,13 @@
-"""Walking and climbing (paper sections B.2 and B.4)."""
+"""Walking (paper section B.2)."""
 
-from warpvox.envs.spec import TaskSpec, ends, observes, rewards
-from warpvox.envs.terms.observations import shape, velocity
+from functools import partial
+
+from warpvox.envs.spec import Memory, TaskSpec, ends, observes, rewards
+from warpvox.envs.terms.goals import all_goals_reached, approach_goal, draw_goals, first_goal, next_goal
+from warpvox.envs.terms.observations import goal_number, goal_offset, goal_place, orientation, shape, velocity
 from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.terms.terminations import beyond
-from warpvox.envs.worlds import block, columns
+from warpvox.envs.worlds import block, rows
 
 __all__ = ["TASKS"]
 
@@ -21,17 +24,51 @@ WALKER = TaskSpec(
     terminations=(ends(beyond, axis="x", limit=9.9, bonus=1.0),),
 )
 
-CLIMBER = TaskSpec(
-    id="Climber-v0",
-    section="B.4.1",
-    summary="Climb as high as possible through a flat, vertical channel.",
-    difficulty="medium",
-    objects=(columns("pipe", "90F", *5 * ["F 88. F"], "90F"),),  # a shaft 5 wide, closed at both ends
-    robot_cell=(1, 1),
-    max_episode_steps=400,
-    observations=(observes(velocity), observes(shape)),
-    rewards=(rewards(displacement, axis="y"),),
-    terminations=(ends(beyond, axis="y", limit=8.6, bonus=1.0),),
+_POSTS, _ROPE = "F 4. F 4. F 7. F 10. F 16. F 11. 2F", "F 4S F 4S F 7S F 10S F 16S F 11S 2F"
+
+BRIDGE_WALKER = TaskSpec(
+    id="BridgeWalker-v0",
+    section="B.2.2",
+    summary="Walk as far as possible on a soft rope-bridge.",
+    difficulty="easy",
+    objects=(rows("new_object_2", "60F", _POSTS, _POSTS, _ROPE, _ROPE),),
+    robot_cell=(2, 5),
+    max_episode_steps=500,
+    observations=(observes(velocity), observes(orientation), observes(shape)),
+    rewards=(rewards(displacement, axis="x"),),
+    # As released: the line is the very edge of the bridge, so the centre of mass has to leave it.
+    terminations=(ends(beyond, axis="x", limit=6.0, bonus=1.0),),
 )
 
-TASKS = (WALKER, CLIMBER)
+
+def _goals(way):
+    """Goals between 20 and 49 voxels, the first way from 35, and the number of the present one."""
+    start = partial(draw_goals, low=20, high=50, start=35, way=way)
+    # As released: the observation still shows the goal that the step has reached, the reward the next one.
+    return (Memory("goals", start), Memory("goal", first_goal, partial(next_goal, name="robot", within=0.2)))
+
+
+BIDIRECTIONAL_WALKER = TaskSpec(
+    id="BidirectionalWalker-v0",
+    section="B.2.3",
+    summary="Walk to goals on either side, one after the other.",
+    difficulty="medium",
+    objects=(block("new_object_1", 70, 1),),
+    robot_cell=(33, 1),
+    max_episode_steps=1000,
+    observations=(
+        observes(velocity),
+        observes(shape),
+        observes(goal_number),
+        observes(goal_place),
+        observes(goal_offset),
+    ),
+    # As released: in the step that reaches a goal, the approach to the next one counts instead.
+    rewards=(rewards(approach_goal),),
+    terminations=(ends(all_goals_reached, bonus=1.0),),
+    memory=_goals(way=100),
+    # The paper names no end of the list and no bonus for it.
+    paper={"terminations": (), "memory": _goals(way=None)},
+)
+
+TASKS = (WALKER, BRIDGE_WALKER, BIDIRECTIONAL_WALKER)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from warpvox.envs.terms.goals import goal_x
 from warpvox.types import VOXEL
 
 if TYPE_CHECKING:
@@ -15,7 +16,22 @@ if TYPE_CHECKING:
 
     from warpvox.envs.state import State
 
-__all__ = ["elevation", "floor", "orientation", "separation", "shape", "velocity"]
+__all__ = [
+    "ceiling",
+    "elevation",
+    "floor",
+    "goal_number",
+    "goal_offset",
+    "goal_place",
+    "orientation",
+    "overhang",
+    "separation",
+    "shape",
+    "short_of",
+    "velocity",
+]
+
+SIGHT = 5 * VOXEL  # how far robots see up and down in the release
 
 
 def velocity(state: State, name: str) -> Tensor:
@@ -47,6 +63,11 @@ def floor(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tens
     return state.floor_scan(name, reach, objects)
 
 
+def ceiling(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
+    """The same as :func:`floor` upward, to the lowest point above."""
+    return state.ceiling_scan(name, reach, objects)
+
+
 def elevation(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """How high the terrain below is, as printed (h_b in section B.1): a height in ``2 reach + 1`` windows.
 
@@ -55,14 +76,52 @@ def elevation(state: State, name: str, reach: int, objects: tuple[str, ...]) -> 
     absolute and in simulator units, as positions are; where a window holds no such point, the height is that
     of the floor at y = 0, on which bodies that leave the terrain do land.
     """
+    floor = state.com(name).new_zeros((len(state.com(name)), 1))
+    return _windows(state, name, reach, objects, floor, above=False)
+
+
+def overhang(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
+    """How high the terrain above is, as printed (h_a in section B.1): the mirror image of :func:`elevation`.
+
+    Entry i is the y of the lowest terrain point above the centre of mass p in [p_x + i, p_x + i + 1] voxels. Reading
+    of what the paper leaves open: without such a point it is the height to which the released robots see, 5 voxels
+    above p.
+    """
+    return _windows(state, name, reach, objects, state.com(name)[:, 1:] + SIGHT, above=True)
+
+
+def _windows(state: State, name: str, reach: int, objects: tuple[str, ...], nothing: Tensor, above: bool) -> Tensor:
+    """Height of the lowest point above or the highest below in windows that begin at the centre, else ``nothing``."""
     centre = state.com(name)
-    heights = centre.new_zeros((len(centre), 2 * reach + 3))  # one more window on each side collects the rest
+    heights = nothing.repeat(1, 2 * reach + 3)  # one more window on each side collects the rest
     for terrain in objects:
         x, y = state.positions(terrain).double().unbind(-1)
-        below = y.masked_fill(y >= centre[:, 1:], 0.0)
+        hidden = y <= centre[:, 1:] if above else y >= centre[:, 1:]
+        seen = nothing.expand_as(y).where(hidden, y)
         along = (x - centre[:, :1]) / VOXEL
         # A point on the border of two windows belongs to both.
         for window in (along.floor(), along.ceil() - 1):
             slot = (window + (reach + 1)).clamp(0, 2 * reach + 2).long()
-            heights.scatter_reduce_(1, slot, below, "amax")
+            heights.scatter_reduce_(1, slot, seen, "amin" if above else "amax")
     return heights[:, 1:-1]
+
+
+def short_of(state: State, name: str, x: float, y: float) -> Tensor:
+    """From the centre of mass to a goal: (g_x - p_x, g_y - p_y)."""
+    centre = state.com(name)
+    return centre.new_tensor([x, y]) - centre
+
+
+def goal_number(state: State, name: str) -> Tensor:
+    """How many goals the object has reached: the paper's c, a whole number."""
+    return state.memory("goal")
+
+
+def goal_place(state: State, name: str) -> Tensor:
+    """Where the present goal lies: g_x."""
+    return goal_x(state)
+
+
+def goal_offset(state: State, name: str) -> Tensor:
+    """How far it is to the present goal: g_x - p_x."""
+    return goal_x(state) - state.com(name)[:, :1]

@@ -5,6 +5,7 @@ Under an unstable step both states are equal, so that every term gives 0.
 
 from __future__ import annotations
 
+from math import pi
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -12,7 +13,19 @@ if TYPE_CHECKING:
 
     from warpvox.envs.state import State
 
-__all__ = ["AXES", "displacement", "drop"]
+__all__ = [
+    "AXES",
+    "away_from_start",
+    "displacement",
+    "distance",
+    "drop",
+    "gap",
+    "grown",
+    "hull",
+    "motion",
+    "staged_drop",
+    "turned",
+]
 
 AXES = {"x": 0, "y": 1}
 
@@ -27,3 +40,58 @@ def drop(before: State, after: State, name: str, below: float) -> Tensor:
     """How far the centre of mass has risen (negative: fallen) where it is now below a height, else 0."""
     height = after.com(name)[:, 1]
     return (height - before.com(name)[:, 1]).masked_fill(height >= below, 0.0)
+
+
+def staged_drop(before: State, after: State, name: str, below: float, x: float, below_beyond: float) -> Tensor:
+    """As :func:`drop`, with another height (``below_beyond``) where the centre of mass is now beyond ``x``."""
+    place, height = after.com(name).unbind(1)
+    limit = height.new_tensor(below).where(place <= x, height.new_tensor(below_beyond))
+    return (height - before.com(name)[:, 1]).masked_fill(height >= limit, 0.0)
+
+
+def motion(before: State, after: State, name: str, axis: str) -> Tensor:
+    """How far the centre of mass has moved along an axis, either way: |delta p|."""
+    return displacement(before, after, name, axis).abs()
+
+
+def away_from_start(before: State, after: State, name: str) -> Tensor:
+    """How far the centre of mass has moved away from x = 0, on the side where it is now."""
+    moved = displacement(before, after, name, "x")
+    return moved.where(after.com(name)[:, 0] >= 0, -moved)
+
+
+def distance(before: State, after: State, name: str, axis: str, goal: float) -> Tensor:
+    """How much further from a goal the centre of mass now is along an axis: delta |g - p|."""
+    column = AXES[axis]
+    return (goal - after.com(name)[:, column]).abs() - (goal - before.com(name)[:, column]).abs()
+
+
+def gap(before: State, after: State, name: str, other: str, axis: str) -> Tensor:
+    """How much further apart two objects now are along an axis: delta |p^name - p^other|."""
+    column = AXES[axis]
+    now = (after.com(name) - after.com(other))[:, column].abs()
+    return now - (before.com(name) - before.com(other))[:, column].abs()
+
+
+def grown(before: State, after: State, name: str, axis: str) -> Tensor:
+    """How much longer the object has become along an axis: delta (max p_i - min p_i)."""
+    column = AXES[axis]
+    return after.extent(name)[:, column] - before.extent(name)[:, column]
+
+
+def hull(before: State, after: State, name: str) -> Tensor:
+    """How much the area of the convex hull of all points has grown: delta a."""
+    return after.hull_area(name) - before.hull_area(name)
+
+
+def turned(before: State, after: State, name: str) -> Tensor:
+    """How far the object has turned counter-clockwise: delta theta, on past a full turn.
+
+    As released: a step from below pi / 3 to above 5 pi / 3 has gone through 0 clockwise, and the other way round. A
+    full turn counts 2 pi, although orientations are measured modulo 2 x 3.1415926.
+    """
+    start, end = before.orientation(name), after.orientation(name)
+    low, high = pi / 3, 5 * pi / 3
+    forward = ((start > high) & (end < low)).double()
+    backward = ((start < low) & (end > high)).double()
+    return end - start + 2 * pi * (forward - backward)

@@ -11,12 +11,22 @@ if TYPE_CHECKING:
 
     from warpvox.envs.state import State
 
-__all__ = ["beyond", "tilted"]
+__all__ = ["beyond", "fallen_or_tilted", "short", "tilted"]
 
 
 def beyond(state: State, name: str, axis: str, limit: float) -> Tensor:
     """The centre of mass has passed ``limit`` along an axis."""
     return state.com(name)[:, AXES[axis]] > limit
+
+
+def short(state: State, name: str, axis: str, limit: float) -> Tensor:
+    """The centre of mass is short of ``limit`` along an axis."""
+    return state.com(name)[:, AXES[axis]] < limit
+
+
+def fallen_or_tilted(state: State, name: str, limit: float, low: float, high: float) -> Tensor:
+    """The centre of mass lies lower than ``limit``, or the orientation in the open interval (low, high), or both."""
+    return short(state, name, "y", limit) | tilted(state, name, low, high)
 
 
 def tilted(state: State, name: str, low: float, high: float) -> Tensor:

@@ -254,3 +254,16 @@ def test_record_refuses_what_makes_no_sense() -> None:
     with pytest.raises(ActionError):
         record(env, lambda obs: torch.ones(1, 1))
     assert env.auto_reset is True
+
+
+def test_terrain_that_an_episode_moves_is_recorded_where_it_was() -> None:
+    env = make_vec("Catcher-v0", SMALL[:1], num_envs=2, device="cpu", lanes=1, max_episode_steps=3)
+    rollout = record(env, lambda obs: torch.ones(2, env.num_actions))
+    home = next(obj for obj in env.spec.objects if obj.name == "peg1")
+    for number in range(2):
+        peg = next(obj for obj in rollout.scene(number).objects if obj.name == "peg1")
+        points = rollout.positions[-1, number, peg.first_point : peg.first_point + peg.num_points]
+        assert peg.num_points == 12
+        cells = (points.min(0) / 0.1).round() - [home.x, home.y]
+        assert ((cells >= [-6, 0]) & (cells <= [4, 5])).all()
+        np.testing.assert_allclose(points, rollout.positions[0, number, peg.first_point : peg.first_point + 12])

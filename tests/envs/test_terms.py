@@ -84,3 +84,37 @@ def test_elevation_counts_a_point_on_a_border_on_both_sides() -> None:
 def test_elevation_takes_the_higher_of_several_objects() -> None:
     state = Moment(com_robot=[[0.5, 0.7]], positions_a=[[(0.55, 0.2)]], positions_b=[[(0.55, 0.3), (0.45, 0.1)]])
     assert observations.elevation(state, "robot", 1, ("a", "b"))[0].tolist() == [0.1, 0.3, 0.0]
+
+
+def test_overhang_is_the_lowest_point_above_and_five_voxels_up_where_there_is_none() -> None:
+    points = [(0.45, 0.9), (0.55, 0.8), (0.56, 0.75), (0.57, 0.1)]
+    state = Moment(com_robot=[[0.5, 0.7]], positions_ground=[points])
+    heights = observations.overhang(state, "robot", 1, ("ground",))[0].tolist()
+    assert heights == pytest.approx([0.9, 0.75, 1.2], abs=1e-12)
+
+
+def test_short_of_points_to_the_goal() -> None:
+    assert observations.short_of(moment(1.0, 2.0), "robot", 1.75, 0.5).tolist() == [[0.75, -1.5]]
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "expected"),
+    [(10, 30, 20), (30, 10, -20), (5, 355, -10), (355, 5, 10), (70, 310, 240), (350, 80, -270)],
+)
+def test_turned_goes_on_past_a_full_turn(start: float, end: float, expected: float) -> None:
+    before, after = (Moment(orientation_robot=[radians(angle)]) for angle in (start, end))
+    assert rewards.turned(before, after, "robot").tolist() == pytest.approx([radians(expected)], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("x", "start", "end", "expected"),
+    [(2.0, 0.7, 0.59, -0.11), (2.0, 0.7, 0.6, 0.0), (2.01, 0.5, 0.45, 0.0), (2.01, 0.5, 0.39, -0.11)],
+)
+def test_staged_drop_changes_its_height_beyond_a_place(x, start, end, expected) -> None:
+    fallen = rewards.staged_drop(moment(x, start), moment(x, end), "robot", below=0.6, x=2.0, below_beyond=0.4)
+    assert fallen.tolist() == pytest.approx([expected], abs=1e-12)
+
+
+@pytest.mark.parametrize(("start", "end", "expected"), [(1.0, 1.5, 0.5), (0.1, -0.2, 0.3), (-0.5, -0.25, -0.25)])
+def test_away_from_start_counts_to_both_sides(start: float, end: float, expected: float) -> None:
+    assert rewards.away_from_start(moment(start), moment(end), "robot").tolist() == pytest.approx([expected])

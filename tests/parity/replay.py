@@ -14,6 +14,9 @@ import numpy as np
 import torch
 
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.types import VOXEL
+
+TIE = 1e-9  # voxels; far above rounding, far below what a robot moves in a step
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,11 @@ class Run:
         return self.arrays.get("frames", rows).astype(int)
 
     @property
+    def memory(self) -> dict[str, list[list[int]]]:
+        """What was random in the run, in the form in which an environment of ours remembers it."""
+        return {name: [self.info[name]] for name in ("goals", "offset") if self.info.get(name) is not None}
+
+    @property
     def unstable_at(self) -> int:
         """The step that self-folding has stopped, or -1."""
         return int(self.info["unstable_at"])
@@ -50,7 +58,8 @@ class Replay:
     """Our side of a run. Row 0 is after the reset, row t + 1 after step t.
 
     ``positions`` ``[steps + 1, 2, points that can move]``, ``obs`` ``[steps + 1, num_obs]``; ``reward``,
-    ``terminated``, ``truncated`` ``[steps]``; ``angles``: columns of ``obs`` that hold an orientation.
+    ``terminated``, ``truncated`` ``[steps]``; ``angles``: columns of ``obs`` that hold an orientation,
+    ``scans``: those that hold distances to terrain.
     """
 
     positions: np.ndarray
@@ -59,6 +68,7 @@ class Replay:
     terminated: np.ndarray
     truncated: np.ndarray
     angles: list[int]
+    scans: list[int]
 
 
 def load_runs(path: str | Path) -> list[Run]:
@@ -84,7 +94,7 @@ def replay(run: Run, steps: int | None = None, env: VoxelVecEnv | None = None) -
     """Repeat the first ``steps`` (default: all) actions of a run."""
     env = make_env(run) if env is None else env
     actions = torch.as_tensor(run.actions[:steps]).to(env.dtype)
-    observations = [env.reset()[0][0]]
+    observations = [env.reset(memory=run.memory)[0][0]]
     positions = [moving_positions(env, run)]
     outcomes = []
     for action in actions:
@@ -95,8 +105,9 @@ def replay(run: Run, steps: int | None = None, env: VoxelVecEnv | None = None) -
     reward, terminated, truncated = (np.array(column) for column in zip(*outcomes, strict=True))
     columns = env.obs_columns[0].items()
     angles = [span.start for name, span in columns if name.startswith("orientation")]
+    scans = [k for name, span in columns if name.startswith(("floor", "ceiling")) for k in range(span.start, span.stop)]
     observed = torch.stack(observations).double().numpy()
-    return Replay(np.stack(positions), observed, reward, terminated, truncated, angles)
+    return Replay(np.stack(positions), observed, reward, terminated, truncated, angles, scans)
 
 
 def moving_positions(env: VoxelVecEnv, run: Run) -> np.ndarray:
@@ -112,12 +123,29 @@ def position_error(run: Run, ours: Replay) -> np.ndarray:
 
 
 def obs_error(run: Run, ours: Replay) -> tuple[np.ndarray, np.ndarray]:
-    """float64 ``[frames]`` twice: largest difference of entries but angles, and of angles modulo 2 pi."""
+    """float64 ``[frames]`` twice: largest difference of entries but angles, and of angles modulo 2 pi.
+
+    Distances to terrain do not count in frames that :func:`tied` names.
+    """
     rows = run.frames[run.frames < len(ours.obs)]
     gap = np.abs(run.arrays["obs"][: len(rows)] - ours.obs[rows])
+    gap[np.ix_(tied(run)[: len(rows)], ours.scans)] = 0.0
     turned = gap[:, ours.angles]
     turned = np.minimum(turned, np.abs(2 * np.pi - turned))
     return np.delete(gap, ours.angles, axis=1).max(axis=1), turned.max(axis=1, initial=0.0)
+
+
+def tied(run: Run) -> np.ndarray:
+    """bool ``[frames]``: borders of the windows in which the robot sees terrain lie on points of the terrain.
+
+    So it is as long as a body in the air has its centre of mass midway between lattice lines: the last bit of the
+    sum over its points, which no other computation reproduces, decides which window has the point, and if any has.
+    Only frame 0, where the coordinates are equal bit for bit, is sure.
+    """
+    robot = run.info["objects"][0]
+    own = (run.arrays["dyn"] >= robot["start"]) & (run.arrays["dyn"] < robot["stop"])
+    x = run.arrays["pos"][:, 0, own].mean(axis=1) / VOXEL
+    return (np.abs(x % 1 - 0.5) < TIE) & (run.frames > 0)
 
 
 def reward_error(run: Run, ours: Replay) -> np.ndarray:

@@ -1,0 +1,65 @@
+"""Random whole numbers for the episodes of many environments, drawn where the environments are."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+__all__ = ["Draws"]
+
+_EPISODE = 1 << 16  # numbers that an episode may draw
+_STEP, _MIX_1, _MIX_2 = (
+    int(np.uint64(word).astype(np.int64)) for word in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+)
+
+
+class Draws:
+    """A stream of numbers for every environment.
+
+    Stream e begins at a key from numpy's ``SeedSequence(seed)`` spawned for environment e, so it does not depend
+    on how many other environments there are. Within a stream numbers are counted (SplitMix64): number n of episode k
+    is a function of the key, k and n alone. No number waits for the host.
+
+    Attributes:
+        episode: long ``[num_envs]``, the episode that is being drawn for.
+    """
+
+    def __init__(self, seed: int, num_envs: int, device: torch.device | str) -> None:
+        children = np.random.SeedSequence(seed).spawn(num_envs)
+        keys = np.array([child.generate_state(1, np.uint64)[0] for child in children], np.uint64)
+        self._keys = torch.as_tensor(keys.view(np.int64), device=device)
+        self.episode = torch.zeros(num_envs, dtype=torch.long, device=device)
+        self._count = 0
+
+    def rewind(self) -> Draws:
+        """Begin an episode's numbers; return this object."""
+        self._count = 0
+        return self
+
+    @property
+    def num_envs(self) -> int:
+        """Number of environments."""
+        return len(self.episode)
+
+    def zeros(self, count: int) -> torch.Tensor:
+        """long ``[num_envs, count]``: a place for what is not random."""
+        return torch.zeros((self.num_envs, count), dtype=torch.long, device=self.episode.device)
+
+    def integers(self, low: int, high: int, count: int) -> torch.Tensor:
+        """long ``[num_envs, count]``: the next ``count`` numbers of each stream, in [low, high), uniform."""
+        place = torch.arange(self._count + 1, self._count + count + 1, device=self.episode.device)
+        self._count += count
+        word = self._keys[:, None] + (self.episode[:, None] * _EPISODE + place) * _STEP
+        word = (word ^ _shifted(word, 30)) * _MIX_1
+        word = (word ^ _shifted(word, 27)) * _MIX_2
+        word = word ^ _shifted(word, 31)
+        return low + _shifted(word, 11) % (high - low)
+
+    def cells(self, x: tuple[int, int], y: tuple[int, int]) -> torch.Tensor:
+        """long ``[num_envs, 2]``: a whole number in each of two ranges, ends included."""
+        return torch.cat([self.integers(low, high + 1, 1) for low, high in (x, y)], dim=1)
+
+
+def _shifted(word: torch.Tensor, bits: int) -> torch.Tensor:
+    """Shifted to the right as if it had no sign."""
+    return (word >> bits) & ((1 << (64 - bits)) - 1)

@@ -1,0 +1,67 @@
+"""A list of goals along x that a robot has to reach one after the other (paper section B.2.3).
+
+Memories: ``goals``, long ``[num_envs, LONGEST]``, their places in voxels, 0 behind the last; ``goal``, long
+``[num_envs, 1]``, which of them is the present one.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from warpvox.types import VOXEL
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from warpvox.envs.draws import Draws
+    from warpvox.envs.state import State
+
+__all__ = ["all_goals_reached", "approach_goal", "draw_goals", "first_goal", "goal_x", "next_goal"]
+
+LONGEST = 64  # goals that a list can hold; a way of 100 takes 10 on average, more than this practically never
+
+
+def draw_goals(draws: Draws, low: int, high: int, start: int, way: int | None) -> Tensor:
+    """Goals in [low, high) until the way from ``start`` past all of them is ``way`` voxels or longer.
+
+    ``way=None``: the list does not end (within an episode).
+    """
+    goals = draws.integers(low, high, LONGEST)
+    if way is None:
+        return goals
+    steps = goals.diff(prepend=goals.new_full((len(goals), 1), start)).abs()
+    behind = steps.cumsum(1) - steps  # the way before each goal
+    return goals.masked_fill(behind >= way, 0)
+
+
+def first_goal(draws: Draws) -> Tensor:
+    """The number of the first goal."""
+    return draws.zeros(1)
+
+
+def next_goal(state: State, name: str, within: float) -> Tensor:
+    """The first goal from the present one on that is not within a distance of the object, else their count."""
+    goals = state.memory("goals")
+    count = goals.shape[1]
+    number = goals.new_ones(count).cumsum(0) - 1
+    near = (goals.double() * VOXEL - state.com(name)[:, :1]).abs() < within
+    ahead = (number >= state.memory("goal")) & (~near | (goals == 0))
+    return number.expand_as(goals).masked_fill(~ahead, count).amin(1, keepdim=True)
+
+
+def goal_x(state: State) -> Tensor:
+    """float64 ``[num_envs, 1]``: the present goal; after the last one still that."""
+    goals = state.memory("goals")
+    last = (goals > 0).sum(1, keepdim=True) - 1
+    return goals.gather(1, state.memory("goal").minimum(last)).double() * VOXEL
+
+
+def approach_goal(before: State, after: State, name: str) -> Tensor:
+    """How much closer the object has come to the goal that it has after the step, in x."""
+    goal = goal_x(after)[:, 0]
+    return (goal - before.com(name)[:, 0]).abs() - (goal - after.com(name)[:, 0]).abs()
+
+
+def all_goals_reached(state: State, name: str) -> Tensor:
+    """There is no goal left."""
+    return state.memory("goal")[:, 0] >= (state.memory("goals") > 0).sum(1)
