@@ -29,7 +29,7 @@ def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
 
 
 def launch_stage(build, state) -> None:
-    """Run one stage for every environment of a :class:`warpvox.sim.State`."""
+    """Run one stage for every environment of a :class:`warpvox.layout.State`."""
     kernel = stage_kernel(build, state.precision, state.width)
     wp.launch(
         kernel,

@@ -19,6 +19,7 @@ LAYERS = (
     ("warpvox.design", "warpvox.world"),
     (
         "warpvox.compile",
+        "warpvox.layout",
         "warpvox.sim",
         "warpvox.palette",
         "warpvox.scene",

@@ -6,69 +6,26 @@ import itertools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 import warp as wp
 
-from warpvox.compile import Body, compile_world, model_arrays
+from warpvox.compile import Body, compile_world
 from warpvox.errors import ActionError, DeviceError, SimulationError, did_you_mean, listing
 from warpvox.kernels import reset as reset_stage
 from warpvox.kernels import sensing
 from warpvox.kernels import step as step_stage
-from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
-from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.reset import STALE
-from warpvox.kernels.state import (
-    CONSTANTS,
-    CONTACT,
-    DATA,
-    MODEL,
-    NOT_FINITE,
-    OVERFLOW,
-    REAL,
-    UNSTABLE,
-    allocate,
-    structs,
-)
-from warpvox.types import ACTION_HIGH, ACTION_LOW, DT, SUBSTEPS, VOXEL, Physics
+from warpvox.kernels.state import NOT_FINITE, OVERFLOW, UNSTABLE
+from warpvox.layout import choose_lanes, group, layout
+from warpvox.types import ACTION_HIGH, ACTION_LOW, SUBSTEPS, VOXEL, Physics
 from warpvox.world import World
 
-__all__ = ["Simulation", "State"]
+__all__ = ["STATE_FIELDS", "Simulation", "resolve_device"]
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
-WIDTHS = (
-    1,
-    8,
-    16,
-    32,
-)  # lane widths offered on the CPU; the narrowest that holds a design's environments is taken
-CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
-MARGIN = 0.02  # width added to boxes when candidates are collected, a fifth of a voxel
-PAIRS_PER_VOXEL = 24  # capacity of the candidate list for bodies that go through the hashed grid
 SIGHT = 5.0  # voxels that floor and ceiling scans see (tasks.md)
-
-
-@dataclass
-class State:
-    """What kernels need to run: the structs, their arrays and how environments lie in them."""
-
-    precision: str
-    device: str
-    width: int
-    lanes: int
-    units: int
-    packs: int
-    num_envs: int
-    dt: float
-    sizes: dict[str, int]
-    model: object
-    data: object
-    arrays: dict[str, wp.array]
-    env_pack: wp.array
-    env_lane: wp.array
-    ranges: wp.array | None = None
 
 
 class Simulation:
@@ -108,12 +65,13 @@ class Simulation:
         self.device = resolve_device(device)
         self.physics = physics if isinstance(physics, Physics) else Physics.preset(physics)
         self.dtype = DTYPES[dtype]
-        index = _group(worlds)
+        index = group(worlds)
         self.worlds = [worlds[index.index(d)] for d in range(max(index) + 1)]
         self.designs = [compile_world(world, self.physics, loose) for world in self.worlds]
         self.num_envs, self.num_designs = len(worlds), len(self.worlds)
         self.design_index = torch.tensor(index, dtype=torch.long, device=self.device)
-        self._state = _allocate(self, index, dtype, _choose_lanes(index, lanes, self.device))
+        lanes = choose_lanes(index, lanes, self.device)
+        self._state = layout(self.designs, index, self.physics, dtype, lanes, self.device)
         self.num_actions = max(sum(b.source.num_actuators for b in design.bodies) for design in self.designs)
         self._name_objects()
         self.loose = tuple(loose)
@@ -228,7 +186,7 @@ class Simulation:
                 view = wp.to_torch(self._state.arrays[name])
                 view[pack, row, lane] = torch.where(mask, new, view[pack, row, lane])
         self._views["drift"].fill_(STALE)
-        self._sensed.clear()
+        self._centres_are_new = False
 
     def set_frozen(self, mask: torch.Tensor) -> None:
         """Freeze (True) or thaw environments: a frozen one keeps its state and its time.
@@ -337,7 +295,7 @@ class Simulation:
         """Run a sensing kernel into buffers of its own; a recorded launch costs a fraction of a new one."""
         if key not in self._sensors:
             buffers = [torch.zeros(shape, dtype=dtype, device=self.device) for shape in shapes]
-            kind = wp.vec2d if kernel == "centres" else None
+            kind = wp.vec2d if kernel in ("centres", "extents") else None
             arrays = [wp.from_torch(buffer, dtype=kind) for buffer in buffers]
             self._sensors[key] = sensing.record(self._state, kernel, dim, *inputs, *arrays), buffers
         command, buffers = self._sensors[key]
@@ -388,15 +346,15 @@ class Simulation:
 
     def extent(self, name: str) -> torch.Tensor:
         """float64 [num_envs, 2]: width and height of the box about all points of an object that can move."""
-        out = torch.zeros((self.num_envs, 2), dtype=torch.float64, device=self.device)
-        sensing.launch(self._state, "extents", self.num_envs, self._moving(name), wp.from_torch(out, dtype=wp.vec2d))
-        return out
+        index = self._moving(name)
+        shape = (self.num_envs, 2)
+        return self._sense(("extents", index), "extents", shape[:1], [shape], torch.float64, index)[0].clone()
 
     def hull_area(self, name: str) -> torch.Tensor:
         """float64 [num_envs]: area of the convex hull of all points of an object that can move (B.6.1)."""
-        out = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
-        sensing.launch(self._state, "hulls", self.num_envs, self._moving(name), wp.from_torch(out))
-        return out
+        index = self._moving(name)
+        shape = (self.num_envs,)
+        return self._sense(("hulls", index), "hulls", shape, [shape], torch.float64, index)[0].clone()
 
     def floor_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
         """float64 [num_envs, 2 reach + 1]: depth of the terrain below an object's centre of mass.
@@ -417,9 +375,8 @@ class Simulation:
         shape = (self.num_envs, 2 * reach + 1)
         inputs = [self._moving(name), reach, SIGHT, up]
         tables = self._scans[listed]
-        return self._sense(("scans", *inputs, listed), "scans", shape, [shape], torch.float64, *inputs, *tables)[
-            0
-        ].clone()
+        found = self._sense(("scans", *inputs, listed), "scans", shape, [shape], torch.float64, *inputs, *tables)
+        return found[0].clone()
 
     # ---------------------------------------------------------------- state io
 
@@ -473,96 +430,12 @@ def _torch(array: wp.array) -> torch.Tensor:
     return wp.to_torch(array).long()
 
 
-def _group(worlds: Sequence[World]) -> list[int]:
-    """For every world the number of its design; equal worlds have one."""
-    seen: dict[bytes, int] = {}
-    by_id: dict[int, int] = {}
-    index = []
-    for world in worlds:
-        if id(world) not in by_id:
-            by_id[id(world)] = seen.setdefault(world.key(), len(seen))
-        index.append(by_id[id(world)])
-    return index
-
-
-def lanes_for(environments: int) -> int:
-    """The lanes that are chosen on the CPU for a number of environments of one design."""
-    return next((width for width in WIDTHS if width >= environments), MAX_WIDTH)
-
-
-def _choose_lanes(index: list[int], lanes: int | None, device: str) -> int:
-    if device != "cpu":
-        if lanes not in (None, CUDA_LANES):
-            raise SimulationError(f"lanes must be {CUDA_LANES} or None on CUDA, got {lanes!r}.")
-        return CUDA_LANES
-    if lanes is None:
-        return lanes_for(int(np.bincount(index).max()))
-    if lanes not in WIDTHS:
-        raise SimulationError(f"lanes must be one of {listing(WIDTHS)}, got {lanes!r}.")
-    return lanes
-
-
 def _check_threads(threads: int | None) -> int:
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if not isinstance(threads, int) or threads < 1:
         raise SimulationError(f"threads must be a whole number >= 1 or None, got {threads!r}.")
     return threads
-
-
-def _allocate(sim: Simulation, index: list[int], precision: str, lanes: int) -> State:
-    """Lay the environments out in packs of one design each, and allocate Model and Data."""
-    width = lanes if sim.device == "cpu" else 1
-    pack_design, env_pack, env_lane = [], np.zeros(len(index), np.int32), np.zeros(len(index), np.int32)
-    for design in range(sim.num_designs):
-        members = np.flatnonzero(np.asarray(index) == design)
-        env_pack[members] = len(pack_design) + np.arange(len(members)) // lanes
-        env_lane[members] = np.arange(len(members)) % lanes
-        pack_design += [design] * -(-len(members) // lanes)
-    host, sizes = model_arrays(sim.designs)
-    units = lanes // width
-    sizes |= _capacities(sizes["voxel"]) | {
-        "pack": len(pack_design),
-        "lane": lanes,
-        "unit": len(pack_design) * units,
-    }
-    host["pack_design"] = np.asarray(pack_design, dtype=np.int32)
-    model, data = allocate(MODEL, sizes, precision, sim.device), allocate(DATA, sizes, precision, sim.device)
-    for name, values in host.items():
-        if values.size:
-            model[name].assign(values.astype(precision) if MODEL[name][0] is REAL else values)
-    types = structs(precision)
-    state = State(
-        precision, sim.device, width, lanes, units, len(pack_design), len(index), DT, sizes,
-        types.Model(), types.Data(), model | data,
-        wp.array(env_pack, dtype=int, device=sim.device), wp.array(env_lane, dtype=int, device=sim.device),
-    )  # fmt: skip
-    for struct, arrays in ((state.model, model), (state.data, data)):
-        for name, array in arrays.items():
-            setattr(struct, name, array)
-    for name in CONSTANTS:
-        setattr(state.model, name, MARGIN if name == "margin" else getattr(sim.physics, name))
-    contact = types.Contact()
-    for name in CONTACT:
-        setattr(contact, name, getattr(sim.physics, name if name.startswith("friction") else f"contact_{name}"))
-    state.model.contact = contact
-    # Lanes without an environment hold the design at rest, frozen.
-    home = wp.to_torch(model["home"])[torch.as_tensor(pack_design, device=sim.device)]
-    wp.to_torch(data["pos"]).copy_(home[:, :, None].expand(-1, -1, lanes))
-    wp.to_torch(data["drift"]).fill_(STALE)
-    return state
-
-
-def _capacities(voxels: int) -> dict[str, int]:
-    """Capacities of the broad phase for a number of surface voxels."""
-    if voxels < GRID_FROM:
-        return {"pair": voxels * (voxels - 1) // 2, "entry": 1, "slot": 1, "word": 1}
-    return {
-        "pair": PAIRS_PER_VOXEL * voxels,
-        "entry": ENTRIES_PER_VOXEL * voxels,
-        "slot": 1 << (2 * voxels - 1).bit_length(),
-        "word": voxels * -(-voxels // 32),
-    }
 
 
 def _loose_points(sim: Simulation, names: Sequence[str]) -> tuple[torch.Tensor, ...]:

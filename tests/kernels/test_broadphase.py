@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from warpvox.kernels.broadphase import GRID_FROM, boxes, collect_all, collect_grid, collect_near
 from warpvox.kernels.launch import launch_stage
-from warpvox.sim import MARGIN, Simulation
+from warpvox.layout import MARGIN
+from warpvox.sim import Simulation
 from warpvox.world import World
 
 LANES = 8

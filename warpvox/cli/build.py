@@ -16,7 +16,8 @@ from warpvox.design import load_design
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import DesignError
-from warpvox.sim import lanes_for, resolve_device
+from warpvox.layout import lanes_for
+from warpvox.sim import resolve_device
 from warpvox.types import Physics
 
 __all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "shown", "training_lanes"]

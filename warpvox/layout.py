@@ -1,0 +1,132 @@
+"""How environments lie in memory: packs and lanes of equal designs, and the arrays of a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import warp as wp
+
+from warpvox.compile import Design, model_arrays
+from warpvox.errors import SimulationError, listing
+from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
+from warpvox.kernels.lanes import MAX_WIDTH
+from warpvox.kernels.reset import STALE
+from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, REAL, allocate, structs
+from warpvox.types import DT, Physics
+from warpvox.world import World
+
+__all__ = ["MARGIN", "State", "choose_lanes", "group", "lanes_for", "layout"]
+
+# Lane widths offered on the CPU; the narrowest that holds a design's environments is taken.
+WIDTHS = (1, 8, 16, 32)
+CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
+MARGIN = 0.02  # width added to boxes when candidates are collected, a fifth of a voxel
+PAIRS_PER_VOXEL = 24  # capacity of the candidate list for bodies that go through the hashed grid
+
+
+@dataclass
+class State:
+    """What kernels need to run: the structs, their arrays and how environments lie in them."""
+
+    precision: str
+    device: str
+    width: int
+    lanes: int
+    units: int
+    packs: int
+    num_envs: int
+    dt: float
+    sizes: dict[str, int]
+    model: object
+    data: object
+    arrays: dict[str, wp.array]
+    env_pack: wp.array
+    env_lane: wp.array
+    ranges: wp.array | None = None
+
+
+def group(worlds: Sequence[World]) -> list[int]:
+    """For every world the number of its design; equal worlds have one."""
+    seen: dict[bytes, int] = {}
+    by_id: dict[int, int] = {}
+    index = []
+    for world in worlds:
+        if id(world) not in by_id:
+            by_id[id(world)] = seen.setdefault(world.key(), len(seen))
+        index.append(by_id[id(world)])
+    return index
+
+
+def lanes_for(environments: int) -> int:
+    """The lanes that are chosen on the CPU for a number of environments of one design."""
+    return next((width for width in WIDTHS if width >= environments), MAX_WIDTH)
+
+
+def choose_lanes(index: list[int], lanes: int | None, device: str) -> int:
+    if device != "cpu":
+        if lanes not in (None, CUDA_LANES):
+            raise SimulationError(f"lanes must be {CUDA_LANES} or None on CUDA, got {lanes!r}.")
+        return CUDA_LANES
+    if lanes is None:
+        return lanes_for(int(np.bincount(index).max()))
+    if lanes not in WIDTHS:
+        raise SimulationError(f"lanes must be one of {listing(WIDTHS)}, got {lanes!r}.")
+    return lanes
+
+
+def layout(designs: list[Design], index: list[int], physics: Physics, precision: str, lanes: int, device: str) -> State:
+    """Lay the environments out in packs of one design each, and allocate Model and Data."""
+    width = lanes if device == "cpu" else 1
+    pack_design, env_pack, env_lane = [], np.zeros(len(index), np.int32), np.zeros(len(index), np.int32)
+    for design in range(len(designs)):
+        members = np.flatnonzero(np.asarray(index) == design)
+        env_pack[members] = len(pack_design) + np.arange(len(members)) // lanes
+        env_lane[members] = np.arange(len(members)) % lanes
+        pack_design += [design] * -(-len(members) // lanes)
+    host, sizes = model_arrays(designs)
+    units = lanes // width
+    sizes |= _capacities(sizes["voxel"]) | {
+        "pack": len(pack_design),
+        "lane": lanes,
+        "unit": len(pack_design) * units,
+    }
+    host["pack_design"] = np.asarray(pack_design, dtype=np.int32)
+    model, data = allocate(MODEL, sizes, precision, device), allocate(DATA, sizes, precision, device)
+    for name, values in host.items():
+        if values.size:
+            model[name].assign(values.astype(precision) if MODEL[name][0] is REAL else values)
+    types = structs(precision)
+    state = State(
+        precision, device, width, lanes, units, len(pack_design), len(index), DT, sizes,
+        types.Model(), types.Data(), model | data,
+        wp.array(env_pack, dtype=int, device=device), wp.array(env_lane, dtype=int, device=device),
+    )  # fmt: skip
+    for struct, arrays in ((state.model, model), (state.data, data)):
+        for name, array in arrays.items():
+            setattr(struct, name, array)
+    for name in CONSTANTS:
+        setattr(state.model, name, MARGIN if name == "margin" else getattr(physics, name))
+    contact = types.Contact()
+    for name in CONTACT:
+        setattr(contact, name, getattr(physics, name if name.startswith("friction") else f"contact_{name}"))
+    state.model.contact = contact
+    # Lanes without an environment hold the design at rest, frozen.
+    home = wp.to_torch(model["home"])[torch.as_tensor(pack_design, device=device)]
+    wp.to_torch(data["pos"]).copy_(home[:, :, None].expand(-1, -1, lanes))
+    wp.to_torch(data["drift"]).fill_(STALE)
+    return state
+
+
+def _capacities(voxels: int) -> dict[str, int]:
+    """Capacities of the broad phase for a number of surface voxels."""
+    if voxels < GRID_FROM:
+        return {"pair": voxels * (voxels - 1) // 2, "entry": 1, "slot": 1, "word": 1}
+    return {
+        "pair": PAIRS_PER_VOXEL * voxels,
+        "entry": ENTRIES_PER_VOXEL * voxels,
+        "slot": 1 << (2 * voxels - 1).bit_length(),
+        "word": voxels * -(-voxels // 32),
+    }
