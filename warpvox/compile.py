@@ -43,7 +43,6 @@ class Body:
     springs: list[list] = field(default_factory=list)  # [a, b, rest, stiffness]
     drives: dict[int, list[int]] = field(default_factory=dict)  # spring -> actions
     first_point: int = 0
-    first_spring: int = 0
     first_action: int = 0
 
     @property
@@ -86,10 +85,10 @@ def compile_world(world: World, physics: Physics, loose: Sequence[str] = ()) -> 
         raise SimulationError(
             "The world has nothing that can move: add a robot or an object with a cell that is not fixed."
         )
-    point = spring = action = 0
+    point = action = 0
     for body in bodies:
-        body.first_point, body.first_spring, body.first_action = point, spring, action
-        point, spring = point + len(body.points), spring + len(body.springs)
+        body.first_point, body.first_action = point, action
+        point += len(body.points)
         action += body.source.num_actuators
     return Design(world, bodies, [mesh(o, physics) for o in ordered if o.name in terrain])
 
@@ -234,17 +233,23 @@ def model_arrays(designs: list[Design]) -> tuple[dict[str, np.ndarray], dict[str
 
 def _design_arrays(design: Design) -> dict[str, np.ndarray]:
     bodies = design.bodies
-    ends, drives, rigid, corner, side, owner, robot, grid, still = ([] for _ in range(9))
+    ends, rests, stiffness, drives, rigid, corner, side, owner, robot, grid, still = ([] for _ in range(11))
     robots = design.robots
     for index, body in enumerate(bodies):
         base = body.first_point
-        ends += [[a + base, b + base] for a, b, _, _ in body.springs]
-        for s in range(len(body.springs)):
-            actions = [a + body.first_action for a in body.drives.get(s, ())] + [-1, -1]
+        place = {}
+        for s, (a, b, rest, k) in enumerate(body.springs):
+            if body.fixed[a] and body.fixed[b]:
+                continue  # always at rest: no force, no strain
+            place[s] = len(ends)
+            ends.append([a + base, b + base])
+            rests.append(rest)
+            stiffness.append(k)
+            actions = [action + body.first_action for action in body.drives.get(s, ())] + [-1, -1]
             drives.append(actions[:2])
         for cell in body.cells:
             if body.kind(cell) == Cell.RIGID:
-                rigid += [s + body.first_spring for s in body.sides[cell]]
+                rigid += [place[s] for s in body.sides[cell] if s in place]
         for cell, bits in body.surface.items():
             corner.append([p + base for p in body.corners[cell]])
             side.append(bits)
@@ -277,8 +282,8 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
     )
     reals = dict(
         home=home,
-        spring_rest=[rest for body in bodies for _, _, rest, _ in body.springs],
-        spring_k=[k for body in bodies for _, _, _, k in body.springs],
+        spring_rest=rests,
+        spring_k=stiffness,
         terrain_box=lattice[1],
     )
     out = {name: np.asarray(value, dtype=np.int32) for name, value in (whole | arrays).items()}
