@@ -6,10 +6,11 @@ from warpvox.envs.spec import TaskSpec
 from warpvox.envs.tasks import climb, locomotion, manipulate, misc, shape, traverse
 from warpvox.errors import TaskError, did_you_mean, listing
 
-__all__ = ["get_task", "task_ids"]
+__all__ = ["get_task", "released_id", "task_ids"]
 
 _FAMILIES = (locomotion, manipulate, climb, traverse, shape, misc)
 _ALIASES = {"WingspanMazimizer-v0": "WingspanMaximizer-v0"}  # the release's spelling
+_RELEASED = {ours: theirs for theirs, ours in _ALIASES.items()}
 
 
 def _in_order_of_the_paper(spec: TaskSpec) -> list[int]:
@@ -41,3 +42,8 @@ def get_task(task: str | TaskSpec) -> TaskSpec:
     if not isinstance(task, str) or task not in _TASKS:
         raise TaskError(f"Unknown task {task!r}.{did_you_mean(task, _TASKS)} Tasks: {listing(_TASKS, 40)}.")
     return _TASKS[task]
+
+
+def released_id(task_id: str) -> str:
+    """How the release spells the id of a task."""
+    return _RELEASED.get(task_id, task_id)

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from warpvox.envs.registry import get_task, task_ids
+from warpvox.envs.registry import get_task, released_id, task_ids
 from warpvox.envs.spec import Memory, TaskSpec, observes, rewards
 from warpvox.envs.terms.observations import shape
 from warpvox.envs.terms.rewards import displacement
@@ -25,6 +25,8 @@ def test_ids_come_in_the_order_of_the_paper() -> None:
 
 def test_the_spelling_of_the_release_is_understood() -> None:
     assert get_task("WingspanMazimizer-v0") is get_task("WingspanMaximizer-v0")
+    assert released_id("WingspanMaximizer-v0") == "WingspanMazimizer-v0"
+    assert released_id("Walker-v0") == "Walker-v0"
 
 
 def test_all_tasks_with_their_worlds_stay_short(repository) -> None:

@@ -62,11 +62,13 @@ def peer_suite(config: Any, console: Console) -> dict[str, Any]:
     Raises:
         ConfigError: no reference. SimulationError: ours and the reference differ.
     """
+    from warpvox.envs.registry import released_id
+
     body, env = _environment(config)
     rng = np.random.default_rng(config.seed)
     with Peer(config.peer.python) as peer:
         with console.status("starting the reference"):
-            versions = peer.ask(do="start", task=config.task, body=body.tolist())
+            versions = peer.ask(do="start", task=released_id(config.task), body=body.tolist())
         with console.status("checking the physics"):
             error = _check_physics(config, body, peer)
         say(
