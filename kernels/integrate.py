@@ -32,8 +32,7 @@ def outer_forces(precision: str, width: int):
     @inline
     def outer(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         weight = splat(model.gravity)
-        for n in range(model.actives[design]):
-            p = model.active[design, n]
+        for p in range(model.points[design]):
             x, y = 2 * p, 2 * p + 1
             fx = load(data.contact, pack, x, lane) - load(data.stage_vel, pack, x, lane) * model.drag
             fy = load(data.contact, pack, y, lane) - load(data.stage_vel, pack, y, lane) * model.drag - weight
@@ -93,16 +92,14 @@ def runge_kutta(precision: str, width: int):
     @inline
     def start(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         zero = splat(real(0.0))
-        for n in range(2 * model.actives[design]):
-            r = 2 * model.active[design, n // 2] + n % 2
+        for r in range(2 * model.points[design]):
             velocity = narrow(load_state(data.vel, pack, r, lane))
             store(data.start_vel, pack, r, lane, velocity)
             store(data.stage_vel, pack, r, lane, velocity)
             store(data.disp, pack, r, lane, zero)
             store(data.sum_bend, pack, r, lane, zero)
             store(data.sum_vel, pack, r, lane, zero)
-        for n in range(model.actives[design]):
-            p = model.active[design, n]
+        for p in range(model.points[design]):
             store(data.height, pack, p, lane, narrow(load_state(data.pos, pack, 2 * p + 1, lane)))
 
     @inline
@@ -119,8 +116,7 @@ def runge_kutta(precision: str, width: int):
         """Add a stage's acceleration to the sums, and go to the next stage, ``ahead`` of the start."""
         outer(model, data, design, pack, lane)
         springs(model, data, design, pack, lane)
-        for n in range(2 * model.actives[design]):
-            r = 2 * model.active[design, n // 2] + n % 2
+        for r in range(2 * model.points[design]):
             force = load(data.force, pack, r, lane)
             store(data.sum_bend, pack, r, lane, load(data.sum_bend, pack, r, lane) + force * bend)
             store(data.sum_vel, pack, r, lane, load(data.sum_vel, pack, r, lane) + force * weight)
@@ -148,8 +144,7 @@ def runge_kutta(precision: str, width: int):
             bend = wp.where(k < 3, real(1.0), real(0.0))
             ahead = wp.where(k < 2, step * real(0.5), step)
             slope(model, data, design, pack, lane, weight, bend, ahead)
-        for n in range(model.actives[design]):
-            p = model.active[design, n]
+        for p in range(model.points[design]):
             # A fixed point takes part in the stages; only its update is dropped.
             free = wp.float64(1 - model.fixed[design, p])
             finish(data, pack, 2 * p, lane, dt, free)
@@ -167,8 +162,7 @@ def advance(precision: str, width: int):
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         path = splat(wp.float64(0.0))
-        for n in range(2 * model.actives[design]):
-            r = 2 * model.active[design, n // 2] + n % 2
+        for r in range(2 * model.points[design]):
             move = load(data.move, pack, r, lane)
             store(data.pos, pack, r, lane, load(data.pos, pack, r, lane) + move)
             store(data.true_vel, pack, r, lane, move * (wp.float64(1.0) / dt))

@@ -19,8 +19,7 @@ def save(precision: str, width: int):
 
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
-        for n in range(2 * model.actives[design]):
-            r = 2 * model.active[design, n // 2] + n % 2
+        for r in range(2 * model.points[design]):
             store(data.saved_pos, pack, r, lane, load(data.pos, pack, r, lane))
             store(data.saved_vel, pack, r, lane, load(data.vel, pack, r, lane))
             store(data.saved_true_vel, pack, r, lane, load(data.true_vel, pack, r, lane))
@@ -36,8 +35,7 @@ def settle(precision: str, width: int):
 
     @inline
     def restore(model: types.Model, data: types.Data, design: int, pack: int, k: int):
-        for n in range(2 * model.actives[design]):
-            r = 2 * model.active[design, n // 2] + n % 2
+        for r in range(2 * model.points[design]):
             data.pos[pack, r, k] = data.saved_pos[pack, r, k]
             data.vel[pack, r, k] = data.saved_vel[pack, r, k]
             data.true_vel[pack, r, k] = data.saved_true_vel[pack, r, k]
@@ -45,8 +43,7 @@ def settle(precision: str, width: int):
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         sound = int(full)
-        for n in range(2 * model.actives[design]):
-            r = 2 * model.active[design, n // 2] + n % 2
+        for r in range(2 * model.points[design]):
             sound = sound & finite(load(data.pos, pack, r, lane)) & finite(load(data.vel, pack, r, lane))
         for k in range(int(width)):
             e = lane + k

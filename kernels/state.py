@@ -23,8 +23,6 @@ UNSTABLE, NOT_FINITE, OVERFLOW = wp.constant(1), wp.constant(2), wp.constant(4)
 
 MODEL = {
     "points": (int, "design", "points in use"),
-    "actives": (int, "design", "points in `active`"),
-    "active": (int, "design point", "points that can move or hang on a spring: all others stay where they are"),
     "springs": (int, "design", "springs in use"),
     "rigids": (int, "design", "entries of rigid_spring in use"),
     "voxels": (int, "design", "surface voxels in use"),

@@ -259,12 +259,8 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
             still.append(all(body.fixed[p] for p in body.corners[cell]))
     home = [value for body in bodies for point in body.points for value in point]
     lattice = _lattice(design)
-    fixed = [f for body in bodies for f in body.fixed]
-    tied = {p for pair in ends for p in pair}
-    active = [p for p, is_fixed in enumerate(fixed) if not is_fixed or p in tied]
     whole = dict(
-        points=len(fixed),
-        actives=len(active),
+        points=len(home) // 2,
         springs=len(ends),
         rigids=len(rigid),
         voxels=len(side),
@@ -272,8 +268,7 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
         actions=sum(body.source.num_actuators for body in bodies),
     )
     arrays = dict(
-        fixed=fixed,
-        active=active,
+        fixed=[f for body in bodies for f in body.fixed],
         spring_ends=np.reshape(ends, (-1, 2)),
         spring_drive=np.reshape(drives, (-1, 2)),
         rigid_spring=rigid,
