@@ -19,6 +19,7 @@ SLOT = 0.2  # size of a grid cell: a voxel with its margin covers 1 to 4 cells
 ENTRIES_PER_VOXEL = 9  # capacity; a voxel cannot be stretched over more cells than 3 x 3
 DISTANT = wp.constant(16)  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
 CELL = 0.1
+TORN = 5.0  # a voxel wider than this has exploded: its environment is lost, and its cells are too many to visit
 FAR = 1.0e6  # a coordinate beyond this is not on any lattice (also stops NaN before it becomes an int)
 
 
@@ -134,7 +135,8 @@ def collect_grid(precision: str, width: int):
         half = margin * wp.float64(0.5)
         x0, x1 = data.box[pack, 4 * v, k] - half, data.box[pack, 4 * v + 1, k] + half
         y0, y1 = data.box[pack, 4 * v + 2, k] - half, data.box[pack, 4 * v + 3, k] + half
-        if x0 > -wp.float64(FAR) and x1 < wp.float64(FAR) and y0 > -wp.float64(FAR) and y1 < wp.float64(FAR):
+        whole = x1 - x0 < wp.float64(TORN) and y1 - y0 < wp.float64(TORN)
+        if whole and x0 > -wp.float64(FAR) and x1 < wp.float64(FAR) and y0 > -wp.float64(FAR) and y1 < wp.float64(FAR):
             s = wp.float64(1.0 / SLOT)
             return int(wp.floor(x0 * s)), int(wp.floor(x1 * s)), int(wp.floor(y0 * s)), int(wp.floor(y1 * s))
         return 0, -1, 0, -1
