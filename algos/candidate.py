@@ -1,0 +1,68 @@
+"""What design search, evaluation and archive hand to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from warpvox.design import Design
+
+__all__ = ["Candidate", "DesignEvaluator", "Outcome", "Search"]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A design that a search wants evaluated.
+
+    ``id`` counts the candidates of an experiment from 0 in the order of their proposal; ``body`` is int8
+    ``[rows, columns]``; ``parents`` are the ids it descends from; ``origin`` says how it was made
+    (``random``, ``mutation``, ``crossover``, ``posterior``, ...).
+    """
+
+    id: int
+    body: Design
+    parents: tuple[int, ...] = ()
+    origin: str = "random"
+    generation: int = 0
+
+
+@dataclass
+class Outcome:
+    """What became of a candidate.
+
+    ``fitness`` is the best deterministic return (paper section C.1); ``curve`` the evaluations behind it as
+    (control steps, return); ``steps`` the control steps spent; ``policy`` what a stock rsl-rl actor of this body
+    loads, on the CPU; ``stopped`` says that training ended early for want of promise.
+    """
+
+    fitness: float
+    curve: list[tuple[int, float]] = field(default_factory=list)
+    steps: int = 0
+    policy: dict[str, Any] | None = None
+    stopped: bool = False
+
+
+class Search(Protocol):
+    """Proposes designs and learns from their fitness; never simulates. Same seed and same fitness: same proposals."""
+
+    def ask(self) -> list[Candidate]:
+        """The next generation; empty when the search has spent its evaluations. To be followed by :meth:`tell`."""
+
+    def tell(self, fitness: Sequence[float]) -> None:
+        """The fitness of the candidates asked for last, in their order."""
+
+
+class DesignEvaluator(Protocol):
+    """Trains a policy for each of some designs and says how good it gets."""
+
+    def evaluate(
+        self,
+        candidates: Sequence[Candidate],
+        parents: Mapping[int, dict[str, Any]],
+        report: Callable[[dict[str, Any]], None] | None = None,
+    ) -> list[Outcome]:
+        """Outcomes in the order of the candidates; a candidate's randomness follows from the seed and its id.
+
+        ``parents`` holds policies to start from, by the id of a parent. ``report`` is told of progress.
+        """
