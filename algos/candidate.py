@@ -6,9 +6,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+
 from warpvox.design import Design
 
-__all__ = ["Candidate", "DesignEvaluator", "Outcome", "Search"]
+__all__ = ["Candidate", "DesignEvaluator", "Outcome", "Search", "candidate_seed"]
+
+
+def candidate_seed(seed: int, number: int) -> int:
+    """The seed of candidate ``number`` in an experiment with ``seed``: all that its training draws follows from it.
+
+    A whole number of 63 bits, which torch, numpy and SQLite can hold alike.
+    """
+    return int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
 @dataclass(frozen=True)
