@@ -100,7 +100,7 @@ def geometry():
 
 @functools.cache
 def resolve(precision: str):
-    """Function: contact of corner c of quad m with quad r, if any; points of -1 belong to terrain."""
+    """Function: contact of corner c of quad m with quad r, if any; points of -1 stand still and feel nothing."""
     types, force = structs(precision), REALS[precision]
     nearest_side = geometry()
 
@@ -112,7 +112,7 @@ def resolve(precision: str):
 
     @wp.func
     def speed(true_vel: wp.array3d(dtype=real), pack: int, k: int, p: int, nx: real, ny: real):
-        """True velocity of a point along a direction; terrain stands still."""
+        """True velocity of a point along a direction."""
         if p < 0:
             return real(0.0)
         return nx * true_vel[pack, 2 * p, k] + ny * true_vel[pack, 2 * p + 1, k]
@@ -207,11 +207,11 @@ def voxel_contacts(precision: str, width: int):
             k,
             m,
             model.side[design, i],
-            mc[c],
+            model.pushed[design, i][c],
             c,
             r,
             sides,
-            rc,
+            model.pushed[design, j],
             times,
         )
 
@@ -382,7 +382,8 @@ def contacts(precision: str, width: int):
 
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
-        for r in range(2 * model.points[design]):
+        for n in range(2 * model.actives[design]):
+            r = model.active[design, n]
             store(data.contact, pack, r, lane, splat(zero(0.0)))
         active = active_lanes(data, pack, lane)
         with_voxels(model, data, design, pack, lane, unit, active)

@@ -32,8 +32,9 @@ def outer_forces(precision: str, width: int):
     @inline
     def outer(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         weight = splat(model.gravity)
-        for p in range(model.points[design]):
-            x, y = 2 * p, 2 * p + 1
+        for n in range(model.actives[design]):
+            x = model.active[design, 2 * n]
+            y, p = x + 1, x // 2
             fx = load(data.contact, pack, x, lane) - load(data.stage_vel, pack, x, lane) * model.drag
             fy = load(data.contact, pack, y, lane) - load(data.stage_vel, pack, y, lane) * model.drag - weight
             store(data.force, pack, x, lane, fx)
@@ -92,15 +93,17 @@ def runge_kutta(precision: str, width: int):
     @inline
     def start(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         zero = splat(real(0.0))
-        for r in range(2 * model.points[design]):
+        for n in range(2 * model.actives[design]):
+            r = model.active[design, n]
             velocity = narrow(load_state(data.vel, pack, r, lane))
             store(data.start_vel, pack, r, lane, velocity)
             store(data.stage_vel, pack, r, lane, velocity)
             store(data.disp, pack, r, lane, zero)
             store(data.sum_bend, pack, r, lane, zero)
             store(data.sum_vel, pack, r, lane, zero)
-        for p in range(model.points[design]):
-            store(data.height, pack, p, lane, narrow(load_state(data.pos, pack, 2 * p + 1, lane)))
+        for n in range(model.actives[design]):
+            y = model.active[design, 2 * n + 1]
+            store(data.height, pack, y // 2, lane, narrow(load_state(data.pos, pack, y, lane)))
 
     @inline
     def slope(
@@ -116,7 +119,8 @@ def runge_kutta(precision: str, width: int):
         """Add a stage's acceleration to the sums, and go to the next stage, ``ahead`` of the start."""
         outer(model, data, design, pack, lane)
         springs(model, data, design, pack, lane)
-        for r in range(2 * model.points[design]):
+        for n in range(2 * model.actives[design]):
+            r = model.active[design, n]
             force = load(data.force, pack, r, lane)
             store(data.sum_bend, pack, r, lane, load(data.sum_bend, pack, r, lane) + force * bend)
             store(data.sum_vel, pack, r, lane, load(data.sum_vel, pack, r, lane) + force * weight)
@@ -144,11 +148,10 @@ def runge_kutta(precision: str, width: int):
             bend = wp.where(k < 3, real(1.0), real(0.0))
             ahead = wp.where(k < 2, step * real(0.5), step)
             slope(model, data, design, pack, lane, weight, bend, ahead)
-        for p in range(model.points[design]):
+        for n in range(2 * model.actives[design]):
+            r = model.active[design, n]
             # A fixed point takes part in the stages; only its update is dropped.
-            free = wp.float64(1 - model.fixed[design, p])
-            finish(data, pack, 2 * p, lane, dt, free)
-            finish(data, pack, 2 * p + 1, lane, dt, free)
+            finish(data, pack, r, lane, dt, wp.float64(1 - model.fixed[design, r // 2]))
 
     return stage
 
@@ -162,7 +165,8 @@ def advance(precision: str, width: int):
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         path = splat(wp.float64(0.0))
-        for r in range(2 * model.points[design]):
+        for n in range(2 * model.actives[design]):
+            r = model.active[design, n]
             move = load(data.move, pack, r, lane)
             store(data.pos, pack, r, lane, load(data.pos, pack, r, lane) + move)
             store(data.true_vel, pack, r, lane, move * (wp.float64(1.0) / dt))

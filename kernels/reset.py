@@ -19,7 +19,8 @@ def save(precision: str, width: int):
 
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
-        for r in range(2 * model.points[design]):
+        for n in range(2 * model.actives[design]):
+            r = model.active[design, n]
             store(data.saved_pos, pack, r, lane, load(data.pos, pack, r, lane))
             store(data.saved_vel, pack, r, lane, load(data.vel, pack, r, lane))
             store(data.saved_true_vel, pack, r, lane, load(data.true_vel, pack, r, lane))
@@ -35,7 +36,8 @@ def settle(precision: str, width: int):
 
     @inline
     def restore(model: types.Model, data: types.Data, design: int, pack: int, k: int):
-        for r in range(2 * model.points[design]):
+        for n in range(2 * model.actives[design]):
+            r = model.active[design, n]
             data.pos[pack, r, k] = data.saved_pos[pack, r, k]
             data.vel[pack, r, k] = data.saved_vel[pack, r, k]
             data.true_vel[pack, r, k] = data.saved_true_vel[pack, r, k]
@@ -43,7 +45,8 @@ def settle(precision: str, width: int):
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         sound = int(full)
-        for r in range(2 * model.points[design]):
+        for n in range(2 * model.actives[design]):
+            r = model.active[design, n]
             sound = sound & finite(load(data.pos, pack, r, lane)) & finite(load(data.vel, pack, r, lane))
         for k in range(int(width)):
             e = lane + k

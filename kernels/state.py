@@ -1,7 +1,7 @@
 """What the kernels read and write: Model (topology, per design) and Data (state, per environment).
 
 The tables below say every array's type, shape and meaning once; structs and allocations follow from them. Shape
-symbols: ``design``; ``point, spring, rigid, voxel, robot, cell, action`` are capacities over the designs of a
+symbols: ``design``; ``point, active, spring, rigid, voxel, robot, cell, action`` are capacities over the designs of a
 model; ``pack, lane`` number environments (see :mod:`warpvox.kernels.lanes`); ``unit`` is one thread's share of
 a pack; ``pair, entry, slot, word`` are capacities of the broad phase. ``2*`` rows hold x and y alternately.
 """
@@ -23,6 +23,8 @@ UNSTABLE, NOT_FINITE, OVERFLOW = wp.constant(1), wp.constant(2), wp.constant(4)
 
 MODEL = {
     "points": (int, "design", "points in use"),
+    "actives": (int, "design", "points that are free or hang on a spring; all others stay where they are"),
+    "active": (int, "design 2*active", "their rows, x and y, in ascending order"),
     "springs": (int, "design", "springs in use"),
     "rigids": (int, "design", "entries of rigid_spring in use"),
     "voxels": (int, "design", "surface voxels in use"),
@@ -41,6 +43,7 @@ MODEL = {
         "design voxel",
         "points of a surface voxel: top left, top right, bottom right, bottom left",
     ),
+    "pushed": (wp.vec4i, "design voxel", "the same, -1 where the point is not active: nothing it feels matters"),
     "side": (int, "design voxel", "bits of its surface sides"),
     "body": (int, "design voxel", "index of its object"),
     "robot": (int, "design voxel", "index of its robot, or -1"),

@@ -88,7 +88,8 @@ def limit(precision: str, width: int):
     @inline
     def collect(model: types.Model, data: types.Data, design: int, pack: int, lane: int, clear: bool):
         """Clear the corrections in ``force``, which is free after the integration, or take them into ``move``."""
-        for r in range(2 * model.points[design]):
+        for n in range(2 * model.actives[design]):
+            r = model.active[design, n]
             if clear:
                 store(data.force, pack, r, lane, splat(real(0.0)))
             else:
@@ -110,7 +111,8 @@ def limit(precision: str, width: int):
                 if model.fixed[design, ends[1]] == 0:
                     shift(data, data.force, pack, ends[1], lane, -dx, -dy)
         if found == 1:
-            for r in range(2 * model.points[design]):
+            for n in range(2 * model.actives[design]):
+                r = model.active[design, n]
                 store(data.disp, pack, r, lane, load(data.disp, pack, r, lane) + load(data.force, pack, r, lane))
             collect(model, data, design, pack, lane, False)
 

@@ -210,13 +210,15 @@ def model_arrays(designs: list[Design]) -> tuple[dict[str, np.ndarray], dict[str
     parts = [_design_arrays(design) for design in designs]
     count = {
         "point": "home",
+        "active": "active",
         "spring": "spring_rest",
         "rigid": "rigid_spring",
         "voxel": "side",
         "robot": "fold_limit",
     }
     sizes = {symbol: max(len(part[name]) for part in parts) for symbol, name in count.items()}
-    sizes["point"] //= 2
+    for symbol in ("point", "active"):  # two rows each
+        sizes[symbol] //= 2
     sizes["cell"] = max(len(part["terrain_side"]) for part in parts)
     sizes["action"] = max(int(part["actions"]) for part in parts)
     sizes["design"] = len(designs)
@@ -259,8 +261,13 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
             still.append(all(body.fixed[p] for p in body.corners[cell]))
     home = [value for body in bodies for point in body.points for value in point]
     lattice = _lattice(design)
+    fixed = [f for body in bodies for f in body.fixed]
+    tied = {p for pair in ends for p in pair}
+    active = [p for p, is_fixed in enumerate(fixed) if not is_fixed or p in tied]
+    pushed = np.where(np.isin(corner, active), corner, -1)
     whole = dict(
-        points=len(home) // 2,
+        points=len(fixed),
+        actives=len(active),
         springs=len(ends),
         rigids=len(rigid),
         voxels=len(side),
@@ -268,11 +275,13 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
         actions=sum(body.source.num_actuators for body in bodies),
     )
     arrays = dict(
-        fixed=[f for body in bodies for f in body.fixed],
+        fixed=fixed,
+        active=[r for p in active for r in (2 * p, 2 * p + 1)],
         spring_ends=np.reshape(ends, (-1, 2)),
         spring_drive=np.reshape(drives, (-1, 2)),
         rigid_spring=rigid,
         corner=np.reshape(corner, (-1, 4)),
+        pushed=np.reshape(pushed, (-1, 4)),
         side=side,
         body=owner,
         robot=robot,
