@@ -2,8 +2,9 @@
 
 Candidates are collected with a margin and stay valid until the fastest point has moved half of it, so this runs
 every few dozen sub-steps. The list is common to the lanes of a unit, in ascending order, hence the order of
-contact forces does not depend on who else is in the pack. Few voxels are compared all with all (vectorised over
-the lanes, that is the fastest); many go through a hashed grid, lane by lane. Both give the same candidates.
+contact forces does not depend on who else is in the pack. Few mobile voxels are compared all with all (vectorised
+over the lanes, that is the fastest); many go through a hashed grid, lane by lane. Voxels that stand still are looked
+up on the lattice of the terrain. All ways give the same candidates: a bit each, then a list.
 """
 
 import functools
@@ -14,7 +15,7 @@ from warpvox.kernels.lanes import inline, lane_ops
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
-GRID_FROM = 64  # surface voxels from which the grid is used
+GRID_FROM = 64  # mobile voxels from which the grid is used
 SLOT = 0.2  # size of a grid cell: a voxel with its margin covers 1 to 4 cells
 ENTRIES_PER_VOXEL = 9  # capacity; a voxel cannot be stretched over more cells than 3 x 3
 DISTANT = wp.constant(16)  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
@@ -24,22 +25,34 @@ FAR = 1.0e6  # a coordinate beyond this is not on any lattice (also stops NaN be
 
 
 @functools.cache
-def boxes(precision: str, width: int):
-    """Stage: axis-aligned bounds of every surface voxel."""
+def voxel_box(precision: str, width: int):
+    """Function: axis-aligned bounds of a voxel, into ``box``."""
     ops, types = lane_ops("float64", width), structs(precision)
     load, store, lower, upper = ops.load, ops.store, ops.lower, ops.upper
 
     @inline
+    def enclose(model: types.Model, data: types.Data, design: int, pack: int, lane: int, v: int):
+        c = model.corner[design, v]
+        for axis in range(int(2)):
+            p0 = load(data.pos, pack, 2 * c[0] + axis, lane)
+            p1 = load(data.pos, pack, 2 * c[1] + axis, lane)
+            p2 = load(data.pos, pack, 2 * c[2] + axis, lane)
+            p3 = load(data.pos, pack, 2 * c[3] + axis, lane)
+            store(data.box, pack, 4 * v + 2 * axis, lane, lower(lower(p0, p1), lower(p2, p3)))
+            store(data.box, pack, 4 * v + 2 * axis + 1, lane, upper(upper(p0, p1), upper(p2, p3)))
+
+    return enclose
+
+
+@functools.cache
+def boxes(precision: str, width: int):
+    """Stage: bounds of the surface voxels that may have moved."""
+    types, enclose = structs(precision), voxel_box(precision, width)
+
+    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
-        for v in range(model.voxels[design]):
-            c = model.corner[design, v]
-            for axis in range(int(2)):
-                p0 = load(data.pos, pack, 2 * c[0] + axis, lane)
-                p1 = load(data.pos, pack, 2 * c[1] + axis, lane)
-                p2 = load(data.pos, pack, 2 * c[2] + axis, lane)
-                p3 = load(data.pos, pack, 2 * c[3] + axis, lane)
-                store(data.box, pack, 4 * v + 2 * axis, lane, lower(lower(p0, p1), lower(p2, p3)))
-                store(data.box, pack, 4 * v + 2 * axis + 1, lane, upper(upper(p0, p1), upper(p2, p3)))
+        for n in range(model.mobiles[design]):
+            enclose(model, data, design, pack, lane, model.mobile[design, n])
 
     return stage
 
@@ -62,68 +75,62 @@ def box_overlap(precision: str, width: int):
 
 
 @functools.cache
-def add_pair(precision: str):
-    """Function: append a candidate pair, unless both voxels are fixed."""
+def mark_pair(precision: str):
+    """Function: note that two voxels are candidates, in one bit for both orders; still ones never meet."""
     types = structs(precision)
 
-    @wp.func
-    def shares(corners: wp.vec4i, p: int):
-        return corners[0] == p or corners[1] == p or corners[2] == p or corners[3] == p
-
-    @wp.func
-    def own_corners(mine: wp.vec4i, other: wp.vec4i):
-        """Bits of the corners that are not corners of the other voxel too."""
-        bits = int(0)
-        four = int(4)
-        for c in range(four):
-            if not shares(other, mine[c]):
-                bits = bits | (1 << c)
-        return bits
-
     @inline
-    def add(model: types.Model, data: types.Data, design: int, unit: int, i: int, j: int):
-        if model.still[design, i] == 1 and model.still[design, j] == 1:
+    def mark(model: types.Model, data: types.Data, design: int, unit: int, v: int, w: int):
+        if model.still[design, v] == 1 and model.still[design, w] == 1:
             return
-        n = data.pair_count[unit]
-        if n >= data.pairs.shape[1]:
-            data.overflow[unit] = 1
-            return
-        ci = model.corner[design, i]
-        cj = model.corner[design, j]
-        bits = own_corners(ci, cj)
-        if model.robot[design, i] >= 0 and model.body[design, i] == model.body[design, j]:
-            away = model.grid[design, i] - model.grid[design, j]
-            if wp.abs(away[0]) > 1 or wp.abs(away[1]) > 1:
-                bits = bits | DISTANT
-        data.pairs[unit, n] = wp.vec4i(i, j, bits, own_corners(cj, ci))
-        data.pair_count[unit] = n + 1
+        i, j = wp.min(v, w), wp.max(v, w)
+        word = i * ((model.voxels[design] + 31) // 32) + j // 32
+        data.pair_bit[unit, word] = data.pair_bit[unit, word] | (1 << (j % 32))
 
-    return add
+    return mark
 
 
 @functools.cache
-def collect_all(precision: str, width: int):
-    """Stage: candidate pairs by comparing all boxes with all."""
+def mark_all(precision: str, width: int):
+    """Stage: candidates among mobile voxels by comparing all boxes with all."""
     types = structs(precision)
-    overlap, add = box_overlap(precision, width), add_pair(precision)
+    overlap, mark = box_overlap(precision, width), mark_pair(precision)
 
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
-        data.pair_count[unit] = 0
-        n = model.voxels[design]
-        for i in range(n):
-            for j in range(i + 1, n):
+        n = model.mobiles[design]
+        for a in range(n):
+            i = model.mobile[design, a]
+            for b in range(a + 1, n):
+                j = model.mobile[design, b]
                 if overlap(data, pack, lane, i, j, model.margin) != 0:
-                    add(model, data, design, unit, i, j)
+                    mark(model, data, design, unit, i, j)
 
     return stage
 
 
 @functools.cache
-def collect_grid(precision: str, width: int):
-    """Stage: candidate pairs through a hashed grid, one lane after another."""
+def meets(precision: str):
+    """Function: :func:`box_overlap` for one lane."""
     types = structs(precision)
-    add = add_pair(precision)
+
+    @inline
+    def meet(data: types.Data, pack: int, k: int, i: int, j: int, m: wp.float64):
+        return (
+            data.box[pack, 4 * i, k] <= data.box[pack, 4 * j + 1, k] + m
+            and data.box[pack, 4 * j, k] <= data.box[pack, 4 * i + 1, k] + m
+            and data.box[pack, 4 * i + 2, k] <= data.box[pack, 4 * j + 3, k] + m
+            and data.box[pack, 4 * j + 2, k] <= data.box[pack, 4 * i + 3, k] + m
+        )
+
+    return meet
+
+
+@functools.cache
+def mark_grid(precision: str, width: int):
+    """Stage: candidates among mobile voxels through a hashed grid, one lane after another."""
+    types = structs(precision)
+    mark, meet = mark_pair(precision), meets(precision)
 
     @inline
     def slot_of(data: types.Data, x: int, y: int):
@@ -142,16 +149,22 @@ def collect_grid(precision: str, width: int):
         return 0, -1, 0, -1
 
     @inline
-    def insert(data: types.Data, pack: int, k: int, unit: int, v: int, entries: int, margin: wp.float64):
-        """Enter a voxel into its cells; the number of entries after that."""
+    def enter(model: types.Model, data: types.Data, design: int, pack: int, k: int, unit: int, v: int, entries: int):
+        """Meet the voxels that have entered the cells of voxel v, then enter it; the number of entries after that."""
         n = int(entries)
-        x0, x1, y0, y1 = cells(data, pack, k, v, margin)
+        x0, x1, y0, y1 = cells(data, pack, k, v, model.margin)
         for y in range(y0, y1 + 1):
             for x in range(x0, x1 + 1):
+                slot = slot_of(data, x, y)
+                e = data.grid_head[unit, slot]
+                while e >= 0:
+                    w = data.grid_voxel[unit, e]
+                    if w != v and meet(data, pack, k, w, v, model.margin):
+                        mark(model, data, design, unit, w, v)
+                    e = data.grid_next[unit, e]
                 if n >= data.grid_next.shape[1]:
                     data.overflow[unit] = 1
                     return n
-                slot = slot_of(data, x, y)
                 data.grid_voxel[unit, n] = v
                 data.grid_next[unit, n] = data.grid_head[unit, slot]
                 data.grid_head[unit, slot] = n
@@ -159,48 +172,14 @@ def collect_grid(precision: str, width: int):
         return n
 
     @inline
-    def meets(data: types.Data, pack: int, k: int, i: int, j: int, m: wp.float64):
-        return (
-            data.box[pack, 4 * i, k] <= data.box[pack, 4 * j + 1, k] + m
-            and data.box[pack, 4 * j, k] <= data.box[pack, 4 * i + 1, k] + m
-            and data.box[pack, 4 * i + 2, k] <= data.box[pack, 4 * j + 3, k] + m
-            and data.box[pack, 4 * j + 2, k] <= data.box[pack, 4 * i + 3, k] + m
-        )
-
-    @inline
-    def mark(data: types.Data, pack: int, k: int, unit: int, v: int, words: int, margin: wp.float64):
-        """Set the bits of all pairs (w, v), w < v, that meet in this lane."""
-        x0, x1, y0, y1 = cells(data, pack, k, v, margin)
-        for y in range(y0, y1 + 1):
-            for x in range(x0, x1 + 1):
-                e = data.grid_head[unit, slot_of(data, x, y)]
-                while e >= 0:
-                    w = data.grid_voxel[unit, e]
-                    if w < v and meets(data, pack, k, w, v, margin):
-                        word = w * words + v // 32
-                        data.pair_bit[unit, word] = data.pair_bit[unit, word] | (1 << (v % 32))
-                    e = data.grid_next[unit, e]
-
-    @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
-        n = model.voxels[design]
-        words = (n + 31) // 32
-        for w in range(n * words):
-            data.pair_bit[unit, w] = 0
         lanes = int(width)
         for k in range(lane, lane + lanes):
             for slot in range(data.grid_head.shape[1]):
                 data.grid_head[unit, slot] = -1
             entries = int(0)
-            for v in range(n):
-                entries = insert(data, pack, k, unit, v, entries, model.margin)
-            for v in range(n):
-                mark(data, pack, k, unit, v, words, model.margin)
-        data.pair_count[unit] = 0
-        for i in range(n):
-            for j in range(i + 1, n):
-                if ((data.pair_bit[unit, i * words + j // 32] >> (j % 32)) & 1) == 1:
-                    add(model, data, design, unit, i, j)
+            for n in range(model.mobiles[design]):
+                entries = enter(model, data, design, pack, k, unit, model.mobile[design, n], entries)
 
     return stage
 
@@ -227,6 +206,82 @@ def lattice_range(precision: str):
         return 0, -1, 0, -1
 
     return span
+
+
+@functools.cache
+def mark_still(precision: str, width: int):
+    """Stage: candidates of mobile voxels and those that stand still, which the terrain lattice finds."""
+    types = structs(precision)
+    mark, meet, span = mark_pair(precision), meets(precision), lattice_range(precision)
+
+    @inline
+    def look(model: types.Model, data: types.Data, design: int, pack: int, k: int, unit: int, v: int):
+        x0, x1, y0, y1 = span(model, data, design, pack, k, v, model.margin)
+        for y in range(y0, y1 + 1):
+            for x in range(x0, x1 + 1):
+                w = model.still_at[design, y * model.terrain[design][0] + x]
+                if w >= 0 and meet(data, pack, k, w, v, model.margin):
+                    mark(model, data, design, unit, v, w)
+
+    @inline
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+        if model.mobiles[design] == model.voxels[design]:
+            return
+        lanes = int(width)
+        for n in range(model.mobiles[design]):
+            for k in range(lane, lane + lanes):
+                look(model, data, design, pack, k, unit, model.mobile[design, n])
+
+    return stage
+
+
+@functools.cache
+def list_pairs(precision: str, width: int):
+    """Stage: the marked candidates in ascending order, into ``pairs``."""
+    types, first, drop = structs(precision), lane_ops(precision, width).first, lane_ops(precision, width).drop
+
+    @wp.func
+    def shares(corners: wp.vec4i, p: int):
+        return corners[0] == p or corners[1] == p or corners[2] == p or corners[3] == p
+
+    @wp.func
+    def own_corners(mine: wp.vec4i, other: wp.vec4i):
+        """Bits of the corners that are not corners of the other voxel too."""
+        bits = int(0)
+        four = int(4)
+        for c in range(four):
+            if not shares(other, mine[c]):
+                bits = bits | (1 << c)
+        return bits
+
+    @inline
+    def add(model: types.Model, data: types.Data, design: int, unit: int, i: int, j: int):
+        n = data.pair_count[unit]
+        if n >= data.pairs.shape[1]:
+            data.overflow[unit] = 1
+            return
+        ci = model.corner[design, i]
+        cj = model.corner[design, j]
+        bits = own_corners(ci, cj)
+        if model.robot[design, i] >= 0 and model.body[design, i] == model.body[design, j]:
+            away = model.grid[design, i] - model.grid[design, j]
+            if wp.abs(away[0]) > 1 or wp.abs(away[1]) > 1:
+                bits = bits | DISTANT
+        data.pairs[unit, n] = wp.vec4i(i, j, bits, own_corners(cj, ci))
+        data.pair_count[unit] = n + 1
+
+    @inline
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+        data.pair_count[unit] = 0
+        words = (model.voxels[design] + 31) // 32
+        for word in range(model.voxels[design] * words):
+            bits = data.pair_bit[unit, word]
+            data.pair_bit[unit, word] = 0
+            while bits != 0:
+                add(model, data, design, unit, word // words, 32 * (word % words) + first(bits))
+                bits = drop(bits)
+
+    return stage
 
 
 @functools.cache
@@ -265,10 +320,11 @@ def collect_near(precision: str, width: int):
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         n = int(0)
-        for v in range(model.voxels[design]):
+        for m in range(model.mobiles[design]):
+            v = model.mobile[design, m]
             found = int(0)
             k = int(lane)
-            while model.still[design, v] == 0 and found == 0 and k < lane + width:
+            while found == 0 and k < lane + width:
                 found = touches(model, data, design, pack, k, v)
                 k += 1
             if found == 1:
@@ -282,20 +338,39 @@ def collect_near(precision: str, width: int):
 
 
 @functools.cache
+def collect_pairs(precision: str, width: int):
+    """Stage: the candidate pairs anew."""
+    types, enclose = structs(precision), voxel_box(precision, width)
+    by_grid, by_all, by_lattice, listed = (
+        build(precision, width) for build in (mark_grid, mark_all, mark_still, list_pairs)
+    )
+
+    @inline
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+        if model.mobiles[design] < model.voxels[design]:
+            for v in range(model.voxels[design]):
+                enclose(model, data, design, pack, lane, v)
+        if model.mobiles[design] >= GRID_FROM:
+            by_grid(model, data, design, pack, lane, unit, dt)
+        else:
+            by_all(model, data, design, pack, lane, unit, dt)
+        by_lattice(model, data, design, pack, lane, unit, dt)
+        listed(model, data, design, pack, lane, unit, dt)
+
+    return stage
+
+
+@functools.cache
 def collect(precision: str, width: int):
     """Stage: all candidates anew, once the old ones are worn out."""
     types = structs(precision)
-    by_grid, by_all = collect_grid(precision, width), collect_all(precision, width)
-    near = collect_near(precision, width)
+    pairs, near = collect_pairs(precision, width), collect_near(precision, width)
 
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         if data.drift[unit] + data.drift[unit] >= model.margin:
             data.overflow[unit] = 0
-            if model.voxels[design] >= GRID_FROM:
-                by_grid(model, data, design, pack, lane, unit, dt)
-            else:
-                by_all(model, data, design, pack, lane, unit, dt)
+            pairs(model, data, design, pack, lane, unit, dt)
             near(model, data, design, pack, lane, unit, dt)
             data.drift[unit] = wp.float64(0.0)
 
@@ -303,6 +378,6 @@ def collect(precision: str, width: int):
 
 
 def launch(state):
-    """Bounds of all surface voxels, and the candidates if the old ones are worn out."""
+    """Bounds of the mobile surface voxels, and the candidates if the old ones are worn out."""
     launch_stage(boxes, state)
     launch_stage(collect, state)

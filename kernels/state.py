@@ -1,9 +1,9 @@
 """What the kernels read and write: Model (topology, per design) and Data (state, per environment).
 
 The tables below say every array's type, shape and meaning once; structs and allocations follow from them. Shape
-symbols: ``design``; ``point, active, spring, rigid, voxel, robot, cell, action`` are capacities over the designs of a
-model; ``pack, lane`` number environments (see :mod:`warpvox.kernels.lanes`); ``unit`` is one thread's share of
-a pack; ``pair, entry, slot, word`` are capacities of the broad phase. ``2*`` rows hold x and y alternately.
+symbols: ``design``; ``point, active, spring, rigid, voxel, mobile, robot, cell, action`` are capacities over the
+designs of a model; ``pack, lane`` number environments (see :mod:`warpvox.kernels.lanes`); ``unit`` is one thread's
+share of a pack; ``pair, entry, slot, word`` are capacities of the broad phase. ``2*`` rows hold x and y alternately.
 """
 
 import functools
@@ -49,6 +49,9 @@ MODEL = {
     "robot": (int, "design voxel", "index of its robot, or -1"),
     "grid": (wp.vec2i, "design voxel", "column and row in its object"),
     "still": (int, "design voxel", "1: all four corners are fixed"),
+    "mobiles": (int, "design", "entries of `mobile` in use"),
+    "mobile": (int, "design mobile", "surface voxels that are not in `still_at`, in ascending order"),
+    "still_at": (int, "design cell", "the still surface voxel in a cell of the terrain lattice, or -1"),
     "fold_limit": (
         int,
         "design robot",

@@ -44,6 +44,7 @@ class Body:
     drives: dict[int, list[int]] = field(default_factory=dict)  # spring -> actions
     first_point: int = 0
     first_action: int = 0
+    loose: bool = False  # may begin an episode elsewhere
 
     @property
     def cells(self) -> list[tuple[int, int]]:
@@ -81,6 +82,8 @@ def compile_world(world: World, physics: Physics, loose: Sequence[str] = ()) -> 
     ordered = sorted(world.objects.values(), key=lambda o: (not o.is_robot, o.name))
     terrain = {o.name for o in ordered if o.is_static and o.name not in loose}
     bodies = [mesh(o, physics) for o in ordered if o.name not in terrain]
+    for body in bodies:
+        body.loose = body.name in loose
     if not bodies:
         raise SimulationError(
             "The world has nothing that can move: add a robot or an object with a cell that is not fixed."
@@ -214,6 +217,7 @@ def model_arrays(designs: list[Design]) -> tuple[dict[str, np.ndarray], dict[str
         "spring": "spring_rest",
         "rigid": "rigid_spring",
         "voxel": "side",
+        "mobile": "mobile",
         "robot": "fold_limit",
     }
     sizes = {symbol: max(len(part[name]) for part in parts) for symbol, name in count.items()}
@@ -226,7 +230,7 @@ def model_arrays(designs: list[Design]) -> tuple[dict[str, np.ndarray], dict[str
     for name, first in parts[0].items():
         values = [np.asarray(part[name]) for part in parts]
         shape = np.max([v.shape for v in values], axis=0) if first.ndim else ()
-        stacked = np.full((len(parts), *shape), -1 if name == "spring_drive" else 0, dtype=first.dtype)
+        stacked = np.full((len(parts), *shape), -1 if name in ("spring_drive", "still_at") else 0, dtype=first.dtype)
         for index, value in enumerate(values):
             stacked[(index, *(slice(n) for n in value.shape))] = value
         out[name] = stacked
@@ -259,6 +263,7 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
             robot.append(robots.index(body) if body in robots else -1)
             grid.append([cell[1], cell[0]])
             still.append(all(body.fixed[p] for p in body.corners[cell]))
+    still_at = _still_voxels(design, still, owner, grid)
     home = [value for body in bodies for point in body.points for value in point]
     lattice = _lattice(design)
     fixed = [f for body in bodies for f in body.fixed]
@@ -271,6 +276,7 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
         springs=len(ends),
         rigids=len(rigid),
         voxels=len(side),
+        mobiles=len(side) - np.count_nonzero(still_at >= 0),
         robots=len(robots),
         actions=sum(body.source.num_actuators for body in bodies),
     )
@@ -287,6 +293,8 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
         robot=robot,
         grid=np.reshape(grid, (-1, 2)),
         still=still,
+        mobile=np.setdiff1d(np.arange(len(still)), still_at),
+        still_at=still_at,
         fold_limit=[len(body.surface) for body in robots],
     )
     reals = dict(
@@ -300,6 +308,18 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
     out["terrain"] = np.array([design.world.width, design.world.height], dtype=np.int32)
     out["terrain_side"] = lattice[0]
     return out
+
+
+def _still_voxels(design: Design, still: list[bool], owner: list[int], grid: list[list[int]]) -> np.ndarray:
+    """For every cell of the terrain lattice the surface voxel that always stays there, or -1."""
+    width, height = design.world.width, design.world.height
+    at = np.full(width * height, -1)
+    for v, (column, row) in enumerate(grid):
+        body = design.bodies[owner[v]]
+        if still[v] and not body.loose:
+            source = body.source
+            at[(source.y + source.height - 1 - row) * width + source.x + column] = v
+    return at
 
 
 def _lattice(design: Design) -> tuple[np.ndarray, np.ndarray]:

@@ -88,7 +88,7 @@ def layout(designs: list[Design], index: list[int], physics: Physics, precision:
         pack_design += [design] * -(-len(members) // lanes)
     host, sizes = model_arrays(designs)
     units = lanes // width
-    sizes |= _capacities(sizes["voxel"]) | {
+    sizes |= _capacities(sizes["voxel"], sizes["mobile"]) | {
         "pack": len(pack_design),
         "lane": lanes,
         "unit": len(pack_design) * units,
@@ -97,6 +97,8 @@ def layout(designs: list[Design], index: list[int], physics: Physics, precision:
     model, data = allocate(MODEL, sizes, precision, device), allocate(DATA, sizes, precision, device)
     for name, values in host.items():
         if values.size:
+            vector = values.shape[len(model[name].shape) :]  # reshape, because assign would take any shape of that size
+            values = values.reshape(model[name].shape + vector)
             model[name].assign(values.astype(precision) if MODEL[name][0] is REAL else values)
     types = structs(precision)
     state = State(
@@ -120,13 +122,12 @@ def layout(designs: list[Design], index: list[int], physics: Physics, precision:
     return state
 
 
-def _capacities(voxels: int) -> dict[str, int]:
-    """Capacities of the broad phase for a number of surface voxels."""
-    if voxels < GRID_FROM:
-        return {"pair": voxels * (voxels - 1) // 2, "entry": 1, "slot": 1, "word": 1}
+def _capacities(voxels: int, mobiles: int) -> dict[str, int]:
+    """Capacities of the broad phase for a number of surface voxels, and of those that are mobile."""
+    gridded = mobiles if mobiles >= GRID_FROM else 0
     return {
-        "pair": PAIRS_PER_VOXEL * voxels,
-        "entry": ENTRIES_PER_VOXEL * voxels,
-        "slot": 1 << (2 * voxels - 1).bit_length(),
+        "pair": min(voxels * (voxels - 1) // 2, PAIRS_PER_VOXEL * voxels),
         "word": voxels * -(-voxels // 32),
+        "entry": ENTRIES_PER_VOXEL * gridded,
+        "slot": 1 << (2 * gridded).bit_length(),
     }

@@ -6,7 +6,15 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpvox.kernels.broadphase import GRID_FROM, boxes, collect_all, collect_grid, collect_near
+from warpvox.kernels.broadphase import (
+    GRID_FROM,
+    boxes,
+    collect_near,
+    collect_pairs,
+    list_pairs,
+    mark_all,
+    mark_grid,
+)
 from warpvox.kernels.launch import launch_stage
 from warpvox.layout import MARGIN
 from warpvox.sim import Simulation
@@ -52,8 +60,9 @@ def brute_force(sim, bounds):
     return {(i, j) for i, j in zip(*np.nonzero(meets.any(0)), strict=True) if i < j}
 
 
-def candidates(sim, build):
-    launch_stage(build, sim._state)
+def candidates(sim, *stages):
+    for build in (*stages, list_pairs):
+        launch_stage(build, sim._state)
     count = int(sim._state.arrays["pair_count"].numpy()[0])
     pairs = sim._state.arrays["pairs"].numpy()[0, :count, :2]
     return [(int(i), int(j)) for i, j in pairs]
@@ -66,7 +75,7 @@ def test_grid_and_brute_force_agree(sim, seed, spread):
     bounds = scatter(sim, seed, spread)
     assert bounds.shape[1] >= GRID_FROM
     expected = sorted(brute_force(sim, bounds))
-    for build in (collect_grid, collect_all):
+    for build in (mark_grid, mark_all):
         sim._state.arrays["overflow"].zero_()
         found = candidates(sim, build)
         if sim._state.arrays["overflow"].numpy()[0]:
@@ -96,7 +105,37 @@ def test_values_that_are_not_finite_are_no_candidates(sim):
     launch_stage(boxes, sim._state)
     clean = np.delete(np.arange(LANES), (3, 4))
     x = sim._state.arrays["box"].numpy()[0].reshape(-1, 4, LANES)[:, :, clean].transpose(2, 0, 1)
-    assert candidates(sim, collect_grid) == sorted(brute_force(sim, x))
+    assert candidates(sim, mark_grid) == sorted(brute_force(sim, x))
+
+
+def make_mixed():
+    """A robot above a body of soft and fixed cells: some voxels stand still, some share points with them."""
+    world = World(30, 12)
+    world.add_from_array("robot", np.full((3, 4), 3), 8, 6)
+    world.add_from_array("bridge", np.array([[5, 5, 2, 2, 2, 2, 5, 5, 5], [5, 0, 0, 2, 2, 0, 0, 0, 5]]), 5, 3)
+    return Simulation([world] * LANES, device="cpu", dtype="float64", lanes=LANES)
+
+
+@given(seed=st.integers(0, 10**6), spread=st.sampled_from([0.0, 0.01, 0.05, 0.2]))
+@settings(max_examples=25, deadline=None)
+def test_still_voxels_are_candidates_of_mobile_ones_only(seed, spread):
+    sim = MIXED
+    state, rng = sim._state, np.random.default_rng(seed)
+    home, free = state.arrays["home"].numpy()[0], np.repeat(state.arrays["fixed"].numpy()[0] == 0, 2)
+    pos = home[None, :, None] + free[None, :, None] * rng.normal(scale=spread, size=state.arrays["pos"].shape)
+    state.arrays["pos"].assign(pos)
+    launch_stage(boxes, state)
+    x, y = (pos[0, axis::2][state.arrays["corner"].numpy()[0]] for axis in (0, 1))
+    bounds = np.stack([x.min(1), x.max(1), y.min(1), y.max(1)], -1).transpose(1, 0, 2)
+    still = state.arrays["still"].numpy()[0]
+    assert 4 < still.sum() < len(still)
+    expected = sorted((i, j) for i, j in brute_force(sim, bounds) if not (still[i] and still[j]))
+    launch_stage(collect_pairs, state)
+    count = int(state.arrays["pair_count"].numpy()[0])
+    assert [tuple(p) for p in state.arrays["pairs"].numpy()[0, :count, :2].tolist()] == expected
+
+
+MIXED = make_mixed()
 
 
 @given(seed=st.integers(0, 10**6), drop=st.floats(-0.2, 0.6))
@@ -123,7 +162,7 @@ def test_candidates_know_their_shared_corners():
     world.add_from_array("robot", np.array([[3, 3], [3, 0]]), 1, 1)
     sim = Simulation([world], device="cpu", dtype="float64", lanes=1)
     launch_stage(boxes, sim._state)
-    launch_stage(collect_all, sim._state)
+    launch_stage(collect_pairs, sim._state)
     pairs = {tuple(p[:2]): (int(p[2]), int(p[3])) for p in sim._state.arrays["pairs"].numpy()[0]}
     # Corner bits: 1 top left, 2 top right, 4 bottom right, 8 bottom left.
     assert pairs[(0, 1)] == (1 | 8, 2 | 4)  # side by side: the outer corners are their own
