@@ -1,0 +1,483 @@
+"""The archive of a design search: one SQLite file that holds all that was tried and what became of it.
+
+Every change is a transaction, so that a process killed at any moment leaves a file that tells the truth, and other
+programs can read it while the search is running. The tables are described in ``docs/codesign.md``.
+
+The journal is SQLite's default, not WAL: an experiment then is a single file between two transactions, may be copied,
+and may lie on the shared disk of a cluster, where WAL does not work. Writing happens once an evaluation, so that its
+speed does not matter.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
+from warpvox.errors import RunError
+
+__all__ = ["FILE", "Archive", "Finished", "Record"]
+
+FILE = "archive.sqlite"
+"""The name of the archive in a run's folder."""
+
+APPLICATION = 0x77766F78
+"""SQLite's application id of our files: "wvox"."""
+VERSION = 1
+"""Of the tables below; a file of a later version is refused."""
+WAIT_SECONDS = 30.0
+"""How long to wait for a reader to finish."""
+
+TABLES = """
+CREATE TABLE experiment (
+    key TEXT PRIMARY KEY,
+    value TEXT NOT NULL                       -- JSON
+) WITHOUT ROWID;
+CREATE TABLE candidates (
+    id INTEGER PRIMARY KEY,                   -- in the order of proposal, from 0
+    generation INTEGER NOT NULL,              -- from 0
+    body TEXT NOT NULL,                       -- JSON, rows of cell types, the top row first
+    origin TEXT NOT NULL,                     -- how the search made it
+    seed INTEGER NOT NULL,                    -- of its training
+    fitness REAL,                             -- best deterministic return; NULL until it is evaluated
+    steps INTEGER,                            -- control steps spent on it
+    stopped INTEGER,                          -- 1: training ended early for want of promise
+    reused INTEGER REFERENCES candidates(id), -- the candidate with the same body whose evaluation this is
+    policy TEXT,                              -- file of the policy, relative to the archive
+    policy_sha256 TEXT,                       -- of its tensors
+    proposed_at TEXT NOT NULL,                -- UTC
+    finished_at TEXT,
+    seconds REAL                              -- wall time of the batch that it was evaluated in
+);
+CREATE INDEX candidates_by_generation ON candidates(generation);
+CREATE INDEX candidates_by_body ON candidates(body);
+CREATE TABLE parents (
+    child INTEGER NOT NULL REFERENCES candidates(id),
+    position INTEGER NOT NULL,
+    parent INTEGER NOT NULL REFERENCES candidates(id),
+    PRIMARY KEY (child, position)
+) WITHOUT ROWID;
+CREATE TABLE curves (                         -- the learning curve: evaluations during training
+    candidate INTEGER NOT NULL REFERENCES candidates(id),
+    position INTEGER NOT NULL,
+    steps INTEGER NOT NULL,                   -- control steps of training before it
+    value REAL NOT NULL,                      -- deterministic return
+    PRIMARY KEY (candidate, position)
+) WITHOUT ROWID;
+CREATE VIEW generations AS
+    SELECT generation, COUNT(*) AS designs, COUNT(fitness) AS evaluated, MAX(fitness) AS best, AVG(fitness) AS mean,
+           MIN(fitness) AS worst, SUM(steps) AS steps
+    FROM candidates GROUP BY generation;
+"""
+NAMES = ("experiment", "candidates", "parents", "curves", "generations")
+
+
+@dataclass(frozen=True)
+class Record:
+    """A row of the archive: a candidate and, once it is evaluated, what became of it.
+
+    ``fitness`` and what follows are None until then; ``reused`` is the id of the candidate with an equal body whose
+    evaluation this is; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time of the batch
+    that it was evaluated in.
+    """
+
+    candidate: Candidate
+    seed: int
+    fitness: float | None = None
+    steps: int | None = None
+    stopped: bool | None = None
+    reused: int | None = None
+    policy: str | None = None
+    policy_sha256: str | None = None
+    seconds: float | None = None
+    curve: list[tuple[int, float]] = field(default_factory=list)
+
+    @property
+    def id(self) -> int:
+        """Of the candidate."""
+        return self.candidate.id
+
+
+@dataclass(frozen=True)
+class Finished:
+    """An evaluation to be written down; ``policy`` and ``policy_sha256`` as in :class:`Record`."""
+
+    id: int
+    outcome: Outcome
+    policy: str | None = None
+    policy_sha256: str | None = None
+    reused: int | None = None
+
+
+class Archive:
+    """Reads and writes the file of one experiment; a context manager that closes it.
+
+    Make one with :meth:`create`, :meth:`open` or :meth:`read`. Only one process at a time may write.
+    """
+
+    def __init__(self, path: Path, db: sqlite3.Connection, lock: sqlite3.Connection | None) -> None:
+        self.path = path
+        self._db, self._lock = db, lock
+
+    # ------------------------------------------------------------------------------------------ opening
+
+    @classmethod
+    def create(cls, path: Path, settings: Mapping[str, Any]) -> Archive:
+        """A new archive at ``path`` for writing.
+
+        Args:
+            settings: all that the results follow from, as JSON can hold it.
+
+        Raises:
+            RunError: something stands there already, or the file cannot be written.
+        """
+        if path.exists():
+            raise RunError(f"{path} exists already: an archive is never overwritten.")
+        lock = _take(path)
+        try:
+            db = _connect(path, "rwc")
+            with _transaction(db):
+                for statement in TABLES.split(";\n"):
+                    if statement.strip():
+                        db.execute(statement)
+                rows = {"settings": dict(settings), "created_at": _now()}
+                db.executemany("INSERT INTO experiment VALUES (?, ?)", [(k, json.dumps(v)) for k, v in rows.items()])
+                # inside the transaction: a file with our mark has all tables
+                db.execute(f"PRAGMA application_id = {APPLICATION}")
+                db.execute(f"PRAGMA user_version = {VERSION}")
+        except sqlite3.Error as error:
+            lock.close()
+            raise RunError(f"The archive {path} cannot be written: {error}.") from None
+        return cls(path, db, lock)
+
+    @classmethod
+    def open(cls, path: Path) -> Archive:
+        """The archive at ``path`` for writing.
+
+        Raises:
+            RunError: no archive, a damaged or foreign one, or another process is writing it.
+        """
+        _check_exists(path)
+        lock = _take(path)
+        try:
+            return cls(path, _checked(path), lock)
+        except RunError:
+            lock.close()
+            raise
+
+    @classmethod
+    def read(cls, path: Path) -> Archive:
+        """The archive at ``path`` for reading, also while another process is writing it.
+
+        Raises:
+            RunError: no archive, or a damaged or foreign one.
+        """
+        _check_exists(path)
+        db = _checked(path)
+        db.execute("PRAGMA query_only = ON")
+        return cls(path, db, None)
+
+    def close(self) -> None:
+        """Close the file; the object is of no use afterwards."""
+        self._db.close()
+        if self._lock is not None:
+            self._lock.close()
+
+    def __enter__(self) -> Archive:
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    # ------------------------------------------------------------------------------------------ writing
+
+    def propose(self, candidates: Sequence[Candidate], seed: int) -> None:
+        """Write down candidates that are about to be evaluated, all or none.
+
+        Args:
+            seed: of the experiment; those of the candidates follow from it.
+
+        Raises:
+            RunError: an id that is not the next one, a parent that is not known, or the file cannot be written.
+        """
+        known = self.count()
+        for expected, candidate in enumerate(candidates, start=known):
+            if candidate.id != expected:
+                raise RunError(f"The next candidate must have the id {expected}, got {candidate.id}.")
+            if any(not 0 <= parent < candidate.id for parent in candidate.parents):
+                raise RunError(f"Candidate {candidate.id} must descend from earlier ones, got {candidate.parents}.")
+        with self._writing() as db:
+            for item in candidates:
+                db.execute(
+                    "INSERT INTO candidates (id, generation, body, origin, seed, proposed_at) VALUES (?,?,?,?,?,?)",
+                    (
+                        item.id,
+                        item.generation,
+                        body_text(item.body),
+                        item.origin,
+                        candidate_seed(seed, item.id),
+                        _now(),
+                    ),
+                )
+                pairs = [(item.id, position, int(parent)) for position, parent in enumerate(item.parents)]
+                db.executemany("INSERT INTO parents VALUES (?,?,?)", pairs)
+
+    def finish(self, results: Iterable[Finished], seconds: float = 0.0) -> None:
+        """Write down evaluations, all or none.
+
+        Args:
+            seconds: wall time of the batch.
+
+        Raises:
+            RunError: no such candidate, one that is evaluated already, a fitness or a value of the learning curve that
+                is not a number, or the file cannot be written.
+        """
+        with self._writing() as db:
+            for result in results:
+                self._finish(db, result, seconds)
+
+    def _finish(self, db: sqlite3.Connection, result: Finished, seconds: float) -> None:
+        outcome = result.outcome
+        if any(math.isnan(value) for value in (outcome.fitness, *(value for _, value in outcome.curve))):
+            raise RunError(f"The evaluation of candidate {result.id} gave no number: {outcome.fitness}.")
+        values = (
+            float(outcome.fitness),
+            int(outcome.steps),
+            int(outcome.stopped),
+            result.reused,
+            result.policy,
+            result.policy_sha256,
+            _now(),
+            seconds,
+            result.id,
+        )
+        changed = db.execute(
+            "UPDATE candidates SET fitness=?, steps=?, stopped=?, reused=?, policy=?, policy_sha256=?, finished_at=?,"
+            " seconds=? WHERE id=? AND fitness IS NULL",
+            values,
+        ).rowcount
+        if changed != 1:
+            raise RunError(f"There is no candidate {result.id} that waits for its evaluation.")
+        rows = [(result.id, k, int(steps), float(value)) for k, (steps, value) in enumerate(outcome.curve)]
+        db.executemany("INSERT INTO curves VALUES (?,?,?,?)", rows)
+
+    @contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        if self._lock is None:
+            raise RunError(f"The archive {self.path} was opened for reading.")
+        try:
+            with _transaction(self._db):
+                yield self._db
+        except sqlite3.Error as error:
+            raise RunError(f"The archive {self.path} cannot be written: {error}.") from None
+
+    # ------------------------------------------------------------------------------------------ reading
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What :meth:`create` was given."""
+        return self._experiment("settings")
+
+    @property
+    def created_at(self) -> str:
+        """UTC, as ISO 8601."""
+        return self._experiment("created_at")
+
+    def _experiment(self, key: str) -> Any:
+        return json.loads(self._db.execute("SELECT value FROM experiment WHERE key=?", (key,)).fetchone()[0])
+
+    def count(self) -> int:
+        """Candidates so far, evaluated or not."""
+        return self._db.execute("SELECT COUNT(*) FROM candidates").fetchone()[0]
+
+    def trained(self) -> int:
+        """Designs that were trained: evaluations that are not those of an equal body."""
+        query = "SELECT COUNT(*) FROM candidates WHERE fitness IS NOT NULL AND reused IS NULL"
+        return self._db.execute(query).fetchone()[0]
+
+    def generations(self) -> list[dict[str, Any]]:
+        """A row a generation: generation, designs, evaluated, best, mean, worst, steps."""
+        cursor = self._db.execute("SELECT * FROM generations ORDER BY generation")
+        names = [column[0] for column in cursor.description]
+        return [dict(zip(names, row, strict=True)) for row in cursor]
+
+    def records(self, generation: int | None = None) -> list[Record]:
+        """All candidates, or those of a generation, by id."""
+        if generation is None:
+            return self._records("")
+        return self._records("WHERE generation = ?", generation)
+
+    def record(self, number: int) -> Record:
+        """One candidate.
+
+        Raises:
+            RunError: there is none with this id.
+        """
+        found = self._records("WHERE id = ?", number)
+        if not found:
+            raise RunError(f"{self.path} has no candidate {number}; there are {self.count()}, from 0.")
+        return found[0]
+
+    def best(self, count: int = 1, generation: int | None = None) -> list[Record]:
+        """The evaluated designs of highest fitness (of one generation), equal bodies once, ties to the earlier."""
+        where, values = ("AND generation = ?", (generation,)) if generation is not None else ("", ())
+        query = f"""WHERE id IN (
+            SELECT id FROM (
+                SELECT id, fitness, ROW_NUMBER() OVER (PARTITION BY body ORDER BY fitness DESC, id) AS place
+                FROM candidates WHERE fitness IS NOT NULL {where})
+            WHERE place = 1 ORDER BY fitness DESC, id LIMIT ?)"""
+        return sorted(self._records(query, *values, count), key=lambda record: (-record.fitness, record.id))
+
+    def lineage(self, number: int) -> list[Record]:
+        """A candidate and all that it descends from, by id."""
+        query = """WHERE id IN (
+            WITH RECURSIVE line(id) AS (
+                VALUES (?) UNION SELECT parent FROM parents JOIN line ON parents.child = line.id)
+            SELECT id FROM line)"""
+        return self._records(query, number)
+
+    def _records(self, where: str, *values: object) -> list[Record]:
+        ids = f"SELECT id FROM candidates {where}"
+        parents, curves = {}, {}
+        # one transaction, so that a writer cannot change the tables between the queries
+        with _transaction(self._db, "DEFERRED"):
+            for child, parent in self._db.execute(
+                f"SELECT child, parent FROM parents WHERE child IN ({ids}) ORDER BY child, position", values
+            ):
+                parents.setdefault(child, []).append(parent)
+            for number, steps, value in self._db.execute(
+                f"SELECT candidate, steps, value FROM curves WHERE candidate IN ({ids}) ORDER BY candidate, position",
+                values,
+            ):
+                curves.setdefault(number, []).append((steps, value))
+            rows = self._db.execute(
+                "SELECT id, generation, body, origin, seed, fitness, steps, stopped, reused, policy, policy_sha256,"
+                f" seconds FROM candidates {where} ORDER BY id",
+                values,
+            ).fetchall()
+        return [
+            Record(
+                Candidate(row[0], body_of(row[2]), tuple(parents.get(row[0], ())), row[3], row[1]),
+                seed=row[4],
+                fitness=row[5],
+                steps=row[6],
+                stopped=None if row[7] is None else bool(row[7]),
+                reused=row[8],
+                policy=row[9],
+                policy_sha256=row[10],
+                seconds=row[11],
+                curve=curves.get(row[0], []),
+            )
+            for row in rows
+        ]
+
+    def digest(self) -> str:
+        """SHA-256 of everything but dates and durations: equal for equal experiments."""
+        total = hashlib.sha256(json.dumps(self.settings, sort_keys=True).encode())
+        for record in self.records():
+            item = record.candidate
+            row = [item.id, item.generation, body_text(item.body), item.parents, item.origin, record.seed]
+            row += [record.fitness, record.steps, record.stopped, record.reused, record.policy]
+            total.update(json.dumps([*row, record.policy_sha256, record.curve]).encode())
+        return total.hexdigest()
+
+
+def body_text(body: np.ndarray) -> str:
+    """A body as it stands in the archive: JSON without blanks."""
+    return json.dumps(np.asarray(body).tolist(), separators=(",", ":"))
+
+
+def body_of(text: str) -> np.ndarray:
+    """The body, int8 ``[rows, columns]``, of its text."""
+    return np.array(json.loads(text), dtype=np.int8)
+
+
+def _now() -> str:
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+
+
+@contextmanager
+def _transaction(db: sqlite3.Connection, kind: str = "IMMEDIATE") -> Iterator[None]:
+    db.execute(f"BEGIN {kind}")
+    try:
+        yield
+    except BaseException:
+        if db.in_transaction:  # SQLite has rolled back by itself where, say, the disk is full
+            db.execute("ROLLBACK")
+        raise
+    db.execute("COMMIT")
+
+
+def _connect(path: Path, mode: str, wait: float = WAIT_SECONDS) -> sqlite3.Connection:
+    # transactions are opened by hand: isolation_level=None turns the module's own off
+    return sqlite3.connect(
+        f"{path.resolve().as_uri()}?mode={mode}", uri=True, timeout=wait, isolation_level=None, check_same_thread=False
+    )
+
+
+def _take(path: Path) -> sqlite3.Connection:
+    """The right to write: an exclusive transaction on a file of its own, which ends with the process that holds it."""
+    lock = path.with_name(path.name + ".lock")
+    db = None
+    try:
+        db = _connect(lock, "rwc", wait=0)
+        db.execute("PRAGMA journal_mode = MEMORY")  # nothing is ever written that would need another file
+        db.execute("BEGIN EXCLUSIVE")
+    except sqlite3.Error as error:
+        if db is not None:
+            db.close()
+        if "locked" in str(error):
+            raise RunError(f"Another process is writing {path}; there can be one at a time.") from None
+        raise RunError(f"The archive {path} cannot be written: {error}.") from None
+    return db
+
+
+def _check_exists(path: Path) -> None:
+    if not path.is_file():
+        raise RunError(f"There is no archive at {path}.")
+
+
+def _checked(path: Path) -> sqlite3.Connection:
+    """A connection to a file that is an archive and not damaged.
+
+    Raises:
+        RunError: it is not.
+    """
+    db = None
+    try:
+        # Writable also for reading: SQLite then undoes what a killed process has left half written.
+        db = _connect(path, "rw")
+        application = db.execute("PRAGMA application_id").fetchone()[0]
+        version = db.execute("PRAGMA user_version").fetchone()[0]
+        reason = _objection(db, application, version)
+    except sqlite3.Error as error:
+        reason = f"is damaged or no SQLite file ({error})"
+    if reason is not None:
+        if db is not None:
+            db.close()
+        raise RunError(f"{path} {reason}.")
+    return db
+
+
+def _objection(db: sqlite3.Connection, application: int, version: int) -> str | None:
+    if application != APPLICATION:
+        return "is an SQLite file, but no archive of warpvox"
+    if version > VERSION:
+        return f"is an archive of version {version}; this warpvox reads up to {VERSION}: install a newer one"
+    state = db.execute("PRAGMA quick_check").fetchone()[0]
+    if state != "ok":
+        return f"is damaged ({' '.join(state.split())})"
+    have = {name for (name,) in db.execute("SELECT name FROM sqlite_master")}
+    missing = [name for name in NAMES if name not in have]
+    return f"is damaged: it lacks the table {missing[0]}" if missing else None

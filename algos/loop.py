@@ -1,0 +1,207 @@
+"""The co-design loop: a search proposes designs, an executor trains and judges them, the archive remembers.
+
+A search is a function of its settings, its seed and the fitness it has been told, and a training one of the seed of
+its candidate. So an experiment goes on from its archive as if nothing had happened: the search is told again what it
+was told before, and what had not been evaluated is evaluated.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from warpvox.algos.archive import Archive, Finished, Record, body_text
+from warpvox.algos.candidate import Candidate, Outcome, Search
+from warpvox.algos.executors import Executor, batches
+from warpvox.algos.interrupt import Interrupt, deferred_interrupts
+from warpvox.errors import RunError
+
+__all__ = ["Listener", "Loop", "PolicyStore"]
+
+
+class PolicyStore(Protocol):
+    """Keeps policies; see :class:`warpvox.algos.policies.Policies`."""
+
+    def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
+        """Write a policy down; returns where, and the SHA-256 of its content."""
+
+    def load(self, path: str) -> dict[str, Any]:
+        """The policy that :meth:`save` wrote there."""
+
+
+class Listener:
+    """Is told what the loop does; the methods of this one do nothing."""
+
+    def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
+        """``waiting`` of the ``total`` candidates of a generation are going to be trained."""
+
+    def progress(self, event: dict[str, Any]) -> None:
+        """What an evaluator reports of a training."""
+
+    def finished(self, records: Sequence[Record]) -> None:
+        """These candidates are evaluated and written down."""
+
+    def told(self, generation: int, fresh: bool) -> None:
+        """The search has learned from a generation; not ``fresh``: it had been complete before this run."""
+
+
+class Loop:
+    """Runs a search to its end, or until it is interrupted.
+
+    Args:
+        search: must not have been asked yet.
+        executor: trains and judges.
+        archive: new or of an experiment to go on with; open for writing.
+        seed: of the experiment.
+        policies: where policies go; None: they are not kept.
+        batch: designs trained together; None: all of a generation.
+        reuse: a body that was evaluated before is not trained again.
+        inherit: a training starts from the policies of the parents.
+        listener: is told what happens.
+    """
+
+    def __init__(
+        self,
+        search: Search,
+        executor: Executor,
+        archive: Archive,
+        *,
+        seed: int,
+        policies: PolicyStore | None = None,
+        batch: int | None = None,
+        reuse: bool = True,
+        inherit: bool = False,
+        listener: Listener | None = None,
+    ) -> None:
+        self.search, self.executor, self.archive = search, executor, archive
+        self.seed, self.batch, self.reuse, self.inherit = seed, batch, reuse, inherit
+        self.policies = policies
+        self.listener = listener or Listener()
+        self.generation = 0
+
+    def run(self) -> None:
+        """Go on until the search has spent its evaluations.
+
+        The first interrupt waits until the evaluation has come to a point at which it can be left.
+
+        Raises:
+            KeyboardInterrupt: interrupted; all that was finished is in the archive.
+            RunError: the archive is not one of this search, or an evaluation has failed.
+        """
+        with deferred_interrupts() as interrupt:
+            while True:
+                asked = self.search.ask()
+                if not asked:
+                    return
+                known = self.archive.records(self.generation)
+                if known:
+                    _check_same(asked, known)
+                else:
+                    self._check_new(asked)
+                    self.archive.propose(asked, self.seed)
+                fresh = self._evaluate(asked, interrupt)
+                self.search.tell([record.fitness for record in self.archive.records(self.generation)])
+                self.listener.told(self.generation, fresh)
+                self.generation += 1
+                if interrupt:
+                    raise KeyboardInterrupt
+
+    # ------------------------------------------------------------------------------------------ a generation
+
+    def _check_new(self, asked: Sequence[Candidate]) -> None:
+        if any(candidate.generation != self.generation for candidate in asked):
+            wrong = next(candidate for candidate in asked if candidate.generation != self.generation)
+            raise RunError(f"Candidate {wrong.id} belongs to generation {self.generation}, not {wrong.generation}.")
+
+    def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> bool:
+        """Evaluate what is still waiting; returns whether there was anything."""
+        done = {record.id for record in self.archive.records(self.generation) if record.fitness is not None}
+        if len(done) == len(asked):
+            return False
+        originals = self._originals(asked)
+        # batches are cut before what is done is left out: a resumed generation trains the same designs together
+        work = batches([candidate for candidate in asked if candidate.id not in originals], self.batch)
+        work = [batch for batch in work if any(candidate.id not in done for candidate in batch)]
+        waiting = [candidate for batch in work for candidate in batch]
+        self.listener.proposed(self.generation, waiting, len(asked))
+        self._train(work, interrupt)
+        copies = [
+            self._copy(candidate, originals[candidate.id])
+            for candidate in asked
+            if candidate.id in originals and candidate.id not in done
+        ]
+        self.archive.finish(copies)
+        self.listener.finished([self.archive.record(copy.id) for copy in copies])
+        return True
+
+    def _originals(self, asked: Sequence[Candidate]) -> dict[int, int]:
+        """The candidates whose body was proposed before, with the id of the first that had it."""
+        if not self.reuse:
+            return {}
+        first: dict[str, int] = {}
+        for record in self.archive.records():
+            if record.candidate.generation < self.generation:
+                first.setdefault(body_text(record.candidate.body), record.id)
+        originals = {}
+        for candidate in asked:
+            original = first.setdefault(body_text(candidate.body), candidate.id)
+            if original != candidate.id:
+                originals[candidate.id] = original
+        return originals
+
+    def _copy(self, candidate: Candidate, original: int) -> Finished:
+        record = self.archive.record(original)
+        # nothing was spent: the sum of all steps is what the experiment has cost
+        outcome = Outcome(record.fitness, steps=0, stopped=record.stopped)
+        return Finished(candidate.id, outcome, record.policy, record.policy_sha256, reused=original)
+
+    def _train(self, work: Sequence[Sequence[Candidate]], interrupt: Interrupt) -> None:
+        def report(event: dict[str, Any]) -> None:
+            self.listener.progress(event)
+            if interrupt:
+                raise KeyboardInterrupt
+
+        began = time.perf_counter()
+        for place, outcomes in self.executor.run(work, self._parents(work), report):
+            batch = work[place]
+            if len(outcomes) != len(batch):
+                raise RunError(f"The evaluator gave {len(outcomes)} outcomes for {len(batch)} candidates.")
+            results = [self._finished(*pair) for pair in zip(batch, outcomes, strict=True)]
+            now = time.perf_counter()
+            self.archive.finish(results, seconds=now - began)
+            began = now
+            self.listener.finished([self.archive.record(result.id) for result in results])
+            if interrupt:
+                raise KeyboardInterrupt
+
+    def _finished(self, candidate: Candidate, outcome: Outcome) -> Finished:
+        """An outcome whose policy is on the disk: the archive never names a file that is not there."""
+        if self.policies is None or outcome.policy is None:
+            return Finished(candidate.id, outcome)
+        return Finished(candidate.id, outcome, *self.policies.save(candidate, outcome))
+
+    def _parents(self, work: Sequence[Sequence[Candidate]]) -> dict[int, dict[str, Any]]:
+        if not self.inherit or self.policies is None:
+            return {}
+        wanted = sorted({parent for batch in work for candidate in batch for parent in candidate.parents})
+        records = (self.archive.record(parent) for parent in wanted)
+        return {record.id: self.policies.load(record.policy) for record in records if record.policy is not None}
+
+
+def _check_same(asked: Sequence[Candidate], known: Sequence[Record]) -> None:
+    """Raise RunError unless the search proposes again what it has proposed before."""
+    same = len(asked) == len(known) and all(
+        candidate.id == record.id
+        and np.array_equal(candidate.body, record.candidate.body)
+        and tuple(candidate.parents) == record.candidate.parents
+        and candidate.origin == record.candidate.origin
+        for candidate, record in zip(asked, known, strict=False)
+    )
+    if not same:
+        raise RunError(
+            f"The search now proposes other designs for generation {known[0].candidate.generation} than the archive"
+            " holds: it was made by another version of warpvox or of the library that the search uses."
+        )

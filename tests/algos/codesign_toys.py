@@ -1,0 +1,123 @@
+"""A search, an evaluator and a store that are cheap and exact: for tests of the loop and the archive.
+
+Run as a program it makes an experiment in a folder: ``python codesign_toys.py FOLDER [SECONDS]`` with SECONDS for
+an evaluation; it goes on if the folder holds one.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpvox.algos.archive import FILE, Archive
+from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
+from warpvox.algos.executors import LocalExecutor
+from warpvox.algos.loop import Loop
+from warpvox.design import sample_design
+from warpvox.files import write_text
+
+SEED = 5
+POPULATION, GENERATIONS = 6, 5
+
+
+class ToySearch:
+    """Random bodies at first, then mutants of the two best and, as the last of a generation, an old body again."""
+
+    def __init__(self, seed: int = SEED, population: int = POPULATION, generations: int = GENERATIONS) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.population, self.generations = population, generations
+        self.all: list[tuple[float, Candidate]] = []
+        self.asked: list[Candidate] = []
+        self.generation = 0
+
+    def ask(self) -> list[Candidate]:
+        if self.generation == self.generations:
+            return []
+        start, ranked = len(self.all), sorted(self.all, key=lambda pair: (-pair[0], pair[1].id))
+        self.asked = []
+        for number in range(start, start + self.population):
+            parent = ranked[int(self.rng.integers(2))][1] if ranked else None
+            body, parents, origin = sample_design((3, 3), self.rng), (), "random"
+            if parent is not None and number == start + self.population - 1:
+                body, parents, origin = parent.body, (parent.id,), "copy"
+            elif parent is not None:
+                body, parents, origin = self._mutant(parent.body), (parent.id,), "mutation"
+            self.asked.append(Candidate(number, body, parents, origin, self.generation))
+        return self.asked
+
+    def tell(self, fitness: Sequence[float]) -> None:
+        self.all += zip(fitness, self.asked, strict=True)
+        self.generation += 1
+
+    def _mutant(self, body: np.ndarray) -> np.ndarray:
+        changed = body.copy()
+        free = np.argwhere(changed == 0)
+        place = tuple(free[self.rng.integers(len(free))]) if len(free) else (0, 0)
+        changed[place] = 3
+        return changed if np.count_nonzero(changed) == 9 else sample_design((3, 3), self.rng)
+
+
+class ToyEvaluator:
+    """Fitness from the body, the candidate's seed and its parents' policies; each design takes ``seconds``."""
+
+    def __init__(self, seconds: float = 0.0, seed: int = SEED) -> None:
+        self.seconds, self.seed = seconds, seed
+        self.trained: list[int] = []
+
+    def evaluate(
+        self,
+        candidates: Sequence[Candidate],
+        parents: Mapping[int, dict[str, Any]],
+        report: Callable[[dict[str, Any]], None] | None = None,
+    ) -> list[Outcome]:
+        outcomes = []
+        for candidate in candidates:
+            time.sleep(self.seconds)
+            rng = np.random.default_rng(candidate_seed(self.seed, candidate.id))
+            inherited = sum(parents[parent]["gain"] for parent in candidate.parents if parent in parents)
+            curve = [(100 * k, float(v)) for k, v in enumerate(np.sort(rng.random(3)) + int(candidate.body.sum()), 1)]
+            policy = {"gain": float(rng.random()) + 0.5 * inherited}
+            self.trained.append(candidate.id)
+            outcomes.append(Outcome(curve[-1][1] + policy["gain"], curve, 300, policy, bool(rng.random() < 0.2)))
+            if report is not None:
+                report({"id": candidate.id})
+        return outcomes
+
+
+class ToyStore:
+    """Policies as JSON files."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
+        path = f"policies/{candidate.id}.json"
+        write_text(self.folder / path, json.dumps(outcome.policy))
+        return path, f"{outcome.policy['gain']!r}"
+
+    def load(self, path: str) -> dict[str, Any]:
+        return json.loads((self.folder / path).read_text())
+
+
+def make_loop(folder: Path, seconds: float = 0.0, **changes: Any) -> Loop:
+    """A loop over the toys with its archive in ``folder``, new or one to go on with."""
+    folder.mkdir(exist_ok=True)
+    path = folder / FILE
+    archive = Archive.open(path) if path.exists() else Archive.create(path, {"seed": SEED})
+    options = dict(seed=SEED, policies=ToyStore(folder), batch=1, inherit=True) | changes
+    search = options.pop("search", None) or ToySearch()
+    executor = options.pop("executor", None) or LocalExecutor(ToyEvaluator(seconds))
+    return Loop(search, executor, archive, **options)
+
+
+if __name__ == "__main__":
+    loop = make_loop(Path(sys.argv[1]), float(sys.argv[2]) if len(sys.argv) > 2 else 0.0)
+    print("begun", flush=True)
+    loop.run()
+    loop.archive.close()
