@@ -4,13 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from warpvox.design import Design
 
-__all__ = ["Candidate", "DesignEvaluator", "Outcome", "Search", "candidate_seed"]
+__all__ = ["PROGRESS", "Candidate", "DesignEvaluator", "Outcome", "Search", "candidate_seed"]
+
+PROGRESS = {
+    "iteration": "training iterations done",
+    "iterations": "training iterations in all",
+    "steps": "control steps of training so far, over all candidates",
+    "best": "list, by candidate: the best deterministic return so far, NaN before the first evaluation",
+    "training": "list, by candidate: whether it is still being trained",
+}
+"""What an evaluation reports while it is under way: keys and meanings."""
 
 
 def candidate_seed(seed: int, number: int) -> int:
@@ -71,8 +81,21 @@ class DesignEvaluator(Protocol):
         candidates: Sequence[Candidate],
         parents: Mapping[int, dict[str, Any]],
         report: Callable[[dict[str, Any]], None] | None = None,
+        checkpoint: Path | None = None,
     ) -> list[Outcome]:
-        """Outcomes in the order of the candidates; a candidate's randomness follows from the seed and its id.
+        """Outcomes in the order of the candidates.
 
-        ``parents`` holds policies to start from, by the id of a parent. ``report`` is told of progress.
+        A candidate's outcome follows from the seed of the experiment, its id, its body and the policy it starts
+        from; which others are evaluated with it does not matter (unless hopeless ones are stopped early, which
+        is a race among them).
+
+        Args:
+            candidates: what to evaluate.
+            parents: policies to start from, by the id of a parent.
+            report: told of progress now and then, with keys of :data:`PROGRESS`.
+            checkpoint: a file that training is saved to now and then, and goes on from if it exists; the outcomes
+                are those of an undisturbed evaluation. Whoever has stored the outcomes removes it.
+
+        Raises:
+            RunError: the checkpoint is that of other candidates or settings.
         """

@@ -25,6 +25,7 @@ __all__ = [
     "PlayConfig",
     "PpoConfig",
     "TrainConfig",
+    "TrainingConfig",
 ]
 
 MISSING: Any = "???"
@@ -151,6 +152,28 @@ class TrainConfig:
     name: str | None = key(None, "appended to the name of the run's folder")
     output_dir: str = key("outputs", "folder that runs are written to")
     physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the dynamics")
+    ppo: PpoConfig = key(PpoConfig, "training method")
+
+
+@dataclass
+class TrainingConfig:
+    """Keys ``training.*``: how a design search finds out what a design is worth."""
+
+    method: str = key(
+        "population",
+        "population: all designs of a generation side by side in one batch; sequential: one after another",
+        choices=("population", "sequential"),
+    )
+    envs: int = key(MISSING, "environments of a design", low=1)
+    iterations: int = key(MISSING, "training iterations of a design", low=1)
+    eval_interval: int = key(MISSING, "iterations between deterministic evaluations; the best is the fitness", low=1)
+    eval_envs: int = key(1, "environments of an evaluation, for each design", low=1)
+    save_interval: int = key(50, "iterations between checkpoints of an evaluation under way", low=1)
+    inherit: bool = key(False, "a child's training starts from the policy of its best parent")
+    rungs: list[float] = key(
+        [], "shares of the iterations after which the least promising designs are stopped: [0.2,0.5]", above=0, high=1
+    )
+    keep: float = key(0.5, "share of the designs in training that goes on after a rung", above=0, high=1)
     ppo: PpoConfig = key(PpoConfig, "training method")
 
 
