@@ -11,7 +11,7 @@ import numpy as np
 
 from warpvox.design import Design
 
-__all__ = ["PROGRESS", "Candidate", "DesignEvaluator", "Outcome", "Search", "candidate_seed"]
+__all__ = ["PROGRESS", "Candidate", "DesignEvaluator", "Outcome", "Parent", "Search", "candidate_seed"]
 
 PROGRESS = {
     "iteration": "training iterations done",
@@ -63,6 +63,15 @@ class Outcome:
     stopped: bool = False
 
 
+@dataclass(frozen=True)
+class Parent:
+    """What a child can inherit: ``body``, ``policy`` and ``fitness`` of a candidate that has an outcome."""
+
+    body: Design
+    policy: dict[str, Any]
+    fitness: float
+
+
 class Search(Protocol):
     """Proposes designs and learns from their fitness; never simulates. Same seed and same fitness: same proposals."""
 
@@ -79,7 +88,7 @@ class DesignEvaluator(Protocol):
     def evaluate(
         self,
         candidates: Sequence[Candidate],
-        parents: Mapping[int, dict[str, Any]],
+        parents: Mapping[int, Parent],
         report: Callable[[dict[str, Any]], None] | None = None,
         checkpoint: Path | None = None,
     ) -> list[Outcome]:
@@ -91,7 +100,8 @@ class DesignEvaluator(Protocol):
 
         Args:
             candidates: what to evaluate.
-            parents: policies to start from, by the id of a parent.
+            parents: by their ids, for ``training.inherit``: a child starts from the policy of the best of its
+                parents that are listed here.
             report: told of progress now and then, with keys of :data:`PROGRESS`.
             checkpoint: a file that training is saved to now and then, and goes on from if it exists; the outcomes
                 are those of an undisturbed evaluation. Whoever has stored the outcomes removes it.
