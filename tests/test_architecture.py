@@ -14,7 +14,7 @@ MAX_LINES = 600
 
 # A module may import its own layer and those before it. A name covers everything below it.
 LAYERS = (
-    ("warpvox.errors", "warpvox.files", "warpvox.types", "warpvox.examples"),
+    ("warpvox.errors", "warpvox.files", "warpvox.types", "warpvox.examples", "warpvox.window"),
     ("warpvox.kernels",),
     ("warpvox.design", "warpvox.world"),
     (

@@ -18,6 +18,7 @@ __all__ = [
     "ConfigError",
     "DesignError",
     "DeviceError",
+    "DisplayError",
     "RolloutError",
     "RunError",
     "SimulationError",
@@ -63,6 +64,10 @@ class RolloutError(WarpvoxError, ValueError):
 
 class DeviceError(WarpvoxError, RuntimeError):
     """A compute device that does not exist on this machine or cannot be used."""
+
+
+class DisplayError(WarpvoxError, RuntimeError):
+    """A window was asked for where none can be shown."""
 
 
 class SimulationError(WarpvoxError, RuntimeError):
