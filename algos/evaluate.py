@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -53,13 +53,16 @@ class Evaluator(Protocol):
         """Evaluate ``policy``; must not touch the environments that it is trained in."""
 
 
-def evaluate(env: VoxelVecEnv, policy: Policy, max_steps: int | None = None) -> Evaluation:
+def evaluate(
+    env: VoxelVecEnv, policy: Policy, max_steps: int | None = None, seed: int | Sequence[int] | None = None
+) -> Evaluation:
     """Run one episode in every environment of ``env`` from its beginning.
 
     Args:
         env: made with ``auto_reset=False``: an environment that has ended waits for the others.
         policy: without exploration, for a result that can be repeated bit for bit.
         max_steps: stop earlier than the task would.
+        seed: of what the episodes draw, see :meth:`VoxelVecEnv.reset`; None goes on with the numbers of ``env``.
 
     Raises:
         ConfigError: ``env`` resets itself.
@@ -70,7 +73,7 @@ def evaluate(env: VoxelVecEnv, policy: Policy, max_steps: int | None = None) -> 
     look_every = 1 if torch.device(env.device).type == "cpu" else LOOK_EVERY
     unstable = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
     with torch.no_grad():
-        obs, _ = env.reset()
+        obs, _ = env.reset(seed)
         for step in range(steps):
             obs, _, terminated, truncated, info = env.step(policy(obs))
             unstable = unstable | info["unstable"]
@@ -84,6 +87,6 @@ def evaluate(env: VoxelVecEnv, policy: Policy, max_steps: int | None = None) -> 
     )
 
 
-def evaluator(env: VoxelVecEnv) -> Evaluator:
-    """An :class:`Evaluator` that uses ``env`` over and over."""
-    return lambda policy: evaluate(env, policy)
+def evaluator(env: VoxelVecEnv, seed: int | Sequence[int] | None = None) -> Evaluator:
+    """An :class:`Evaluator` that uses ``env`` over and over; with ``seed`` for the same episodes."""
+    return lambda policy: evaluate(env, policy, seed=seed)

@@ -47,14 +47,15 @@ class Schedule:
     stop_return: float | None = None
 
 
-def adapt(env: Any, ppo: PpoConfig) -> RslRlVecEnv:
-    """Wrap a :class:`VoxelVecEnv` with the settings of ``ppo``."""
+def adapt(env: Any, ppo: PpoConfig, apart: bool = False) -> RslRlVecEnv:
+    """Wrap a :class:`VoxelVecEnv` with the settings of ``ppo``; ``apart``: designs share no running moments."""
     return RslRlVecEnv(
         env,
         action_scale=ppo.action_scale,
         reward_scale=ppo.reward_scale,
         reward_gamma=ppo.gamma if ppo.normalize_reward else None,
         bootstrap_time_limit=ppo.bootstrap_time_limit,
+        apart=apart,
     )
 
 

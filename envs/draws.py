@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -20,12 +22,19 @@ class Draws:
     on how many other environments there are. Within a stream numbers are counted (SplitMix64): number n of episode k
     is a function of the key, k and n alone. No number waits for the host.
 
+    Args:
+        seed: one for all environments; or several, each for an equal block of them that draws as if it were alone.
+        num_envs: a multiple of the number of seeds.
+        device: where to draw.
+
     Attributes:
         episode: long ``[num_envs]``, the episode that is being drawn for.
     """
 
-    def __init__(self, seed: int, num_envs: int, device: torch.device | str) -> None:
-        children = np.random.SeedSequence(seed).spawn(num_envs)
+    def __init__(self, seed: int | Sequence[int], num_envs: int, device: torch.device | str) -> None:
+        seeds = list(seed) if isinstance(seed, Sequence) else [seed]
+        block = num_envs // len(seeds)
+        children = [child for one in seeds for child in np.random.SeedSequence(one).spawn(block)]
         keys = np.array([child.generate_state(1, np.uint64)[0] for child in children], np.uint64)
         self._keys = torch.as_tensor(keys.view(np.int64), device=device)
         self.episode = torch.zeros(num_envs, dtype=torch.long, device=device)

@@ -8,7 +8,6 @@ import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
-from warpvox.envs.state import State
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 
@@ -39,6 +38,7 @@ class RslRlVecEnv(VecEnv):
         reward_scale: factor of the rewards (those in ``log`` and :meth:`pop_episodes` stay as they are).
         reward_gamma: if given, rewards are divided by the running standard deviation of the return discounted
             with it, and clipped to +-10.
+        apart: each design has a standard deviation of its own.
         bootstrap_time_limit: report ``time_outs``. Without, a time limit counts as an end like any other.
 
     Raises:
@@ -53,6 +53,7 @@ class RslRlVecEnv(VecEnv):
         reward_scale: float = 1.0,
         reward_gamma: float | None = None,
         bootstrap_time_limit: bool = True,
+        apart: bool = False,
     ) -> None:
         if not env.auto_reset:
             raise ConfigError("Training needs environments that reset themselves: make_vec(auto_reset=True).")
@@ -63,7 +64,9 @@ class RslRlVecEnv(VecEnv):
         self.cfg = {"task": env.spec.id, "rules": env.rules}
         self.action_scale, self.reward_scale = action_scale, reward_scale
         self.bootstrap_time_limit = bootstrap_time_limit
-        self.reward_norm = None if reward_gamma is None else _ReturnScale(env.num_envs, reward_gamma, env.device)
+        self.reward_norm = None
+        if reward_gamma is not None:
+            self.reward_norm = _ReturnScale(env.num_envs, reward_gamma, env.device, env.num_designs if apart else 1)
         # The length that random starts pretend is none that the policy has lived through.
         self._shortened = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._clear_episodes()
@@ -134,11 +137,8 @@ class RslRlVecEnv(VecEnv):
 
     def state(self) -> dict[str, Any]:
         """Everything that changes, as tensors: what :meth:`set_state` takes back."""
-        env = self.env
         return {
-            "sim": env.sim.state(),
-            "episode_length": env.episode_length.clone(),
-            "episode_return": env._return.clone(),
+            "env": self.env.state(),
             "obs": self._obs.clone(),
             "shortened": self._shortened.clone(),
             "sums": self._sums.clone(),
@@ -151,11 +151,7 @@ class RslRlVecEnv(VecEnv):
         Raises:
             SimulationError: the state is that of other worlds or another number of environments.
         """
-        env = self.env
-        env.sim.set_state({name: value.to(self.device) for name, value in state["sim"].items()})
-        env.episode_length = state["episode_length"].to(self.device)
-        env._return = state["episode_return"].to(self.device)
-        env._before = State(env.sim).remember(env._needed_before)
+        self.env.set_state(state["env"])
         self._obs = state["obs"].to(self.device)
         self._shortened = state["shortened"].to(self.device)
         self._sums = state["sums"].to(self.device)
@@ -164,24 +160,29 @@ class RslRlVecEnv(VecEnv):
 
 
 class _ReturnScale:
-    """Divides rewards by the running standard deviation of the discounted return (population variance)."""
+    """Divides rewards by the running standard deviation of the discounted return (population variance).
 
-    def __init__(self, num_envs: int, gamma: float, device: str) -> None:
+    Environments come in ``groups`` of equal size, each with a deviation of its own.
+    """
+
+    def __init__(self, num_envs: int, gamma: float, device: str, groups: int = 1) -> None:
         self.gamma = gamma
         self._return = torch.zeros(num_envs, dtype=torch.float64, device=device)
         # count, mean and sum of squared deviations; the count starts small so that early rewards stay tame
-        self._moments = torch.tensor([1e-4, 0.0, 1e-4], dtype=torch.float64, device=device)
+        start = torch.tensor([1e-4, 0.0, 1e-4], dtype=torch.float64, device=device)
+        self._moments = start[:, None].repeat(1, groups)
 
     def __call__(self, reward: torch.Tensor, done: torch.Tensor) -> torch.Tensor:
         self._return = self._return * self.gamma + reward
         count, mean, squares = self._moments
-        new = self._return.numel()
-        gap = self._return.mean() - mean
+        grouped = self._return.view(len(count), -1)
+        new = grouped.shape[1]
+        gap = grouped.mean(1) - mean
         total = count + new
-        spread = self._return.var(unbiased=False) * new + gap.square() * count * new / total
+        spread = grouped.var(1, unbiased=False) * new + gap.square() * count * new / total
         self._moments = torch.stack([total, mean + gap * new / total, squares + spread])
         self._return = self._return.masked_fill(done, 0.0)
-        scale = torch.sqrt(self._moments[2] / self._moments[0] + REWARD_EPS)
+        scale = torch.sqrt(self._moments[2] / self._moments[0] + REWARD_EPS).repeat_interleave(new)
         return (reward / scale).clamp(-REWARD_CLIP, REWARD_CLIP).to(reward.dtype)
 
     def state(self) -> dict[str, torch.Tensor]:

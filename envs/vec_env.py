@@ -34,7 +34,7 @@ def make_vec(
     device: str = "auto",
     rules: str = "evogym",
     dtype: str = "float32",
-    seed: int = 0,
+    seed: int | Sequence[int] = 0,
     auto_reset: bool = True,
     physics: str | Physics | None = None,
     lanes: int | None = None,
@@ -53,7 +53,8 @@ def make_vec(
         rules: ``evogym`` (as released) or ``paper`` (section B as printed).
         dtype: ``float32`` or ``float64``, of the simulation, observations and rewards.
         seed: governs everything random in a task (nothing in the deterministic ones). Environment k draws the same
-            whatever the other environments are.
+            whatever the other environments are. Or one for each design, whose environments then draw as if they
+            were alone.
         auto_reset: reset environments in the step in which they end; otherwise they stay as they ended.
         physics: preset or constants; default: the preset named as the rules.
         lanes, threads: see :class:`warpvox.Simulation`.
@@ -75,6 +76,7 @@ def make_vec(
         raise ConfigError(
             f"num_envs must be a multiple of the number of designs ({len(bodies)}), got {count}; try {near}."
         )
+    _check_seeds(seed, len(bodies))
     links = _load_connections(connections, len(bodies))
     worlds = [task_world(spec, body, links[d]) for d, body in enumerate(bodies)]
     sim = Simulation(
@@ -116,7 +118,7 @@ class VoxelVecEnv:
         sim: Simulation,
         *,
         rules: str = "evogym",
-        seed: int = 0,
+        seed: int | Sequence[int] = 0,
         auto_reset: bool = True,
     ) -> None:
         self.spec, self.rules, self.sim, self.seed, self.auto_reset = spec, rules, sim, seed, auto_reset
@@ -164,12 +166,13 @@ class VoxelVecEnv:
         return {name: value.clone() for name, value in self._memory.items()}
 
     def reset(
-        self, seed: int | None = None, memory: Mapping[str, Any] | None = None
+        self, seed: int | Sequence[int] | None = None, memory: Mapping[str, Any] | None = None
     ) -> tuple[torch.Tensor, dict[str, Any]]:
         """Begin a new episode everywhere.
 
         Args:
-            seed: begin the random numbers anew, from this seed; None goes on with those there are.
+            seed: begin the random numbers anew, from this seed (or one for each design); None goes on with those
+                there are.
             memory: what environments shall remember instead of what the task draws, ``[num_envs, ...]`` by the name
                 of the memory; entries that are missing at the end of a row are 0. For this episode only.
 
@@ -179,9 +182,10 @@ class VoxelVecEnv:
         Raises:
             ConfigError: the task has no memory of that name, or not of that shape.
         """
-        self.sim.reset()
         if seed is not None:
+            _check_seeds(seed, self.num_designs)
             self.seed = seed
+        self.sim.reset()
         if self._draws is not None:
             if seed is not None:
                 self._draws = Draws(seed, self.num_envs, self.device)
@@ -311,6 +315,40 @@ class VoxelVecEnv:
         self._return = self._return.masked_fill(done, 0.0)
         self._before = State(self.sim, self._memory).remember(self._needed_before)
         return self._layout.observe(self._before)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes, as tensors with a row for every environment: what :meth:`set_state` takes back."""
+        return {
+            "sim": self.sim.state(),
+            "memory": self.memory,
+            "draws": None if self._draws is None else self._draws.episode.clone(),
+            "length": self.episode_length.clone(),
+            "return": self._return.clone(),
+            "terminated": self._terminated.clone(),
+            "truncated": self._truncated.clone(),
+        }
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from :meth:`state` of environments of the same task, designs, seeds and settings.
+
+        Raises:
+            SimulationError: the state is that of other worlds or another number of environments.
+        """
+        self.sim.set_state({name: value.to(self.device) for name, value in state["sim"].items()})
+        self._memory = {name: value.to(self.device) for name, value in state["memory"].items()}
+        if self._draws is not None:
+            self._draws.episode = state["draws"].to(self.device)
+        self._drawn = False
+        self.episode_length = state["length"].to(self.device)
+        self._return = state["return"].to(self.device)
+        self._terminated = state["terminated"].to(self.device)
+        self._truncated = state["truncated"].to(self.device)
+        self._before = State(self.sim, self._memory).remember(self._needed_before)
+
+
+def _check_seeds(seed: int | Sequence[int], designs: int) -> None:
+    if isinstance(seed, Sequence) and len(seed) != designs:
+        raise ConfigError(f"seed must be one number, or one for each of the {designs} designs; got {len(seed)}.")
 
 
 def _where(mask: torch.Tensor, new: torch.Tensor, old: torch.Tensor) -> torch.Tensor:

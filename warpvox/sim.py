@@ -381,23 +381,36 @@ class Simulation:
     # ---------------------------------------------------------------- state io
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Everything that changes, as tensors: what :meth:`set_state` takes back."""
-        return {name: wp.to_torch(self._state.arrays[name]).clone() for name in STATE_FIELDS}
+        """Everything that changes, a row for every environment: what :meth:`set_state` takes back."""
+        pack, lane = self._env
+        views = {name: wp.to_torch(self._state.arrays[name]) for name in STATE_FIELDS}
+        return {name: view[pack, :, lane] if view.ndim == 3 else view[pack, lane] for name, view in views.items()}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Restore what :meth:`state` gave, of a simulation of the same worlds and lanes.
+        """Restore what :meth:`state` gave: of the same worlds, or of environments of theirs picked row by row.
+
+        Rows may be longer or shorter than this simulation's by what is only padding: the most points of a world
+        depend on which worlds there are.
 
         Raises:
             SimulationError: fields or shapes that are not this simulation's.
         """
-        for name in STATE_FIELDS:
-            here = wp.to_torch(self._state.arrays[name])
-            if name not in state or state[name].shape != here.shape or state[name].dtype != here.dtype:
+        pack, lane = self._env
+        views = {name: wp.to_torch(self._state.arrays[name]) for name in STATE_FIELDS}
+        least = max(2 * sum(len(body.points) for body in design.bodies) for design in self.designs)
+        for name, view in views.items():
+            given = state.get(name)
+            fits = given is not None and given.dtype == view.dtype and given.ndim == view.ndim - 1
+            if not fits or len(given) != self.num_envs or (given.ndim == 2 and given.shape[1] < least):
                 raise SimulationError(
-                    f"The state's {name!r} is not that of this simulation: expected {list(here.shape)}."
+                    f"The state's {name!r} is not that of this simulation of {self.num_envs} environments."
                 )
-        for name in STATE_FIELDS:
-            wp.to_torch(self._state.arrays[name]).copy_(state[name])
+        for name, view in views.items():
+            if view.ndim == 2:
+                view[pack, lane] = state[name]
+            else:
+                rows = min(view.shape[1], state[name].shape[1])
+                view[pack, :rows, lane] = state[name][:, :rows]
         self._views["drift"].fill_(STALE)
         self._centres_are_new = False
 

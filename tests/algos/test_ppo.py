@@ -138,6 +138,23 @@ def test_resumed_learning_is_the_same_bit_for_bit(tmp_path: Path, changes: dict)
     assert [row["iteration"] for row in rows[0]] == [1, 2, 3, 4]
 
 
+def test_resumed_learning_goes_on_with_the_episodes_of_a_random_task(tmp_path: Path) -> None:
+    def runner(total: int, folder: Path) -> Runner:
+        torch.manual_seed(0)
+        env = make_vec("Catcher-v0", ["mini"], ENVS, device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8)
+        return Runner(adapt(env, small()), small(), Schedule(total, save=100), folder)
+
+    whole = runner(4, tmp_path_of(tmp_path, "whole"))
+    whole.run()
+    folder = tmp_path_of(tmp_path, "parts")
+    first = runner(4, folder)
+    first.learn(2, init_at_random_ep_len=first.ppo.random_start)
+    second = runner(4, folder)
+    second.resume(folder / STATE)
+    second.run()
+    assert_same_weights(whole, second)
+
+
 def tmp_path_of(root: Path, name: str) -> Path:
     folder = root / name
     folder.mkdir()

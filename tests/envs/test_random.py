@@ -190,3 +190,47 @@ def test_the_episode_ends_with_the_last_goal_and_stays_as_it_ended() -> None:
     again, reward, _, _, _ = act(env)
     assert float(reward) == 0.0
     assert torch.equal(again, end)
+
+
+@RANDOM
+def test_with_a_seed_for_each_design_they_draw_as_if_alone(task: str) -> None:
+    together = make(task, 6, ["walker", "worm"], seed=[7, 9])
+    alone = [make(task, 3, [name], seed=seed) for name, seed in (("walker", 7), ("worm", 9))]
+    for _ in range(2):
+        assert torch.equal(drawn(together), torch.cat([drawn(env) for env in alone]))
+        for env in (together, *alone):
+            env.reset()
+            act(env)
+            env.reset()
+    together.reset(seed=[9, 7])
+    assert torch.equal(drawn(together)[:3], drawn(make(task, 3, ["walker"], seed=9)))
+
+
+def test_seeds_must_be_as_many_as_designs() -> None:
+    with pytest.raises(ConfigError, match="each of the 2 designs; got 3"):
+        make("Catcher-v0", 6, ["walker", "worm"], seed=[1, 2, 3])
+
+
+@pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0"])
+@pytest.mark.parametrize("keep", [[0, 1, 2], [2, 0], [1]])
+def test_designs_go_on_in_environments_of_their_own(task: str, keep: list[int]) -> None:
+    """Rows of a state, picked by design, continue bit for bit with other designs around them or none."""
+    names, seeds, limit = ["worm", "walker", "mini"], [3, 4, 5], 9
+    options = {"max_episode_steps": limit, "dtype": "float32", "lanes": 8}
+    whole = make(task, 6, names, seed=seeds, **options)
+    part = make(task, 2 * len(keep), [names[d] for d in keep], seed=[seeds[d] for d in keep], **options)
+    rows = torch.tensor([2 * d + k for d in keep for k in range(2)])
+    generator = torch.Generator().manual_seed(0)
+    actions = 0.6 + torch.rand(20, 6, whole.num_actions, generator=generator)
+    for action in actions[:6]:
+        whole.step(action)
+    pick = lambda value: None if value is None else value[rows]  # noqa: E731
+    part.set_state(
+        {k: {n: v[rows] for n, v in x.items()} if isinstance(x, dict) else pick(x) for k, x in whole.state().items()}
+    )
+    for action in actions[6:]:
+        obs, reward, *_, info = whole.step(action)
+        own_obs, own_reward, *_, own_info = part.step(action[rows, : part.num_actions])
+        assert torch.equal(own_obs, obs[rows, : part.num_obs])
+        assert torch.equal(own_reward, reward[rows])
+        assert torch.equal(own_info["episode"]["return"], info["episode"]["return"][rows])

@@ -30,10 +30,9 @@ def make(worlds, **options):
 def scatter(sim, points):
     """Put the robots' points at ``points`` [env, point, 2]."""
     state = sim.state()
-    pack, lane = sim._env
     for e in range(sim.num_envs):
         flat = torch.as_tensor(points[e]).flatten()
-        state["pos"][pack[e], : len(flat), lane[e]] = flat
+        state["pos"][e, : len(flat)] = flat
     sim.set_state(state)
 
 
