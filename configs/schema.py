@@ -34,6 +34,7 @@ MISSING: Any = "???"
 ACTIVATIONS = ("tanh", "elu", "relu", "selu", "gelu", "swish")
 EXPORTS = ("usd", "gif", "mp4", "html")
 AUTO = "auto"
+PPO = ("parallel", "evogym")
 
 
 CONSTANTS = {
@@ -216,34 +217,70 @@ class ExportConfig(_RolloutConfig):
     format: Any = key("usd", "usd, gif, mp4, html, or a list of them: [usd,gif]")
 
 
+SUITES = {
+    "peer": "beside the reference",
+    "step": "ours alone",
+    "tasks": "all tasks, beside the reference if there is one",
+    "scaling": "bodies of n x n voxels, numbers of environments, threads",
+    "learning": "time to a return",
+    "kernels": "times of the stages, memory, compilation",
+    "precision": "float32 against float64",
+}
+"""What ``warpvox bench`` measures."""
+COLUMNS = ("step", "inference", "training")
+"""Columns of a table of speeds: random actions, actions of a policy, whole iterations of PPO."""
+
+
 @dataclass
 class PeerConfig:
     """Keys ``peer.*``: the reference implementation to compare with."""
 
-    python: str | None = key(None, "interpreter of an environment that has evogym 2.0.0 installed")
-    steps: int = key(150, "control steps of a timed repetition of the reference", low=1)
+    python: str | None = key(None, "interpreter with evogym 2.0.0; null: that which peer.make has made, if it has")
+    make: bool = key(False, "make an environment for the reference first (needs a Python 3.10 and a package index)")
+
+
+@dataclass
+class ScalingConfig:
+    """Keys ``scaling.*``: what the suite of that name varies."""
+
+    sizes: list[int] = key([5, 10, 15, 20, 25, 30, 35], "sides n of the bodies of n x n voxels", low=2, high=60)
+    envs: list[int] = key([1, 8, 64, 512, 4096, 16384, 65536], "numbers of environments", low=1)
+
+
+@dataclass
+class LearningConfig:
+    """Keys ``learning.*``: who learns, until when."""
+
+    ppo: list[str] = key(["parallel", "evogym"], "settings to compare: names of configs/ppo", choices=PPO)
+    seeds: int = key(3, "runs of each", low=1)
+    stop_return: float = key(10.0, "the return to reach, in a deterministic evaluation")
+    seconds: float = key(150.0, "a run gives up after so long", above=0)
 
 
 @dataclass
 class BenchConfig:
     """Keys of ``warpvox bench``."""
 
-    suite: str = key(
-        "peer",
-        "peer: beside the reference; step: ours alone, by part; precision: float32 returns against float64",
-        choices=("peer", "step", "precision"),
-    )
+    suite: str = key("peer", "; ".join(f"{name}: {text}" for name, text in SUITES.items()), choices=tuple(SUITES))
     task: str = key("Walker-v0", "task id")
+    tasks: list[str] = key([], "tasks of suite=tasks; []: all")
     design: Any = key("walker", "body, as for train")
     num_envs: int = key(512, "environments stepped together", low=1)
-    steps: int = key(40, "control steps of a timed repetition", low=1)
+    steps: int = key(40, "control steps of a timed repetition, fewer where they would take longer than limit", low=1)
     repeats: int = key(5, "repetitions, of which the median counts", low=1)
+    limit: float = key(4.0, "seconds that a repetition may take; what cannot be shorter is left out", above=0)
+    columns: list[str] = key(list(COLUMNS), "what is timed: step, inference, training", choices=COLUMNS)
     device: str = key("cpu", "auto, cpu, cuda, cuda:<index>")
     dtype: str = key("float32", "precision that is timed", choices=("float32", "float64"))
     threads: int = key(1, "threads of the simulation on the CPU", low=1)
     torch_threads: int = key(1, "threads of PyTorch", low=1)
     seed: int = key(0, "of the random actions", low=0)
+    designs: int = key(50, "random bodies of suite=precision", low=2)
+    compile: bool = key(True, "suite=kernels compiles all kernels of a control step once more and times that")
     peer: PeerConfig = key(PeerConfig, "the reference")
+    scaling: ScalingConfig = key(ScalingConfig, "suite=scaling")
+    learning: LearningConfig = key(LearningConfig, "suite=learning")
+    document: str | None = key(None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)")
     name: str | None = key(None, "appended to the name of the result's folder")
     output_dir: str = key("outputs", "folder that results are written to")
 

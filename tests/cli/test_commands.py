@@ -205,13 +205,6 @@ def test_info_names_versions_devices_and_the_cache(warpvox: Callable) -> None:
         assert word in outcome.out
 
 
-def test_bench_of_the_parts(warpvox: Callable) -> None:
-    outcome = warpvox(*"bench suite=step design=mini num_envs=8 steps=2 repeats=1".split())
-    assert outcome.code == 0, outcome.err
-    (folder,) = Path("outputs/bench/Walker-v0").iterdir()
-    assert set(summary(folder)["rates"]) == {"simulation only", "environment", "with a policy", "with training"}
-
-
 def test_a_reference_without_evogym_says_how_to_get_it(warpvox: Callable, tmp_path: Path) -> None:
     script = tmp_path / "python"
     script.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')  # without site-packages

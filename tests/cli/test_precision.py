@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from warpvox.cli.precision import compare
+from warpvox.cli.benchmarks.precision import compare
 
 
 def test_differences_are_relative_to_the_spread():

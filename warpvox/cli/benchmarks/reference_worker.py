@@ -1,13 +1,13 @@
-"""The reference's half of ``warpvox bench suite=peer``.
+"""The reference's half of ``warpvox bench``.
 
 Runs as a script under an interpreter that has evogym installed (Python 3.10, no warpvox), reads one JSON
 request a line from stdin and answers each with one JSON line on stdout:
 
 - ``{"do": "start", "task": ..., "body": ...}`` comes first and gives the versions;
 - ``{"do": "check", "actions": [steps][actuators]}`` gives ``com`` ``[steps][2]``, the robot's centre of mass
-  after each step;
-- ``{"do": "time", "actions": ...}`` gives the CPU ``seconds`` of these steps after a reset, rewards and
-  observations included.
+  after each step from a reset on;
+- ``{"do": "time", "actions": ...}`` gives the CPU ``seconds`` of these steps, which go on with the episode,
+  rewards and observations included. Resets of episodes that end in between are not counted.
 """
 
 import json
@@ -67,6 +67,7 @@ def check(env, actions):
         env.step(numpy.array(action))
         world = env.unwrapped
         com.append(world.object_pos_at_time(world.get_time(), "robot").mean(axis=1).tolist())
+    env.reset()
     return {"com": com}
 
 
@@ -74,12 +75,15 @@ def measure(env, actions):
     """CPU seconds of the steps."""
     import numpy
 
-    actions = numpy.array(actions)
-    env.reset()
+    seconds = 0.0
     began = time.process_time()
-    for action in actions:
-        env.step(action)
-    return {"seconds": time.process_time() - began}
+    for action in numpy.array(actions):
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            seconds += time.process_time() - began
+            env.reset()
+            began = time.process_time()
+    return {"seconds": seconds + time.process_time() - began}
 
 
 if __name__ == "__main__":

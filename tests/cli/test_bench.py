@@ -1,0 +1,269 @@
+"""``warpvox bench``: every suite at a tiny size, and that no time is printed of a wrong result."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from warpvox.cli.benchmarks import check, reference
+from warpvox.cli.benchmarks.bodies import full_body
+from warpvox.cli.benchmarks.report import number
+from warpvox.design import check_design
+from warpvox.errors import ConfigError
+
+TINY = "design=mini num_envs=8 steps=2 repeats=1".split()
+
+# A package that looks like the reference to the worker, and is warpvox: the whole protocol runs without evogym.
+FAKE = """
+import gymnasium, numpy as np
+from warpvox.envs.gym import VoxelEnv
+
+class Env(VoxelEnv):
+    def __init__(self, task, body, **rest):
+        super().__init__(task, body.astype(int), **rest)
+    def get_time(self):
+        return 0
+    def object_pos_at_time(self, time, name):
+        return self.sim.object_positions(name)[0].double().numpy().T + OFFSET
+
+for task in ("Walker-v0", "UpStepper-v0"):
+    gymnasium.register(task, entry_point=Env, max_episode_steps=100, kwargs={"task": task})
+"""
+
+
+@pytest.fixture
+def fake_reference(tmp_path: Path) -> Callable[..., Path]:
+    """Make an interpreter with a package ``evogym``, whose centre of mass is off by so much."""
+
+    def make(offset: float = 0.0) -> Path:
+        home = tmp_path / f"fake{offset}"
+        (home / "evogym").mkdir(parents=True)
+        (home / "evogym" / "__init__.py").touch()
+        (home / "evogym" / "envs.py").write_text(f"OFFSET = {offset}\n{FAKE}")
+        (home / "evogym-2.0.0.dist-info").mkdir()
+        (home / "evogym-2.0.0.dist-info" / "METADATA").write_text(
+            "Metadata-Version: 2.1\nName: evogym\nVersion: 2.0.0\n"
+        )
+        python = home / "python"
+        python.write_text(f'#!/bin/sh\nshift\nPYTHONPATH={home} exec {sys.executable} "$@"\n')  # drops -I
+        python.chmod(0o755)
+        return python
+
+    return make
+
+
+def results(suite: str) -> tuple[Path, dict]:
+    (folder,) = Path("outputs/bench").joinpath(suite).iterdir()
+    assert (folder / "config.yaml").is_file()
+    return folder, json.loads((folder / "summary.json").read_text())
+
+
+def positive(rates: dict[str, list[float]]) -> bool:
+    return all(value > 0 for values in rates.values() for value in values)
+
+
+def test_step_has_three_columns(warpvox: Callable) -> None:
+    outcome = warpvox("bench", "suite=step", *TINY)
+    assert outcome.code == 0, outcome.err
+    folder, figures = results("step")
+    assert list(figures["rates"]) == ["step", "inference", "training"]
+    assert positive(figures["rates"])
+    for heading in ("step only", "with inference", "with training"):
+        assert heading in outcome.out
+        assert heading in (folder / "tables.md").read_text()
+    assert {"cpu", "cores", "python", "torch", "warp", "warpvox"} <= set(figures["machine"])
+
+
+def test_peer_compares_before_it_times(warpvox: Callable, fake_reference: Callable) -> None:
+    outcome = warpvox("bench", "suite=peer", *TINY, f"peer.python={fake_reference()}")
+    assert outcome.code == 0, outcome.err
+    folder, figures = results("peer")
+    assert figures["check_error"] < check.TOLERANCE
+    assert figures["versions"]["evogym"] == "2.0.0"
+    assert figures["ratio"]["step"] == pytest.approx(figures["rates"]["step"][0] / figures["reference"][0])
+    pytest.importorskip("matplotlib", reason="plots need the extra view")
+    assert (folder / "peer.png").stat().st_size > 1000
+
+
+def test_a_wrong_result_gets_no_time(warpvox: Callable, fake_reference: Callable) -> None:
+    outcome = warpvox("bench", "suite=peer", *TINY, f"peer.python={fake_reference(1e-5)}")
+    assert outcome.code == 2
+    assert "differs from the reference by 1.0e-05" in outcome.err
+    assert "steps per second" not in outcome.out
+    assert not Path("outputs").exists()
+
+
+def test_a_wrong_batch_gets_no_time(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(check.ROUNDING, "float32", 1e-30)
+    outcome = warpvox("bench", "suite=step", *TINY)
+    assert outcome.code == 2
+    assert "differs from one alone" in outcome.err
+
+
+def test_tasks_beside_the_reference(warpvox: Callable, fake_reference: Callable) -> None:
+    words = ["tasks=[Walker-v0,UpStepper-v0]", "columns=[step]", f"peer.python={fake_reference()}"]
+    outcome = warpvox("bench", "suite=tasks", *TINY, *words)
+    assert outcome.code == 0, outcome.err
+    _, figures = results("tasks")
+    assert list(figures["tasks"]) == ["Walker-v0", "UpStepper-v0"]
+    ratios = [row["ratio"] for row in figures["tasks"].values()]
+    assert figures["ratio_least"] == min(ratios)
+    assert "Ratio: median" in outcome.out
+
+
+def test_tasks_alone(warpvox: Callable) -> None:
+    outcome = warpvox("bench", "suite=tasks", "tasks=[Lifter-v0]", *TINY)
+    assert outcome.code == 0, outcome.err
+    assert "there was no reference" in outcome.out
+    assert positive(results("tasks")[1]["tasks"]["Lifter-v0"]["rates"])
+
+
+def test_scaling_in_three_ways(warpvox: Callable, fake_reference: Callable) -> None:
+    words = ["scaling.sizes=[2,3]", "scaling.envs=[1,8]", "columns=[step]", f"peer.python={fake_reference()}"]
+    outcome = warpvox("bench", "suite=scaling", *TINY, *words)
+    assert outcome.code == 0, outcome.err
+    _, figures = results("scaling")
+    assert [row["voxels"] for row in figures["bodies"]] == [4, 9]
+    assert all(row["ratio"] > 0 for row in figures["bodies"])
+    assert [row["num_envs"] for row in figures["envs"]] == [1, 8]
+    assert figures["threads"]["rates"]
+
+
+def test_scaling_leaves_out_what_does_not_fit(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.cli.benchmarks import scaling
+
+    monkeypatch.setattr(scaling, "available_memory", lambda device: 50_000.0)
+    words = ["scaling.sizes=[2]", "scaling.envs=[1,8,4096]", "columns=[step]"]
+    outcome = warpvox("bench", "suite=scaling", *TINY, *words)
+    assert outcome.code == 0, outcome.err
+    assert "4,096 (memory" in outcome.out.replace("\n", " ")
+    assert [row["num_envs"] for row in results("scaling")[1]["envs"]][-1] < 4096
+
+
+def test_learning_has_a_curve(warpvox: Callable) -> None:
+    words = "learning.ppo=[parallel] learning.seeds=1 learning.stop_return=-100".split()
+    outcome = warpvox("bench", "suite=learning", *TINY, *words)
+    assert outcome.code == 0, outcome.err
+    found = results("learning")[1]["ppo"]["parallel"]
+    assert found["reached"] == 1
+    (run,) = found["runs"]
+    assert run["curve"][-1]["steps"] == run["steps"] > 0
+    assert run["best_return"] >= run["curve"][-1]["return"] > -100
+
+
+def test_kernels_names_every_stage(warpvox: Callable) -> None:
+    from warpvox.kernels.step import SUBSTEP
+
+    outcome = warpvox(*"bench suite=kernels compile=false num_envs=256 steps=2 repeats=1".split())
+    assert outcome.code == 0, outcome.err
+    _, figures = results("kernels")
+    assert list(figures["stages"]) == [build.__name__ for build in SUBSTEP]
+    assert sum(figures["stages"].values()) > 0
+    assert sum(figures["bytes"].values()) > 1000
+
+
+@pytest.mark.slow
+def test_kernels_compiles_anew(warpvox: Callable) -> None:
+    outcome = warpvox("bench", "suite=kernels", *TINY)
+    assert outcome.code == 0, outcome.err
+    assert results("kernels")[1]["compile"].keys() == {"first", "cached"}
+
+
+def test_a_document_gets_the_tables(warpvox: Callable) -> None:
+    page = Path("page.md")
+    page.write_text("before\n<!-- bench step -->\nold\n<!-- end -->\nafter\n")
+    assert warpvox("bench", "suite=step", "columns=[step]", f"document={page}", *TINY).code == 0
+    text = page.read_text()
+    assert text.startswith("before\n<!-- bench step -->\nChecked: ")
+    assert "| step only |" in text
+    assert text.endswith("<!-- end -->\nafter\n")
+    assert "old" not in text
+    assert "Machine: " in text
+
+
+@pytest.mark.parametrize(("document", "words"), [("nowhere.md", "no file"), ("page.md", "no place for this suite")])
+def test_a_document_without_a_place_is_said_before_anything_is_measured(
+    warpvox: Callable, document: str, words: str
+) -> None:
+    Path("page.md").write_text("<!-- bench step -->\n<!-- end -->\n")
+    outcome = warpvox("bench", "suite=kernels", f"document={document}", *TINY)
+    assert outcome.code == 2
+    assert words in outcome.err
+    assert not Path("outputs").exists()
+
+
+# ------------------------------------------------------------------------------------- making the reference
+
+
+def test_no_python_310_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(reference, "_candidates", lambda: iter([tmp_path / "missing"]))
+    with pytest.raises(ConfigError, match=r"Python 3\.10"):
+        reference.make_reference(tmp_path / "made")
+
+
+def interpreter(folder: Path, body: str) -> Path:
+    path = folder / "python3.10"
+    path.write_text(f"#!/bin/sh\n{body}\n")
+    path.chmod(0o755)
+    return path
+
+
+def test_another_version_is_not_taken(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    wrong, right = tmp_path / "a", tmp_path / "b"
+    wrong.mkdir(), right.mkdir()
+    order = [interpreter(wrong, "exit 1"), interpreter(right, "exit 0")]
+    monkeypatch.setattr(reference, "_candidates", lambda: iter(order))
+    assert reference.find_python310() == order[1]
+
+
+def test_half_an_installation_is_removed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    made = tmp_path / "made"
+    body = f'if [ "$2" = venv ]; then mkdir -p {made}/bin; cp "$0" {made}/bin/python; fi; [ "$2" != pip ] || exit 3'
+    base = interpreter(tmp_path, body)
+    monkeypatch.setattr(reference, "find_python310", lambda: base)
+    with pytest.raises(ConfigError, match="could not be installed"):
+        reference.make_reference(made)
+    assert not made.exists()
+
+
+def test_the_reference_is_made_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    made = tmp_path / "made"
+    body = f'echo "$@" >> {tmp_path}/calls; if [ "$2" = venv ]; then mkdir -p {made}/bin; cp "$0" {made}/bin/python; fi'
+    base = interpreter(tmp_path, body)
+    monkeypatch.setattr(reference, "find_python310", lambda: base)
+    assert reference.make_reference(made) == reference.make_reference(made) == made / "bin" / "python"
+    calls = (tmp_path / "calls").read_text()
+    assert calls.count("-m venv") == 1
+    assert reference.PACKAGE in calls
+
+
+# --------------------------------------------------------------------------------------------- small parts
+
+
+@pytest.mark.parametrize("side", [2, 5, 35])
+def test_full_bodies_are_full_and_valid(side: int) -> None:
+    body = full_body(side, 0)
+    assert (body > 0).all()
+    check_design(body)
+    assert (full_body(side, 0) == body).all()
+    assert side == 2 or (full_body(side, 1) != body).any()
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "-"),
+        (float("nan"), "-"),
+        (12345.6, "12,346"),
+        (78.83, "78.8"),
+        (0.0456, "0.046"),
+        (2e-9, "2.0e-09"),
+        (0, "0.000"),
+    ],
+)
+def test_figures_keep_what_matters(value: float | None, text: str) -> None:
+    assert number(value) == text

@@ -1,0 +1,83 @@
+"""Results are checked before a time is printed: with the reference, and with our own scalar code in float64."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.errors import SimulationError
+
+__all__ = ["against_reference", "against_scalar", "waves"]
+
+STEPS = 60
+TOLERANCE = 1e-6
+"""Largest difference of the centre of mass over STEPS in float64, in simulator units: over so many
+steps the two differ by round-off only, which contacts have not yet amplified beyond this."""
+SHORT = 10
+ROUNDING = {"float32": 1e-5, "float64": 1e-9}
+"""Largest difference of the centre of mass over SHORT steps, in simulator units (0.1 a voxel)."""
+
+
+def waves(steps: int, actuators: int, seed: int) -> np.ndarray:
+    """float64 ``[steps, actuators]``: sine waves of a period of 25 steps with random phases."""
+    phase = np.random.default_rng(seed).uniform(0, 2 * np.pi, actuators)
+    return 1.1 + 0.45 * np.sin(2 * np.pi * np.arange(steps)[:, None] / 25 + phase)
+
+
+def against_reference(config: Any, task: str, body: np.ndarray, reference: Any, steps: int = STEPS) -> float:
+    """The largest difference of the centre of mass to the reference, which must have started the task.
+
+    Raises:
+        SimulationError: it is too large.
+    """
+    env = make_vec(task, [body], 1, device=config.device, dtype="float64", auto_reset=False, threads=1)
+    env.reset()
+    actions = waves(steps, env.num_actions, config.seed)
+    ours = []
+    for action in actions:
+        env.step(action[None])
+        ours.append(env.sim.com("robot")[0].tolist())
+    error = float(np.abs(np.array(ours) - np.array(reference.centres(actions))).max())
+    if not error < TOLERANCE:
+        raise SimulationError(
+            f"{task}: the centre of mass differs from the reference by {error:.1e} within {steps} steps"
+            f" (allowed: {TOLERANCE:.0e}): no speed is worth printing."
+        )
+    return error
+
+
+def against_scalar(env: VoxelVecEnv, seed: int) -> float:
+    """The largest difference of the centre of mass between an environment of a batch and one alone.
+
+    The one alone is computed on the CPU in float64, one lane wide: by the code that the recordings of the reference
+    are replayed with. The batch is left at the start of an episode.
+
+    Raises:
+        SimulationError: the difference is more than rounding.
+    """
+    alone = make_vec(
+        env.spec, [env.designs[0]], 1, device="cpu", rules=env.rules, dtype="float64", physics=env.sim.physics,
+        seed=env.seed, auto_reset=False, threads=1, lanes=1,
+    )  # fmt: skip
+    env.reset(seed=env.seed)
+    alone.reset(seed=env.seed)
+    actions = np.rint(waves(SHORT, env.num_actions, seed) * 1024) / 1024  # exact in every precision
+    error = 0.0
+    for step, action in enumerate(actions):
+        batch = torch.as_tensor(np.roll(action, step)).repeat(env.num_envs, 1)
+        batch[0] = torch.as_tensor(action)
+        env.step(batch.to(env.device))
+        alone.step(action[None])
+        apart = env.sim.com("robot")[0].cpu() - alone.sim.com("robot")[0]
+        error = max(error, float(apart.abs().max()))
+    env.reset(seed=env.seed)
+    allowed = ROUNDING[str(env.dtype).removeprefix("torch.")]
+    if not error < allowed:
+        raise SimulationError(
+            f"{env.spec.id}: an environment of the batch differs from one alone by {error:.1e} within {SHORT} steps"
+            f" (allowed: {allowed:.0e}): no speed is worth printing."
+        )
+    return error
