@@ -81,6 +81,12 @@ class Search(Protocol):
     def tell(self, fitness: Sequence[float]) -> None:
         """The fitness of the candidates asked for last, in their order."""
 
+    def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
+        """Get to where asking and telling had got: whole generations and their fitness, in order.
+
+        The outcome is the same as of asking and telling again, but what is costly to propose is taken as given.
+        """
+
 
 class DesignEvaluator(Protocol):
     """Trains a policy for each of some designs and says how good it gets."""

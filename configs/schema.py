@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field, make_dataclass
-from typing import Any
+from typing import Any, get_origin, get_type_hints
 
+from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
+from warpvox.configs.keys import MISSING, key
 from warpvox.types import Physics
 
 __all__ = [
@@ -24,12 +26,10 @@ __all__ = [
     "PhysicsConfig",
     "PlayConfig",
     "PpoConfig",
+    "SearchConfig",
     "TrainConfig",
     "TrainingConfig",
 ]
-
-MISSING: Any = "???"
-"""A key without a value of its own: one of the group's YAML files must set it."""
 
 ACTIVATIONS = ("tanh", "elu", "relu", "selu", "gelu", "swish")
 EXPORTS = ("usd", "gif", "mp4", "html")
@@ -57,25 +57,6 @@ CONSTANTS = {
     "shared_edge": "which voxel sets a shared side: last or stiffest",
 }
 """Meanings of the constants of the physics."""
-
-
-def key(
-    default: Any,
-    meaning: str,
-    *,
-    choices: tuple[str, ...] | None = None,
-    low: float | None = None,
-    above: float | None = None,
-    high: float | None = None,
-) -> Any:
-    """A field that knows its meaning and valid values: ``low <= value <= high`` and ``value > above``."""
-    limits = {"choices": choices, "low": low, "above": above, "high": high}
-    metadata = {"help": meaning} | {name: limit for name, limit in limits.items() if limit is not None}
-    if isinstance(default, list):
-        return field(default_factory=lambda: list(default), metadata=metadata)
-    if isinstance(default, type):
-        return field(default_factory=default, metadata=metadata)
-    return field(default=default, metadata=metadata)
 
 
 def _physics_fields() -> list[tuple[str, Any, Any]]:
@@ -176,6 +157,27 @@ class TrainingConfig:
     )
     keep: float = key(0.5, "share of the designs in training that goes on after a rung", above=0, high=1)
     ppo: PpoConfig = key(PpoConfig, "training method")
+
+
+def _search_fields() -> list[tuple[str, Any, Any]]:
+    """One optional key per setting of any search; null where the algorithm has none of this name."""
+    common = {item.name for item in dataclasses.fields(SearchSettings)}
+    fields = {"algorithm": ("algorithm", str, key(MISSING, "which search", choices=tuple(ALGORITHMS)))}
+    for settings in ALGORITHMS.values():
+        hints = get_type_hints(settings)
+        for item in dataclasses.fields(settings):
+            kind = list[str] if get_origin(hints[item.name]) is tuple else hints[item.name]
+            if item.name in common:
+                fields[item.name] = (item.name, kind, field(default=MISSING, metadata=item.metadata))
+                continue
+            owners = [name for name, other in ALGORITHMS.items() if item.name in other.__dataclass_fields__]
+            metadata = {**item.metadata, "help": f"{', '.join(owners)}: {item.metadata['help']}"}
+            fields.setdefault(item.name, (item.name, kind | None, field(default=None, metadata=metadata)))
+    return list(fields.values())
+
+
+SearchConfig = make_dataclass("SearchConfig", _search_fields(), namespace={"__module__": __name__})
+"""Keys ``search.*``: the algorithm and its settings; ``warpvox.algos.search.settings_from`` sorts them out."""
 
 
 @dataclass

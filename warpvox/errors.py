@@ -21,6 +21,7 @@ __all__ = [
     "DisplayError",
     "RolloutError",
     "RunError",
+    "SearchError",
     "SimulationError",
     "TaskError",
     "WarpvoxError",
@@ -68,6 +69,10 @@ class DeviceError(WarpvoxError, RuntimeError):
 
 class DisplayError(WarpvoxError, RuntimeError):
     """A window was asked for where none can be shown."""
+
+
+class SearchError(WarpvoxError, RuntimeError):
+    """A design search used out of turn, told what it cannot use, or out of new designs."""
 
 
 class SimulationError(WarpvoxError, RuntimeError):

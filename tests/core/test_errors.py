@@ -10,7 +10,7 @@ def test_every_error_is_a_warpvox_error_and_of_the_builtin_kind_that_callers_exp
     for name in bad_input:
         assert issubclass(getattr(errors, name), errors.WarpvoxError)
         assert issubclass(getattr(errors, name), ValueError)
-    for name in ("DeviceError", "SimulationError"):
+    for name in ("DeviceError", "SearchError", "SimulationError"):
         assert issubclass(getattr(errors, name), errors.WarpvoxError)
         assert issubclass(getattr(errors, name), RuntimeError)
 

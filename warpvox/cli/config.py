@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -20,6 +19,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.cli.help import flat_keys
+from warpvox.configs.keys import check_values
 from warpvox.configs.schema import COMMANDS, GROUPS
 from warpvox.errors import ConfigError, did_you_mean, listing
 
@@ -158,39 +158,6 @@ def _over_base(command: str, base: dict, config: Any, parsed: list[Override]) ->
         else:
             OmegaConf.update(below, key, OmegaConf.select(config, key))
     return below
-
-
-def check_values(config: Any, prefix: str = "") -> None:
-    """Check choices and ranges of a dataclass of the schema.
-
-    Raises:
-        ConfigError: the first value that is not valid.
-    """
-    for item in dataclasses.fields(config):
-        name, value = prefix + item.name, getattr(config, item.name)
-        if dataclasses.is_dataclass(value):
-            check_values(value, name + ".")
-        elif value is not None:
-            for entry in value if isinstance(value, list) and item.name != "design" else [value]:
-                _check_entry(name, entry, item.metadata)
-
-
-def _check_entry(name: str, value: Any, limits: Any) -> None:
-    choices = limits.get("choices")
-    if choices is not None and value not in choices:
-        hint = did_you_mean(value, choices)
-        raise ConfigError(f"{name} must be one of {listing(choices)}; got {value!r}.{hint}")
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return
-    if not math.isfinite(value):
-        raise ConfigError(f"{name} must be a finite number, got {value!r}.")
-    for bound, valid, words in (
-        ("low", lambda limit: value >= limit, "at least"),
-        ("above", lambda limit: value > limit, "greater than"),
-        ("high", lambda limit: value <= limit, "at most"),
-    ):
-        if bound in limits and not valid(limits[bound]):
-            raise ConfigError(f"{name} must be {words} {limits[bound]}, got {value!r}.")
 
 
 def to_yaml(config: Any) -> str:

@@ -1,0 +1,232 @@
+"""What all searches share: turns, numbering, the budget, and that no body is proposed twice."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpvox.algos.candidate import Candidate
+from warpvox.algos.search.bodies import MAX_VOXELS, body_key, count_valid, first_valid, random_bodies
+from warpvox.algos.search.settings import SearchSettings
+from warpvox.errors import ConfigError, SearchError
+
+__all__ = ["BaseSearch", "Proposal"]
+
+BATCH = 32
+"""Random bodies drawn at a time; about one in six of 5x5 is valid."""
+
+FEW_CELLS = 6
+"""Up to here all bodies can be counted to see whether there are enough."""
+
+STREAM = 0x5EA2C4
+"""Keeps the random numbers of a search apart from those of the trainings, which follow from (seed, candidate)."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A body ``int8 [rows, columns]`` on its way to becoming a candidate; see :class:`Candidate` for the rest."""
+
+    body: np.ndarray
+    parents: tuple[int, ...] = ()
+    origin: str = "random"
+
+
+class BaseSearch(ABC):
+    """A search that proposes whole generations.
+
+    A subclass says what to propose (:meth:`propose`) and, if it keeps more than the record of all designs, what
+    to learn (:meth:`learn`). It draws from the Generator it is given, which follows from the seed and the number
+    of the generation: a search is a function of its settings, its seed and the fitness it was told.
+
+    Args:
+        settings: of the algorithm.
+        shape: ``(rows, columns)`` of the bodies.
+        seed: governs everything random, >= 0.
+
+    Attributes:
+        generation: number of the generation that is asked for next, or was asked for last and is not told yet.
+        bodies: all bodies that were told, by id, int8 ``[rows, columns]``.
+        fitness: of each of them.
+
+    Raises:
+        ConfigError: a shape with hardly more valid bodies than ``max_evaluations``, or a bad shape or seed.
+    """
+
+    def __init__(self, settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
+        self.settings, self.shape, self.seed = settings, _check_shape(shape), _check_seed(seed)
+        _check_room(self.shape, settings.max_evaluations)
+        self.generation = 0
+        self.bodies: list[np.ndarray] = []
+        self.fitness: list[float] = []
+        self._seen: set[bytes] = set()
+        self._asked: list[Candidate] | None = None
+
+    # --------------------------------------------------------------------------------------- for the subclass
+
+    @abstractmethod
+    def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
+        """At most ``count`` new bodies, at least one; make each sure by :meth:`claim`."""
+
+    def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:  # noqa: B027  (a choice)
+        """Take in the generation that was told just now; ``bodies`` and ``fitness`` hold it already."""
+
+    def claim(self, body: np.ndarray) -> bool:
+        """Whether ``body`` was never proposed before; from now on it was."""
+        key = body_key(body)
+        new = key not in self._seen
+        self._seen.add(key)
+        return new
+
+    def is_known(self, key: bytes) -> bool:
+        """Whether the body with this :func:`body_key` was proposed before."""
+        return key in self._seen
+
+    def new_body(self, draw: Callable[[], np.ndarray], limit: int = MAX_VOXELS) -> np.ndarray | None:
+        """The first valid and new body of ``draw() -> [n, rows, columns]``, claimed; None after ``limit`` voxels."""
+        body = first_valid(draw, self.is_known, limit)
+        if body is not None:
+            self.claim(body)
+        return body
+
+    def random_proposal(self, rng: np.random.Generator) -> Proposal:
+        """A new body by EvoGym's sampling rule.
+
+        Raises:
+            SearchError: none turns up.
+        """
+        body = self.new_body(lambda: random_bodies(rng, BATCH, self.shape))
+        if body is None:
+            rows, columns = self.shape
+            raise SearchError(
+                f"No new {rows}x{columns} body turns up after {len(self._seen)} have been proposed: too few are left,"
+                f" or random cells of this shape hardly ever hang together. Try another shape, or fewer evaluations"
+                f" than max_evaluations={self.settings.max_evaluations}."
+            )
+        return Proposal(body)
+
+    # ----------------------------------------------------------------------------------------------- in turns
+
+    def ask(self) -> list[Candidate]:
+        """The next generation, every body valid and never proposed before; empty when all evaluations are spent.
+
+        Raises:
+            SearchError: the last generation has not been told yet, or no new body can be found.
+        """
+        if self._asked is not None:
+            raise SearchError(
+                f"ask() was called twice: tell() the fitness of the {len(self._asked)} candidates of generation"
+                f" {self.generation} first."
+            )
+        left = self.settings.max_evaluations - len(self.bodies)
+        if left <= 0:
+            return []
+        rng = np.random.default_rng([STREAM, self.seed, self.generation])
+        proposals = self.propose(rng, min(self.settings.population, left))
+        first = len(self.bodies)
+        self._asked = [
+            Candidate(first + place, proposal.body, proposal.parents, proposal.origin, self.generation)
+            for place, proposal in enumerate(proposals)
+        ]
+        return list(self._asked)
+
+    def tell(self, fitness: Sequence[float]) -> None:
+        """The fitness of the candidates asked for last, in their order; larger is better.
+
+        Raises:
+            SearchError: nothing was asked for, or not one finite number per candidate.
+        """
+        if self._asked is None:
+            raise SearchError("tell() was called without ask(): there are no candidates that wait for their fitness.")
+        self._take_in(self._asked, fitness)
+
+    def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
+        """Get to where asking and telling had got, and make sure that it is this search that was asked.
+
+        Args:
+            history: of each generation from the first: its candidates, as they were proposed, and their fitness.
+
+        Raises:
+            SearchError: the search would have proposed something else, or was used before.
+        """
+        if self._asked is not None or self.bodies:
+            raise SearchError("replay() needs a fresh search: this one was asked already.")
+        for candidates, fitness in history:
+            self.recall(candidates)
+            self.tell(fitness)
+
+    def recall(self, candidates: Sequence[Candidate]) -> None:
+        """Have these candidates asked for. Where proposing is costly, a subclass takes them as given."""
+        _check_same(candidates, self.ask())
+
+    def adopt(self, candidates: Sequence[Candidate]) -> None:
+        """Have these candidates asked for without proposing them.
+
+        Raises:
+            SearchError: they cannot have been the next generation of this search.
+        """
+        first, left = len(self.bodies), self.settings.max_evaluations - len(self.bodies)
+        fits = 0 < len(candidates) <= min(left, self.settings.population)
+        for place, candidate in enumerate(candidates):
+            in_order = candidate.id == first + place and candidate.generation == self.generation
+            fits = fits and in_order and candidate.body.shape == self.shape and self.claim(candidate.body)
+        if not fits:
+            raise SearchError(
+                f"The history is not of this search: what it has for generation {self.generation} differs from the"
+                f" search's shape {self.shape}, population, budget or numbering, or repeats a body."
+            )
+        self._asked = list(candidates)
+
+    def _take_in(self, asked: Sequence[Candidate], fitness: Sequence[float]) -> None:
+        values = [float(value) for value in fitness]
+        if len(values) != len(asked):
+            raise SearchError(f"tell() needs one fitness per candidate: expected {len(asked)}, got {len(values)}.")
+        for candidate, value in zip(asked, values, strict=True):
+            if not math.isfinite(value):
+                raise SearchError(f"The fitness of candidate {candidate.id} must be a finite number, got {value}.")
+        self.bodies += [candidate.body for candidate in asked]
+        self.fitness += values
+        self.learn(asked, values)
+        self._asked = None
+        self.generation += 1
+
+
+def _check_same(told: Sequence[Candidate], asked: Sequence[Candidate]) -> None:
+    same = len(told) == len(asked) and all(
+        one.id == other.id and np.array_equal(one.body, other.body) for one, other in zip(told, asked, strict=True)
+    )
+    if not same:
+        generation = asked[0].generation if asked else "the last"
+        raise SearchError(
+            f"The history is not of this search: generation {generation} holds other designs than these settings and"
+            " this seed propose. It comes from other settings, another seed or another version."
+        )
+
+
+def _check_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    whole = isinstance(shape, (tuple, list)) and all(isinstance(n, int) and n > 0 for n in shape)
+    if not whole or len(shape) != 2:
+        raise ConfigError(f"The shape must be two whole numbers (rows, columns) >= 1, got {shape!r}.")
+    return shape[0], shape[1]
+
+
+def _check_seed(seed: int) -> int:
+    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+        raise ConfigError(f"The seed must be a whole number >= 0, got {seed!r}.")
+    return seed
+
+
+def _check_room(shape: tuple[int, int], evaluations: int) -> None:
+    if shape[0] * shape[1] > FEW_CELLS:
+        return
+    # a search that has to find nearly every body there is would spend its time on drawing known ones
+    bodies = count_valid(shape)
+    if bodies < 2 * evaluations:
+        raise ConfigError(
+            f"There are only {bodies} valid bodies of {shape[0]}x{shape[1]}: a search with"
+            f" max_evaluations={evaluations} needs at least twice as many bodies. Use a larger shape or"
+            f" max_evaluations={bodies // 2} at most."
+        )

@@ -1,0 +1,89 @@
+"""Genetic algorithm (paper section C.1, Algorithm 1, Table 3): elitism and mutation, no crossover."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from warpvox.algos.candidate import Candidate
+from warpvox.algos.search.base import BaseSearch, Proposal
+from warpvox.algos.search.bodies import mutate
+from warpvox.algos.search.settings import GaSettings
+
+__all__ = ["GeneticSearch", "last_generation", "survivors_of"]
+
+LITTER = 16
+"""Mutants of one parent that are drawn at a time, of which the first that will do counts."""
+
+FAMILY = 100_000
+"""Voxels of mutants that are drawn before all mutants of a parent count as known."""
+
+
+def survivors_of(settings: GaSettings, generation: int, last: int) -> int:
+    """Survivors that ``generation`` >= 1 takes over, of ``last`` generations after the first (Algorithm 1).
+
+    ``ceil(population * x)`` with a survival rate x that goes linearly from 0.6 at generation 0 to 0 at the last,
+    but at least 2; and never all, so that there is something new.
+    """
+    start, end = settings.survivor_rate, settings.final_survivor_rate
+    share = start + (end - start) * generation / last
+    # 25 * 0.6 * (1 - 1 / 3) must be 10, whatever rounding makes of it
+    count = math.ceil(round(settings.population * share, 9))
+    return min(max(settings.min_survivors, count), settings.population - 1)
+
+
+def last_generation(settings: GaSettings) -> int:
+    """N_max of Algorithm 1: with it, the generations after the first just use up ``max_evaluations``.
+
+    The paper limits evaluations rather than generations (section D.1), and survivors cost none.
+    """
+    left = settings.max_evaluations - settings.population
+    last = 1
+    while sum(settings.population - survivors_of(settings, n, last) for n in range(1, last + 1)) < left:
+        last += 1
+    return last
+
+
+class GeneticSearch(BaseSearch):
+    """The best designs survive, without being evaluated again; the others make way for mutants of the survivors.
+
+    Attributes:
+        population: ids of the last generation, survivors included.
+        last: number of the last generation, N_max of Algorithm 1.
+    """
+
+    settings: GaSettings
+
+    def __init__(self, settings: GaSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
+        super().__init__(settings, shape, seed)
+        self.last = last_generation(settings)
+        self.population: list[int] = []
+
+    def survivors(self) -> list[int]:
+        """The ids that the next generation takes over, best first; of equals the older one comes first."""
+        ranked = sorted(self.population, key=lambda number: (-self.fitness[number], number))
+        return ranked[: survivors_of(self.settings, self.generation, self.last)]
+
+    def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
+        """Random bodies first, then mutants of the survivors in place of those that do not survive."""
+        if self.generation == 0:
+            return [self.random_proposal(rng) for _ in range(count)]
+        survivors = self.survivors()
+        count = min(count, self.settings.population - len(survivors))
+        return [self.child(rng, survivors) for _ in range(count)]
+
+    def child(self, rng: np.random.Generator, parents: Sequence[int]) -> Proposal:
+        """A new mutant of one of the parents; should all their mutants be known, a random body."""
+        for parent in rng.permutation(parents):
+            litter = np.repeat(self.bodies[parent][None], LITTER, axis=0)
+            body = self.new_body(lambda litter=litter: mutate(rng, litter, self.settings.mutation_rate), FAMILY)
+            if body is not None:
+                return Proposal(body, (int(parent),), "mutation")
+        return self.random_proposal(rng)
+
+    def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
+        """The next generation: survivors and what they brought forth."""
+        kept = self.survivors() if self.generation else []
+        self.population = kept + [candidate.id for candidate in candidates]

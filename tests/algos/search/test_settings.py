@@ -1,0 +1,88 @@
+"""Settings: the paper's values, the YAML files of the command line, and mistakes."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from warpvox.algos.search import ALGORITHMS, GaSettings, RandomSettings, make_search, settings_from
+from warpvox.configs.keys import check_values
+from warpvox.configs.schema import SearchConfig
+from warpvox.errors import ConfigError
+
+
+def values(settings: object) -> dict[str, Any]:
+    return {key: list(v) if isinstance(v, tuple) else v for key, v in dataclasses.asdict(settings).items()}
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_the_yaml_file_says_every_setting_and_its_default(repository: Path, algorithm: str) -> None:
+    text = (repository / "configs" / "search" / f"{algorithm}.yaml").read_text(encoding="utf-8")
+    content = yaml.safe_load(text)
+    assert content.pop("algorithm") == algorithm
+    assert content == values(ALGORITHMS[algorithm]())
+
+
+def test_every_yaml_file_makes_a_search(repository: Path) -> None:
+    files = sorted((repository / "configs" / "search").glob("*.yaml"))
+    assert len(files) >= len(ALGORITHMS)
+    for file in files:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        config = SearchConfig(**content)
+        check_values(config, "search.")
+        assert settings_from(config) == settings_from(content)
+        make_search(settings_from(content), (5, 7), seed=1)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_defaults_are_those_of_table_2(algorithm: str) -> None:
+    settings = ALGORITHMS[algorithm]()
+    assert (settings.population, settings.max_evaluations) == (25, 250)
+
+
+def test_ga_defaults_are_those_of_table_3() -> None:
+    settings = GaSettings()
+    assert settings.mutation_rate == 0.10
+    assert (settings.final_survivor_rate, settings.survivor_rate) == (0.0, 0.6)
+    assert settings.min_survivors == 2
+
+
+def test_settings_are_frozen() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        GaSettings().population = 3  # type: ignore[misc]
+
+
+def test_none_stands_for_the_default() -> None:
+    assert settings_from({"algorithm": "ga", "population": None}) == GaSettings()
+    assert settings_from({"algorithm": "random", "population": 7}) == RandomSettings(population=7)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"algorithm": "gaa"}, r"one of ga, .*'gaa'\. Did you mean 'ga'\?"),
+        ({}, "one of ga, .*None"),
+        ({"algorithm": "ga", "populaton": 3}, r"no setting 'populaton'\. Did you mean 'population'\?"),
+        ({"algorithm": "random", "mutation_rate": 0.2}, "'random' has no setting 'mutation_rate'.*a setting of ga"),
+        ({"algorithm": "ga", "population": 2.5}, "population must be a whole number, got 2.5"),
+        ({"algorithm": "ga", "population": True}, "population must be a whole number, got True"),
+        ({"algorithm": "ga", "population": 1}, "population must be at least 2, got 1"),
+        ({"algorithm": "ga", "max_evaluations": 0}, "max_evaluations must be at least 1"),
+        ({"algorithm": "ga", "mutation_rate": 0.0}, "mutation_rate must be greater than 0"),
+        ({"algorithm": "ga", "mutation_rate": "much"}, "mutation_rate must be a number, got 'much'"),
+        ({"algorithm": "ga", "survivor_rate": float("nan")}, "survivor_rate must be a finite number"),
+        ({"algorithm": "ga", "population": 5, "min_survivors": 5}, r"min_survivors must be less than population \(5\)"),
+    ],
+)
+def test_mistakes_are_told_in_words(given: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        settings_from(given)
+
+
+def test_settings_of_no_search_are_refused() -> None:
+    with pytest.raises(ConfigError, match="no search for settings of type dict"):
+        make_search({"algorithm": "ga"})  # type: ignore[arg-type]
