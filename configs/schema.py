@@ -32,7 +32,9 @@ __all__ = [
 ]
 
 ACTIVATIONS = ("tanh", "elu", "relu", "selu", "gelu", "swish")
-EXPORTS = ("usd", "gif", "mp4", "html")
+EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
+AGENTS = ("random", "sine", "zero")
+SHOW = ("auto", "on", "off")
 AUTO = "auto"
 PPO = ("parallel", "evogym")
 
@@ -193,6 +195,9 @@ class _RolloutConfig:
 
     run: str = key("latest", "latest, the folder of a run, or a checkpoint file")
     checkpoint: str = key("best", "of that run: best, last, or an iteration")
+    size: list[int] | None = key(
+        None, "width and height of pictures in pixels, [640,360] for instance; null: what suits the format", low=16
+    )
     steps: int | None = key(None, "control steps to record; null: until the episode ends", low=1)
     device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
     dtype: str | None = key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
@@ -207,16 +212,29 @@ class _RolloutConfig:
 class PlayConfig(_RolloutConfig):
     """Keys of ``warpvox play``."""
 
-    num_envs: int = key(4, "environments; a multiple of the run's number of designs", low=1)
-    export: list[str] = key([], "what to write of the rollout: [usd,gif,mp4,html] or some of them", choices=EXPORTS)
+    agent: str | None = key(
+        None, "instead of a run's policy: uniformly random actions, a sine wave, or zero effort", choices=AGENTS
+    )
+    task: str | None = key(None, "with agent: task id; null: Walker-v0")
+    design: Any = key(None, "with agent: body, as for train; null: walker")
+    rules: str | None = key(None, "with agent: evogym or paper; null: evogym", choices=("evogym", "paper"))
+    num_envs: int = key(4, "environments; a multiple of the number of designs", low=1)
+    window: str = key("auto", "show the episode in a window: on, off, or auto, where there is a display", choices=SHOW)
+    record: bool = key(True, "write the rollout, of which `warpvox export rollout=FILE` makes pictures later")
+    export: list[str] | None = key(
+        None,
+        "what to make of the rollout, some of [usd,gif,mp4,html,png,strip]; null: html where no window is shown",
+        choices=EXPORTS,
+    )
 
 
 @dataclass
 class ExportConfig(_RolloutConfig):
     """Keys of ``warpvox export``."""
 
+    rollout: str | None = key(None, "a rollout.npz to export as it is; null: record an episode of the run")
     num_envs: int = key(1, "environments; a multiple of the run's number of designs", low=1)
-    format: Any = key("usd", "usd, gif, mp4, html, or a list of them: [usd,gif]")
+    format: Any = key("usd", "usd, gif, mp4, html, png, strip, or a list of them: [usd,gif]")
 
 
 SUITES = {

@@ -14,6 +14,7 @@ from warpvox.errors import RolloutError
 from warpvox.files import atomic_path
 from warpvox.painter import INK, Painter, font
 from warpvox.rollout import FRAME_SECONDS, Rollout
+from warpvox.types import VOXEL
 
 __all__ = ["Film", "draw_frame", "filmstrip", "write_filmstrip", "write_gif", "write_mp4", "write_png"]
 
@@ -177,7 +178,7 @@ def filmstrip(
     if not chosen:
         raise RolloutError("A strip shows 1 to 64 frames, got none.")
     each = (width - MARGIN * (len(chosen) - 1)) // len(chosen)
-    painter = Painter(rollout, env, _check_size((each, height)), voxels or max(5.5, _fit(rollout, env)))
+    painter = Painter(rollout, env, _check_size((each, height)), voxels or _fit(rollout, env))
     strip, letters = Image.new("RGB", (width, height), PAPER), font(max(9, height // 14))
     for number, frame in enumerate(chosen):
         tile = painter.frame(frame)
@@ -360,9 +361,9 @@ def _layout(count: int, size: tuple[int, int]) -> tuple[int, tuple[int, int]]:
 
 
 def _fit(rollout: Rollout, env: int) -> float:
-    """Voxels from bottom to top with which a robot fills a good part of a picture."""
+    """Voxels from bottom to top with which a robot fills a good part of a picture, and what it stands on shows."""
     points = rollout.positions[0, env, rollout.scene(env).robot_points]
-    return 1.7 * float(np.ptp(points[:, 1])) * 10
+    return max(6.5, 2.1 * float(np.ptp(points[:, 1])) / VOXEL)
 
 
 def _check_size(size: tuple[int, int]) -> tuple[int, int]:

@@ -20,8 +20,8 @@ __all__ = ["COMMANDS", "main"]
 
 COMMANDS = {
     "train": "train a controller for a body on a task",
-    "play": "run a trained controller, print its returns, export what it did",
-    "export": "write a run's rollout as USD, GIF or page",
+    "play": "watch a trained controller or a simple agent, print returns, export what it did",
+    "export": "write a run's rollout as USD, film, pictures or page",
     "demo": "train a walker in a minute or two and export it",
     "bench": "measure speed, beside the reference",
     "tasks": "list the tasks, or show one in detail",

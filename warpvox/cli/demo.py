@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from warpvox.cli.config import expand, load, read_arguments
-from warpvox.cli.exports import check_formats, load_run, record_run, write_exports
+from warpvox.cli.exports import ROLLOUT, check_formats, load_run, record_run, write_exports
 from warpvox.cli.play import print_returns
 from warpvox.cli.runs import check_name, find_run
 from warpvox.cli.say import say
@@ -41,6 +41,7 @@ def _show(folder: Path, output_dir: str, formats: list[str], console: Console) -
     with console.status("simulating"):
         rollout = record_run(source, env, controller, None)
     print_returns(rollout, console)
+    rollout.save(folder / ROLLOUT)
     write_exports(rollout, folder, formats, console)
     page = folder / "rollout.html"
     if page.is_file():

@@ -16,7 +16,7 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 if TYPE_CHECKING:
     from warpvox.rollout import Rollout
 
-__all__ = ["check_formats", "load_run", "record_run", "write_exports"]
+__all__ = ["ROLLOUT", "TILES", "check_formats", "check_size", "load_run", "record_agent", "record_run", "write_exports"]
 
 ROLLOUT = "rollout.npz"
 # format -> file, module, function
@@ -25,7 +25,11 @@ WRITERS = {
     "gif": ("rollout.gif", "warpvox.render", "write_gif"),
     "mp4": ("rollout.mp4", "warpvox.render", "write_mp4"),
     "html": ("rollout.html", "warpvox.player", "write_html"),
+    "png": ("rollout.png", "warpvox.render", "write_png"),
+    "strip": ("rollout_strip.png", "warpvox.render", "write_filmstrip"),
 }
+TILED = ("gif", "mp4", "png")
+SIZED = (*TILED, "strip")
 TILES = 16
 """Environments that a picture shows at most."""
 
@@ -44,6 +48,17 @@ def check_formats(formats: Any, key: str) -> list[str]:
             hint = did_you_mean(name, EXPORTS)
             raise ConfigError(f"{key} must be one of {listing(EXPORTS)} or a list of them, got {name!r}.{hint}")
     return list(dict.fromkeys(names))
+
+
+def check_size(size: list[int] | None) -> tuple[int, int] | None:
+    """The key ``size`` as width and height.
+
+    Raises:
+        ConfigError: not two numbers.
+    """
+    if size is not None and len(size) != 2:
+        raise ConfigError(f"size must be [width,height] in pixels, such as [640,360]; got {size}.")
+    return tuple(size) if size else None
 
 
 def load_run(run: Run, config: Any) -> tuple[Any, Any]:
@@ -76,15 +91,43 @@ def record_run(run: Run, env: Any, controller: Any, steps: int | None) -> Rollou
     return record(env, controller, steps, metadata={"run": run.folder.name})
 
 
-def write_exports(rollout: Rollout, folder: Path, formats: list[str], console: Console) -> list[Path]:
-    """Write the rollout itself and each format; returns the paths."""
+def record_agent(config: Any) -> Rollout:
+    """One episode of every environment under an agent that needs no training.
+
+    Args:
+        config: play's configuration with an agent.
+    """
+    from warpvox.cli.build import load_bodies
+    from warpvox.envs.vec_env import make_vec
+    from warpvox.rollout import record
+
+    env = make_vec(
+        config.task or "Walker-v0",
+        load_bodies("walker" if config.design is None else config.design, config.seed),
+        config.num_envs,
+        device=config.device,
+        rules=config.rules or "evogym",
+        dtype=config.dtype or "float32",
+        seed=config.seed,
+        auto_reset=False,
+        threads=config.threads,
+    )
+    return record(env, config.agent, config.steps)
+
+
+def write_exports(
+    rollout: Rollout, folder: Path, formats: list[str], console: Console, size: tuple[int, int] | None = None
+) -> list[Path]:
+    """Write each format, say what there is (the rollout itself, if it was written, first); returns the paths."""
     from warpvox.cli.build import shown
 
-    written = [rollout.save(folder / ROLLOUT)]
+    written = [folder / ROLLOUT] if (folder / ROLLOUT).is_file() else []
     for name in formats:
         file, module, function = WRITERS[name]
         with console.status(f"writing {file}"):
-            options = {"envs": list(range(min(rollout.num_envs, TILES)))} if name in ("gif", "mp4") else {}
+            options: dict[str, Any] = {"size": size} if size and name in SIZED else {}
+            if name in TILED:
+                options["envs"] = list(range(min(rollout.num_envs, TILES)))
             getattr(import_module(module), function)(rollout, folder / file, **options)
         written.append(folder / file)
     for path in written:

@@ -1,8 +1,9 @@
-"""``warpvox play``: a trained policy without exploration, its returns, and what it did."""
+"""``warpvox play``: a trained policy without exploration, or a simple agent; its returns, and what it did."""
 
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,18 +13,33 @@ from rich.table import Table
 
 from warpvox import __version__
 from warpvox.cli.config import expand, load, read_arguments, to_yaml
-from warpvox.cli.exports import check_formats, load_run, record_run, write_exports
+from warpvox.cli.exports import (
+    ROLLOUT,
+    TILES,
+    check_formats,
+    check_size,
+    load_run,
+    record_agent,
+    record_run,
+    write_exports,
+)
 from warpvox.cli.runs import check_name, find_run, new_folder, write_summary
 from warpvox.cli.say import say
 from warpvox.cli.train import describe
+from warpvox.cli.watch import wants_window, watch
+from warpvox.configs.schema import PlayConfig
+from warpvox.errors import ConfigError
 
 if TYPE_CHECKING:
     from warpvox.rollout import Rollout
 
-__all__ = ["play", "run"]
+__all__ = ["play", "run", "write_results"]
 
 ROWS = 20
 """Environments that the table lists at most."""
+OF_AGENTS = ("task", "design", "rules")
+"""Keys that a trained run answers itself."""
+NOT_A_NAME = re.compile(r"[^\w.+-]+")
 
 
 def run(words: list[str]) -> None:
@@ -33,18 +49,41 @@ def run(words: list[str]) -> None:
         return
     console = Console()
     for overrides in expand(arguments, "play"):
-        config = load("play", overrides, arguments.config_dir)
-        play(config, config.export, console, "play")
+        play(load("play", overrides, arguments.config_dir), console)
 
 
-def play(config: Any, formats: list[str], console: Console, command: str) -> Path:
-    """Run one episode everywhere and write it down; returns the folder of the results.
+def play(config: PlayConfig, console: Console) -> Path:
+    """Run one episode everywhere, write it down and show it; returns the folder of the results.
 
     Raises:
-        WarpvoxError: the run, or what is asked of it, is not valid; nothing is written then.
+        WarpvoxError: the run or agent, or what is asked of it, is not valid; nothing is written then.
     """
+    in_window = wants_window(config.window)
+    formats = ([] if in_window else ["html"]) if config.export is None else config.export
     formats = check_formats(formats, "export") if formats else []
+    size = check_size(config.size)
     check_name(config.name)
+    if config.agent is None:
+        rollout, source = play_run(config, console)
+    else:
+        rollout, source = play_agent(config, console), f"agent {config.agent}"
+        config = dataclasses.replace(config, run="")
+    folder = write_results(rollout, config, source, "play", formats, console, config.record)
+    if in_window:
+        say(console, "close the window to go on")
+        watch(rollout, list(range(min(rollout.num_envs, TILES))), **({"size": size} if size else {}))
+    return folder
+
+
+def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
+    """The rollout of a trained run's policy, and the folder of the run.
+
+    Raises:
+        WarpvoxError: no such run, or one that does not do what ``config`` asks.
+    """
+    for name in OF_AGENTS:
+        if getattr(config, name, None) is not None:
+            raise ConfigError(f"{name} goes with agent=random|sine|zero; a trained run has its own {name}.")
     source = find_run(config.run, config.output_dir)
     with console.status("loading"):
         from warpvox.cli.build import prepare, shown
@@ -53,23 +92,55 @@ def play(config: Any, formats: list[str], console: Console, command: str) -> Pat
         env, controller = load_run(source, config)
     with console.status("simulating"):
         rollout = record_run(source, env, controller, config.steps)
-    resolved = dataclasses.replace(config, run=str(source.checkpoint or source.folder), device=str(env.device))
-    task = env.spec.id
-    with new_folder(config.output_dir, command, task, config.name, to_yaml(resolved)) as folder:
-        say(console, f"run: {shown(source.folder)}")
+    say(console, f"run: {shown(source.folder)}")
+    return rollout, str(source.checkpoint or source.folder)
+
+
+def play_agent(config: PlayConfig, console: Console) -> Rollout:
+    """The rollout of an agent that needs no training.
+
+    Raises:
+        WarpvoxError: a task, design or count that is not valid.
+    """
+    with console.status("loading"):
+        from warpvox.cli.build import prepare
+
+        prepare(config.torch_threads, config.seed)
+    with console.status("simulating"):
+        return record_agent(config)
+
+
+def write_results(
+    rollout: Rollout, config: Any, source: str, command: str, formats: list[str], console: Console, keep: bool = True
+) -> Path:
+    """Print the returns and write the folder of a play or an export; returns it.
+
+    Args:
+        source: what made the rollout; ``config.run`` is replaced by it where that names a run.
+        keep: whether to write the rollout itself as well.
+    """
+    resolved = dataclasses.replace(config, run=source) if config.run else config
+    # The task's name may come from a file that somebody else has written: it must stay a name.
+    place = NOT_A_NAME.sub("_", rollout.title).strip(".") or "rollout"
+    with new_folder(config.output_dir, command, place, config.name, to_yaml(resolved)) as folder:
         print_returns(rollout, console)
-        write_exports(rollout, folder, formats, console)
-        write_summary(folder, summary_of(rollout, command, task, source.folder))
+        if keep:
+            rollout.save(folder / ROLLOUT)
+        write_exports(rollout, folder, formats, console, check_size(config.size))
+        write_summary(folder, summary_of(rollout, command, source))
+    page = folder / "rollout.html"
+    if page.is_file():
+        say(console, f"open in a browser: {page.resolve().as_uri()}")
     return folder
 
 
-def summary_of(rollout: Rollout, command: str, task: str, run_folder: Path) -> dict[str, Any]:
-    """The rollout in figures, for ``summary.json``."""
+def summary_of(rollout: Rollout, command: str, source: str) -> dict[str, Any]:
+    """The rollout in figures, for ``summary.json``; ``source``: what made it."""
     returns = rollout.returns[-1]
     return {
         "command": command,
-        "task": task,
-        "run": str(run_folder),
+        "task": rollout.title,
+        "source": source,
         "version": __version__,
         "mean_return": float(returns.mean()),
         "returns": [float(value) for value in returns],
@@ -81,7 +152,8 @@ def print_returns(rollout: Rollout, console: Console) -> None:
     """A table with a row for each environment (the first ones of many) and their mean."""
     returns, lengths = rollout.returns[-1], rollout.lengths
     several = len(rollout.scenes) > 1
-    table = Table(title=f"{rollout.title}, deterministic")
+    agent = rollout.metadata.get("agent", "policy")
+    table = Table(title=f"{rollout.title}, {'deterministic' if agent == 'policy' else f'agent {agent}'}")
     for heading in ("environment", *(["design"] if several else []), "return", "steps", "end"):
         table.add_column(heading, justify="left" if heading == "end" else "right")
     for env in range(min(rollout.num_envs, ROWS)):

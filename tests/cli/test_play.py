@@ -1,0 +1,112 @@
+"""What plays without a trained run: agents, recorded rollouts, the window."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from warpvox.cli.watch import watch
+from warpvox.envs.vec_env import make_vec
+from warpvox.rollout import Rollout, record
+
+QUICK = "task=Walker-v0 design=mini num_envs=2 steps=6 threads=1 device=cpu window=off".split()
+
+
+def only(pattern: str) -> Path:
+    (found,) = Path("outputs").glob(pattern)
+    return found
+
+
+@pytest.mark.parametrize("agent", ["random", "sine", "zero"])
+def test_an_agent_plays_any_task_and_design(warpvox: Callable, agent: str) -> None:
+    outcome = warpvox("play", f"agent={agent}", "seed=4", *QUICK)
+    assert outcome.code == 0, outcome.err
+    folder = only("play/Walker-v0/*")
+    played = Rollout.load(folder / "rollout.npz")
+    env = make_vec("Walker-v0", ["mini"], 2, device="cpu", seed=4, threads=1)
+    np.testing.assert_array_equal(played.positions, record(env, agent, 6).positions)
+    assert f"agent {agent}" in outcome.out
+    assert json.loads((folder / "summary.json").read_text())["source"] == f"agent {agent}"
+
+
+def test_without_a_window_there_is_a_page(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    outcome = warpvox("play", "agent=sine", *[word for word in QUICK if not word.startswith("window")])
+    assert outcome.code == 0, outcome.err
+    page = only("play/Walker-v0/*/rollout.html")
+    assert page.resolve().as_uri() in outcome.out
+    outcome = warpvox("play", "agent=sine", *QUICK, "export=[]", "name=bare", "record=false")
+    assert outcome.code == 0, outcome.err
+    assert {file.name for file in only("play/Walker-v0/*_bare").iterdir()} == {"config.yaml", "summary.json"}
+
+
+def test_a_recorded_rollout_is_exported_as_it_is(warpvox: Callable) -> None:
+    assert warpvox("play", "agent=sine", *QUICK, "export=[]").code == 0
+    file = only("play/Walker-v0/*/rollout.npz")
+    outcome = warpvox("export", f"rollout={file}", "format=[html,png,strip,gif]", "size=[400,200]")
+    assert outcome.code == 0, outcome.err
+    folder = only("export/Walker-v0/*")
+    names = {"config.yaml", "summary.json", "rollout.html", "rollout.png", "rollout_strip.png", "rollout.gif"}
+    assert {file.name for file in folder.iterdir()} == names
+    for name in ("rollout.png", "rollout_strip.png", "rollout.gif"):
+        with Image.open(folder / name) as picture:
+            assert picture.size == (400, 200)
+    assert yaml.safe_load((folder / "config.yaml").read_text())["rollout"] == str(file)
+
+
+def test_a_name_out_of_a_file_leads_nowhere_else(warpvox: Callable) -> None:
+    assert warpvox("play", "agent=zero", *QUICK, "export=[]").code == 0
+    rollout = Rollout.load(only("play/Walker-v0/*/rollout.npz"))
+    rollout.metadata["task"] = "../../../elsewhere"
+    rollout.save("foreign.npz")
+    assert warpvox("export", "rollout=foreign.npz", "format=png").code == 0
+    assert only("export/*/*/rollout.png").is_relative_to("outputs/export")
+
+
+def test_a_damaged_rollout_is_refused(warpvox: Callable) -> None:
+    Path("cut.npz").write_bytes(b"PK\x03\x04 cut short")
+    outcome = warpvox("export", "rollout=cut.npz", "format=png")
+    assert outcome.code == 2
+    assert "cut.npz is truncated or no rollout" in outcome.err
+    assert not Path("outputs").exists()
+
+
+class Screen:
+    """Stands in for a window: keeps what it is shown, and is closed by its owner after a while."""
+
+    def __init__(self, size: tuple[int, int], title: str, patience: int) -> None:
+        self.size, self.title, self.patience, self.pictures = size, title, patience, []
+
+    @property
+    def closed(self) -> bool:
+        return len(self.pictures) >= self.patience
+
+    def show(self, picture: np.ndarray) -> None:
+        assert picture.shape == (self.size[1], self.size[0], 3)
+        self.pictures.append(picture)
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
+def test_the_window_shows_real_time_and_begins_anew(speed: float) -> None:
+    env = make_vec("Walker-v0", ["mini"], 1, device="cpu", threads=1)
+    rollout = record(env, "sine", 10)
+    now = iter(np.arange(10_000) * 0.02 * speed)  # a machine that draws a picture every `speed` frames
+    screens = []
+
+    def open_screen(size: tuple[int, int], title: str) -> Screen:
+        screens.append(Screen(size, title, 200))
+        return screens[-1]
+
+    count = watch(rollout, [0], (200, 120), clock=lambda: next(now), make_window=open_screen)
+    assert "Walker-v0" in screens[0].title
+    first, shown = screens[0].pictures[0], screens[0].pictures
+    again = [k for k in range(1, 200) if (shown[k] == first).all() and (shown[k - 1] != first).any()]
+    assert again  # it began anew
+    assert 2 <= count <= 11 * (len(again) + 1)  # and no frame is drawn twice in a row
