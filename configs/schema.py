@@ -35,6 +35,7 @@ ACTIVATIONS = ("tanh", "elu", "relu", "selu", "gelu", "swish")
 EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
 AGENTS = ("random", "sine", "zero")
 SHOW = ("auto", "on", "off")
+OBSERVATIONS = ("task", "voxel")
 AUTO = "auto"
 PPO = ("parallel", "evogym")
 
@@ -115,11 +116,14 @@ class PpoConfig:
 class TrainConfig:
     """Keys of ``warpvox train``."""
 
-    task: str = key("Walker-v0", "task id; `warpvox tasks` lists them")
+    task: str = key("Walker-v0", "task id; `warpvox tasks` lists them; module:NAME or file.py:NAME of your own")
     design: Any = key(
-        "walker", "body: name of an example, random, random:5x7, a .json/.npz/.npy file, or rows of cells"
+        "walker",
+        "body: name of an example, random, random:5x7, a .json/.npz/.npy file, or rows of cells;"
+        " for a task with several robots {name:body}",
     )
     rules: str = key("evogym", "the benchmark as released (evogym) or as printed (paper)", choices=("evogym", "paper"))
+    obs: str = key("task", "what is observed: task (as the task has it) or voxel (cell by cell)", choices=OBSERVATIONS)
     num_envs: int = key(MISSING, "environments stepped together", low=1)
     max_iterations: int = key(MISSING, "iterations in all, those before a resume included", low=1)
     eval_interval: int = key(MISSING, "iterations between deterministic evaluations", low=1)

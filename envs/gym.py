@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import gymnasium
@@ -9,50 +10,92 @@ import numpy as np
 
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ActionError, ConfigError, listing
+from warpvox.errors import ActionError, ConfigError, DisplayError, listing
+from warpvox.rollout import FRAME_SECONDS
 from warpvox.types import ACTION_HIGH, ACTION_LOW, Physics
 
-__all__ = ["VoxelEnv", "register"]
+__all__ = ["VoxelEnv", "register", "register_task", "spaces_of"]
 
 NAMESPACE = "warpvox"
-OBSERVATION_BOUND = 100.0  # as released: nominal, observations are not clipped
+FPS = round(1 / FRAME_SECONDS)
 _NO_LIMIT = 2**62  # gymnasium's TimeLimit counts the steps
 
 
 def register() -> None:
     """Make all tasks known to gymnasium as ``warpvox/<id>``. Harmless to repeat."""
     for task in task_ids():
-        name = f"{NAMESPACE}/{task}"
-        if name not in gymnasium.registry:
-            gymnasium.register(
-                name,
-                entry_point="warpvox.envs.gym:VoxelEnv",
-                max_episode_steps=get_task(task).max_episode_steps,
-                kwargs={"task": task},
-            )
+        if f"{NAMESPACE}/{task}" not in gymnasium.registry:
+            _register(NAMESPACE, task, task)
+
+
+def register_task(task: str | TaskSpec, namespace: str) -> str:
+    """Make a task of your own known to gymnasium; return its id ``<namespace>/<task id>``.
+
+    Args:
+        task: a specification, or ``module:NAME``, which other processes (``vectorization_mode="async"``) can import.
+        namespace: anything but ``warpvox``.
+
+    Raises:
+        ConfigError: a namespace that is not free. TaskError: no such task.
+    """
+    if namespace == NAMESPACE or not namespace.isidentifier():
+        raise ConfigError(f"A namespace of your own is a word other than {NAMESPACE!r}, got {namespace!r}.")
+    return _register(namespace, get_task(task).id, task)
+
+
+def _register(namespace: str, name: str, task: str | TaskSpec) -> str:
+    gymnasium.register(
+        f"{namespace}/{name}",
+        entry_point="warpvox.envs.gym:VoxelEnv",
+        vector_entry_point="warpvox.envs.gym_vector:VoxelGymVectorEnv",
+        max_episode_steps=get_task(task).max_episode_steps,
+        kwargs={"task": task},
+    )
+    return f"{namespace}/{name}"
+
+
+def spaces_of(env: Any) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+    """The spaces of observations and actions of a single environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv`.
+
+    An entry's bounds are those of its term (:mod:`warpvox.envs.about`), over all designs; what has none, such as
+    places and velocities, may become as large as it likes. Both have the precision of the environment.
+    """
+    dtype = np.dtype(str(env.dtype).removeprefix("torch."))
+    bounds = np.zeros((2, env.num_designs, env.num_obs))
+    for design, columns in enumerate(env.obs_columns):
+        for term in env.spec.observations:
+            bounds[:, design, columns[term.name]] = [[term.about.low], [term.about.high]]
+    low, high = bounds[0].min(0).astype(dtype), bounds[1].max(0).astype(dtype)
+    actions = gymnasium.spaces.Box(ACTION_LOW, ACTION_HIGH, (env.num_actions,), dtype)
+    return gymnasium.spaces.Box(low, high, dtype=dtype), actions
 
 
 class VoxelEnv(gymnasium.Env):
-    """One robot in one task: numpy in and out, float64, EvoGym's spaces.
+    """One robot in one task: numpy in and out, float64.
 
-    Observations are float64 ``[num_obs]`` (``Box(-100, 100)``), actions ``[num_actions]``
+    Observations are ``[num_obs]`` (for their bounds see :func:`spaces_of`), actions ``[num_actions]``
     (``Box(0.6, 1.6)``): goal lengths of the actuators, row by row from the top of the body, in units of their
     rest length. The time limit is gymnasium's. An environment that has terminated stays as it is until it is
     reset.
 
+    ``metadata`` of the class names all render modes, that of an instance those which work on this machine: ``human``
+    needs a display.
+
     Args:
-        task: id or specification.
-        body: cells ``[rows, columns]`` or anything :func:`warpvox.load_design` reads. Default: ``walker``.
+        task: id, ``module:NAME`` or specification.
+        body: cells ``[rows, columns]`` or anything :func:`warpvox.load_design` reads; for a task with several robots
+            ``{name: body}``. Default: ``walker``.
         connections: EvoGym's ``[2, k]`` pairs of flat cell indices; None connects all neighbours.
-        render_mode: None or one of ``metadata["render_modes"]``.
-        rules, physics, dtype, device: as in :func:`warpvox.make_vec`.
+        render_mode: None, ``rgb_array`` (:meth:`render` gives a picture) or ``human`` (a window shows every step).
+        render_size: width and height of pictures in pixels.
+        rules, physics, dtype, device, obs: as in :func:`warpvox.make_vec`.
 
     Raises:
         TaskError, DesignError, WorldError, DeviceError: as :func:`warpvox.make_vec`. ConfigError: unknown
-            rules or render mode.
+            rules or render mode. DisplayError: ``human`` where there is no display.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 50}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": FPS}  # noqa: RUF012
 
     def __init__(
         self,
@@ -64,12 +107,12 @@ class VoxelEnv(gymnasium.Env):
         physics: str | Physics | None = None,
         dtype: str = "float64",
         device: str = "cpu",
+        obs: str = "task",
+        render_size: tuple[int, int] = (640, 360),
     ) -> None:
         from warpvox.envs.vec_env import make_vec  # brings torch, which registering must not
 
-        modes = self.metadata["render_modes"]
-        if render_mode is not None and render_mode not in modes:
-            raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {render_mode!r}.")
+        self._check_mode(render_mode)
         self._vec = make_vec(
             task,
             designs=None if body is None else [body],
@@ -81,12 +124,27 @@ class VoxelEnv(gymnasium.Env):
             auto_reset=False,
             threads=1,
             max_episode_steps=_NO_LIMIT,
+            obs=obs,
         )
-        self.render_mode = render_mode
-        shape = (self._vec.num_obs,)
-        self.observation_space = gymnasium.spaces.Box(-OBSERVATION_BOUND, OBSERVATION_BOUND, shape, np.float64)
-        shape = (self._vec.num_actions,)
-        self.action_space = gymnasium.spaces.Box(ACTION_LOW, ACTION_HIGH, shape, np.float64)
+        self.render_mode, self.render_size = render_mode, render_size
+        self.observation_space, self.action_space = spaces_of(self._vec)
+        self._view: Any = None
+        self._window: Any = None
+        self._next_frame = 0.0
+
+    def _check_mode(self, mode: str | None) -> None:
+        """Refuse modes that there are not, or not here; ``metadata`` becomes that of this machine."""
+        from warpvox.window import why_no_window
+
+        modes = VoxelEnv.metadata["render_modes"]
+        if mode is not None and mode not in modes:
+            raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {mode!r}.")
+        reason = why_no_window()
+        if reason is None:
+            return
+        if mode == "human":
+            raise DisplayError(f"render_mode='human' shows a window, but {reason}; render_mode='rgb_array' needs none.")
+        self.metadata = VoxelEnv.metadata | {"render_modes": [name for name in modes if name != "human"]}
 
     @property
     def sim(self) -> Any:
@@ -94,9 +152,17 @@ class VoxelEnv(gymnasium.Env):
         return self._vec.sim
 
     @property
-    def body(self) -> np.ndarray:
-        """int8 ``[rows, columns]``: the robot."""
-        return self._vec.designs[0].copy()
+    def voxels(self) -> dict[str, Any]:
+        """With ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name."""
+        return self._vec.voxels
+
+    @property
+    def body(self) -> np.ndarray | dict[str, np.ndarray]:
+        """int8 ``[rows, columns]``: the robot; of several robots all, by name."""
+        design = self._vec.designs[0]
+        if isinstance(design, dict):
+            return {name: cells.copy() for name, cells in design.items()}
+        return design.copy()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -104,7 +170,8 @@ class VoxelEnv(gymnasium.Env):
         """Begin an episode; ``options`` are not used."""
         super().reset(seed=seed)
         obs, _ = self._vec.reset(seed)
-        return self._numpy(obs), {}
+        self._show()
+        return obs[0].cpu().numpy(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """One control step.
@@ -125,8 +192,47 @@ class VoxelEnv(gymnasium.Env):
             "unstable": bool(info["unstable"][0]),
             "reward_terms": {name: float(value[0]) for name, value in info["reward_terms"].items()},
         }
-        return self._numpy(obs), float(reward[0]), bool(terminated[0]), False, details
+        self._show()
+        return obs[0].cpu().numpy(), float(reward[0]), bool(terminated[0]), False, details
 
-    @staticmethod
-    def _numpy(obs: Any) -> np.ndarray:
-        return obs[0].cpu().numpy().astype(np.float64)
+    def render(self) -> np.ndarray | None:
+        """The present state, uint8 ``[height, width, 3]``, in the mode ``rgb_array``.
+
+        In the mode ``human`` it is shown, as after every step, and None returned. Without a mode gymnasium's
+        convention is a warning and None.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() does nothing without a render_mode: gymnasium.make(..., render_mode=...).")
+            return None
+        if self.render_mode == "human":
+            self._show()
+            return None
+        return self._picture()
+
+    def _picture(self) -> np.ndarray:
+        if self._view is None:
+            from warpvox.live import LiveView
+
+            self._view = LiveView(self.sim, self.render_size)
+        return self._view.pictures()[0]
+
+    def _show(self) -> None:
+        """In human mode: the state in the window, which is opened if need be; one that was closed stays closed."""
+        if self.render_mode != "human":
+            return
+        if self._window is None:
+            from warpvox.window import Window
+
+            self._window = Window(self.render_size, f"{NAMESPACE} {self._vec.spec.id}")
+        if self._window.closed:
+            return
+        early = self._next_frame - time.perf_counter()
+        if 0 < early < 1:
+            time.sleep(early)  # people want to see time run as it does in the simulation
+        self._window.show(self._picture())
+        self._next_frame = time.perf_counter() + FRAME_SECONDS
+
+    def close(self) -> None:
+        """Close the window. Harmless to repeat."""
+        if self._window is not None:
+            self._window.close()

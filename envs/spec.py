@@ -6,11 +6,14 @@ environment adds terms up, so that no task has code of its own.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from warpvox.envs.about import About, about_of
 from warpvox.errors import ConfigError, TaskError, did_you_mean, listing
 from warpvox.world import WorldObject
 
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
     from warpvox.envs.state import State
 
 __all__ = [
+    "ROBOT",
     "RULES",
     "Memory",
     "Observation",
@@ -35,6 +39,11 @@ __all__ = [
 
 RULES = ("evogym", "paper")
 """``evogym``: the benchmark as released (2.0.0). ``paper``: as section B of the paper prints it."""
+
+ROBOT = "robot"
+"""Name of the robot in the world of a task."""
+
+ID = re.compile(r"[\w.+-]+")  # ids are also names of folders and, behind a slash, of gymnasium's environments
 
 
 @dataclass(frozen=True)
@@ -53,10 +62,23 @@ class Term:
         words = [value for _, value in self.params if isinstance(value, str)]
         return "_".join([self.function.__name__, *words])
 
+    @property
+    def formula(self) -> str:
+        """What is computed, as text; of a function that says nothing about itself the name and parameters."""
+        described = about_of(self.function)
+        if described is not None:
+            return described.text(dict(self.params))
+        return f"{self.function.__name__}({', '.join(f'{key}={value}' for key, value in self.params)})"
+
 
 @dataclass(frozen=True)
 class Observation(Term):
     """``function(state)`` gives ``[num_envs, k]``, or ``[num_envs, 2, points]`` if it is about points."""
+
+    @property
+    def about(self) -> About:
+        """Unit and range; of a function that says nothing about itself: a number of any size."""
+        return about_of(self.function) or About(self.formula)
 
 
 @dataclass(frozen=True)
@@ -114,8 +136,9 @@ class TaskSpec:
         section: where the paper defines it, for instance ``B.2.1``.
         summary: one sentence: what the robot has to do.
         difficulty: ``easy``, ``medium`` or ``hard`` (the paper's).
-        objects: everything in the world but the robot.
-        robot_cell: (x, y) of the lower left cell of the body's bounding box.
+        objects: everything in the world but the robots that are designed.
+        robot_cell: (x, y) of the lower left cell of the body's bounding box. The body is the object ``robot``.
+        partners: further robots whose bodies are designed: their names, and (x, y) as for ``robot_cell``.
         max_episode_steps: control steps after which an episode is truncated.
         observations: in the order in which they are concatenated.
         rewards: summed.
@@ -139,15 +162,21 @@ class TaskSpec:
     terminations: tuple[Termination, ...] = ()
     memory: tuple[Memory, ...] = ()
     scattered: tuple[str, ...] = ()
+    partners: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     unstable_penalty: float = -3.0
     paper: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "paper", MappingProxyType(dict(self.paper)))
+        object.__setattr__(self, "partners", MappingProxyType(dict(self.partners)))
+        if not isinstance(self.id, str) or not ID.fullmatch(self.id):
+            raise TaskError(f"The id of a task may hold letters, digits and . _ + - only, got {self.id!r}.")
         if not self.observations or self.max_episode_steps < 1:
             raise TaskError(f"The task '{self.id}' needs an observation and at least one step an episode.")
         names = [term.name for term in (*self.rewards, *self.terminations)]
         twice = {name for name in names if names.count(name) > 1}
+        seen = [term.name for term in self.observations]
+        twice |= {name for name in seen if seen.count(name) > 1}
         kept = [memory.name for memory in self.memory]
         twice |= {name for name in kept if kept.count(name) > 1}
         if self.scattered and "offset" not in kept:
@@ -156,8 +185,19 @@ class TaskSpec:
             )
         if twice:
             raise TaskError(
-                f"The task '{self.id}' has several reward terms, end terms or memories named {listing(twice)}."
+                f"The task '{self.id}' has several observations, reward terms, end terms or memories named"
+                f" {listing(twice)}."
             )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Views of mappings cannot be copied or sent to other processes; the mappings can.
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return partial(TaskSpec, **values | {"paper": dict(self.paper), "partners": dict(self.partners)}), ()
+
+    @property
+    def robots(self) -> dict[str, tuple[int, int]]:
+        """All robots that are designed, with their cells."""
+        return {ROBOT: self.robot_cell, **self.partners}
 
     def under(self, rules: str) -> TaskSpec:
         """The task as ``rules`` (one of :data:`RULES`) have it.

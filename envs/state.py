@@ -75,6 +75,10 @@ class State:
         """``[num_envs, points, 2]``: all points of an object, fixed ones included."""
         return self._ask("object_positions", name)
 
+    def velocities(self, name: str) -> Tensor:
+        """``[num_envs, points, 2]``: velocities of all points of an object."""
+        return self._ask("object_velocities", name)
+
     def floor_scan(self, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
         """float64 ``[num_envs, 2 reach + 1]``: distances down to ``objects`` in windows about an object."""
         return self._ask("floor_scan", name, reach, objects)

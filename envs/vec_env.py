@@ -13,9 +13,10 @@ from warpvox.design import Design, load_design
 from warpvox.envs.draws import Draws
 from warpvox.envs.layout import Layout
 from warpvox.envs.registry import get_task
-from warpvox.envs.spec import TaskSpec
+from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.state import State
-from warpvox.envs.worlds import task_world
+from warpvox.envs.voxels import voxel_layouts, voxel_observations
+from warpvox.envs.worlds import task_team, task_world
 from warpvox.errors import ConfigError, DesignError, did_you_mean, listing
 from warpvox.sim import Simulation
 from warpvox.types import Physics
@@ -23,6 +24,7 @@ from warpvox.types import Physics
 __all__ = ["VoxelVecEnv", "make_vec"]
 
 DEFAULT_DESIGN = "walker"
+OBSERVATIONS = ("task", "voxel")
 
 StepResult = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
@@ -41,13 +43,15 @@ def make_vec(
     threads: int | None = None,
     connections: Sequence[object] | None = None,
     max_episode_steps: int | None = None,
+    obs: str = "task",
 ) -> VoxelVecEnv:
     """Make ``num_envs`` environments of a task, ready to be stepped.
 
     Args:
-        task: an id out of ``task_ids()``, or a specification of your own.
+        task: an id out of ``task_ids()``, ``module:NAME`` or ``file.py:NAME``, or a specification of your own.
         designs: robot bodies: arrays, or anything :func:`warpvox.load_design` reads; a single body will do.
-            Environments come in equal blocks, design by design. Default: the example design ``walker``.
+            Environments come in equal blocks, design by design. Default: the example design ``walker``. Where a
+            task has several robots, a design is a mapping ``{name: body}``; a single body is meant for all of them.
         num_envs: a multiple of the number of designs.
         device: ``auto`` (CUDA where there is one), ``cpu``, ``cuda`` or ``cuda:<index>``.
         rules: ``evogym`` (as released) or ``paper`` (section B as printed).
@@ -60,6 +64,8 @@ def make_vec(
         lanes, threads: see :class:`warpvox.Simulation`.
         connections: for each design EvoGym's ``[2, k]`` index pairs, or None to connect all neighbours.
         max_episode_steps: another time limit than the task's.
+        obs: ``task`` (what the task observes) or ``voxel`` (every cell of the body, then the rest of what the task
+            observes; see :mod:`warpvox.envs.voxels`).
 
     Raises:
         TaskError: unknown task. DesignError: a body that is not valid. WorldError: a body that does not fit.
@@ -68,7 +74,7 @@ def make_vec(
     spec = get_task(task).under(rules)
     if max_episode_steps is not None:
         spec = replace(spec, max_episode_steps=_whole("max_episode_steps", max_episode_steps))
-    bodies = _load_designs(designs)
+    bodies = _load_designs(spec, designs)
     count = _whole("num_envs", num_envs)
     if count % len(bodies):
         below = count - count % len(bodies)
@@ -88,7 +94,7 @@ def make_vec(
         threads=threads,
         loose=spec.scattered,
     )
-    return VoxelVecEnv(spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset)
+    return VoxelVecEnv(spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs)
 
 
 class VoxelVecEnv:
@@ -100,12 +106,14 @@ class VoxelVecEnv:
     Attributes:
         spec: the task under the rules chosen; ``rules`` names those.
         sim: the simulation, for positions, velocities and everything else.
-        designs: list of int8 bodies.
+        designs: list of int8 bodies; where a task has several robots, ``{name: body}`` of all.
         design_index: long ``[num_envs]``, which of the designs an environment has.
         num_envs, num_obs, num_actions: sizes; the latter two are the largest over the designs.
         obs_mask, action_mask: bool ``[num_designs, num_obs]`` and ``[num_designs, num_actions]``: which
             entries are real for a design. Real ones come first, observations are padded with 0.
         obs_columns: per design where each observation term lies, ``{term name: slice}``.
+        action_columns: per design where the actions of each robot lie, ``{robot name: slice}``.
+        voxels: with ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name.
         episode_length: long ``[num_envs]``, control steps of the episode so far; may be assigned.
         max_episode_steps: time limit.
         device: torch's name of the device; ``dtype``: of observations and rewards.
@@ -114,13 +122,19 @@ class VoxelVecEnv:
     def __init__(
         self,
         spec: TaskSpec,
-        designs: list[Design],
+        designs: list[Design | dict[str, Design]],
         sim: Simulation,
         *,
         rules: str = "evogym",
         seed: int | Sequence[int] = 0,
         auto_reset: bool = True,
+        obs: str = "task",
     ) -> None:
+        if obs not in OBSERVATIONS:
+            hint = did_you_mean(obs, OBSERVATIONS)
+            raise ConfigError(f"obs must be one of {listing(OBSERVATIONS)}, got {obs!r}.{hint}")
+        if obs == "voxel":
+            spec = replace(spec, observations=voxel_observations(spec.observations, tuple(spec.robots), sim))
         self.spec, self.rules, self.sim, self.seed, self.auto_reset = spec, rules, sim, seed, auto_reset
         self.designs = designs
         self.num_envs = sim.num_envs
@@ -145,6 +159,8 @@ class VoxelVecEnv:
         self.obs_mask = self._layout.mask[compiled]
         self.action_mask = sim.action_mask[compiled]
         self.obs_columns = [self._layout.columns[d] for d in compiled.tolist()]
+        self.action_columns = [sim.action_columns[d] for d in compiled.tolist()]
+        self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
         # Looking at a mask to skip work is free on the CPU; elsewhere it would wait for the device.
         self._may_look = torch.device(sim.device).type == "cpu"
         self._clear_episodes()
@@ -356,10 +372,11 @@ def _where(mask: torch.Tensor, new: torch.Tensor, old: torch.Tensor) -> torch.Te
     return torch.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
-def _load_designs(designs: object) -> list[Design]:
+def _load_designs(spec: TaskSpec, designs: object) -> list[Design | dict[str, Design]]:
+    """Valid bodies; for a task with several robots those of all, by name."""
     if designs is None:
-        return [load_design(DEFAULT_DESIGN)]
-    single = isinstance(designs, str) or (isinstance(designs, np.ndarray) and designs.ndim == 2)
+        designs = [DEFAULT_DESIGN]
+    single = isinstance(designs, str | Mapping) or (isinstance(designs, np.ndarray) and designs.ndim == 2)
     if not single and not isinstance(designs, Sequence | np.ndarray):
         raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")
     bodies = [designs] if single else list(designs)
@@ -368,9 +385,10 @@ def _load_designs(designs: object) -> list[Design]:
     loaded = []
     for number, body in enumerate(bodies):
         try:
-            loaded.append(load_design(body))
+            team = {name: load_design(given) for name, given in task_team(spec, body).items()}
         except DesignError as error:
             raise DesignError(f"Design {number}: {error}" if len(bodies) > 1 else str(error)) from None
+        loaded.append(team if spec.partners else team[ROBOT])
     return loaded
 
 

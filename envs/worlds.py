@@ -7,22 +7,16 @@ list of runs: ``"20. 10F"`` is twenty empty cells and ten fixed ones, a run of o
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from warpvox.errors import WorldError
+from warpvox.envs.spec import ROBOT, TaskSpec
+from warpvox.errors import DesignError, WorldError, did_you_mean, listing
 from warpvox.types import Cell
 from warpvox.world import World, WorldObject
 
-if TYPE_CHECKING:
-    from warpvox.envs.spec import TaskSpec
-
-__all__ = ["ROBOT", "block", "columns", "heights", "rows", "task_world"]
-
-ROBOT = "robot"
-"""Name of the robot in the world of a task."""
+__all__ = ["block", "columns", "heights", "rows", "task_team", "task_world"]
 
 _CELLS = {
     ".": Cell.EMPTY,
@@ -59,24 +53,48 @@ def heights(name: str, profile: str, cell: str = "F", x: int = 0, y: int = 0) ->
     return columns(name, *lines, x=x, y=y)
 
 
-def task_world(task: TaskSpec, body: np.ndarray, connections: object = None) -> World:
-    """The world of a task with a robot in its place.
+def task_team(task: TaskSpec, design: object) -> dict[str, object]:
+    """What each robot of a task is designed as: ``{name: body}``, the robot first.
 
     Args:
-        body: valid design, int8 ``[rows, columns]``.
-        connections: EvoGym's ``[2, k]`` pairs of flat cell indices; None connects all neighbours.
+        design: such a mapping, or one body, which all robots of the task then have.
 
     Raises:
-        WorldError: the body does not fit, or the connections are not between neighbouring cells.
+        DesignError: the mapping lacks a robot of the task, or names one that it has not.
+    """
+    if not isinstance(design, Mapping):
+        return dict.fromkeys(task.robots, design)
+    for name in design:
+        if name not in task.robots:
+            hint = did_you_mean(name, task.robots)
+            raise DesignError(f"{task.id} has the robots {listing(task.robots)}, not {name!r}.{hint}")
+    missing = [name for name in task.robots if name not in design]
+    if missing:
+        raise DesignError(f"The design for {task.id} names no body for {listing(missing)}.")
+    return {name: design[name] for name in task.robots}
+
+
+def task_world(task: TaskSpec, body: object, connections: object = None) -> World:
+    """The world of a task with its robots in their places.
+
+    Args:
+        body: valid design, int8 ``[rows, columns]``, or such bodies by the names of the task's robots.
+        connections: EvoGym's ``[2, k]`` pairs of flat cell indices, or those by the names of robots; None connects
+            all neighbours.
+
+    Raises:
+        WorldError: a body does not fit, or the connections are not between neighbouring cells.
     """
     world = World()
     for obj in task.objects:
         world.add_object(obj)
-    try:
-        world.add_from_array(ROBOT, body, *task.robot_cell, connections=connections)
-    except WorldError as error:
-        shape = "x".join(str(n) for n in body.shape)
-        raise WorldError(f"The {shape} body does not fit the world of {task.id}: {error}") from None
+    links = connections if isinstance(connections, Mapping) else {ROBOT: connections}
+    for name, cells in task_team(task, body).items():
+        try:
+            world.add_from_array(name, cells, *task.robots[name], connections=links.get(name))
+        except WorldError as error:
+            shape = "x".join(str(n) for n in np.shape(cells))
+            raise WorldError(f"The {shape} body does not fit the world of {task.id}: {error}") from None
     return world
 
 

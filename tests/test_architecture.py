@@ -14,7 +14,14 @@ MAX_LINES = 600
 
 # A module may import its own layer and those before it. A name covers everything below it.
 LAYERS = (
-    ("warpvox.errors", "warpvox.files", "warpvox.types", "warpvox.examples", "warpvox.window"),
+    (
+        "warpvox.errors",
+        "warpvox.files",
+        "warpvox.types",
+        "warpvox.examples",
+        "warpvox.window",
+        "warpvox.discovery",
+    ),
     ("warpvox.kernels",),
     ("warpvox.design", "warpvox.world"),
     (
@@ -25,6 +32,7 @@ LAYERS = (
         "warpvox.scene",
         "warpvox.rollout",
         "warpvox.painter",
+        "warpvox.live",
         "warpvox.render",
         "warpvox.usd",
         "warpvox.player",

@@ -1,7 +1,7 @@
 """warpvox: soft-robot co-design on Warp.
 
 The public names below load on first use, so that ``import warpvox`` stays instant and free of torch, Warp,
-Hydra and rsl-rl. ``dir(warpvox)`` lists them.
+Hydra and rsl-rl. ``dir(warpvox)`` lists them. Gymnasium, once it is imported, knows the tasks as ``warpvox/<Task>``.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 from importlib import import_module as _import_module
 from pathlib import Path as _Path
 from typing import TYPE_CHECKING
+
+from warpvox.discovery import announce as _announce
 
 if TYPE_CHECKING:
     from warpvox.design import (
@@ -111,6 +113,8 @@ __all__ = [
 _root = _Path(__file__).resolve().parent.parent
 if (_root / "pyproject.toml").is_file() and (_root / "kernels" / "__init__.py").is_file():
     __path__.append(str(_root))
+
+_announce()
 
 
 def __getattr__(name: str) -> object:

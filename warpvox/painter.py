@@ -1,4 +1,4 @@
-"""One environment of a rollout as pictures: camera, terrain, voxels.
+"""Scenes as pictures: camera, terrain, voxels; of a rollout, or of anything that gives positions.
 
 Everything that does not move is painted once, as a wide sprite from which each frame is cut: a whole number
 of pixels to a voxel and a camera that moves by whole pixels keep terrain and grid sharp without any
@@ -16,10 +16,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from warpvox.palette import colour_index, palette
 from warpvox.rollout import Rollout
-from warpvox.scene import Scene
+from warpvox.scene import Scene, stretch
 from warpvox.types import VOXEL, Cell
 
-__all__ = ["INK", "Painter", "camera_path", "font"]
+__all__ = ["INK", "Canvas", "Painter", "camera_path", "fitting_scale", "font"]
 
 SKY, GRID, GRID_STRONG = (249, 250, 252), (233, 237, 242), (214, 220, 229)
 BEYOND, BEYOND_INK = (226, 230, 236), (120, 128, 140)
@@ -37,18 +37,18 @@ def font(size: int) -> ImageFont.FreeTypeFont:
     return ImageFont.load_default(size)
 
 
-def camera_path(rollout: Rollout, env: int, view: tuple[float, float]) -> np.ndarray:
-    """Lower left corner of the picture in voxels for every frame, float64 ``[T + 1, 2]``.
+def camera_path(scene: Scene, positions: np.ndarray, view: tuple[float, float]) -> np.ndarray:
+    """Lower left corner of the picture in voxels for every frame, float64 ``[T, 2]``.
 
     The camera follows the robot's centre, smoothed over past and future alike, so that it neither shakes nor
     lags. It shows no more of what lies beyond the world than it must to keep the robot in view.
 
     Args:
-        rollout, env: what to follow.
+        scene: what there is.
+        positions: its points, ``[T, P, 2]`` in simulator units.
         view: width and height of the picture in voxels.
     """
-    scene = rollout.scene(env)
-    points = np.clip(rollout.positions[:, env, scene.robot_points] / np.float32(VOXEL), -1e4, 1e4)
+    points = np.clip(positions[:, scene.robot_points] / np.float32(VOXEL), -1e4, 1e4)
     low, high = points.min(axis=1).astype(np.float64), points.max(axis=1).astype(np.float64)
     centre = points.mean(axis=1, dtype=np.float64)
     size, anchor = np.array(view), np.array([0.5, ANCHOR])
@@ -63,6 +63,13 @@ def camera_path(rollout: Rollout, env: int, view: tuple[float, float]) -> np.nda
     # The robot as a whole stays in the picture, if there is room for it.
     least, most = high + 0.5 - size, low - 0.5
     return np.where(least <= most, np.clip(corner, least, most), centre - size / 2)
+
+
+def fitting_scale(scene: Scene, size: tuple[int, int], voxels: float | None = None) -> int:
+    """Pixels to a voxel: ``voxels`` from bottom to top, or (None) as many as suit the robots as they begin."""
+    rows = [(obj.y + obj.grid.shape[0] - obj.places[:, 0]) for obj in scene.robots]  # upper edges of cells
+    tall = max(row.max() for row in rows) - min(row.min() for row in rows) + 1
+    return max(3, round(size[1] / (voxels or max(VIEW, 2.4 * tall))))
 
 
 def _smooth(values: np.ndarray, width: float) -> np.ndarray:
@@ -85,34 +92,34 @@ class Mesh:
     outer: np.ndarray  # [n, 2] sides of one cell
 
 
-class Painter:
-    """Paints frames of one environment.
+class Canvas:
+    """Paints one scene, wherever its points and the camera are.
 
     Args:
-        rollout: what was recorded.
-        env: which environment.
+        scene: what there is.
         size: width and height of the picture in pixels.
-        voxels: voxels from bottom to top; None fits the robot.
+        scale: pixels to a voxel.
     """
 
-    def __init__(self, rollout: Rollout, env: int, size: tuple[int, int], voxels: float | None = None) -> None:
-        self.rollout, self.env, self.size = rollout, rollout.check_env(env), size
-        self.scene = rollout.scene(env)
-        start = rollout.positions[0, env, self.scene.robot_points] / VOXEL
-        tall = float(np.ptp(start[:, 1]))
-        self.scale = max(3, round(size[1] / (voxels or max(VIEW, 2.4 * tall))))
-        view = (size[0] / self.scale, size[1] / self.scale)
-        self.camera = np.rint(camera_path(rollout, env, view) * self.scale).astype(int)
-        self._meshes = [_mesh(self.scene, number) for number in range(len(self.scene.moving))]
+    def __init__(self, scene: Scene, size: tuple[int, int], scale: int) -> None:
+        self.scene, self.size, self.scale = scene, size, scale
+        self._meshes = [_mesh(scene, number) for number in range(len(scene.moving))]
         self._colours = [tuple(colour) for colour in palette().tolist()]
+        self._low = self._high = np.zeros(2, int)
+        self._sprite: Image.Image | None = None
 
-    def frame(self, frame: int) -> Image.Image:
-        """The picture of a frame."""
-        left, bottom = self.camera[frame]
+    def picture(self, positions: np.ndarray, corner: tuple[int, int]) -> Image.Image:
+        """The scene with its points at ``positions`` ``[P, 2]``, seen from a camera.
+
+        Args:
+            positions: in simulator units; points beyond those of the scene are ignored.
+            corner: pixels from the world's origin to the lower left corner of the picture.
+        """
+        left, bottom = (int(value) for value in corner)
         image = self._backdrop(left, bottom)
-        points = self.rollout.positions[frame, self.env] * np.float32(self.scale / VOXEL)
+        points = positions * np.float32(self.scale / VOXEL)
         points = np.stack([points[:, 0] - left, self.size[1] + bottom - points[:, 1]], axis=1)
-        colours = colour_index(self.scene.cells, self.rollout.stretch(frame, self.env))
+        colours = colour_index(self.scene.cells, stretch(self.scene, positions))
         for mesh in self._meshes:
             self._paint(image, points, mesh, colours[mesh.columns])
         return image
@@ -148,18 +155,25 @@ class Painter:
 
     # ------------------------------------------------------------ what stands still
 
-    def _backdrop(self, left: int, bottom: int) -> Image.Image:
-        sprite, origin, top = self._sprite
-        x, y = left - origin, top - bottom - self.size[1]
-        return sprite.crop((x, y, x + self.size[0], y + self.size[1]))
+    def cover(self, low: np.ndarray, high: np.ndarray) -> None:
+        """Paint beforehand what cameras with corners from ``low`` to ``high`` (pixels, ``[2]`` each) will see."""
+        low = np.asarray(low) // self.scale
+        high = -(-(np.asarray(high) + self.size) // self.scale)
+        self._low, self._high = low, high
+        self._sprite = self._terrain()
 
-    @cached_property
-    def _sprite(self) -> tuple[Image.Image, int, int]:
-        """All that the camera will see of the world, with the pixels of its left and of its top."""
+    def _backdrop(self, left: int, bottom: int) -> Image.Image:
+        corner = np.array([left, bottom])
+        seen = self._low * self.scale <= corner, corner + self.size <= self._high * self.scale
+        if self._sprite is None or not np.all(seen):
+            self.cover(corner - np.array(self.size) // 2, corner + np.array(self.size) // 2)
+        x, y = left - self._low[0] * self.scale, self._high[1] * self.scale - bottom - self.size[1]
+        return self._sprite.crop((x, y, x + self.size[0], y + self.size[1]))
+
+    def _terrain(self) -> Image.Image:
+        """All cells of the world from ``_low`` to ``_high`` that never move."""
         scale = self.scale
-        low = self.camera.min(axis=0) // scale
-        high = -(-(self.camera.max(axis=0) + self.size) // scale)
-        columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])[::-1]
+        columns, rows = np.arange(self._low[0], self._high[0]), np.arange(self._low[1], self._high[1])[::-1]
         terrain = _window(self.scene.terrain, rows, columns)
         inside_x = (columns >= 0) & (columns < self.scene.width)
         inside = (rows >= 0)[:, None] & inside_x[None, :]
@@ -170,7 +184,31 @@ class Painter:
         _edge(pixels, terrain, scale)
         image = Image.fromarray(pixels)
         _number(image, rows, columns, scale, self.scene.width)
-        return image, int(low[0]) * scale, int(high[1]) * scale
+        return image
+
+
+class Painter:
+    """Paints frames of one environment of a rollout.
+
+    Args:
+        rollout: what was recorded.
+        env: which environment.
+        size: width and height of the picture in pixels.
+        voxels: voxels from bottom to top; None fits the robot.
+    """
+
+    def __init__(self, rollout: Rollout, env: int, size: tuple[int, int], voxels: float | None = None) -> None:
+        self.rollout, self.env = rollout, rollout.check_env(env)
+        scene = rollout.scene(env)
+        scale = fitting_scale(scene, size, voxels)
+        self._canvas = Canvas(scene, size, scale)
+        view = (size[0] / scale, size[1] / scale)
+        self.camera = np.rint(camera_path(scene, rollout.positions[:, env], view) * scale).astype(int)
+        self._canvas.cover(self.camera.min(axis=0), self.camera.max(axis=0))
+
+    def frame(self, frame: int) -> Image.Image:
+        """The picture of a frame."""
+        return self._canvas.picture(self.rollout.positions[frame, self.env], self.camera[frame])
 
 
 def _mesh(scene: Scene, number: int) -> Mesh:

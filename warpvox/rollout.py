@@ -38,10 +38,10 @@ import numpy as np
 
 from warpvox.errors import ConfigError, RolloutError, did_you_mean, listing
 from warpvox.files import atomic_path
-from warpvox.scene import Scene, SceneObject, check_scene, scene_from_json, scene_to_json
-from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, Cell
+from warpvox.scene import Scene, SceneObject, check_scene, scene_from_json, scene_to_json, stretch
+from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 
-__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "record"]
+__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "record", "scenes_of"]
 
 FORMAT, VERSION = "warpvox-rollout", 1
 FRAME_SECONDS = 1 / 50
@@ -161,13 +161,7 @@ class Rollout:
             frame: an index, which gives float32 ``[cells]``, or a slice, which gives ``[frames, cells]``.
             env: environment; the cells are those of ``scene(env).cells``.
         """
-        scene = self.scene(env)
-        corners = self.positions[frame, env][..., scene.corners, :]
-        sides = np.linalg.norm(np.roll(corners, -1, axis=-2) - corners, axis=-1) / VOXEL
-        across = (sides[..., 0] + sides[..., 2]) / 2
-        upright = (sides[..., 1] + sides[..., 3]) / 2
-        both = (across + upright) / 2
-        return np.where(scene.cells == Cell.H_ACT, across, np.where(scene.cells == Cell.V_ACT, upright, both))
+        return stretch(self.scene(env), self.positions[frame, env])
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the rollout to ``path`` (``.npz``), whole or not at all; return the path.
@@ -243,7 +237,7 @@ def record(
     ):
         raise ConfigError(f"num_steps must be a whole number >= 1 or None, got {num_steps!r}.")
     act = _agent(policy, env) if isinstance(policy, str) else policy
-    scenes, gather = _scenes(env.sim)
+    scenes, gather = scenes_of(env.sim)
     limit = env.max_episode_steps if num_steps is None else min(int(num_steps), env.max_episode_steps)
     label = policy if isinstance(policy, str) else "policy"
     resets_itself, env.auto_reset = env.auto_reset, False
@@ -289,8 +283,8 @@ def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], n
     return {"positions": np.stack(positions), **{name: np.stack(rows) for name, rows in seen.items()}}
 
 
-def _scenes(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], np.ndarray]]:
-    """The scenes of a simulation, and a function that gives its points, float32 ``[E, P, 2]``."""
+def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], np.ndarray]]:
+    """The scenes of a simulation, one a distinct world, and a function that gives its points, float32 ``[E, P, 2]``."""
     import torch
 
     names = [

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from warpvox.errors import RolloutError
-from warpvox.types import Cell
+from warpvox.types import VOXEL, Cell
 
-__all__ = ["Scene", "SceneObject", "check_scene", "scene_from_json", "scene_to_json"]
+__all__ = ["Scene", "SceneObject", "check_scene", "scene_from_json", "scene_to_json", "stretch"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +112,24 @@ class Scene:
                 view = cells[top : top + rows, obj.x : obj.x + columns]
                 np.copyto(view, obj.grid, where=obj.grid != 0)
         return cells
+
+
+def stretch(scene: Scene, positions: np.ndarray) -> np.ndarray:
+    """Length of cells against rest along the axis of actuation (of other cells: the mean of both axes).
+
+    Args:
+        scene: whose cells that move are meant, in the order of ``scene.cells``.
+        positions: points in simulator units, ``[..., P, 2]``.
+
+    Returns:
+        ``[..., cells]``, of the positions' type.
+    """
+    corners = positions[..., scene.corners, :]
+    sides = np.linalg.norm(np.roll(corners, -1, axis=-2) - corners, axis=-1) / VOXEL
+    across = (sides[..., 0] + sides[..., 2]) / 2
+    upright = (sides[..., 1] + sides[..., 3]) / 2
+    both = (across + upright) / 2
+    return np.where(scene.cells == Cell.H_ACT, across, np.where(scene.cells == Cell.V_ACT, upright, both))
 
 
 def scene_to_json(scene: Scene) -> dict[str, Any]:

@@ -244,6 +244,14 @@ class Simulation:
         """bool [num_designs, num_actions]: which actions a design has."""
         return self._action_mask.clone()
 
+    @property
+    def action_columns(self) -> list[dict[str, slice]]:
+        """For each design where the actions of its robots lie, ``{name: slice}``."""
+        return [
+            {body.name: slice(body.first_action, body.first_action + body.source.num_actuators) for body in d.robots}
+            for d in self.designs
+        ]
+
     def _index(self, name: str) -> int:
         if name not in self.object_names:
             hint = did_you_mean(name, self.object_names)

@@ -255,7 +255,7 @@ def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.nd
     from warpvox.painter import camera_path
 
     view = np.array([VIEW * APERTURE[0] / APERTURE[1], VIEW])
-    corner = camera_path(rollout, envs[0], tuple((view / VOXEL).tolist())) * VOXEL
+    corner = camera_path(rollout.scene(envs[0]), rollout.positions[:, envs[0]], tuple((view / VOXEL).tolist())) * VOXEL
     follow = _define_camera(stage, "/World/camera")
     distance = VIEW * FOCAL / APERTURE[1]
     for frame in frames:

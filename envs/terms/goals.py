@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from warpvox.envs.about import about
 from warpvox.types import VOXEL
 
 if TYPE_CHECKING:
@@ -56,12 +57,14 @@ def goal_x(state: State) -> Tensor:
     return goals.gather(1, state.memory("goal").minimum(last)).double() * VOXEL
 
 
+@about("-Δ|x of the goal - x_{name}|")
 def approach_goal(before: State, after: State, name: str) -> Tensor:
     """How much closer the object has come to the goal that it has after the step, in x."""
     goal = goal_x(after)[:, 0]
     return (goal - before.com(name)[:, 0]).abs() - (goal - after.com(name)[:, 0]).abs()
 
 
+@about("all goals reached by {name}")
 def all_goals_reached(state: State, name: str) -> Tensor:
     """There is no goal left."""
     return state.memory("goal")[:, 0] >= (state.memory("goals") > 0).sum(1)

@@ -6,9 +6,11 @@ the padding of designs with fewer points.
 
 from __future__ import annotations
 
+from math import pi
 from typing import TYPE_CHECKING
 
-from warpvox.envs.terms.goals import goal_x
+from warpvox.envs.about import ANGLE, LENGTH, NUMBER, SPEED, about
+from warpvox.envs.terms.goals import LONGEST, goal_x
 from warpvox.types import VOXEL
 
 if TYPE_CHECKING:
@@ -34,26 +36,36 @@ __all__ = [
 SIGHT = 5 * VOXEL  # how far robots see up and down in the release
 
 
+def _count(reach: int, **_: object) -> int:
+    """Windows of a scan."""
+    return 2 * reach + 1
+
+
+@about("v_{name}", unit=SPEED, entries=2)
 def velocity(state: State, name: str) -> Tensor:
     """Velocity of the centre of mass: v."""
     return state.velocity(name)
 
 
+@about("θ_{name}", unit=ANGLE, low=0.0, high=2 * pi)
 def orientation(state: State, name: str) -> Tensor:
     """Turn since the episode began, counter-clockwise in [0, 2 pi): theta."""
     return state.orientation(name)[:, None]
 
 
+@about("c_{name}: x then y of all points about p_{name}", unit=LENGTH, entries=0, per_point=2)
 def shape(state: State, name: str) -> Tensor:
     """All points relative to the centre of mass, all x before all y: c."""
     return state.relative_positions(name)
 
 
+@about("p_{name} - p_{other}", unit=LENGTH, entries=2)
 def separation(state: State, name: str, other: str) -> Tensor:
     """From the centre of mass of ``other`` to that of ``name``: p^name - p^other."""
     return state.com(name) - state.com(other)
 
 
+@about("floor below {name}, voxels -{reach} to {reach} beside it", unit=LENGTH, entries=_count, low=0.0, high=SIGHT)
 def floor(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """How far the terrain lies below, as released: a distance in each of ``2 reach + 1`` windows.
 
@@ -63,11 +75,13 @@ def floor(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tens
     return state.floor_scan(name, reach, objects)
 
 
+@about("ceiling above {name}, voxels -{reach} to {reach} beside it", unit=LENGTH, entries=_count, low=0.0, high=SIGHT)
 def ceiling(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """The same as :func:`floor` upward, to the lowest point above."""
     return state.ceiling_scan(name, reach, objects)
 
 
+@about("h_b({reach}): y of the terrain below {name}", unit=LENGTH, entries=_count)
 def elevation(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """How high the terrain below is, as printed (h_b in section B.1): a height in ``2 reach + 1`` windows.
 
@@ -80,6 +94,7 @@ def elevation(state: State, name: str, reach: int, objects: tuple[str, ...]) -> 
     return _windows(state, name, reach, objects, floor, above=False)
 
 
+@about("h_a({reach}): y of the terrain above {name}", unit=LENGTH, entries=_count)
 def overhang(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """How high the terrain above is, as printed (h_a in section B.1): the mirror image of :func:`elevation`.
 
@@ -106,22 +121,26 @@ def _windows(state: State, name: str, reach: int, objects: tuple[str, ...], noth
     return heights[:, 1:-1]
 
 
+@about("({x}, {y}) - p_{name}", unit=LENGTH, entries=2)
 def short_of(state: State, name: str, x: float, y: float) -> Tensor:
     """From the centre of mass to a goal: (g_x - p_x, g_y - p_y)."""
     centre = state.com(name)
     return centre.new_tensor([x, y]) - centre
 
 
+@about("goals reached", unit=NUMBER, low=0.0, high=LONGEST)
 def goal_number(state: State, name: str) -> Tensor:
     """How many goals the object has reached: the paper's c, a whole number."""
     return state.memory("goal")
 
 
+@about("x of the goal", unit=LENGTH)
 def goal_place(state: State, name: str) -> Tensor:
     """Where the present goal lies: g_x."""
     return goal_x(state)
 
 
+@about("x of the goal - x_{name}", unit=LENGTH)
 def goal_offset(state: State, name: str) -> Tensor:
     """How far it is to the present goal: g_x - p_x."""
     return goal_x(state) - state.com(name)[:, :1]

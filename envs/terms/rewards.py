@@ -8,6 +8,8 @@ from __future__ import annotations
 from math import pi
 from typing import TYPE_CHECKING
 
+from warpvox.envs.about import about
+
 if TYPE_CHECKING:
     from torch import Tensor
 
@@ -30,18 +32,21 @@ __all__ = [
 AXES = {"x": 0, "y": 1}
 
 
+@about("Δ{axis}_{name}")
 def displacement(before: State, after: State, name: str, axis: str) -> Tensor:
     """How far the centre of mass has moved along an axis: the paper's delta p."""
     column = AXES[axis]
     return after.com(name)[:, column] - before.com(name)[:, column]
 
 
+@about("[y_{name} < {below}] Δy_{name}")
 def drop(before: State, after: State, name: str, below: float) -> Tensor:
     """How far the centre of mass has risen (negative: fallen) where it is now below a height, else 0."""
     height = after.com(name)[:, 1]
     return (height - before.com(name)[:, 1]).masked_fill(height >= below, 0.0)
 
 
+@about("[y_{name} < ({below} if x_{name} <= {x} else {below_beyond})] Δy_{name}")
 def staged_drop(before: State, after: State, name: str, below: float, x: float, below_beyond: float) -> Tensor:
     """As :func:`drop`, with another height (``below_beyond``) where the centre of mass is now beyond ``x``."""
     place, height = after.com(name).unbind(1)
@@ -49,23 +54,27 @@ def staged_drop(before: State, after: State, name: str, below: float, x: float, 
     return (height - before.com(name)[:, 1]).masked_fill(height >= limit, 0.0)
 
 
+@about("|Δ{axis}_{name}|")
 def motion(before: State, after: State, name: str, axis: str) -> Tensor:
     """How far the centre of mass has moved along an axis, either way: |delta p|."""
     return displacement(before, after, name, axis).abs()
 
 
+@about("(Δx_{name} if x_{name} >= 0 else -Δx_{name})")
 def away_from_start(before: State, after: State, name: str) -> Tensor:
     """How far the centre of mass has moved away from x = 0, on the side where it is now."""
     moved = displacement(before, after, name, "x")
     return moved.where(after.com(name)[:, 0] >= 0, -moved)
 
 
+@about("Δ|{goal} - {axis}_{name}|")
 def distance(before: State, after: State, name: str, axis: str, goal: float) -> Tensor:
     """How much further from a goal the centre of mass now is along an axis: delta |g - p|."""
     column = AXES[axis]
     return (goal - after.com(name)[:, column]).abs() - (goal - before.com(name)[:, column]).abs()
 
 
+@about("Δ|{axis}_{name} - {axis}_{other}|")
 def gap(before: State, after: State, name: str, other: str, axis: str) -> Tensor:
     """How much further apart two objects now are along an axis: delta |p^name - p^other|."""
     column = AXES[axis]
@@ -73,17 +82,20 @@ def gap(before: State, after: State, name: str, other: str, axis: str) -> Tensor
     return now - (before.com(name) - before.com(other))[:, column].abs()
 
 
+@about("Δ(max {axis} - min {axis} of the points of {name})")
 def grown(before: State, after: State, name: str, axis: str) -> Tensor:
     """How much longer the object has become along an axis: delta (max p_i - min p_i)."""
     column = AXES[axis]
     return after.extent(name)[:, column] - before.extent(name)[:, column]
 
 
+@about("Δ(area of the convex hull of {name})")
 def hull(before: State, after: State, name: str) -> Tensor:
     """How much the area of the convex hull of all points has grown: delta a."""
     return after.hull_area(name) - before.hull_area(name)
 
 
+@about("Δθ_{name} (full turns counted)")
 def turned(before: State, after: State, name: str) -> Tensor:
     """How far the object has turned counter-clockwise: delta theta, on past a full turn.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from warpvox.envs.about import about
 from warpvox.envs.terms.rewards import AXES
 
 if TYPE_CHECKING:
@@ -14,21 +15,25 @@ if TYPE_CHECKING:
 __all__ = ["beyond", "fallen_or_tilted", "short", "tilted"]
 
 
+@about("{axis}_{name} > {limit}")
 def beyond(state: State, name: str, axis: str, limit: float) -> Tensor:
     """The centre of mass has passed ``limit`` along an axis."""
     return state.com(name)[:, AXES[axis]] > limit
 
 
+@about("{axis}_{name} < {limit}")
 def short(state: State, name: str, axis: str, limit: float) -> Tensor:
     """The centre of mass is short of ``limit`` along an axis."""
     return state.com(name)[:, AXES[axis]] < limit
 
 
+@about("y_{name} < {limit} or {low!d} < θ_{name} < {high!d}")
 def fallen_or_tilted(state: State, name: str, limit: float, low: float, high: float) -> Tensor:
     """The centre of mass lies lower than ``limit``, or the orientation in the open interval (low, high), or both."""
     return short(state, name, "y", limit) | tilted(state, name, low, high)
 
 
+@about("{low!d} < θ_{name} < {high!d}")
 def tilted(state: State, name: str, low: float, high: float) -> Tensor:
     """The orientation lies in the open interval (low, high), radians in [0, 2 pi)."""
     angle = state.orientation(name)

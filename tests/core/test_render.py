@@ -47,7 +47,7 @@ def test_robot_stays_in_view(rollouts: Callable[..., Rollout]) -> None:
     rollout = rollouts(60, 1)
     rollout.positions[30:] += np.float32([1.5, 0.9])  # a leap that no smoothing follows
     view = (16.0, 9.0)
-    corner = camera_path(rollout, 0, view)
+    corner = camera_path(rollout.scene(0), rollout.positions[:, 0], view)
     points = rollout.positions[:, 0, rollout.scene(0).robot_points] * 10
     assert (points.min(axis=1) >= corner).all()
     assert (points.max(axis=1) <= corner + view).all()
@@ -55,7 +55,7 @@ def test_robot_stays_in_view(rollouts: Callable[..., Rollout]) -> None:
 
 def test_camera_moves_smoothly(rollouts: Callable[..., Rollout]) -> None:
     rollout = rollouts(200, 1, noise=0.03)
-    path = camera_path(rollout, 0, (16.0, 9.0))
+    path = camera_path(rollout.scene(0), rollout.positions[:, 0], (16.0, 9.0))
     assert np.abs(np.diff(path, 2, axis=0)).max() < 0.05
 
 

@@ -23,6 +23,7 @@ class Puppet:
         self.num_envs = self.num_designs = len(points)
         self.design_index = torch.arange(len(points))
         self.action_mask = torch.ones((len(points), self.num_actions), dtype=torch.bool)
+        self.action_columns = [{"robot": slice(0, self.num_actions)}] * len(points)
         self.dtype = dtype
         self.counts = {"robot": points} | {name: [4] * len(points) for name in objects}
         generator = torch.Generator().manual_seed(1)

@@ -2,25 +2,71 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
 import torch
+from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 
 from warpvox.design import example_design
-from warpvox.envs.gym import VoxelEnv, register
+from warpvox.envs.gym import VoxelEnv, register, register_task
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.vec_env import make_vec
-from warpvox.errors import ActionError, ConfigError, DesignError, WorldError
+from warpvox.errors import ActionError, ConfigError, DesignError, DisplayError, WorldError
+from warpvox.window import why_no_window
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.filterwarnings("ignore:.*For Box action spaces, we recommend:UserWarning")
+def stand_in(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
+    """A window that needs no display; returns the list of pictures that it will be shown."""
+    shown: list[np.ndarray] = []
+
+    class Window:
+        def __init__(self, size: tuple[int, int], title: str) -> None:
+            self.size, self.closed = size, False
+
+        def show(self, frame: np.ndarray) -> None:
+            assert not self.closed
+            assert frame.shape == (self.size[1], self.size[0], 3)
+            shown.append(frame)
+
+        def close(self) -> None:
+            self.closed = True
+
+    monkeypatch.setattr("warpvox.window.Window", Window, raising=False)
+    monkeypatch.setattr("warpvox.window.why_no_window", lambda: None)
+    return shown
+
+
+# Gymnasium dislikes bounds that are honest (0.6 to 1.6, none for velocities) and takes versions for succession.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*For Box action spaces, we recommend:UserWarning"),
+    pytest.mark.filterwarnings("ignore:.*A Box observation space (min|max)imum value is:UserWarning"),
+    pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning"),
+]
+
+
+@pytest.mark.parametrize("obs", ["task", "voxel"])
 @pytest.mark.parametrize("task", task_ids())
-def test_gymnasium_accepts_the_environment(task: str) -> None:
-    env = gymnasium.make(f"warpvox/{task}", body=example_design("walker"))
+def test_gymnasium_accepts_the_environment(task: str, obs: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pictures = stand_in(monkeypatch)
+    env = gymnasium.make(f"warpvox/{task}", body=example_design("walker"), render_mode="rgb_array", obs=obs)
     assert env.spec.max_episode_steps == get_task(task).max_episode_steps
-    check_env(env.unwrapped, skip_render_check=True)
+    assert env.metadata["render_modes"] == ["human", "rgb_array"]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped)
+    expected = ("recommend using a symmetric", "minimum value is -inf", "maximum value is inf", "is out of date")
+    assert [w for w in caught if not any(text in str(w.message) for text in expected)] == []
+    assert pictures  # the checker has looked at the window, too
 
 
 @pytest.mark.parametrize("task", task_ids())
@@ -44,12 +90,16 @@ def test_it_steps_as_the_vector_environment_does(task: str) -> None:
         assert info["unstable"] is False
 
 
-def test_spaces_are_those_of_evogym() -> None:
-    env = gymnasium.make("warpvox/Walker-v0", body=example_design("walker"))
+def test_spaces_are_honest() -> None:
+    env = gymnasium.make("warpvox/UpStepper-v0", body=example_design("walker"))
     actuators = int((example_design("walker") >= 3).sum())
-    assert env.action_space == gymnasium.spaces.Box(0.6, 1.6, (actuators,), np.float64)
-    size = env.reset()[0].shape
-    assert env.observation_space == gymnasium.spaces.Box(-100.0, 100.0, size, np.float64)
+    assert env.action_space == Box(0.6, 1.6, (actuators,), np.float64)
+    points = env.unwrapped.sim.num_points("robot")
+    low = [-np.inf] * 2 + [0.0] + [-np.inf] * 2 * points + [0.0] * 11
+    high = [np.inf] * 2 + [2 * np.pi] + [np.inf] * 2 * points + [0.5] * 11
+    assert env.observation_space == Box(np.array(low), np.array(high), dtype=np.float64)
+    single = gymnasium.make("warpvox/Walker-v0", body="walker", dtype="float32")
+    assert single.observation_space.dtype == single.action_space.dtype == single.reset()[0].dtype == np.float32
 
 
 def test_the_time_limit_is_gymnasiums() -> None:
@@ -59,12 +109,91 @@ def test_the_time_limit_is_gymnasiums() -> None:
     assert ends == [(False, False), (False, False), (False, True)]
 
 
-def test_vector_environments_of_gymnasium() -> None:
-    envs = gymnasium.make_vec("warpvox/Walker-v0", num_envs=2, body=[[3, 3], [4, 4]])
-    obs, _ = envs.reset(seed=1)
-    assert obs.shape == (2, 20)
-    assert envs.step(envs.action_space.sample())[0].shape == (2, 20)
-    envs.close()
+def test_registered_for_both_orders_of_import(tmp_path: Path) -> None:
+    light = "import sys, warpvox; assert 'gymnasium' not in sys.modules; import gymnasium; "
+    loader = "assert type(gymnasium.__spec__.loader) is type(warpvox.__spec__.loader) is type(gymnasium.__loader__); "
+    for code in (
+        light + loader + "assert 'torch' not in sys.modules; gymnasium.spec('warpvox/Walker-v0')",
+        "import gymnasium, warpvox; gymnasium.spec('warpvox/Walker-v0')",
+        "import gymnasium; gymnasium.make('warpvox:warpvox/Walker-v0')",
+        "import warpvox; warpvox.task_ids(); import gymnasium; gymnasium.spec('warpvox/Walker-v0')",
+        "import warpvox; from gymnasium.envs.registration import spec; spec('warpvox/Walker-v0')",
+    ):
+        run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+        assert run.returncode == 0, run.stderr
+
+
+def test_without_gymnasium_its_absence_is_what_is_said(tmp_path: Path) -> None:
+    code = (
+        "import sys, warpvox\n"
+        "sys.path[:] = []; sys.path_importer_cache.clear()\n"
+        "try: import gymnasium\n"
+        "except ModuleNotFoundError as error: print(error)"
+    )
+    run = subprocess.run([sys.executable, "-S", "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert run.stdout.strip() == "No module named 'gymnasium'", run.stderr
+
+
+def test_a_window_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    pictures = stand_in(monkeypatch)
+    env = gymnasium.make("warpvox/Walker-v0", body="walker", render_mode="human", render_size=(160, 90))
+    env.reset()
+    for _ in range(3):
+        env.step(env.action_space.sample())
+    assert len(pictures) == 4
+    assert env.render() is None
+    assert not np.array_equal(pictures[0], pictures[3])
+    assert np.array_equal(pictures[3], pictures[4])
+    env.close()
+    env.close()
+    env.step(env.action_space.sample())  # whoever closes the window may go on without it
+    assert len(pictures) == 5
+
+
+def test_no_display_is_said_and_the_mode_is_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("warpvox.window.why_no_window", lambda: "there is no display")
+    with pytest.raises(DisplayError, match="shows a window, but there is no display; render_mode='rgb_array' needs"):
+        gymnasium.make("warpvox/Walker-v0", body="walker", render_mode="human")
+    env = gymnasium.make("warpvox/Walker-v0", body="walker", render_mode="rgb_array")
+    assert env.metadata["render_modes"] == ["rgb_array"]
+    assert VoxelEnv.metadata["render_modes"] == ["human", "rgb_array"]
+    check_env(env.unwrapped)
+
+
+def test_the_real_window() -> None:
+    reason = why_no_window()
+    if reason is not None:
+        pytest.skip(reason)
+    env = gymnasium.make("warpvox/Walker-v0", body="walker", render_mode="human", render_size=(160, 90))
+    env.reset()
+    env.step(env.action_space.sample())
+    env.close()
+
+
+def test_pictures_depend_on_the_state_alone() -> None:
+    one, two = (gymnasium.make("warpvox/Climber-v0", body="walker", render_mode="rgb_array") for _ in range(2))
+    rng = np.random.default_rng(0)
+    one.reset(), two.reset()
+    frames = []
+    for _ in range(12):
+        action = rng.uniform(0.6, 1.6, one.action_space.shape)
+        one.step(action), two.step(action)
+        frames.append(one.render())
+    assert frames[0].shape == (360, 640, 3)
+    assert frames[0].dtype == np.uint8
+    assert not np.array_equal(frames[0], frames[-1])
+    assert np.array_equal(two.render(), frames[-1])  # although it has not looked before
+    with pytest.warns(UserWarning, match="without a render_mode"):
+        assert VoxelEnv("Walker-v0").render() is None
+
+
+def test_a_task_of_ones_own_can_be_registered() -> None:
+    name = register_task(replace(get_task("Walker-v0"), id="Mine-v0", max_episode_steps=7), "mine")
+    assert name == "mine/Mine-v0"
+    assert gymnasium.make(name, body="walker").spec.max_episode_steps == 7
+    assert gymnasium.make_vec(name, num_envs=2, body="walker").vec.max_episode_steps == 7
+    with pytest.raises(ConfigError, match="a word other than 'warpvox'"):
+        register_task("Walker-v0", "warpvox")
 
 
 def test_registering_twice_does_no_harm(recwarn: pytest.WarningsRecorder) -> None:
@@ -78,6 +207,8 @@ def test_mistakes_are_named() -> None:
         gymnasium.make("warpvox/Walker-v0", body=np.ones((5, 5)))
     with pytest.raises(ConfigError, match="render_mode must be None"):
         VoxelEnv("Walker-v0", render_mode="ascii")
+    with pytest.raises(ConfigError, match="Did you mean 'voxel'"):
+        VoxelEnv("Walker-v0", obs="voxels")
     with pytest.raises(WorldError, match="does not fit"):
         gymnasium.make("warpvox/Climber-v0", body=np.full((2, 6), 3))
     env = gymnasium.make("warpvox/Walker-v0", body=[[3, 3], [4, 4]]).unwrapped

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import pickle
 import subprocess
 import sys
 
@@ -59,6 +61,18 @@ def test_a_specification_cannot_be_changed() -> None:
     assert hash(spec.rewards[0]) == hash(get_task("Carrier-v0").rewards[0])
 
 
+@pytest.mark.parametrize("task", task_ids())
+def test_a_specification_can_be_copied_and_sent(task: str) -> None:
+    spec = get_task(task)
+    for other in (copy.deepcopy(spec), pickle.loads(pickle.dumps(spec))):
+        assert other is not spec
+        for rules in ("evogym", "paper"):
+            one, two = (
+                vars(s.under(rules)) | {"paper": 0, "memory": [m.name for m in s.memory]} for s in (spec, other)
+            )
+            assert one == two
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -68,6 +82,8 @@ def test_a_specification_cannot_be_changed() -> None:
             {"rewards": (rewards(displacement, axis="x"), rewards(displacement, axis="x", weight=2.0))},
             "several",
         ),
+        ({"observations": (observes(shape), observes(shape))}, "several observations"),
+        ({"id": "mine/Walker-v0"}, "letters, digits"),
         ({"memory": (Memory("goal", len), Memory("goal", len))}, "several"),
         ({"scattered": ("ground",)}, "no memory named 'offset'"),
     ],
@@ -92,3 +108,47 @@ def test_specifications_that_make_no_sense_are_refused(changes: dict, words: str
 def test_asking_for_ids_does_not_load_torch() -> None:
     code = "import sys, warpvox; warpvox.task_ids(); sys.exit('torch' in sys.modules or 'warp' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+OWN = """
+from dataclasses import replace
+from warpvox.envs.registry import get_task
+
+MINE = replace(get_task("Walker-v0"), id="Mine-v0")
+NUMBER = 3
+"""
+
+
+def test_tasks_of_ones_own_are_found_in_modules_and_files(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "my_tasks.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "my_tasks", raising=False)
+    path = list(sys.path)
+    spec = get_task("my_tasks:MINE")
+    assert (spec.id, sys.path) == ("Mine-v0", path)
+    assert get_task("my_tasks:MINE") is spec
+    for file in ("my_tasks.py", str(tmp_path / "my_tasks.py")):
+        assert get_task(f"{file}:MINE") is get_task("my_tasks.py:MINE") is not spec
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("broken_tasks:MINE", r"cannot be imported: NameError: name 'nonsense' is not defined"),
+        ("broken_tasks.py:MINE", r"cannot be imported: NameError"),
+        ("no_tasks_here:MINE", r"There is no module 'no_tasks_here', neither in .* nor installed"),
+        ("needs_tasks:MINE", r"cannot be imported: ModuleNotFoundError: No module named 'not_there'"),
+        ("nowhere/my_own.py:MINE", r"There is no file nowhere/my_own.py"),
+        ("own_tasks:MIEN", r"'MIEN' does not exist in own_tasks. Did you mean 'MINE'\? TaskSpecs there: MINE"),
+        ("own_tasks:NUMBER", r"'NUMBER' is no TaskSpec in own_tasks"),
+        (":MINE", r"There is no module ''|cannot be imported: ValueError"),
+    ],
+)
+def test_tasks_of_ones_own_that_cannot_be_had(tmp_path, monkeypatch: pytest.MonkeyPatch, name: str, words: str) -> None:
+    (tmp_path / "own_tasks.py").write_text(OWN)
+    (tmp_path / "broken_tasks.py").write_text("nonsense")
+    (tmp_path / "needs_tasks.py").write_text("import not_there")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "own_tasks", raising=False)
+    with pytest.raises(TaskError, match=words):
+        get_task(name)

@@ -30,20 +30,31 @@ def prepare(torch_threads: int, seed: int) -> None:
     torch.manual_seed(seed)
 
 
-def load_bodies(spec: Any, seed: int) -> list[np.ndarray]:
+def load_bodies(spec: Any, seed: int) -> list[np.ndarray | dict[str, np.ndarray]]:
     """The bodies that the key ``design`` names: one, or one an entry for a list of names, files or bodies.
+
+    A mapping ``{robot name: body}`` is a design for a task with several robots.
 
     Raises:
         DesignError: not valid or not readable.
     """
+    if isinstance(spec, Mapping):
+        return [{name: load_design(body, seed=seed + number) for number, (name, body) in enumerate(spec.items())}]
     if isinstance(spec, str):
         return [load_design(spec, seed=seed)]
+    if isinstance(spec, list) and spec and all(isinstance(item, Mapping) for item in spec):
+        return [body for number, item in enumerate(spec) for body in load_bodies(item, seed + number)]
     if not isinstance(spec, list) or not spec:
         raise DesignError(f"design must be a name, a file or rows of cells such as [[3,3],[4,4]]; got {spec!r}.")
     several = all(isinstance(item, str) or _is_body(item) for item in spec)
     if not several:
         return [load_design(spec, seed=seed)]
     return [load_design(item, seed=seed + number) for number, item in enumerate(spec)]
+
+
+def _cells(design: np.ndarray | dict[str, np.ndarray]) -> Any:
+    """A design as lists."""
+    return {name: _cells(body) for name, body in design.items()} if isinstance(design, dict) else design.tolist()
 
 
 def _is_body(item: Any) -> bool:
@@ -69,7 +80,7 @@ def resolve(config: Any) -> Any:
         TaskError, DesignError, DeviceError, ConfigError: what does not exist or is not valid.
     """
     get_task(config.task)
-    bodies = [body.tolist() for body in load_bodies(config.design, config.seed)]
+    bodies = [_cells(body) for body in load_bodies(config.design, config.seed)]
     constants = dataclasses.asdict(physics_of(config))
     preset = constants.pop("name")
     return dataclasses.replace(
@@ -90,6 +101,7 @@ def make_env(config: Any, num_envs: int, *, auto_reset: bool, **changes: Any) ->
         "physics": physics_of(config),
         "threads": config.threads,
         "lanes": config.lanes,
+        "obs": config.obs,
     }
     bodies = load_bodies(config.design, config.seed)
     return make_vec(config.task, bodies, num_envs, auto_reset=auto_reset, **(options | changes))

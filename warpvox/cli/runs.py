@@ -104,6 +104,10 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
     """
     check_name(name)
     stamp = datetime.now().strftime(STAMP)
+    if ":" in task:  # a task of the user's own, module:NAME, is known by its id
+        from warpvox.envs.registry import get_task
+
+        task = get_task(task).id
     parent = Path(output_dir) / command / task
     made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
     folder = _make(parent, stamp, f"_{name}" if name else "")

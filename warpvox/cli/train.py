@@ -130,11 +130,11 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
     with console.status("loading"):
         from warpvox.algos.evaluate import evaluator
         from warpvox.algos.runner import Runner, Schedule, adapt
-        from warpvox.cli.build import make_env, prepare, resolve, training_lanes
+        from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes
 
         prepare(job.config.torch_threads, job.config.seed)
         config = resolve(job.config)
-        designs = config.design if isinstance(config.design[0][0], list) else [config.design]
+        designs = load_bodies(config.design, config.seed)
     with console.status("preparing the simulation (the first time on a machine its kernels are compiled)"):
         schedule = Schedule(config.max_iterations, config.save_interval, config.eval_interval, config.stop_return)
         env = adapt(make_env(config, config.num_envs, auto_reset=True), config.ppo)

@@ -1,0 +1,79 @@
+"""What a term means, said beside its code: formula, unit, size and range.
+
+``warpvox tasks`` prints it, and the spaces of gymnasium take their bounds from it. Nothing is computed with a formula.
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import degrees, inf
+from typing import Any, TypeVar
+
+__all__ = ["ANGLE", "LENGTH", "NUMBER", "SPEED", "UNITS", "About", "about", "about_of"]
+
+LENGTH, SPEED, ANGLE, NUMBER = "length", "speed", "rad", "number"
+UNITS = {
+    LENGTH: "10 voxels = 1",
+    SPEED: "length per inner time, of which a control step lasts 0.003",
+    ANGLE: "radians, counter-clockwise",
+    NUMBER: "no unit",
+}
+"""What the units mean."""
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class About:
+    """What a term says about itself.
+
+    Attributes:
+        formula: text with the term's parameters in braces; ``{low!d}`` writes an angle in degrees.
+        unit: of an observation, one of :data:`UNITS`.
+        entries: of an observation: how many, or a function of the term's parameters that says it.
+        per_point: entries for every point of the object besides.
+        low, high: between which all values of an observation lie.
+    """
+
+    formula: str
+    unit: str = NUMBER
+    entries: int | Callable[..., int] = 1
+    per_point: int = 0
+    low: float = -inf
+    high: float = inf
+
+    def text(self, params: Mapping[str, Any]) -> str:
+        """The formula with parameters filled in."""
+        return _Filler().vformat(self.formula, (), params)
+
+    def size(self, params: Mapping[str, Any], points: int) -> int:
+        """Entries of the observation of an object with so many points."""
+        entries = self.entries(**params) if callable(self.entries) else self.entries
+        return entries + self.per_point * points
+
+
+def about(formula: str, **details: Any) -> Callable[[Function], Function]:
+    """Decorate a term's function with an :class:`About`."""
+
+    def decorate(function: Function) -> Function:
+        function.about = About(formula, **details)
+        return function
+
+    return decorate
+
+
+def about_of(function: Callable[..., Any]) -> About | None:
+    """What a term's function says about itself; None if it says nothing."""
+    return getattr(function, "about", None)
+
+
+class _Filler(string.Formatter):
+    """Writes numbers without the noise of their last digits."""
+
+    def convert_field(self, value: Any, conversion: str | None) -> Any:
+        return f"{degrees(value):g}°" if conversion == "d" else super().convert_field(value, conversion)
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        return f"{value:g}" if isinstance(value, float) else super().format_field(value, format_spec)

@@ -1,0 +1,139 @@
+"""Observations voxel by voxel, for modular and transformer controllers: ``make_vec(..., obs="voxel")``.
+
+The body lies in the upper left corner of a grid of cells, as large as the largest body of the batch. Every cell has
+:data:`FEATURES`; those of empty cells and of padding are 0 but for the type, which is "empty". After the grid come the
+task's own observations without c, the shape of the body, which the grid holds already.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from warpvox.envs.about import NUMBER, About
+from warpvox.envs.spec import Observation
+from warpvox.envs.state import State
+from warpvox.envs.terms.observations import shape
+from warpvox.sim import Simulation
+from warpvox.types import Cell
+
+__all__ = ["FEATURES", "NUM_FEATURES", "VoxelGrid", "VoxelLayout", "voxel_layouts", "voxel_observations"]
+
+CELLS = (Cell.EMPTY, Cell.RIGID, Cell.SOFT, Cell.H_ACT, Cell.V_ACT)
+FEATURES = {
+    "positions": slice(0, 8),
+    "velocities": slice(8, 16),
+    "type": slice(16, 21),
+    "neighbours": slice(21, 25),
+}
+"""Where the features of a cell lie.
+
+``positions``: x and y of the corners (top left, top right, bottom right, bottom left, as the body was designed) about
+the robot's centre of mass; ``velocities``: of the same corners, absolute; ``type``: one of (empty, rigid, soft,
+horizontal actuator, vertical actuator) is 1; ``neighbours``: 1 where the cell is connected (above, right, below, left).
+"""
+NUM_FEATURES = 25
+_SIDES = ((-1, 0), (0, 1), (1, 0), (0, -1))  # rows and columns to the neighbours above, right, below, left
+
+
+@dataclass(frozen=True)
+class VoxelLayout:
+    """How the voxels of one robot lie in observations and actions.
+
+    Attributes:
+        rows, columns: of the grid.
+        place: where the grid lies in a row of observations.
+        action_cell: long ``[num_envs, num_actions]``: the cell (row-major) whose actuator an action drives; -1 for
+            actions that the environment has not, or that drive another robot.
+    """
+
+    rows: int
+    columns: int
+    place: slice
+    action_cell: torch.Tensor
+
+    def cells(self, obs: torch.Tensor) -> torch.Tensor:
+        """``[..., rows * columns, 25]``: the features of every cell, row by row from the top left."""
+        return obs[..., self.place].unflatten(-1, (self.rows * self.columns, NUM_FEATURES))
+
+    def actions(self, values: torch.Tensor) -> torch.Tensor:
+        """Actions ``[num_envs, num_actions]`` from a value for every cell ``[num_envs, rows * columns]``.
+
+        Actions of other robots are 0, so that the results for all robots of a world can be added.
+        """
+        return values.gather(1, self.action_cell.clamp(min=0)).masked_fill(self.action_cell < 0, 0.0)
+
+
+class VoxelGrid:
+    """The observation term that fills the grid of one robot."""
+
+    __name__ = "voxels"
+
+    def __init__(self, sim: Simulation, name: str) -> None:
+        grids = [sim.object_grid(name, design) for design in range(sim.num_designs)]
+        self.rows, self.columns = (max(grid.shape[axis] for grid in grids) for axis in (0, 1))
+        count = self.rows * self.columns
+        self.about = About("voxels of {name}: corners, velocities, type, neighbours", NUMBER, count * NUM_FEATURES)
+        corners = np.zeros((len(grids), count, 4), np.int64)
+        known = np.zeros((len(grids), count, 9))
+        actions = np.full((len(grids), sim.num_actions), -1, np.int64)
+        for design, grid in enumerate(grids):
+            rows, columns = np.nonzero(grid)
+            cells = rows * self.columns + columns
+            corners[design, cells] = sim.voxel_corners(name, design)
+            known[design, :, : len(CELLS)] = self._types(grid)
+            known[design, cells, len(CELLS) :] = _linked(sim.worlds[design].objects[name])[rows, columns]
+            body = next(body for body in sim.designs[design].bodies if body.name == name)
+            driving = np.isin(grid[rows, columns], (int(Cell.H_ACT), int(Cell.V_ACT)))
+            actions[design, body.first_action : body.first_action + driving.sum()] = cells[driving]
+        index = sim.design_index.cpu()
+        self.action_cell = torch.as_tensor(actions)[index].to(sim.device)
+        self._corners = torch.as_tensor(corners)[index].flatten(1).to(sim.device)  # [num_envs, cells * 4]
+        self._known = torch.as_tensor(known)[index].to(sim.device, sim.dtype)
+        self._filled = (self._known[..., :1] == 0).to(sim.dtype)
+
+    def _types(self, grid: np.ndarray) -> np.ndarray:
+        """``[cells, 5]``: the types of a padded body, one 1 in every row."""
+        padded = np.zeros((self.rows, self.columns), np.int64)
+        padded[: grid.shape[0], : grid.shape[1]] = grid
+        return padded.reshape(-1, 1) == np.array([int(cell) for cell in CELLS])
+
+    def __call__(self, state: State, name: str) -> torch.Tensor:
+        """``[num_envs, cells * 25]``."""
+        places = state.relative_positions(name).transpose(1, 2)
+        parts = [
+            points.gather(1, self._corners[..., None].expand(-1, -1, 2)).unflatten(1, (-1, 4)).flatten(2) * self._filled
+            for points in (places, state.velocities(name))
+        ]
+        return torch.cat([*parts, self._known], dim=2).flatten(1)
+
+
+def _linked(source: object) -> np.ndarray:
+    """bool ``[rows, columns, 4]``: whether a cell is connected with its neighbour above, right, below, left."""
+    rows, columns = source.grid.shape
+    out = np.zeros((rows, columns, 4), bool)
+    for a, b in source.connections.tolist():
+        for one, other in ((a, b), (b, a)):
+            step = (other // columns - one // columns, other % columns - one % columns)
+            out[one // columns, one % columns, _SIDES.index(step)] = True
+    return out
+
+
+def voxel_observations(
+    terms: tuple[Observation, ...], robots: tuple[str, ...], sim: Simulation
+) -> tuple[Observation, ...]:
+    """A grid for each robot, then what the task observes besides the shapes of those robots."""
+    grids = tuple(Observation(VoxelGrid(sim, name), (("name", name),)) for name in robots)
+    shapes = [Observation(shape, (("name", name),)) for name in robots]
+    return grids + tuple(term for term in terms if term not in shapes)
+
+
+def voxel_layouts(terms: tuple[Observation, ...], places: dict[str, slice]) -> dict[str, VoxelLayout]:
+    """The layout of every grid among observations that lie at ``places``, by the name of the robot."""
+    grids = {dict(term.params)["name"]: term for term in terms if isinstance(term.function, VoxelGrid)}
+    return {
+        name: VoxelLayout(term.function.rows, term.function.columns, places[term.name], term.function.action_cell)
+        for name, term in grids.items()
+    }

@@ -1,0 +1,142 @@
+"""Many environments as gymnasium has them, compared with gymnasium's own way of stepping single ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+from warpvox.design import example_design, sample_design
+from warpvox.envs.gym_vector import VoxelGymVectorEnv
+from warpvox.envs.registry import task_ids
+from warpvox.errors import ConfigError
+
+SAME = 1e-9  # batches sum in another order than single environments; a few steps later that is all there is
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+
+
+def make(task: str = "Walker-v0", num_envs: int = 3, **options: Any) -> VoxelGymVectorEnv:
+    return gymnasium.make_vec(f"warpvox/{task}", num_envs=num_envs, **({"threads": 1} | options))
+
+
+def compare(ours: Any, theirs: Any, place: str = "infos") -> None:
+    """Equal keys, types and masks everywhere; numbers to rounding."""
+    assert type(ours) is type(theirs), place
+    if isinstance(ours, dict):
+        assert sorted(ours) == sorted(theirs), place
+        for key in ours:
+            compare(ours[key], theirs[key], f"{place}.{key}")
+    elif isinstance(ours, np.ndarray) and ours.dtype == object:
+        for one, other in zip(ours, theirs, strict=True):
+            compare(one, other, place)
+    elif isinstance(ours, np.ndarray):
+        assert (ours.dtype, ours.shape) == (theirs.dtype, theirs.shape), place
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=SAME, err_msg=place)
+    else:
+        assert ours is theirs is None, place
+
+
+@pytest.mark.parametrize("task", ["Walker-v0", "Carrier-v1", "UpStepper-v0", "Flipper-v0"])
+def test_it_is_what_gymnasium_makes_of_single_environments(task: str) -> None:
+    ours = make(task, body="walker", max_episode_steps=4)
+    single = {"body": "walker", "max_episode_steps": 4}
+    theirs = SyncVectorEnv(
+        [lambda: gymnasium.make(f"warpvox/{task}", **single)] * 3, autoreset_mode=AutoresetMode.SAME_STEP
+    )
+    for name in ("single_observation_space", "single_action_space", "observation_space", "action_space"):
+        assert getattr(ours, name) == getattr(theirs, name), name
+    compare(ours.reset(seed=3)[0], theirs.reset(seed=3)[0], "obs")
+    rng = np.random.default_rng(0)
+    for _ in range(9):
+        actions = rng.uniform(0.6, 1.6, ours.action_space.shape)
+        (*numbers, infos), (*others, expected) = ours.step(actions), theirs.step(actions)
+        for one, other in zip(numbers, others, strict=True):
+            compare(one, other, "step")
+        compare(infos, expected)
+
+
+@pytest.mark.parametrize("task", task_ids())
+def test_every_task_has_a_batch_of_its_own(task: str) -> None:
+    env = make(task, num_envs=2, body="walker")
+    assert isinstance(env, VoxelGymVectorEnv)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    obs, info = env.reset(seed=1)
+    assert info == {}
+    assert obs in env.observation_space
+    obs, reward, terminated, truncated, infos = env.step(env.action_space.sample())
+    assert obs in env.observation_space
+    assert reward.dtype == np.float64
+    assert terminated.dtype == truncated.dtype == bool
+    assert infos["_unstable"].all()
+    env.close()
+
+
+def test_environments_end_at_different_times() -> None:
+    env = make(num_envs=2, designs=[np.full((2, 2), 3), example_design("walker")], max_episode_steps=5)
+    env.reset()
+    env.vec.episode_length = env.vec.episode_length + torch.tensor([0, 3])
+    for step in range(5):
+        obs, _, _, truncated, infos = env.step(np.ones(env.action_space.shape))
+        assert truncated.tolist() == [step == 4, step == 1]
+        assert ("final_obs" in infos) == bool(truncated.any())
+        assert infos["_unstable"].tolist() == (~truncated).tolist()
+        if truncated.any():
+            ended = int(truncated.argmax())
+            assert infos["_final_obs"].tolist() == infos["_final_info"].tolist() == truncated.tolist()
+            assert infos["final_obs"][1 - ended] is None
+            assert not np.array_equal(infos["final_obs"][ended], obs[ended])
+            assert infos["final_obs"][ended].shape == env.single_observation_space.shape
+
+
+def test_gymnasiums_statistics_work_on_it() -> None:
+    env = RecordEpisodeStatistics(make(num_envs=2, body="walker", max_episode_steps=6))
+    env.reset(seed=0)
+    total = np.zeros(2)
+    for _ in range(6):
+        _, reward, _, _, infos = env.step(env.action_space.sample())
+        total += reward
+    assert infos["episode"]["l"].tolist() == [6, 6]
+    assert infos["episode"]["r"] == pytest.approx(total)
+
+
+def test_several_designs_share_a_batch() -> None:
+    designs = [sample_design((3, 3), seed=1), example_design("walker")]
+    env = make("UpStepper-v0", num_envs=4, designs=designs)
+    obs, _ = env.reset()
+    assert obs in env.observation_space  # the padding is 0, which the bounds allow
+    assert env.single_action_space.shape == (env.vec.num_actions,)
+    assert env.step(env.action_space.sample())[0] in env.observation_space
+
+
+def test_seeds_govern_what_is_random() -> None:
+    a, b = make("Catcher-v0", body="walker"), make("Catcher-v0", body="walker", seed=9)
+    assert not np.array_equal(a.reset()[0], b.reset()[0])
+    assert np.array_equal(a.reset(seed=5)[0], b.reset(seed=5)[0])
+    assert not np.array_equal(*a.reset()[0][:2])
+
+
+def test_pictures_of_all() -> None:
+    env = make(num_envs=2, body="walker", render_mode="rgb_array", render_size=(160, 90))
+    env.reset()
+    first = env.render()
+    assert [(frame.shape, frame.dtype) for frame in first] == [((90, 160, 3), np.uint8)] * 2
+    assert np.array_equal(*first)
+    for _ in range(10):
+        env.step(np.stack([np.full(env.vec.num_actions, 0.6), np.full(env.vec.num_actions, 1.6)]))
+    assert not np.array_equal(*env.render())
+    silent = make(num_envs=2, body="walker")
+    with pytest.warns(UserWarning, match="without render_mode"):
+        assert silent.render() is None
+
+
+def test_mistakes_are_named() -> None:
+    with pytest.raises(ConfigError, match="not both"):
+        make(body="walker", designs=["walker"])
+    with pytest.raises(ConfigError, match="render_mode must be None or one of rgb_array"):
+        make(body="walker", render_mode="human")
