@@ -241,7 +241,7 @@ class Archive:
 
         Raises:
             RunError: no such candidate, one that is evaluated already, a fitness or a value of the learning curve that
-                is not a number, or the file cannot be written.
+                is not finite, or the file cannot be written.
         """
         with self._writing() as db:
             for result in results:
@@ -249,8 +249,8 @@ class Archive:
 
     def _finish(self, db: sqlite3.Connection, result: Finished, seconds: float) -> None:
         outcome = result.outcome
-        if any(math.isnan(value) for value in (outcome.fitness, *(value for _, value in outcome.curve))):
-            raise RunError(f"The evaluation of candidate {result.id} gave no number: {outcome.fitness}.")
+        if not all(math.isfinite(value) for value in (outcome.fitness, *(value for _, value in outcome.curve))):
+            raise RunError(f"The evaluation of candidate {result.id} gave no finite number: {outcome.fitness}.")
         values = (
             float(outcome.fitness),
             int(outcome.steps),

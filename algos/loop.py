@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from warpvox.algos.archive import Archive, Finished, Record, body_text
-from warpvox.algos.candidate import Candidate, Outcome, Search
-from warpvox.algos.executors import Executor, batches
+from warpvox.algos.candidate import Candidate, Outcome, Parent, Search
+from warpvox.algos.executors import Batch, Executor, batches
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
 from warpvox.errors import RunError
 
@@ -38,8 +39,8 @@ class Listener:
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
         """``waiting`` of the ``total`` candidates of a generation are going to be trained."""
 
-    def progress(self, event: dict[str, Any]) -> None:
-        """What an evaluator reports of a training."""
+    def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
+        """What an evaluator reports of the training of these candidates; see :data:`PROGRESS`."""
 
     def finished(self, records: Sequence[Record]) -> None:
         """These candidates are evaluated and written down."""
@@ -57,9 +58,10 @@ class Loop:
         archive: new or of an experiment to go on with; open for writing.
         seed: of the experiment.
         policies: where policies go; None: they are not kept.
+        checkpoints: folder in which trainings are saved now and then, to go on from; None: they are not.
         batch: designs trained together; None: all of a generation.
         reuse: a body that was evaluated before is not trained again.
-        inherit: a training starts from the policies of the parents.
+        inherit: a training may start from the policies of the parents.
         listener: is told what happens.
     """
 
@@ -71,6 +73,7 @@ class Loop:
         *,
         seed: int,
         policies: PolicyStore | None = None,
+        checkpoints: Path | None = None,
         batch: int | None = None,
         reuse: bool = True,
         inherit: bool = False,
@@ -78,7 +81,7 @@ class Loop:
     ) -> None:
         self.search, self.executor, self.archive = search, executor, archive
         self.seed, self.batch, self.reuse, self.inherit = seed, batch, reuse, inherit
-        self.policies = policies
+        self.policies, self.checkpoints = policies, checkpoints
         self.listener = listener or Listener()
         self.generation = 0
 
@@ -92,22 +95,35 @@ class Loop:
             RunError: the archive is not one of this search, or an evaluation has failed.
         """
         with deferred_interrupts() as interrupt:
-            while True:
-                asked = self.search.ask()
-                if not asked:
-                    return
+            self._replay()
+            self._clear()
+            while asked := self.search.ask():
                 known = self.archive.records(self.generation)
                 if known:
                     _check_same(asked, known)
                 else:
                     self._check_new(asked)
                     self.archive.propose(asked, self.seed)
-                fresh = self._evaluate(asked, interrupt)
+                self._evaluate(asked, interrupt)
                 self.search.tell([record.fitness for record in self.archive.records(self.generation)])
-                self.listener.told(self.generation, fresh)
+                self.listener.told(self.generation, fresh=True)
                 self.generation += 1
+                self._clear()
                 if interrupt:
                     raise KeyboardInterrupt
+
+    def _replay(self) -> None:
+        """Tell the search again what it was told before."""
+        history = []
+        for row in self.archive.generations():
+            if row["evaluated"] == row["designs"]:
+                records = self.archive.records(row["generation"])
+                history.append(([record.candidate for record in records], [record.fitness for record in records]))
+        if history:
+            self.search.replay(history)
+        for self.generation in range(len(history)):
+            self.listener.told(self.generation, fresh=False)
+        self.generation = len(history)
 
     # ------------------------------------------------------------------------------------------ a generation
 
@@ -116,17 +132,14 @@ class Loop:
             wrong = next(candidate for candidate in asked if candidate.generation != self.generation)
             raise RunError(f"Candidate {wrong.id} belongs to generation {self.generation}, not {wrong.generation}.")
 
-    def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> bool:
-        """Evaluate what is still waiting; returns whether there was anything."""
+    def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> None:
+        """Evaluate what is still waiting."""
         done = {record.id for record in self.archive.records(self.generation) if record.fitness is not None}
-        if len(done) == len(asked):
-            return False
         originals = self._originals(asked)
         # batches are cut before what is done is left out: a resumed generation trains the same designs together
-        work = batches([candidate for candidate in asked if candidate.id not in originals], self.batch)
-        work = [batch for batch in work if any(candidate.id not in done for candidate in batch)]
-        waiting = [candidate for batch in work for candidate in batch]
-        self.listener.proposed(self.generation, waiting, len(asked))
+        work = batches([item for item in asked if item.id not in originals], self.batch, self.checkpoints)
+        work = [batch for batch in work if any(item.id not in done for item in batch.candidates)]
+        self.listener.proposed(self.generation, [item for batch in work for item in batch.candidates], len(asked))
         self._train(work, interrupt)
         copies = [
             self._copy(candidate, originals[candidate.id])
@@ -135,7 +148,6 @@ class Loop:
         ]
         self.archive.finish(copies)
         self.listener.finished([self.archive.record(copy.id) for copy in copies])
-        return True
 
     def _originals(self, asked: Sequence[Candidate]) -> dict[int, int]:
         """The candidates whose body was proposed before, with the id of the first that had it."""
@@ -158,24 +170,34 @@ class Loop:
         outcome = Outcome(record.fitness, steps=0, stopped=record.stopped)
         return Finished(candidate.id, outcome, record.policy, record.policy_sha256, reused=original)
 
-    def _train(self, work: Sequence[Sequence[Candidate]], interrupt: Interrupt) -> None:
-        def report(event: dict[str, Any]) -> None:
-            self.listener.progress(event)
+    def _train(self, work: Sequence[Batch], interrupt: Interrupt) -> None:
+        def report(place: int, event: dict[str, Any]) -> None:
+            self.listener.progress(work[place].candidates, event)
             if interrupt:
                 raise KeyboardInterrupt
 
         began = time.perf_counter()
         for place, outcomes in self.executor.run(work, self._parents(work), report):
             batch = work[place]
-            if len(outcomes) != len(batch):
-                raise RunError(f"The evaluator gave {len(outcomes)} outcomes for {len(batch)} candidates.")
-            results = [self._finished(*pair) for pair in zip(batch, outcomes, strict=True)]
+            if len(outcomes) != len(batch.candidates):
+                raise RunError(f"The evaluator gave {len(outcomes)} outcomes for {len(batch.candidates)} candidates.")
+            results = [self._finished(*pair) for pair in zip(batch.candidates, outcomes, strict=True)]
             now = time.perf_counter()
             self.archive.finish(results, seconds=now - began)
             began = now
+            if batch.checkpoint is not None:
+                batch.checkpoint.unlink(missing_ok=True)
             self.listener.finished([self.archive.record(result.id) for result in results])
             if interrupt:
                 raise KeyboardInterrupt
+
+    def _clear(self) -> None:
+        """Remove what was saved of trainings that are over; a killed process may have had no time for it."""
+        if self.checkpoints is None or not self.checkpoints.is_dir():
+            return
+        if all(row["evaluated"] == row["designs"] for row in self.archive.generations()):
+            for file in self.checkpoints.iterdir():
+                file.unlink()
 
     def _finished(self, candidate: Candidate, outcome: Outcome) -> Finished:
         """An outcome whose policy is on the disk: the archive never names a file that is not there."""
@@ -183,12 +205,15 @@ class Loop:
             return Finished(candidate.id, outcome)
         return Finished(candidate.id, outcome, *self.policies.save(candidate, outcome))
 
-    def _parents(self, work: Sequence[Sequence[Candidate]]) -> dict[int, dict[str, Any]]:
+    def _parents(self, work: Sequence[Batch]) -> dict[int, Parent]:
         if not self.inherit or self.policies is None:
             return {}
-        wanted = sorted({parent for batch in work for candidate in batch for parent in candidate.parents})
-        records = (self.archive.record(parent) for parent in wanted)
-        return {record.id: self.policies.load(record.policy) for record in records if record.policy is not None}
+        wanted = sorted({parent for batch in work for item in batch.candidates for parent in item.parents})
+        return {
+            record.id: Parent(record.candidate.body, self.policies.load(record.policy), record.fitness)
+            for record in map(self.archive.record, wanted)
+            if record.policy is not None
+        }
 
 
 def _check_same(asked: Sequence[Candidate], known: Sequence[Record]) -> None:

@@ -33,6 +33,7 @@ LAYERS = (
         "warpvox.rollout",
         "warpvox.painter",
         "warpvox.live",
+        "warpvox.sketch",
         "warpvox.render",
         "warpvox.usd",
         "warpvox.player",

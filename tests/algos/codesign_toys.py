@@ -1,11 +1,12 @@
 """A search, an evaluator and a store that are cheap and exact: for tests of the loop and the archive.
 
-Run as a program it makes an experiment in a folder: ``python codesign_toys.py FOLDER [SECONDS]`` with SECONDS for
-an evaluation; it goes on if the folder holds one.
+Run as a program it makes an experiment in a folder, or goes on with it: ``python codesign_toys.py FOLDER SECONDS
+BATCH`` with seconds for a design and designs in a batch (0: all of a generation).
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 import time
@@ -16,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from warpvox.algos.archive import FILE, Archive
-from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
+from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.executors import LocalExecutor
 from warpvox.algos.loop import Loop
 from warpvox.design import sample_design
+from warpvox.errors import RunError
 from warpvox.files import write_text
 
 SEED = 5
@@ -55,6 +57,13 @@ class ToySearch:
         self.all += zip(fitness, self.asked, strict=True)
         self.generation += 1
 
+    def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
+        for candidates, fitness in history:
+            asked = self.ask()
+            if [item.body.tolist() for item in candidates] != [item.body.tolist() for item in asked]:
+                raise RunError("The history is not of this search.")
+            self.tell(fitness)
+
     def _mutant(self, body: np.ndarray) -> np.ndarray:
         changed = body.copy()
         free = np.argwhere(changed == 0)
@@ -73,21 +82,34 @@ class ToyEvaluator:
     def evaluate(
         self,
         candidates: Sequence[Candidate],
-        parents: Mapping[int, dict[str, Any]],
+        parents: Mapping[int, Parent],
         report: Callable[[dict[str, Any]], None] | None = None,
+        checkpoint: Path | None = None,
     ) -> list[Outcome]:
-        outcomes = []
-        for candidate in candidates:
+        outcomes = self._saved(candidates, checkpoint)
+        for candidate in candidates[len(outcomes) :]:
             time.sleep(self.seconds)
             rng = np.random.default_rng(candidate_seed(self.seed, candidate.id))
-            inherited = sum(parents[parent]["gain"] for parent in candidate.parents if parent in parents)
+            inherited = sum(parents[parent].policy["gain"] for parent in candidate.parents if parent in parents)
             curve = [(100 * k, float(v)) for k, v in enumerate(np.sort(rng.random(3)) + int(candidate.body.sum()), 1)]
             policy = {"gain": float(rng.random()) + 0.5 * inherited}
             self.trained.append(candidate.id)
             outcomes.append(Outcome(curve[-1][1] + policy["gain"], curve, 300, policy, bool(rng.random() < 0.2)))
+            if checkpoint is not None:
+                write_text(checkpoint, json.dumps([dataclasses.asdict(outcome) for outcome in outcomes]))
             if report is not None:
                 report({"id": candidate.id})
         return outcomes
+
+    @staticmethod
+    def _saved(candidates: Sequence[Candidate], checkpoint: Path | None) -> list[Outcome]:
+        """What a killed evaluation of the same candidates has left."""
+        if checkpoint is None or not checkpoint.exists():
+            return []
+        saved = [Outcome(**values) for values in json.loads(checkpoint.read_text())]
+        for outcome in saved:
+            outcome.curve = [tuple(point) for point in outcome.curve]
+        return saved
 
 
 class ToyStore:
@@ -117,7 +139,8 @@ def make_loop(folder: Path, seconds: float = 0.0, **changes: Any) -> Loop:
 
 
 if __name__ == "__main__":
-    loop = make_loop(Path(sys.argv[1]), float(sys.argv[2]) if len(sys.argv) > 2 else 0.0)
+    place, pause, size = Path(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3])
+    loop = make_loop(place, pause, batch=size or None, checkpoints=place / "training")
     print("begun", flush=True)
     loop.run()
     loop.archive.close()

@@ -132,7 +132,7 @@ def test_all_or_nothing_is_written(filled: Archive) -> None:
     before = filled.digest()
     with pytest.raises(RunError, match="waits for its evaluation"):
         filled.finish([Finished(5, Outcome(1.0)), Finished(4, Outcome(1.0))])
-    with pytest.raises(RunError, match="gave no number"):
+    with pytest.raises(RunError, match="gave no finite number"):
         filled.finish([Finished(5, Outcome(1.0, [(1, math.nan)]))])
     for wrong in (Candidate(7, bodies(1)[0]), Candidate(6, bodies(1)[0], parents=(6,))):
         with pytest.raises(RunError, match=r"must have the id 6|descend from earlier"):

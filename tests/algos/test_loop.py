@@ -17,7 +17,7 @@ import pytest
 from codesign_toys import GENERATIONS, POPULATION, SEED, ToyEvaluator, ToySearch, make_loop
 
 from warpvox.algos.archive import FILE, Archive
-from warpvox.algos.candidate import Candidate, Outcome
+from warpvox.algos.candidate import Candidate, Outcome, Parent
 from warpvox.algos.executors import LocalExecutor, batches
 from warpvox.algos.loop import Listener
 from warpvox.errors import RunError
@@ -80,20 +80,23 @@ def test_equal_bodies_within_a_generation_are_trained_once(tmp_path: Path) -> No
 
 def test_children_start_from_the_policies_of_their_parents(tmp_path: Path) -> None:
     class Watching(ToyEvaluator):
-        def evaluate(self, candidates: Sequence[Candidate], parents: Any, report: Any = None) -> list[Outcome]:
-            given.append({parent: parents[parent]["gain"] for item in candidates for parent in item.parents})
-            return super().evaluate(candidates, parents, report)
+        def evaluate(self, candidates: Sequence[Candidate], parents: Any, *more: Any) -> list[Outcome]:
+            given.append({parent: parents[parent] for item in candidates for parent in item.parents})
+            return super().evaluate(candidates, parents, *more)
 
     for inherit in (True, False):
-        given: list[dict[int, float]] = []
+        given: list[dict[int, Parent]] = []
         evaluator = Watching() if inherit else ToyEvaluator()
         loop = make_loop(tmp_path / str(inherit), inherit=inherit, executor=LocalExecutor(evaluator))
         loop.run()
         if inherit:
             store = loop.policies
             for parents in given:
-                for parent, gain in parents.items():
-                    assert store.load(loop.archive.record(parent).policy)["gain"] == gain
+                for number, parent in parents.items():
+                    record = loop.archive.record(number)
+                    assert parent.policy == store.load(record.policy)
+                    assert parent.fitness == record.fitness
+                    assert np.array_equal(parent.body, record.candidate.body)
             assert any(given)
     fitness = [_fitness(tmp_path / name / FILE) for name in ("True", "False")]
     assert fitness[0][:POPULATION] == fitness[1][:POPULATION]
@@ -109,8 +112,8 @@ def _fitness(path: Path) -> list[float]:
 def test_batches_cut_a_generation_in_order(size: int | None) -> None:
     items = [Candidate(k, np.ones((1, 1))) for k in range(6)]
     cut = batches(items, size)
-    assert [item.id for batch in cut for item in batch] == list(range(6))
-    assert all(len(batch) == min(size or 6, 6) for batch in cut[:-1])
+    assert [item.id for batch in cut for item in batch.candidates] == list(range(6))
+    assert all(len(batch.candidates) == min(size or 6, 6) for batch in cut[:-1])
     assert batches([], size) == []
 
 
@@ -147,7 +150,7 @@ def test_an_interrupt_keeps_what_is_finished(tmp_path: Path, undisturbed: str, s
 
 def test_an_interrupt_reaches_an_evaluation_that_reports(tmp_path: Path) -> None:
     class Interrupting(Listener):
-        def progress(self, event: dict) -> None:
+        def progress(self, batch: Sequence[Candidate], event: dict) -> None:
             signal.raise_signal(signal.SIGINT)
 
     loop = make_loop(tmp_path, batch=None, listener=Interrupting())
@@ -157,13 +160,14 @@ def test_an_interrupt_reaches_an_evaluation_that_reports(tmp_path: Path) -> None
     assert loop.archive.trained() == 0
 
 
-def test_killed_three_times_it_is_the_undisturbed_experiment(tmp_path: Path, undisturbed: str) -> None:
+@pytest.mark.parametrize("batch", [1, 4, 0])
+def test_killed_three_times_it_is_the_undisturbed_experiment(tmp_path: Path, undisturbed: str, batch: int) -> None:
     pause = 0.03
     whole = pause * POPULATION * GENERATIONS
-    rng = random.Random(1)
+    rng = random.Random(batch)
     kills = 0
     while kills < 3:
-        process = subprocess.Popen([sys.executable, PROGRAM, tmp_path, str(pause)], stdout=subprocess.PIPE)
+        process = subprocess.Popen([sys.executable, PROGRAM, tmp_path, str(pause), str(batch)], stdout=subprocess.PIPE)
         assert process.stdout.readline() == b"begun\n"
         time.sleep(rng.uniform(0.1, 0.35) * whole)
         assert process.poll() is None, "it ended before it could be killed"
@@ -174,10 +178,9 @@ def test_killed_three_times_it_is_the_undisturbed_experiment(tmp_path: Path, und
             for record in archive.records():
                 if record.policy is not None:
                     assert (tmp_path / record.policy).is_file()
-    before = len(list((tmp_path / "policies").iterdir()))
-    assert 0 < before < POPULATION * GENERATIONS
-    subprocess.run([sys.executable, PROGRAM, tmp_path], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, PROGRAM, tmp_path, "0", str(batch)], check=True, stdout=subprocess.DEVNULL)
     assert _digest(tmp_path / FILE) == undisturbed
+    assert list((tmp_path / "training").iterdir()) == []
 
 
 def test_an_experiment_that_is_done_stays_as_it_is(tmp_path: Path, undisturbed: str) -> None:
@@ -194,9 +197,22 @@ def test_another_search_is_refused(tmp_path: Path) -> None:
     loop.run()
     loop.archive.close()
     before = _digest(tmp_path / FILE)
-    with pytest.raises(RunError, match="other designs for generation 0"):
+    with pytest.raises(RunError, match="not of this search"):
         make_loop(tmp_path, search=ToySearch(seed=SEED + 1)).run()
     assert _digest(tmp_path / FILE) == before
+
+
+def test_another_search_is_refused_in_its_first_generation(tmp_path: Path) -> None:
+    class Interrupting(Listener):
+        def proposed(self, *words: Any) -> None:
+            raise KeyboardInterrupt
+
+    loop = make_loop(tmp_path, listener=Interrupting())
+    with pytest.raises(KeyboardInterrupt):
+        loop.run()
+    loop.archive.close()
+    with pytest.raises(RunError, match="other designs for generation 0"):
+        make_loop(tmp_path, search=ToySearch(seed=SEED + 1)).run()
 
 
 def test_wrong_answers_of_search_and_evaluator_are_refused(tmp_path: Path) -> None:
@@ -224,7 +240,7 @@ def test_the_listener_hears_of_everything_once(tmp_path: Path) -> None:
         def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
             self.heard.append(("proposed", generation, len(waiting), total))
 
-        def progress(self, event: dict) -> None:
+        def progress(self, batch: Sequence[Candidate], event: dict) -> None:
             self.heard.append(("progress", event["id"]))
 
         def finished(self, records: Sequence[Any]) -> None:

@@ -1,0 +1,143 @@
+"""The report of a design search: one page without scripts from elsewhere, network or server.
+
+It is made from the archive alone, so it can be made again at any time, also while the search is running.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+
+from warpvox.algos.archive import Archive, Record
+from warpvox.algos.report.charts import Series, chart, sparkline
+from warpvox.algos.report.tree import family_tree
+from warpvox.files import write_text
+from warpvox.sketch import body_svg
+
+__all__ = ["FILE", "report_page", "write_report"]
+
+FILE = "report.html"
+BEST, CURVES = 10, 5
+"""Designs that are shown large, and with their learning curves."""
+
+
+def write_report(archive: Archive, path: Path, facts: Mapping[str, str]) -> Path:
+    """Write the page to ``path``, whole or not at all; returns the path.
+
+    Args:
+        facts: what stands under the title, by name: status, search, version, ...
+    """
+    write_text(path, report_page(archive, facts))
+    return path
+
+
+def report_page(archive: Archive, facts: Mapping[str, str]) -> str:
+    """The page as text; see :func:`write_report`."""
+    records = archive.records()
+    done = [record for record in records if record.fitness is not None]
+    best = archive.best(BEST)
+    line = [record for record in archive.lineage(best[0].id) if record.fitness is not None] if best else []
+    title = " · ".join(str(facts[name]) for name in ("task", "search") if name in facts)
+    slots = {
+        "title": escape(title or "design search"),
+        "facts": "".join(_fact(name, value) for name, value in (_figures(done, best) | dict(facts)).items()),
+        "progress": _progress(archive, done),
+        "best": "".join(_card(record) for record in best) or '<p class="faint">No design is evaluated yet.</p>',
+        "curves": _learning(best[:CURVES]),
+        "tree": family_tree(line) if line else '<p class="faint">Nothing to show yet.</p>',
+        "rows": "".join(_row(record) for record in records),
+        "settings": escape(json.dumps(archive.settings, indent=2)),
+        "style": _text("page.css"),
+        "script": _text("page.js"),
+    }
+    # one pass: what is filled in is not searched for slots again
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: slots[match[1]], _text("page.html"))
+
+
+def _text(name: str) -> str:
+    return files("warpvox.algos.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
+    if not done:
+        return {"evaluations": "0"}
+    trained = [record for record in done if record.reused is None]
+    return {
+        "best fitness": f"{best[0].fitness:.3f}",
+        "evaluations": f"{len(trained)}"
+        + (f" (+{len(done) - len(trained)} reused)" if len(trained) < len(done) else ""),
+        "control steps": f"{sum(record.steps for record in done):,}",
+    }
+
+
+def _fact(name: str, value: str) -> str:
+    return f"<div><dt>{escape(name)}</dt><dd>{escape(str(value))}</dd></div>"
+
+
+def _progress(archive: Archive, done: Sequence[Record]) -> str:
+    """Fitness over evaluations: every design, the best so far, the mean of each generation."""
+    trained = [record for record in done if record.reused is None]
+    dots, best, notes = [], [], []
+    for number, record in enumerate(trained, start=1):
+        dots.append((number, record.fitness))
+        best.append((number, max(record.fitness, best[-1][1] if best else record.fitness)))
+        notes.append(f"design {record.id}, generation {record.candidate.generation}: {record.fitness:.3f}")
+    ends: dict[int, int] = {}
+    for number, record in enumerate(trained, start=1):
+        ends[record.candidate.generation] = number
+    means = [(ends[row["generation"]], row["mean"]) for row in archive.generations() if row["generation"] in ends]
+    series = [
+        Series("designs", dots, "dots", 3, notes),
+        Series("mean of the generation", means, "line", 2),
+        Series("best so far", best, "step", 1),
+    ]
+    return chart(series, "designs trained", "fitness")
+
+
+def _learning(best: Sequence[Record]) -> str:
+    series = [
+        Series(f"#{record.id}", record.curve, "line", number)
+        for number, record in enumerate(best, start=1)
+        if record.curve
+    ]
+    return chart(series, "control steps", "return")
+
+
+def _card(record: Record) -> str:
+    item = record.candidate
+    parents = ", ".join(f"#{parent}" for parent in item.parents)
+    return (
+        f'<figure class="card">{body_svg(item.body, 22)}<figcaption><b>{record.fitness:.3f}</b>'
+        f"<span>#{record.id} · generation {item.generation}</span>"
+        f"<span>{escape(item.origin)}{f' of {parents}' if parents else ''}</span>"
+        f"{sparkline([value for _, value in record.curve])}</figcaption></figure>"
+    )
+
+
+def _row(record: Record) -> str:
+    item = record.candidate
+    state = "waiting" if record.fitness is None else ""
+    if record.reused is not None:
+        state = f"same body as #{record.reused}"
+    elif record.stopped:
+        state = "stopped early"
+    cells = (
+        (record.id, f"{record.id}"),
+        (None, body_svg(item.body, 5)),
+        ("" if record.fitness is None else record.fitness, "" if record.fitness is None else f"{record.fitness:.4f}"),
+        (item.generation, f"{item.generation}"),
+        (None, escape(item.origin)),
+        (None, ", ".join(f"#{parent}" for parent in item.parents)),
+        (record.steps or 0, "" if record.steps is None else f"{record.steps:,}"),
+        (None, sparkline([value for _, value in record.curve], 72, 20)),
+        (None, state),
+    )
+    return (
+        "<tr>"
+        + "".join(f"<td{'' if key is None else f' data-v={chr(34)}{key}{chr(34)}'}>{text}</td>" for key, text in cells)
+        + "</tr>\n"
+    )
