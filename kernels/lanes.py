@@ -82,18 +82,93 @@ def _drop(mask: int) -> int:
     return mask & (mask - 1)
 
 
+def native(precision: str, width: int) -> str:
+    """C++ that the body of a native stage (model, data, design, pack, lane, ...) begins with, for a width.
+
+    ``Value`` holds the lanes in a precision, ``Wide`` in float64, as vectors of the compiler, which stay in registers;
+    ``values(array)[r]`` and ``wides(array)[r]`` are row r of the pack.
+    """
+    real = _C_NAMES[REALS[precision]]
+    return f"typedef {real} Real;\n" + (_NATIVE_SCALAR if width == 1 else _NATIVE_VECTOR.replace("WIDTH", str(width)))
+
+
+_NATIVE_SCALAR = """
+typedef Real Value;
+typedef double Wide;
+auto widen = [](Value a) -> Wide { return static_cast<Wide>(a); };
+auto narrow = [](Wide a) -> Value { return static_cast<Value>(a); };
+auto root = [](Value a) -> Value { return wp::sqrt(a); };
+auto any_below = [](Value a) -> bool { return a <= Real(0); };
+auto each_lane = [](auto&& act) { act(0); };
+auto lane_of = [](const Value& a, int) -> Real { return a; };
+auto set_lane = [](Value& a, int, Real x) { a = x; };
+#if defined(__CUDA_ARCH__)
+struct Values {
+    Value* first;
+    size_t gap;
+    __device__ Value& operator[](unsigned r) const { return first[r * gap]; }
+};
+struct Wides {
+    Wide* first;
+    size_t gap;
+    __device__ Wide& operator[](unsigned r) const { return first[r * gap]; }
+};
+auto values = [&](const wp::array_t<Real>& a) -> Values {
+    return {&wp::index(a, pack, 0, lane), a.strides[1] / sizeof(Value)};
+};
+auto wides = [&](const wp::array_t<double>& a) -> Wides {
+    return {&wp::index(a, pack, 0, lane), a.strides[1] / sizeof(Wide)};
+};
+#else
+auto values = [&](const wp::array_t<Real>& a) -> Value* { return &wp::index(a, pack, 0, lane); };
+auto wides = [&](const wp::array_t<double>& a) -> Wide* { return &wp::index(a, pack, 0, lane); };
+#endif
+"""
+
+_NATIVE_VECTOR = """
+typedef Real Value __attribute__((ext_vector_type(WIDTH), aligned(8)));
+typedef double Wide __attribute__((ext_vector_type(WIDTH), aligned(8)));
+auto widen = [](Value a) -> Wide { return __builtin_convertvector(a, Wide); };
+auto narrow = [](Wide a) -> Value { return __builtin_convertvector(a, Value); };
+auto root = [](Value a) -> Value { return __builtin_elementwise_sqrt(a); };
+auto any_below = [](Value a) -> bool { return __builtin_reduce_min(a) <= Real(0); };
+auto each_lane = [](auto&& act) { for (int k = 0; k < WIDTH; ++k) act(k); };
+auto lane_of = [](const Value& a, int k) -> Real { return a[k]; };
+auto set_lane = [](Value& a, int k, Real x) { a[k] = x; };
+auto values = [&](const wp::array_t<Real>& a) { return reinterpret_cast<Value*>(&wp::index(a, pack, 0, lane)); };
+auto wides = [&](const wp::array_t<double>& a) { return reinterpret_cast<Wide*>(&wp::index(a, pack, 0, lane)); };
+"""
+
+
+def _place(c_real: str, width: int) -> str:
+    """C++ for ``at``, the address of a lane.
+
+    Warp's own indexing minds negative indices and reads strides; in these loops that costs as much as the physics.
+    On the CPU a pack is as wide as a value, which makes the distance of two rows a constant.
+    """
+    return f"""
+#if defined(__CUDA_ARCH__)
+    const size_t between = a.strides[1];
+#else
+    const size_t between = {width} * sizeof({c_real});
+#endif
+    {c_real}* at = reinterpret_cast<{c_real}*>(
+        reinterpret_cast<char*>(a.data) + size_t(pack) * a.strides[0] + size_t(unsigned(row)) * between
+    ) + lane;"""
+
+
 def _scalar_ops(real):
     @wp.func
     def splat(value: real):
         return value
 
-    @wp.func
-    def load(a: wp.array3d(dtype=real), pack: int, row: int, lane: int):
-        return a[pack, row, lane]
+    place = _place(_C_NAMES[real], 1)
 
-    @wp.func
-    def store(a: wp.array3d(dtype=real), pack: int, row: int, lane: int, value: real):
-        a[pack, row, lane] = value
+    @wp.func_native(f"{place} return *at;")
+    def load(a: wp.array3d(dtype=real), pack: int, row: int, lane: int) -> real: ...
+
+    @wp.func_native(f"{place} *at = x;")
+    def store(a: wp.array3d(dtype=real), pack: int, row: int, lane: int, x: real): ...
 
     @wp.func
     def mul(a: real, b: real):
@@ -165,10 +240,12 @@ def _vector_ops(real, width):
         return value(x)
 
     # A pack's lanes are contiguous, so a row of lanes is one vector in memory.
-    @wp.func_native(f"return *reinterpret_cast<{c_value}*>(&wp::index(a, pack, row, lane));")
+    place = _place(c_real, width)
+
+    @wp.func_native(f"{place} return *reinterpret_cast<{c_value}*>(at);")
     def load(a: wp.array3d(dtype=real), pack: int, row: int, lane: int) -> value: ...
 
-    @wp.func_native(f"*reinterpret_cast<{c_value}*>(&wp::index(a, pack, row, lane)) = x;")
+    @wp.func_native(f"{place} *reinterpret_cast<{c_value}*>(at) = x;")
     def store(a: wp.array3d(dtype=real), pack: int, row: int, lane: int, x: value): ...
 
     @wp.func_native(each("a[i] * b[i]"))

@@ -1,7 +1,7 @@
 """What the kernels read and write: Model (topology, per design) and Data (state, per environment).
 
 The tables below say every array's type, shape and meaning once; structs and allocations follow from them. Shape
-symbols: ``design``; ``point, active, spring, rigid, voxel, mobile, robot, cell, action`` are capacities over the
+symbols: ``design``; ``point, active, joint, spring, rigid, voxel, mobile, robot, cell, action`` are capacities over the
 designs of a model; ``pack, lane`` number environments (see :mod:`warpvox.kernels.lanes`); ``unit`` is one thread's
 share of a pack; ``pair, entry, slot, word`` are capacities of the broad phase. ``2*`` rows hold x and y alternately.
 """
@@ -37,6 +37,8 @@ MODEL = {
     "spring_rest": (STATE, "design spring", "rest length"),
     "spring_k": (REAL, "design spring", "stiffness"),
     "spring_drive": (wp.vec2i, "design spring", "the one or two actions that drive its length, else -1"),
+    "link_start": (int, "design joint", "where in `link` the springs of a point begin; one entry more than points"),
+    "link": (int, "design 2*spring", "springs of the points in ascending order: s where it pulls on, -1 - s where off"),
     "rigid_spring": (int, "design rigid", "sides of rigid voxels in the order of the second strain pass"),
     "corner": (
         wp.vec4i,
@@ -80,7 +82,8 @@ DATA = {
     "stage_vel": (REAL, "pack 2*point lane", "velocity of the Runge-Kutta stage"),
     "start_vel": (REAL, "pack 2*point lane", "velocity at the sub-step's start"),
     "height": (REAL, "pack point lane", "y at the sub-step's start"),
-    "force": (REAL, "pack 2*point lane", "force of the stage"),
+    "force": (REAL, "pack 2*point lane", "scratch: forces on a point at the floor, corrections of the strain limit"),
+    "tension": (REAL, "pack 2*spring lane", "force of a spring on its first end"),
     "contact": (REAL, "pack 2*point lane", "contact force, constant during a sub-step"),
     "sum_bend": (REAL, "pack 2*point lane", "sum of the accelerations that bend the path: stages 1 to 3"),
     "sum_vel": (REAL, "pack 2*point lane", "weighted sum of the stages' accelerations"),

@@ -214,6 +214,7 @@ def model_arrays(designs: list[Design]) -> tuple[dict[str, np.ndarray], dict[str
     count = {
         "point": "home",
         "active": "active",
+        "joint": "link_start",
         "spring": "spring_rest",
         "rigid": "rigid_spring",
         "voxel": "side",
@@ -285,6 +286,8 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
         active=[r for p in active for r in (2 * p, 2 * p + 1)],
         spring_ends=np.reshape(ends, (-1, 2)),
         spring_drive=np.reshape(drives, (-1, 2)),
+        link_start=np.concatenate([[0], np.cumsum(np.bincount(np.ravel(ends), minlength=len(fixed)))]),
+        link=_links_of_points(ends),
         rigid_spring=rigid,
         corner=np.reshape(corner, (-1, 4)),
         pushed=np.reshape(pushed, (-1, 4)),
@@ -308,6 +311,13 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
     out["terrain"] = np.array([design.world.width, design.world.height], dtype=np.int32)
     out["terrain_side"] = lattice[0]
     return out
+
+
+def _links_of_points(ends: list[list[int]]) -> np.ndarray:
+    """Springs point by point, in ascending order: s at the first end of spring s, -1 - s at the second."""
+    point = np.ravel(ends)
+    order = np.argsort(point, kind="stable")
+    return np.where(order % 2 == 0, order // 2, -1 - order // 2)
 
 
 def _still_voxels(design: Design, still: list[bool], owner: list[int], grid: list[list[int]]) -> np.ndarray:

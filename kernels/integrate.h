@@ -1,0 +1,121 @@
+// Body of a function (model, data, design, pack, lane, dt): one sub-step by RK4 for the lanes of a unit.
+//
+// In C++ because it is most of the work: values are vectors of the compiler, which stay in registers. Real, Value,
+// Wide and the functions row, widen, narrow, root and lanes_below come from lanes.py and fit the width.
+//
+// The unknown is the displacement since the sub-step's start, never the position: a spring's stretch comes from
+// small differences, so that float32 keeps its relative precision wherever the robot stands.
+
+const int actives = 2 * wp::index(model.actives, design);
+const int springs = wp::index(model.springs, design);
+const int* active = &wp::index(model.active, design, 0);
+const int* fixed = &wp::index(model.fixed, design, 0);
+const int* link = &wp::index(model.link, design, 0);
+const int* link_start = &wp::index(model.link_start, design, 0);
+const wp::vec_t<2, int>* spring_ends = &wp::index(model.spring_ends, design, 0);
+const Real* spring_k = &wp::index(model.spring_k, design, 0);
+
+const auto disp = values(data.disp);
+const auto height = values(data.height);
+const auto start_vel = values(data.start_vel);
+const auto stage_vel = values(data.stage_vel);
+const auto sum_vel = values(data.sum_vel);
+const auto sum_bend = values(data.sum_bend);
+const auto contact = values(data.contact);
+const auto tension = values(data.tension);
+const auto span = values(data.span);
+const auto rest = values(data.length);
+const auto pull = values(data.pull);
+const auto pos = wides(data.pos);
+const auto vel = wides(data.vel);
+const auto move = wides(data.move);
+
+// Hooke force k (l - l_eq) of every spring on its first end.
+auto stretch_springs = [&]() {
+    for (int s = 0; s < springs; ++s) {
+        const unsigned a = 2 * spring_ends[s][0], b = 2 * spring_ends[s][1];
+        const Value ux = disp[b] - disp[a], uy = disp[b + 1] - disp[a + 1];
+        const Value dx = span[2 * s], dy = span[2 * s + 1];
+        const Value ex = dx + ux, ey = dy + uy;
+        const Value length = root(ex * ex + ey * ey);
+        // l - l0 = (|e|^2 - |d|^2) / (l + l0), without the cancellation, and both divisions in one
+        const Value both = length + rest[s];
+        const Value excess = (dx + ex) * ux + (dy + ey) * uy - pull[s] * both;
+        const Value force = excess * spring_k[s] / (both * length);
+        tension[2 * s] = force * ex;
+        tension[2 * s + 1] = force * ey;
+    }
+};
+
+// The implicit floor at y = 0: normal force and friction of the lanes that are below it.
+auto stand = [&](Value& fx, Value& fy, const Value& vx, const Value& y) {
+    each_lane([&](int k) {
+        if (lane_of(y, k) <= Real(0)) {
+            const double normal = -model.floor_stiffness * double(lane_of(y, k));
+            const double grip = model.friction * normal;
+            const double slip = double(lane_of(vx, k));
+            const Real drag = Real(model.floor_friction * grip * wp::tanh(slip * grip));
+            set_lane(fx, k, lane_of(fx, k) - drag);
+            set_lane(fy, k, lane_of(fy, k) + Real(normal));
+        }
+    });
+};
+
+// Contact, drag, gravity, floor and springs, in this order.
+auto point_force = [&](unsigned x, Value& fx, Value& fy) {
+    const unsigned y = x + 1, p = x / 2;
+    fx = contact[x] - stage_vel[x] * model.drag;
+    fy = contact[y] - stage_vel[y] * model.drag - model.gravity;
+    const Value above = height[p] + disp[y];
+    if (any_below(above)) stand(fx, fy, stage_vel[x], above);
+    for (int n = link_start[p]; n < link_start[p + 1]; ++n) {
+        const int s = link[n];
+        if (s >= 0) {
+            fx = fx + tension[2 * s];
+            fy = fy + tension[2 * s + 1];
+        } else {
+            fx = fx - tension[-2 * s - 2];
+            fy = fy - tension[-2 * s - 1];
+        }
+    }
+};
+
+// x += dt v + dt^2 / 6 (a1 + a2 + a3) and v += dt / 6 (a1 + 2 a2 + 2 a3 + a4), in float64.
+auto finish = [&](unsigned r, double free) {
+    const Wide velocity = vel[r];
+    const double sixth = free * dt / 6.0;
+    const Wide step = velocity * (free * dt) + widen(sum_bend[r]) * (sixth * dt);
+    move[r] = step;
+    disp[r] = narrow(step);
+    vel[r] = velocity + widen(sum_vel[r]) * sixth;
+};
+
+for (int n = 0; n < actives; ++n) {
+    const unsigned r = active[n];
+    const Value velocity = narrow(vel[r]);
+    start_vel[r] = velocity;
+    stage_vel[r] = velocity;
+    disp[r] = velocity * Real(0);
+    sum_bend[r] = velocity * Real(0);
+    sum_vel[r] = velocity * Real(0);
+    if (r % 2) height[r / 2] = narrow(pos[r]);
+}
+for (int stage = 0; stage < 4; ++stage) {
+    const Real weight = stage == 1 || stage == 2 ? 2 : 1, bend = stage < 3 ? 1 : 0;
+    const Real ahead = stage < 2 ? Real(dt) * Real(0.5) : Real(dt);
+    stretch_springs();
+    for (int n = 0; n < actives; n += 2) {
+        const unsigned x = active[n];
+        Value force[2];
+        point_force(x, force[0], force[1]);
+        for (unsigned axis = 0; axis < 2; ++axis) {
+            const unsigned r = x + axis;
+            sum_bend[r] = sum_bend[r] + force[axis] * bend;
+            sum_vel[r] = sum_vel[r] + force[axis] * weight;
+            disp[r] = stage_vel[r] * ahead;
+            stage_vel[r] = start_vel[r] + force[axis] * ahead;
+        }
+    }
+}
+// A fixed point takes part in the stages; only its update is dropped.
+for (int n = 0; n < actives; ++n) finish(active[n], fixed[active[n] / 2] ? 0.0 : 1.0);
