@@ -17,7 +17,7 @@ from warpvox.errors import RunError
 from warpvox.files import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["Controller", "PolicySpec", "load_checkpoint", "load_controller", "save_checkpoint"]
+__all__ = ["Controller", "PolicySpec", "load_checkpoint", "load_controller", "read_tensors", "save_checkpoint"]
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,11 @@ def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
         torch.save(content, temporary)
 
 
-def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
-    """Read a checkpoint; nothing but data is ever loaded from the file.
+def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
+    """Read what :func:`save_checkpoint` wrote; nothing but data is ever loaded from the file.
 
     Raises:
-        RunError: no such file, or none that :func:`save_checkpoint` wrote.
+        RunError: no such file, or one of another kind.
     """
     if not path.is_file():
         raise RunError(f"There is no checkpoint file {path}.")
@@ -78,7 +78,19 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
         content = torch.load(path, map_location=device, weights_only=True)
     except (RuntimeError, OSError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
         raise RunError(f"{path} is not a readable checkpoint ({_first_line(error)}).") from None
-    if not isinstance(content, dict) or "policy" not in content or "actor_state_dict" not in content:
+    if not isinstance(content, dict):
+        raise RunError(f"{path} is not a checkpoint of warpvox.")
+    return content
+
+
+def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
+    """Read the checkpoint of a policy.
+
+    Raises:
+        RunError: no such file, or none that holds a policy.
+    """
+    content = read_tensors(path, device)
+    if "policy" not in content or "actor_state_dict" not in content:
         raise RunError(f"{path} is not a checkpoint of warpvox: it holds no policy.")
     return content
 

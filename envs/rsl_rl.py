@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -64,7 +65,7 @@ class RslRlVecEnv(VecEnv):
         self.cfg = {"task": env.spec.id, "rules": env.rules}
         self.action_scale, self.reward_scale = action_scale, reward_scale
         self.bootstrap_time_limit = bootstrap_time_limit
-        self.reward_norm = None
+        self.apart, self.reward_norm = apart, None
         if reward_gamma is not None:
             self.reward_norm = _ReturnScale(env.num_envs, reward_gamma, env.device, env.num_designs if apart else 1)
         # The length that random starts pretend is none that the policy has lived through.
@@ -83,7 +84,7 @@ class RslRlVecEnv(VecEnv):
         self._shortened = torch.ones_like(self._shortened)
 
     def get_observations(self) -> TensorDict:
-        """The current observations, group ``policy``: float32 ``[num_envs, num_obs]``."""
+        """The current observations, group ``policy``: ``[num_envs, num_obs]`` in torch's default precision."""
         return self._group(self._obs)
 
     def reset(self) -> TensorDict:
@@ -102,13 +103,15 @@ class RslRlVecEnv(VecEnv):
         if self.bootstrap_time_limit:
             extras["time_outs"] = truncated & ~terminated
             extras["final_obs"] = self._group(info["final_obs"])
-        reward = reward.float()
+        reward = reward.to(torch.get_default_dtype())
         if self.reward_norm is not None:
             reward = self.reward_norm(reward, done)
         return self._group(obs), reward * self.reward_scale, done, extras
 
     def _group(self, obs: torch.Tensor) -> TensorDict:
-        return TensorDict({OBS_GROUP: obs.float()}, batch_size=[self.num_envs], device=self.device)
+        return TensorDict(
+            {OBS_GROUP: obs.to(torch.get_default_dtype())}, batch_size=[self.num_envs], device=self.device
+        )
 
     @staticmethod
     def _log(info: dict[str, Any]) -> dict[str, torch.Tensor]:
@@ -145,6 +148,22 @@ class RslRlVecEnv(VecEnv):
             "reward_norm": None if self.reward_norm is None else self.reward_norm.state(),
         }
 
+    def pick(self, designs: Sequence[int]) -> dict[str, Any]:
+        """:meth:`state` as an adapter of these designs alone, in this order, would have it.
+
+        Raises:
+            ConfigError: the designs do not scale their rewards apart.
+        """
+        if self.reward_norm is not None and not self.apart:
+            raise ConfigError("Designs that share one scale of rewards cannot go on without each other.")
+        mask = self.env.design_index[:, None] == torch.as_tensor(list(designs), device=self.device)
+        rows = mask.T.nonzero()[:, 1]
+        state = _rows(self.state() | {"sums": None, "reward_norm": None}, rows)
+        # columns that only wider designs have
+        state["obs"] = state["obs"][:, : int(self.env.obs_mask[list(designs)].sum(1).max())]
+        norm = None if self.reward_norm is None else self.reward_norm.pick(rows, list(designs))
+        return state | {"sums": torch.zeros_like(self._sums), "reward_norm": norm}
+
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on from :meth:`state` of an adapter with the same task, designs and settings.
 
@@ -157,6 +176,13 @@ class RslRlVecEnv(VecEnv):
         self._sums = state["sums"].to(self.device)
         if self.reward_norm is not None and state["reward_norm"] is not None:
             self.reward_norm.set_state(state["reward_norm"])
+
+
+def _rows(state: Any, rows: torch.Tensor) -> Any:
+    """The rows of all tensors in dictionaries of dictionaries."""
+    if isinstance(state, dict):
+        return {name: _rows(value, rows) for name, value in state.items()}
+    return None if state is None else state[rows]
 
 
 class _ReturnScale:
@@ -187,6 +213,10 @@ class _ReturnScale:
 
     def state(self) -> dict[str, torch.Tensor]:
         return {"return": self._return.clone(), "moments": self._moments.clone()}
+
+    def pick(self, rows: torch.Tensor, groups: list[int]) -> dict[str, torch.Tensor]:
+        """:meth:`state` of these environments and groups alone."""
+        return {"return": self._return[rows], "moments": self._moments[:, groups]}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
         self._return = state["return"].to(self._return)

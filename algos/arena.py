@@ -1,0 +1,47 @@
+"""Where a design search trains: everything about environments but bodies, numbers and seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from warpvox.design import Design
+from warpvox.envs.spec import TaskSpec
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.layout import lanes_for
+from warpvox.sim import resolve_device
+from warpvox.types import Physics
+
+__all__ = ["Arena"]
+
+
+@dataclass(frozen=True)
+class Arena:
+    """A task and how it is simulated; the arguments are those of :func:`warpvox.envs.vec_env.make_vec`."""
+
+    task: str | TaskSpec
+    rules: str = "evogym"
+    physics: str | Physics | None = None
+    device: str = "cpu"
+    dtype: str = "float32"
+    threads: int | None = None
+    max_episode_steps: int | None = None
+
+    def make(self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool) -> VoxelVecEnv:
+        """``envs`` environments of each body; random tasks draw as if each body were alone with its seed."""
+        # Lanes follow from `envs` alone, however often a body occurs, so that all batches run the same kernels.
+        lanes = lanes_for(envs) if resolve_device(self.device) == "cpu" else None
+        return make_vec(
+            self.task,
+            list(bodies),
+            envs * len(bodies),
+            device=self.device,
+            rules=self.rules,
+            dtype=self.dtype,
+            seed=list(seeds),
+            auto_reset=auto_reset,
+            physics=self.physics,
+            lanes=lanes,
+            threads=self.threads,
+            max_episode_steps=self.max_episode_steps,
+        )

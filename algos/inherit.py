@@ -1,0 +1,120 @@
+"""A child's policy out of its parent's, where their bodies differ: inputs and outputs are matched by their place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from rsl_rl.models import MLPModel
+from torch import nn
+
+from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.envs.worlds import ROBOT
+from warpvox.errors import RunError
+from warpvox.types import Cell
+
+__all__ = ["Anatomy", "inherit"]
+
+MEMORY = 4096
+"""Samples that a child's normaliser counts for its parent's moments: few enough to learn its own from."""
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """What the columns of a design's observations and actions are about.
+
+    ``columns`` name an entry of a term that has nothing to do with points, or an axis and a corner of the body's
+    grid; ``actuators`` give the cell and its type. Equal names mean the same thing in different bodies.
+    """
+
+    columns: tuple[tuple, ...]
+    actuators: tuple[tuple, ...]
+
+    @staticmethod
+    def of(env: VoxelVecEnv, design: int) -> Anatomy:
+        """The anatomy of one of the designs of ``env``."""
+        body = env.designs[design]
+        first = design * env.num_envs // env.num_designs
+        mesh = env.sim.designs[int(env.sim.design_index[first])].body(ROBOT)
+        # The mesh has the grid that its world holds; bodies are compared by their own.
+        row, column = (int(np.flatnonzero((body != Cell.EMPTY).any(axis))[0]) for axis in (1, 0))
+        row -= min(cell[0] for cell in mesh.cells)
+        column -= min(cell[1] for cell in mesh.cells)
+        corners = {}
+        for (r, c), points in mesh.corners.items():
+            places = ((r, c), (r, c + 1), (r + 1, c + 1), (r + 1, c))
+            corners |= {point: (y + row, x + column) for point, (y, x) in zip(points, places, strict=True)}
+        places = [corners[point] for point in range(len(mesh.points))]
+        columns: list[tuple] = []
+        for term in env.spec.observations:
+            part = env.obs_columns[design][term.name]
+            width = part.stop - part.start
+            if dict(term.params).get("name") == ROBOT and width == 2 * len(places):
+                columns += [(term.name, axis, *place) for axis in "xy" for place in places]
+            else:
+                columns += [(term.name, width, k) for k in range(width)]
+        kinds = [(r + row, c + column, mesh.kind((r, c))) for r, c in mesh.cells]
+        return Anatomy(tuple(columns), tuple(kind for kind in kinds if kind[2] in (Cell.H_ACT, Cell.V_ACT)))
+
+
+def inherit(
+    actor: MLPModel, critic: MLPModel, child: Anatomy, parent: Anatomy, policy: dict[str, torch.Tensor]
+) -> None:
+    """Make a child's fresh networks begin where its parent's policy ended.
+
+    Weights of inputs and outputs that both have, hidden layers and running moments come from the parent. What is new
+    in the child starts without influence: weights of 0 for its inputs; its outputs keep their fresh weights and
+    deviation. The value function is fresh but for the moments: a policy's state does not hold one.
+
+    Args:
+        actor, critic: of the child; changed in place.
+        child, parent: what their columns mean.
+        policy: state of the parent's actor.
+
+    Raises:
+        RunError: the parent's network has other hidden layers.
+    """
+    state = actor.state_dict()
+    inputs, outputs = _matches(child.columns, parent.columns), _matches(child.actuators, parent.actuators)
+    layers = [k for k, layer in enumerate(actor.mlp) if isinstance(layer, nn.Linear)]
+    for k in layers:
+        for name in (f"mlp.{k}.weight", f"mlp.{k}.bias"):
+            own, old = state[name], policy.get(name)
+            rows = outputs if k == layers[-1] else None
+            columns = inputs if k == layers[0] and own.ndim == 2 else None
+            if columns is not None:
+                own.zero_()
+            _copy(own, old, rows, columns, name)
+    _copy(state["distribution.log_std_param"], policy["distribution.log_std_param"], outputs, None, "log_std")
+    for name in ("_mean", "_var", "_std"):
+        key = f"obs_normalizer.{name}"
+        if key in state:
+            _copy(state[key].T, policy[key].T, inputs, None, key)
+    if "obs_normalizer.count" in state:
+        state["obs_normalizer.count"].copy_(policy["obs_normalizer.count"].clamp(max=MEMORY))
+    actor.load_state_dict(state)
+    moments = {name: value for name, value in state.items() if name.startswith("obs_normalizer.")}
+    critic.load_state_dict(critic.state_dict() | moments)
+
+
+def _matches(child: tuple[tuple, ...], parent: tuple[tuple, ...]) -> tuple[list[int], list[int]]:
+    """Indices of what both have: in the child, in the parent."""
+    where = {name: k for k, name in enumerate(parent)}
+    pairs = [(k, where[name]) for k, name in enumerate(child) if name in where]
+    return [mine for mine, _ in pairs], [theirs for _, theirs in pairs]
+
+
+def _copy(own: torch.Tensor, old: torch.Tensor | None, rows: tuple | None, columns: tuple | None, name: str) -> None:
+    """Copy what matches; rows or columns of None must agree."""
+    free = [axis for axis, pairs in enumerate((rows, columns)) if pairs is None and axis < own.ndim]
+    if old is None or old.ndim != own.ndim or any(old.shape[axis] != own.shape[axis] for axis in free):
+        found = "nothing" if old is None else list(old.shape)
+        raise RunError(f"A parent's policy has another architecture: {name} is {found}, expected {list(own.shape)}.")
+    mine, theirs = rows or (list(range(len(own))), list(range(len(own))))
+    if own.ndim == 1 or columns is None:
+        own[mine] = old[theirs].to(own)
+        return
+    values = own[mine]
+    values[:, columns[0]] = old[theirs][:, columns[1]].to(own)
+    own[mine] = values

@@ -1,0 +1,184 @@
+"""PPO for many designs at once: separate trainings that share their matrix products."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from rsl_rl.storage import RolloutStorage
+from tensordict import TensorDict
+
+from warpvox.algos.population_adam import PopulationAdam, clip_gradients
+from warpvox.algos.population_model import PopulationModel
+from warpvox.algos.population_random import Streams
+from warpvox.algos.ppo import PPO
+
+__all__ = ["PopulationPPO"]
+
+SLOWEST, FASTEST = 1e-5, 1e-2
+"""Between these rsl-rl's adaptive schedule keeps a learning rate."""
+
+
+class PopulationPPO(PPO):
+    """Our PPO with an axis for designs: losses, gradients' norms, learning rates and random numbers are per design.
+
+    Rows of the storage are sorted by design. Up to rounding each design learns what :class:`warpvox.algos.ppo.PPO`
+    would teach it alone; which others are beside it changes nothing at all.
+
+    Args:
+        actor, critic: stacked networks.
+        storage: for ``designs * envs`` environments; actions as wide as the actor's outputs.
+        streams: each design's random numbers.
+        settings: further arguments of :class:`warpvox.algos.ppo.PPO`.
+
+    Attributes:
+        rates: float64 ``[designs]``, learning rates.
+        losses: ``{name: [designs]}`` of the last update.
+    """
+
+    def __init__(
+        self,
+        actor: PopulationModel,
+        critic: PopulationModel,
+        storage: RolloutStorage,
+        streams: Streams,
+        **settings: Any,
+    ) -> None:
+        # Advantages are normalised for each design in `update`; rsl-rl would do it over all rows.
+        super().__init__(actor, critic, storage, normalize_advantage_per_mini_batch=True, **settings)
+        eps = self.optimizer.param_groups[0]["eps"]
+        self.optimizer = PopulationAdam([*actor.parameters(), *critic.parameters()], eps)
+        self.streams = streams
+        actor.sampler = lambda rows: streams.normal(rows, actor.outputs, actor.width)
+        self.rates = torch.full((actor.num_designs,), self.learning_rate, dtype=torch.float64, device=self.device)
+        self.losses: dict[str, torch.Tensor] = {}
+
+    @property
+    def num_designs(self) -> int:
+        """Number of designs."""
+        return self.actor.num_designs
+
+    # ------------------------------------------------------------------ update
+
+    def update(self) -> dict[str, float]:
+        """One iteration's optimisation of all designs; returns the mean losses."""
+        if self.decays:
+            self.rates.fill_(self.initial_learning_rate * max(0.0, 1.0 - self.updates / self.total_iterations))
+        data, size = self._shuffled(), self._minibatch()
+        self.actor.set_mean(torch.zeros_like(data["mean"][:, :1]))
+        old_std = self.actor.output_std.detach().clone()
+        sums = torch.zeros((3, self.num_designs), device=self.device)
+        for _ in range(self.num_learning_epochs):
+            for k in range(self.num_mini_batches):
+                part = {name: values[:, k * size : (k + 1) * size] for name, values in data.items()}
+                sums += self._descend(part, old_std)
+        # What a separate training draws to no purpose while it learns: rsl-rl samples in every forward pass.
+        times = self.num_learning_epochs * self.num_mini_batches
+        self.streams.skip_normal(size, self.actor.outputs, times)
+        obs = self._by_design(self._observations())
+        self.actor.update_normalization(obs)
+        self.critic.update_normalization(obs)
+        self.storage.clear()
+        self.updates += 1
+        self.losses = dict(zip(("value", "surrogate", "entropy"), sums / times, strict=True))
+        self.learning_rate = float(self.rates.mean())
+        return {name: float(values.mean()) for name, values in self.losses.items()}
+
+    def _minibatch(self) -> int:
+        """Samples of a design in a minibatch."""
+        samples = self.storage.num_transitions_per_env * self.storage.num_envs // self.num_designs
+        return samples // self.num_mini_batches
+
+    def _observations(self) -> torch.Tensor:
+        return self.actor._observations(self.storage.observations)
+
+    def _by_design(self, values: torch.Tensor) -> torch.Tensor:
+        """``[steps, rows, ...]`` of the storage as ``[designs, steps * envs, ...]``."""
+        steps, rows = values.shape[:2]
+        split = values.view(steps, self.num_designs, rows // self.num_designs, *values.shape[2:])
+        return split.transpose(0, 1).flatten(1, 2)
+
+    @torch.no_grad()
+    def _shuffled(self) -> dict[str, torch.Tensor]:
+        """The rollout ``[designs, samples, ...]``, each design's in an order of its own, the same in all epochs."""
+        st = self.storage
+        advantages = self._by_design(st.advantages)[..., 0]
+        spread = advantages.std(1, keepdim=True) + 1e-8
+        data = {
+            "obs": self._by_design(self._observations()),
+            "actions": self._by_design(st.actions),
+            "mean": self._by_design(st.distribution_params[0]),
+            "log_prob": self._by_design(st.actions_log_prob)[..., 0],
+            "values": self._by_design(st.values)[..., 0],
+            "returns": self._by_design(st.returns)[..., 0],
+            "advantages": (advantages - advantages.mean(1, keepdim=True)) / spread,
+        }
+        order = self.streams.permutations(self._minibatch() * self.num_mini_batches)
+        rows = torch.arange(self.num_designs, device=self.device)[:, None]
+        data = {name: values[rows, order] for name, values in data.items()}
+        # The normalisers learn after the update only: scaled once, the inputs serve all epochs.
+        data["obs"] = self.actor.latent(data["obs"])
+        return data
+
+    def _descend(self, part: dict[str, torch.Tensor], old_std: torch.Tensor) -> torch.Tensor:
+        """One step of Adam; returns value loss, surrogate loss and entropy ``[3, designs]``."""
+        self.actor.set_mean(self.actor.run(part["obs"]))
+        log_prob, entropy = self.actor.log_prob(part["actions"]), self.actor.output_entropy
+        values = self.critic.run(part["obs"])[..., 0]
+        if self.schedule == "adaptive":
+            self._adapt(part["mean"], old_std)
+        ratio = torch.exp(log_prob - part["log_prob"])
+        gain, bounded = -part["advantages"] * ratio, ratio.clamp(1 - self.clip_param, 1 + self.clip_param)
+        surrogate = torch.max(gain, -part["advantages"] * bounded).mean(1)
+        error = (values - part["returns"]).square()
+        if self.use_clipped_value_loss:
+            near = part["values"] + (values - part["values"]).clamp(-self.clip_param, self.clip_param)
+            error = torch.max(error, (near - part["returns"]).square())
+        value = error.mean(1)
+        loss = surrogate + self.value_loss_coef * value - self.entropy_coef * entropy
+        self.optimizer.zero_grad()
+        loss.sum().backward()  # the sum, not the mean: each design has the gradient that it would have alone
+        clip_gradients(self.actor.parameters(), self.max_grad_norm)
+        clip_gradients(self.critic.parameters(), self.max_grad_norm)
+        self.optimizer.step(self.rates)
+        return torch.stack([value, surrogate, entropy]).detach()
+
+    @torch.no_grad()
+    def _adapt(self, mean: torch.Tensor, std: torch.Tensor) -> None:
+        """rsl-rl's adaptive schedule, for each design."""
+        kl = self.actor.kl_divergence(mean, std).mean(1)
+        lower, higher = (self.rates / 1.5).clamp(min=SLOWEST), (self.rates * 1.5).clamp(max=FASTEST)
+        far, near = kl > 2 * self.desired_kl, (kl < self.desired_kl / 2) & (kl > 0)
+        self.rates = torch.where(far, lower, torch.where(near, higher, self.rates))
+
+    # ------------------------------------------------------------ state, parts
+
+    def healthy(self) -> torch.Tensor:
+        """bool ``[designs]``: whose networks are made of finite numbers."""
+        sums = [parameter.detach().sum((1, 2)) for parameter in self.optimizer.parameters]
+        return torch.isfinite(torch.stack(sums)).all(0)
+
+    def keep(self, index: Sequence[int], obs: TensorDict) -> None:
+        """Only these designs go on, in this order, with observations like ``obs``; between updates only."""
+        envs = self.storage.num_envs // self.num_designs
+        for part in (self.actor, self.critic, self.optimizer, self.streams):
+            part.keep(index)
+        self.rates = self.rates[list(index)]
+        steps, rows = self.storage.num_transitions_per_env, envs * len(index)
+        self.storage = RolloutStorage("rl", rows, steps, obs, [self.actor.width], self.device)
+
+    def save(self) -> dict[str, Any]:
+        """Networks, optimiser, learning rates and random streams: what :meth:`load` takes back."""
+        own = {"rates": self.rates, "streams": self.streams.state()}
+        return super().save() | own
+
+    def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
+        """Go on from :meth:`save` of the same designs and settings."""
+        self.actor.load_state_dict(loaded_dict["actor_state_dict"], strict=strict)
+        self.critic.load_state_dict(loaded_dict["critic_state_dict"], strict=strict)
+        self.optimizer.load_state_dict(loaded_dict["optimizer_state_dict"])
+        self.rates = loaded_dict["rates"].to(self.device)
+        self.streams.set_state(loaded_dict["streams"])
+        self.updates = loaded_dict["updates"]
+        return True

@@ -1,0 +1,40 @@
+"""What the tests of evaluations share: settings that are quick, bodies and an arena."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+import numpy as np
+import yaml
+
+from warpvox.algos.arena import Arena
+from warpvox.algos.candidate import Candidate
+from warpvox.configs.schema import PpoConfig, TrainingConfig
+from warpvox.design import sample_design
+
+LIMIT = 16  # control steps of an episode
+
+
+def settings(preset: str = "paper", ppo: dict | None = None, **changes: object) -> TrainingConfig:
+    """A preset of ``training`` with other values here and there."""
+    values = yaml.safe_load((files("warpvox.configs") / "training" / f"{preset}.yaml").read_text(encoding="utf-8"))
+    return TrainingConfig(**(values | changes | {"ppo": PpoConfig(**(values["ppo"] | (ppo or {})))}))
+
+
+def small(preset: str = "fast", **changes: object) -> TrainingConfig:
+    """Few environments, short rollouts, small networks."""
+    quick = {"steps": 4, "epochs": 2, "minibatches": 2, "hidden": [32]}
+    return settings(preset, quick, **({"envs": 4, "iterations": 6, "eval_interval": 2} | changes))
+
+
+def arena(task: str = "Walker-v0", dtype: str = "float32") -> Arena:
+    return Arena(task, threads=1, max_episode_steps=LIMIT, dtype=dtype)
+
+
+def bodies(count: int) -> list[np.ndarray]:
+    """Different bodies with different numbers of points and actuators."""
+    return [sample_design((3, 3), seed=number) for number in range(count)]
+
+
+def candidates(count: int) -> list[Candidate]:
+    return [Candidate(number, body) for number, body in enumerate(bodies(count))]

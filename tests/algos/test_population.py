@@ -1,0 +1,267 @@
+"""A generation trained at once: whoever else is in the batch, however often it is killed or halved."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from population_cases import LIMIT, arena, candidates, small
+
+from warpvox.algos.candidate import PROGRESS, Candidate, Outcome, candidate_seed
+from warpvox.algos.checkpoint import Controller, PolicySpec, build_actor
+from warpvox.algos.evaluate import evaluate
+from warpvox.algos.population import PopulationEvaluator
+from warpvox.algos.sequential import SequentialEvaluator
+from warpvox.errors import ConfigError, RunError
+
+TASKS = pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0"])
+SAME = 1e-6
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Two threads would only be slower."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def assert_equal(one: Outcome, other: Outcome) -> None:
+    """Bit for bit."""
+    assert (one.fitness, one.curve, one.steps, one.stopped) == (other.fitness, other.curve, other.steps, other.stopped)
+    assert one.policy.keys() == other.policy.keys()
+    for name, value in one.policy.items():
+        assert torch.equal(value, other.policy[name]), name
+
+
+def outcomes(found: list[Candidate], task: str = "Walker-v0", seed: int = 0, **changes: Any) -> list[Outcome]:
+    return PopulationEvaluator(arena(task), small(**changes), seed).evaluate(found, {})
+
+
+# ------------------------------------------------------------------------------------------------ what comes out
+
+
+@TASKS
+def test_fitness_is_the_best_of_the_evaluations_and_the_policy_earns_it(task: str) -> None:
+    found = candidates(3)
+    how = small()
+    for candidate, outcome in zip(found, outcomes(found, task, seed=5), strict=True):
+        steps = [n * how.envs * how.ppo.steps for n in (2, 4, 6)]
+        assert [at for at, _ in outcome.curve] == steps
+        assert outcome.fitness == max(value for _, value in outcome.curve)
+        assert (outcome.steps, outcome.stopped) == (steps[-1], False)
+        seeds = [candidate_seed(5, candidate.id)]
+        env = arena(task).make([candidate.body], 1, seeds, auto_reset=False)
+        spec = PolicySpec(env.num_obs, env.num_actions, how.ppo.hidden, how.ppo.activation, True, 0.5)
+        actor = build_actor(spec)
+        actor.load_state_dict(outcome.policy)
+        again = evaluate(env, Controller(actor.eval(), spec), seed=seeds).mean_return
+        assert again == pytest.approx(outcome.fitness, abs=1e-4)
+
+
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+def test_the_batched_evaluator_equals_the_sequential_one(preset: str) -> None:
+    found, how = candidates(3), small(preset)
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)  # see test_population_ppo.py
+    try:
+        batched, separate = (
+            evaluator(arena(dtype="float64"), how, 7).evaluate(found, {})
+            for evaluator in (PopulationEvaluator, SequentialEvaluator)
+        )
+    finally:
+        torch.set_default_dtype(before)
+    for ours, theirs in zip(batched, separate, strict=True):
+        assert [at for at, _ in ours.curve] == [at for at, _ in theirs.curve]
+        assert [value for _, value in ours.curve] == pytest.approx([value for _, value in theirs.curve], abs=SAME)
+        assert ours.fitness == pytest.approx(theirs.fitness, abs=SAME)
+        assert ours.steps == theirs.steps
+        for name, value in ours.policy.items():
+            torch.testing.assert_close(value, theirs.policy[name], rtol=0, atol=SAME)
+
+
+def test_progress_is_reported() -> None:
+    seen: list[dict[str, Any]] = []
+    PopulationEvaluator(arena(), small(), 0).evaluate(candidates(2), {}, seen.append)
+    assert [event["iteration"] for event in seen] == [1, 2, 3, 4, 5, 6]
+    assert all(event.keys() == PROGRESS.keys() for event in seen)
+    assert all(math.isnan(value) for value in seen[0]["best"])
+    assert seen[-1]["steps"] == 2 * 6 * 16
+    assert [event["training"] for event in seen] == [[True, True]] * 5 + [[False, False]]
+
+
+def test_no_candidates_no_outcomes() -> None:
+    assert outcomes([]) == []
+
+
+# ---------------------------------------------------------------------------------------------------- company
+
+
+@TASKS
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+def test_an_outcome_does_not_depend_on_the_company(preset: str, task: str) -> None:
+    """Bit for bit: other bodies, other numbers of them, another order, or a twin beside it."""
+    found = candidates(5)
+    how = small(preset)
+    run = lambda part: PopulationEvaluator(arena(task), how, 3).evaluate(part, {})  # noqa: E731
+    together = run(found)
+    for part in ([2], [4, 0], [3, 1, 2]):
+        for k, outcome in zip(part, run([found[k] for k in part]), strict=True):
+            assert_equal(outcome, together[k])
+    twin = Candidate(9, found[1].body)
+    assert_equal(run([found[1], twin, found[2]])[0], together[1])
+
+
+def test_randomness_follows_from_seed_and_id() -> None:
+    body = candidates(1)[0].body
+    first, second = outcomes([Candidate(0, body), Candidate(1, body)])
+    assert first.curve != second.curve
+    assert outcomes([Candidate(0, body)], seed=1)[0].curve != first.curve
+
+
+def test_the_global_random_numbers_are_left_alone() -> None:
+    before = torch.get_rng_state()
+    for evaluator in (PopulationEvaluator, SequentialEvaluator):
+        evaluator(arena(), small(iterations=2), 0).evaluate(candidates(1), {})
+        assert torch.equal(torch.get_rng_state(), before)
+
+
+# ----------------------------------------------------------------------------------------------------- resume
+
+
+class Killed(Exception):
+    """Ends an evaluation as a killed process would."""
+
+
+def killed_at(iteration: int):
+    def report(event: dict[str, Any]) -> None:
+        if event["iteration"] == iteration:
+            raise Killed
+
+    return report
+
+
+@TASKS
+@pytest.mark.parametrize("changes", [{}, {"rungs": [0.34, 0.67]}], ids=["plain", "halving"])
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+def test_a_killed_evaluation_goes_on_to_the_same_outcomes(
+    tmp_path: Path, preset: str, changes: dict, task: str
+) -> None:
+    found, file = candidates(4), tmp_path / "state.pt"
+    how = small(preset, save_interval=1, **changes)
+    whole = PopulationEvaluator(arena(task), how, 2).evaluate(found, {})
+    for iteration in (1, 3, 5):
+        with pytest.raises(Killed):
+            PopulationEvaluator(arena(task), how, 2).evaluate(found, {}, killed_at(iteration), file)
+        torch.manual_seed(iteration)  # whatever happens between
+    for ours, theirs in zip(
+        PopulationEvaluator(arena(task), how, 2).evaluate(found, {}, None, file), whole, strict=True
+    ):
+        assert_equal(ours, theirs)
+
+
+def test_checkpoints_are_written_when_due_and_only_then(tmp_path: Path) -> None:
+    file, there = tmp_path / "state.pt", []
+    how = small(save_interval=4)
+    PopulationEvaluator(arena(), how, 0).evaluate(candidates(1), {}, lambda _: there.append(file.exists()), file)
+    assert there == [False, False, False, True, True, True]
+
+
+@pytest.mark.parametrize("evaluator", [PopulationEvaluator, SequentialEvaluator])
+def test_the_checkpoint_of_others_is_refused(tmp_path: Path, evaluator: type) -> None:
+    file, found = tmp_path / "state.pt", candidates(2)
+    how = small(save_interval=1, iterations=2)
+    evaluator(arena(), how, 0).evaluate(found, {}, None, file)
+    assert file.exists()
+    others = ((how, 1, found), (small(save_interval=1, iterations=3), 0, found), (how, 0, found[:1]))
+    for settings, seed, part in others:
+        with pytest.raises(RunError, match="other candidates or settings"):
+            evaluator(arena(), settings, seed).evaluate(part, {}, None, file)
+
+
+def test_designs_that_were_done_are_not_trained_again_one_by_one(tmp_path: Path) -> None:
+    file, found, how = tmp_path / "state.pt", candidates(3), small(iterations=2)
+    whole = SequentialEvaluator(arena(), how, 0).evaluate(found, {})
+    seen: list[int] = []
+
+    def report(event: dict[str, Any]) -> None:
+        seen.append(sum(not training for training in event["training"]))
+        if len(seen) == 2:
+            raise Killed
+
+    with pytest.raises(Killed):
+        SequentialEvaluator(arena(), how, 0).evaluate(found, {}, report, file)
+    for ours, theirs in zip(SequentialEvaluator(arena(), how, 0).evaluate(found, {}, report, file), whole, strict=True):
+        assert_equal(ours, theirs)
+    assert seen == [1, 2, 3]
+
+
+# ---------------------------------------------------------------------------------------------------- halving
+
+
+@TASKS
+def test_halving_stops_the_least_promising_and_changes_no_survivor(task: str) -> None:
+    found = candidates(6)
+    whole = outcomes(found, task)
+    halved = outcomes(found, task, rungs=[0.34, 0.67], keep=0.5)
+    assert [outcome.stopped for outcome in halved].count(True) == 4  # 6, then 3, then 2 go on
+    left = list(range(6))
+    for rung, count in ((0, 3), (1, 2)):
+        best = {k: max(value for _, value in whole[k].curve[: rung + 1]) for k in left}
+        left = sorted(sorted(left, key=lambda k: -best[k])[:count])
+    assert [k for k in range(6) if not halved[k].stopped] == left
+    for k, (outcome, full) in enumerate(zip(halved, whole, strict=True)):
+        if k in left:
+            assert_equal(outcome, full)
+        else:
+            assert outcome.curve == full.curve[: len(outcome.curve)]
+            assert outcome.steps == outcome.curve[-1][0] < full.steps
+            assert outcome.fitness == max(value for _, value in outcome.curve)
+
+
+def test_a_rung_between_evaluations_brings_one_of_its_own() -> None:
+    results = outcomes(candidates(2), rungs=[0.5])  # after iteration 3 of 6, evaluations every 2
+    assert [len(outcome.curve) for outcome in results if outcome.stopped] == [2]
+    assert [at // 16 for outcome in results if not outcome.stopped for at, _ in outcome.curve] == [2, 3, 4, 6]
+
+
+def test_one_after_another_there_is_no_race() -> None:
+    with pytest.raises(ConfigError, match="method=population"):
+        SequentialEvaluator(arena(), small(rungs=[0.5]))
+
+
+def test_a_diverged_design_leaves_with_what_it_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its networks are spoilt after its first evaluation; the others do not notice."""
+    from warpvox.algos.population_training import PopulationTraining
+
+    found, whole = candidates(3), outcomes(candidates(3))
+    iterate = PopulationTraining.iterate
+
+    def spoil(training: PopulationTraining) -> None:
+        iterate(training)
+        if training.iteration == 3:
+            training.algorithm.actor.weights[1].data[1] = float("nan")
+
+    monkeypatch.setattr(PopulationTraining, "iterate", spoil)
+    results = outcomes(found)
+    assert [outcome.stopped for outcome in results] == [False, True, False]
+    assert results[1].curve == whole[1].curve[:1]
+    for k in (0, 2):
+        assert_equal(results[k], whole[k])
+
+
+def test_divergence_before_the_first_evaluation_is_one_clear_error() -> None:
+    with pytest.raises(RunError, match=r"candidate 0 diverged in iteration 1.*learning_rate"):
+        how = small(iterations=2)
+        how.ppo.learning_rate, how.ppo.schedule = 1e38, "fixed"
+        PopulationEvaluator(arena(), how, 0).evaluate(candidates(1), {})
+
+
+def test_episodes_are_as_long_as_the_arena_says() -> None:
+    env = arena().make([candidates(1)[0].body], 2, [0], auto_reset=False)
+    assert env.max_episode_steps == LIMIT
