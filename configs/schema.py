@@ -249,6 +249,7 @@ SUITES = {
     "learning": "time to a return",
     "kernels": "times of the stages, memory, compilation",
     "precision": "float32 against float64",
+    "gpu": "checks and figures of a CUDA device in one go",
 }
 """What ``warpvox bench`` measures."""
 COLUMNS = ("step", "inference", "training")
@@ -287,14 +288,14 @@ class BenchConfig:
 
     suite: str = key("peer", "; ".join(f"{name}: {text}" for name, text in SUITES.items()), choices=tuple(SUITES))
     task: str = key("Walker-v0", "task id")
-    tasks: list[str] = key([], "tasks of suite=tasks; []: all")
+    tasks: list[str] = key([], "tasks of suite=tasks and suite=gpu; []: all")
     design: Any = key("walker", "body, as for train")
     num_envs: int = key(512, "environments stepped together", low=1)
     steps: int = key(40, "control steps of a timed repetition, fewer where they would take longer than limit", low=1)
     repeats: int = key(5, "repetitions, of which the median counts", low=1)
     limit: float = key(4.0, "seconds that a repetition may take; what cannot be shorter is left out", above=0)
     columns: list[str] = key(list(COLUMNS), "what is timed: step, inference, training", choices=COLUMNS)
-    device: str = key("cpu", "auto, cpu, cuda, cuda:<index>")
+    device: str | None = key(None, "auto, cpu, cuda, cuda:<index>; null: cuda for suite=gpu, cpu for the others")
     dtype: str = key("float32", "precision that is timed", choices=("float32", "float64"))
     threads: int = key(1, "threads of the simulation on the CPU", low=1)
     torch_threads: int = key(1, "threads of PyTorch", low=1)
@@ -304,6 +305,7 @@ class BenchConfig:
     peer: PeerConfig = key(PeerConfig, "the reference")
     scaling: ScalingConfig = key(ScalingConfig, "suite=scaling")
     learning: LearningConfig = key(LearningConfig, "suite=learning")
+    seconds: float = key(440.0, "suite=gpu begins no part after so many", above=0)
     document: str | None = key(None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)")
     name: str | None = key(None, "appended to the name of the result's folder")
     output_dir: str = key("outputs", "folder that results are written to")

@@ -13,7 +13,7 @@ from warpvox.cli.benchmarks import check, reference
 from warpvox.cli.benchmarks.bodies import full_body
 from warpvox.cli.benchmarks.report import number
 from warpvox.design import check_design
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, SimulationError
 
 TINY = "design=mini num_envs=8 steps=2 repeats=1".split()
 
@@ -267,3 +267,65 @@ def test_full_bodies_are_full_and_valid(side: int) -> None:
 )
 def test_figures_keep_what_matters(value: float | None, text: str) -> None:
     assert number(value) == text
+
+
+# ----------------------------------------------------------------------------------------------------- gpu
+
+GPU = "bench suite=gpu device=cpu design=mini repeats=1 steps=2 columns=[step] compile=false".split()
+
+
+def test_the_gpu_suite_runs_on_the_cpu(warpvox: Callable) -> None:
+    outcome = warpvox(*GPU, "tasks=[Walker-v0,Lifter-v0]", "learning.stop_return=-100")
+    assert outcome.code == 0, outcome.err
+    _, figures = results("gpu")
+    assert figures["failed"] == figures["left_out"] == []
+    parts = "trajectories determinism independence recordings environments tasks stages compilation bodies learning"
+    assert list(figures["seconds"]) == parts.split()
+    assert set(figures["tasks"]) == {"Walker-v0", "Lifter-v0"}
+    assert len(figures["trajectories"]) == 4
+    assert "equal bit for bit" in outcome.out
+
+
+def test_without_a_gpu_its_suite_says_so(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    import torch
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    outcome = warpvox("bench", "suite=gpu")
+    assert outcome.code == 2
+    assert "no CUDA device was found" in outcome.err
+    assert not Path("outputs").exists()
+
+
+def test_no_part_begins_when_the_time_is_over(warpvox: Callable) -> None:
+    outcome = warpvox(*GPU, "tasks=[Walker-v0]", "seconds=1e-6")
+    assert outcome.code == 0, outcome.err
+    assert len(results("gpu")[1]["left_out"]) == 10
+    assert "Left out, for the 1e-06 s were over: trajectories, determinism" in outcome.out.replace("\n", " ")
+
+
+def test_a_part_that_fails_does_not_stop_the_others(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.cli.benchmarks import gpu
+
+    monkeypatch.setattr(gpu.gpu_checks, "POSITION", {"float64": 1e-9, "float32": 1e-30})
+    monkeypatch.setattr(gpu, "learn", lambda *_: {"seconds": 1.0, "num_envs": 1, "steps": 1})
+    outcome = warpvox(*GPU, "tasks=[Walker-v0]")
+    assert outcome.code == 2
+    assert "These parts failed: trajectories" in outcome.err
+    _, figures = results("gpu")
+    assert figures["failed"] == ["trajectories"]
+    assert figures["determinism"]["steps"] > 0
+
+
+@pytest.mark.parametrize("offset", [0, 1])
+def test_equal_bit_for_bit_is_tested(offset: int) -> None:
+    import torch
+
+    from warpvox.cli.benchmarks.gpu_checks import _compare
+
+    one = {"pos": torch.zeros(3, dtype=torch.float64)}
+    other = {"pos": torch.full((3,), offset * 1e-300, dtype=torch.float64)}
+    if offset:
+        with pytest.raises(SimulationError, match="differ in pos"):
+            _compare(one, other, "Runs")
+    else:
+        _compare(one, other, "Runs")

@@ -1,20 +1,72 @@
 """The kernels compile for CUDA, on machines without a GPU too (Warp carries the compiler)."""
 
 import pytest
+import torch
 import warp as wp
 
+from warpvox.envs.registry import task_ids
+from warpvox.envs.vec_env import make_vec
 from warpvox.kernels import sensing
-from warpvox.kernels.reset import reset_kernel
-from warpvox.kernels.step import action_kernel, step_kernel
+from warpvox.kernels.launch import stage_kernel
+from warpvox.kernels.reset import reset_kernel, save, settle
+from warpvox.kernels.step import SUBSTEP, action_kernel, step_kernel
 
-ARCHITECTURE = 90  # Hopper
+AMPERE, ADA, HOPPER, BLACKWELL = 80, 89, 90, 100
+
+
+def kernels_of_cuda(precision):
+    """Every kernel that is launched on CUDA: the control step, its actions, resets and all sensing."""
+    return [
+        step_kernel(precision, 1),
+        action_kernel(precision),
+        reset_kernel(precision),
+        *sensing.kernels(precision).values(),
+    ]
+
+
+def build(kernel, architecture, folder):
+    wp.compile_aot_module(kernel.module, arch=architecture, module_dir=str(folder), use_ptx=True)
+    return next(folder.glob("*.ptx")).read_text()
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_every_kernel_of_a_step_becomes_ptx(precision, tmp_path):
-    built = [step_kernel(precision, 1), action_kernel(precision), reset_kernel(precision)]
-    for number, kernel in enumerate([*built, *sensing.kernels(precision).values()]):
-        folder = tmp_path / str(number)
-        wp.compile_aot_module(kernel.module, arch=ARCHITECTURE, module_dir=str(folder), use_ptx=True)
-        text = next(folder.glob("*.ptx")).read_text()
+    for number, kernel in enumerate(kernels_of_cuda(precision)):
+        text = build(kernel, HOPPER, tmp_path / str(number))
         assert kernel.func.__name__ in text
+        assert f".target sm_{HOPPER}" in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("architecture", [AMPERE, ADA, BLACKWELL])
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_other_generations_too(precision, architecture, tmp_path):
+    for number, kernel in enumerate(kernels_of_cuda(precision)):
+        assert f".target sm_{architecture}" in build(kernel, architecture, tmp_path / str(number))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_stages_alone_become_ptx(precision, tmp_path):
+    """Per-stage times on a GPU launch the stages one by one."""
+    for number, stage in enumerate([*SUBSTEP, save, settle]):
+        assert ".target sm_90" in build(stage_kernel(stage, precision, 1), HOPPER, tmp_path / str(number))
+
+
+def test_no_other_kernel_is_launched(monkeypatch):
+    """What the environments of all tasks launch in stepping and resetting is what the tests above compile."""
+    launched = set()
+    original = wp.launch
+
+    def launch(kernel, *args, **options):
+        launched.add(kernel)
+        return original(kernel, *args, **options)
+
+    monkeypatch.setattr(wp, "launch", launch)
+    for task in task_ids():
+        for rules in ("evogym", "paper"):
+            env = make_vec(task, num_envs=1, device="cpu", dtype="float32", rules=rules, lanes=1, threads=1)
+            env.reset()
+            env.step(torch.ones((1, env.num_actions)))
+    assert launched <= set(kernels_of_cuda("float32"))
+    assert len(launched) > 5

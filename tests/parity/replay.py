@@ -106,14 +106,14 @@ def replay(run: Run, steps: int | None = None, env: VoxelVecEnv | None = None) -
     columns = env.obs_columns[0].items()
     angles = [span.start for name, span in columns if name.startswith("orientation")]
     scans = [k for name, span in columns if name.startswith(("floor", "ceiling")) for k in range(span.start, span.stop)]
-    observed = torch.stack(observations).double().numpy()
+    observed = torch.stack(observations).double().cpu().numpy()
     return Replay(np.stack(positions), observed, reward, terminated, truncated, angles, scans)
 
 
 def moving_positions(env: VoxelVecEnv, run: Run) -> np.ndarray:
     """float64 ``[2, k]``: the points that can move, in the order of the recording."""
     whole = [env.sim.object_positions(entry["name"])[0].double() for entry in run.info["objects"]]
-    return torch.cat(whole).T.numpy()[:, run.arrays["dyn"]]
+    return torch.cat(whole).T.cpu().numpy()[:, run.arrays["dyn"]]
 
 
 def position_error(run: Run, ours: Replay) -> np.ndarray:

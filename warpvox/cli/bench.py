@@ -17,6 +17,7 @@ from warpvox.cli.config import expand, load, read_arguments, to_yaml
 from warpvox.cli.runs import check_name, new_folder, write_summary
 from warpvox.cli.say import say
 from warpvox.cli.train import describe
+from warpvox.errors import SimulationError, listing
 
 __all__ = ["run"]
 
@@ -48,7 +49,7 @@ def measure(config: Any, console: Console) -> Path:
 
         suite = import_module(f"warpvox.cli.benchmarks.{config.suite}")
         prepare(config.torch_threads, config.seed)
-        config.device = resolve_device(config.device)
+        config.device = resolve_device(config.device or ("cuda" if config.suite == "gpu" else "cpu"))
         document = Document(Path(config.document), config.suite) if config.document else None
     with new_folder(config.output_dir, "bench", config.suite, config.name, to_yaml(config)) as folder:
         report, facts = Report(console, folder), machine(config.device)
@@ -59,4 +60,6 @@ def measure(config: Any, console: Console) -> Path:
         if document is not None:
             document.replace(f"{text}\nMachine: {machine_line(facts)}.\n")
         say(console, f"figures: {folder / 'summary.json'}")
+    if figures.get("failed"):
+        raise SimulationError(f"These parts failed: {listing(figures['failed'])}; see {folder / 'summary.json'}.")
     return folder

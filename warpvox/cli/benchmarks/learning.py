@@ -19,7 +19,7 @@ from warpvox.envs.vec_env import make_vec
 from warpvox.layout import lanes_for
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["run"]
+__all__ = ["learn", "run"]
 
 WARM_UP = 2
 """Iterations before the clock starts: they load kernels and belong to another run."""
@@ -33,7 +33,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         runs = []
         for seed in range(config.learning.seeds):
             with report.status(f"ppo={name}, seed {seed}: at most {config.learning.seconds:.0f} s"):
-                runs.append(_learn(config, body, name, config.seed + seed))
+                runs.append(learn(config, body, name, config.seed + seed))
         figures[name] = {"runs": runs} | _summary(runs)
     theirs = _reference_rate(config, report, body)
     _show(config, report, figures, theirs)
@@ -41,7 +41,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     return {"task": config.task, "stop_return": config.learning.stop_return, "ppo": figures, "reference_rate": theirs}
 
 
-def _learn(config: Any, body: np.ndarray, name: str, seed: int) -> dict[str, Any]:
+def learn(config: Any, body: np.ndarray, name: str, seed: int) -> dict[str, Any]:
     """One run: its curve, and what it took to the return (None: not reached)."""
     settings = load("train", [f"ppo={name}", f"seed={seed}"])
     torch.manual_seed(seed)
