@@ -34,6 +34,7 @@ LAYERS = (
         "warpvox.painter",
         "warpvox.live",
         "warpvox.sketch",
+        "warpvox.still",
         "warpvox.render",
         "warpvox.usd",
         "warpvox.player",

@@ -19,7 +19,7 @@ from warpvox.rollout import Rollout
 from warpvox.scene import Scene, stretch
 from warpvox.types import VOXEL, Cell
 
-__all__ = ["INK", "Canvas", "Painter", "camera_path", "fitting_scale", "font"]
+__all__ = ["BELOW", "INK", "Canvas", "Painter", "camera_path", "fitting_scale", "font"]
 
 SKY, GRID, GRID_STRONG = (249, 250, 252), (233, 237, 242), (214, 220, 229)
 BEYOND, BEYOND_INK = (226, 230, 236), (120, 128, 140)

@@ -185,18 +185,6 @@ def test_the_demo_trains_and_exports(warpvox: Callable) -> None:
     assert warpvox("play", "run=latest", "steps=2", "threads=1").code == 0
 
 
-def test_the_table_of_tasks_and_one_in_detail(warpvox: Callable) -> None:
-    from warpvox.envs.registry import get_task, task_ids
-
-    table = warpvox("tasks").out
-    for name in task_ids():
-        assert name in table
-        detail = warpvox("tasks", name)
-        assert detail.code == 0
-        assert get_task(name).section in detail.out
-        assert "RRRRR" in detail.out
-
-
 def test_info_names_versions_devices_and_the_cache(warpvox: Callable) -> None:
     outcome = warpvox("info")
     assert outcome.code == 0

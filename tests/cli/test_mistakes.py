@@ -74,6 +74,14 @@ MISTAKES = {
     "bench num_envs=1 design=mini peer.python=nowhere": "no file",
     "tasks Walkr": "Did you mean 'Walker-v0'",
     "tasks a b": "one task id",
+    "tasks rules=paper": "`warpvox tasks ID` takes the keys rules, design, picture",
+    "tasks Walker-v0 desing=walker": "Did you mean 'design'",
+    "tasks Walker-v0 rules=papr": "Did you mean 'paper'",
+    "tasks Walker-v0 design=wlker": "Did you mean 'walker'",
+    "tasks Walker-v0 picture=world.jpg": "picture must be a file ending in .png",
+    "tasks Walker-v0 picture=/proc/world.png": "cannot be written",
+    "tasks Climber-v0 design=random:3x6": "does not fit the world of Climber-v0",
+    "tasks nowhere:MINE": "There is no module 'nowhere'",
     "info x": "no arguments",
 }
 

@@ -3,132 +3,181 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
-from rich.text import Text
 
-from warpvox.errors import ConfigError
+from warpvox.cli.say import say
+from warpvox.errors import ConfigError, did_you_mean, listing
 
 __all__ = ["run"]
 
-USAGE = "usage: warpvox tasks [ID]\n\nLists the tasks; with an ID shows that task in detail, with its world."
-# of empty, rigid, soft, horizontal actuator, vertical actuator, fixed cells
-PAINT = {0: "", 1: "on grey23", 2: "on grey66", 3: "on dark_orange", 4: "on deep_sky_blue1", 5: "on grey42"}
-GLYPHS = ".#o-|%"
-ROBOT_SIZE = 5
-SAME_ROWS = 5
-"""Equal rows of a world that are printed one by one."""
+USAGE = """\
+usage: warpvox tasks [ID [KEY=VALUE ...]]
+
+Lists the tasks; with an ID (or module:NAME, or file.py:NAME) shows that task in detail, with its world.
+
+keys:
+  rules=evogym    as released (evogym) or as printed (paper)
+  design=walker   the body that the world is shown with, and that the layout of the observation is for
+  picture=FILE    also write the world as a picture (.png)"""
+KEYS = {"rules": "evogym", "design": "walker", "picture": None}
 
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox tasks`` is asked for."""
-    if words and words[0] in ("-h", "--help"):
+    if any(word in ("-h", "--help") for word in words):
         print(USAGE)
         return
-    if len(words) > 1 or (words and words[0].startswith("-")):
-        raise ConfigError(f"`warpvox tasks` takes one task id at most, got '{' '.join(words)}'.")
+    name, keys = _read(words)
     console = Console()
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = 120  # a pipe has no width of its own; 80 columns would cut the sentences
-    if words:
-        _print_task(words[0], console)
-    else:
+    if name is None:
         _print_all(console)
+    else:
+        _print_task(name, keys, console)
+
+
+def _read(words: list[str]) -> tuple[str | None, dict[str, Any]]:
+    """The task's id, if there is one, and all keys.
+
+    Raises:
+        ConfigError: an unknown option or key, or several ids.
+    """
+    names = [word for word in words if "=" not in word]
+    if len(names) > 1 or any(word.startswith("-") for word in words):
+        raise ConfigError(f"`warpvox tasks` takes one task id at most, got '{' '.join(words)}'.")
+    keys = dict(KEYS)
+    for word in words:
+        key, given, value = word.partition("=")
+        if not given:
+            continue
+        if key not in keys or not names:
+            hint = did_you_mean(key, keys)
+            raise ConfigError(f"`warpvox tasks ID` takes the keys {listing(keys)}, got '{word}'.{hint}")
+        keys[key] = value
+    if keys["picture"] is not None and Path(keys["picture"]).suffix.lower() != ".png":
+        raise ConfigError(f"picture must be a file ending in .png, got '{keys['picture']}'.")
+    return (names or [None])[0], keys
 
 
 def _print_all(console: Console) -> None:
     from warpvox.envs.registry import get_task, task_ids
 
     table = Table()
-    for heading, justify in (
-        ("task", "left"),
-        ("level", "left"),
-        ("steps", "right"),
-        ("section", "left"),
-        ("goal", "left"),
-    ):
+    columns = {
+        "task": "left",
+        "level": "left",
+        "steps": "right",
+        "observes": "right",
+        "section": "left",
+        "goal": "left",
+    }
+    for heading, justify in columns.items():
         table.add_column(heading, justify=justify, overflow="fold")
     for name in task_ids():
         task = get_task(name)
-        table.add_row(task.id, task.difficulty, str(task.max_episode_steps), task.section, task.summary)
+        fixed, per_point = (sum(term.about.size(dict(term.params), n) for term in task.observations) for n in (0, 1))
+        observes = f"{fixed} + {per_point - fixed} n"
+        table.add_row(
+            task.id, task.difficulty, str(task.max_episode_steps), observes, task.section, escape(task.summary)
+        )
     console.print(table)
+    say(console, "steps: the longest episode; observes: numbers in an observation of a robot of n points")
+    say(console, "`warpvox tasks ID` shows one in detail.")
 
 
-def _print_task(name: str, console: Console) -> None:
-    from warpvox.envs.registry import get_task
+@dataclass(frozen=True)
+class Row:
+    """One observation term of a task and where it lies."""
 
-    task = get_task(name)
-    console.print(f"[bold]{task.id}[/bold] ({task.difficulty}, paper section {task.section})")
-    console.print(task.summary)
-    console.print(f"episode: {task.max_episode_steps} control steps at most", highlight=False)
-    console.print("observation: " + _terms(task.observations), highlight=False)
-    console.print("reward: " + _terms(task.rewards), highlight=False)
-    ends = _terms(task.terminations) if task.terminations else "by the time limit or self-folding only"
-    console.print("ends: " + ends, highlight=False)
-    changed = ", ".join(key.replace("_", " ") for key in task.paper)
-    console.print("rules=paper changes: " + (changed or "nothing but the physics"), highlight=False)
-    console.print("world (the robot's place is marked R):")
-    _print_world(task, console)
+    place: slice
+    formula: str
+    unit: str
+    values: str
 
 
-def _terms(terms: Iterable[object]) -> str:
-    parts = []
-    for term in terms:
-        given = ", ".join(f"{key}={value}" for key, value in term.params if key not in ("name",))
-        name = dict(term.params).get("name", "")
-        parts.append(f"{term.function.__name__}({', '.join(filter(None, [name, given]))})")
-    return ", ".join(parts)
-
-
-def _print_world(task: object, console: Console) -> None:
-    """The world cell by cell, in colours on a terminal, in letters elsewhere; wide worlds fold."""
-    cells: dict[tuple[int, int], int] = {}
-    for item in task.objects:
-        rows = item.grid.shape[0]
-        for row in range(rows):
-            for column in range(item.grid.shape[1]):
-                if item.grid[row, column]:
-                    cells[item.x + column, item.y + rows - 1 - row] = int(item.grid[row, column])
-    left, bottom = task.robot_cell
-    robot = {(left + dx, bottom + dy) for dx in range(ROBOT_SIZE) for dy in range(ROBOT_SIZE)}
-    places = [*cells, *robot]
-    width, height = max(x for x, _ in places) + 1, max(y for _, y in places) + 1
-    colour = console.is_terminal and console.color_system is not None
-    per_cell = 2 if colour else 1
-    fold = max((console.width - 1) // per_cell, 10)
-    for start in range(0, width, fold):
-        lines = []
-        for y in range(height - 1, -1, -1):
-            line = Text()
-            for x in range(start, min(start + fold, width)):
-                kind = cells.get((x, y), 0)
-                if kind == 0 and (x, y) in robot:
-                    line.append("R" * per_cell, style="bold" if colour else "")
-                else:
-                    line.append("  " if colour else GLYPHS[kind], style=PAINT[kind] if colour else "")
-            lines.append(line)
-        _print_lines(lines, console)
-        if start + fold < width:
-            console.print()
-
-
-def _print_lines(lines: list[Text], console: Console) -> None:
-    """Print the rows of a world; of many equal ones in a row only the first and the last."""
+def _layout(task: Any, points: dict[str, int]) -> Iterator[Row]:
+    """The observation's parts for bodies with so many points (by the name of the object)."""
     start = 0
-    while start < len(lines):
-        end = start
-        while end < len(lines) and lines[end] == lines[start]:
-            end += 1
-        if end - start > SAME_ROWS:
-            rows = [
-                lines[start],
-                Text(f"  ({end - start - 2} more rows like these)", style="dim"),
-                lines[end - 1],
-            ]
-        else:
-            rows = lines[start:end]
-        for row in rows:
-            console.print(row, soft_wrap=True)
-        start = end
+    for term in task.observations:
+        params = dict(term.params)
+        size = term.about.size(params, points.get(params.get("name", ""), 0))
+        low, high = (f"{bound:.4g}" for bound in (term.about.low, term.about.high))
+        values = "any" if (low, high) == ("-inf", "inf") else f"{low} to {high}"
+        yield Row(slice(start, start + size), term.formula, term.about.unit, values)
+        start += size
+
+
+def _print_task(name: str, keys: dict[str, Any], console: Console) -> None:
+    from warpvox.cli.terrain import print_world
+    from warpvox.design import load_design
+    from warpvox.envs.registry import get_task
+    from warpvox.envs.worlds import task_world
+    from warpvox.still import scene_of_world, write_world_png
+
+    whole = get_task(name)
+    task = whole.under(keys["rules"])
+    world = task_world(task, load_design(keys["design"]))
+    scene, _ = scene_of_world(world)
+    points = {obj.name: obj.num_points for obj in scene.objects}
+    console.print(f"[bold]{task.id}[/bold] ({task.difficulty}, paper section {task.section}, rules={keys['rules']})")
+    say(console, f"{task.summary}\n")
+    say(console, f"episode  {task.max_episode_steps} control steps at most")
+    for number, line in enumerate(_rewards(task)):
+        say(console, ("reward   " if number == 0 else "         ") + line)
+    for number, line in enumerate(_ends(task)):
+        say(console, ("ends     " if number == 0 else "         ") + line)
+    if task.memory:
+        moved = f"; every episode places {listing(task.scattered)} anew" if task.scattered else ""
+        say(console, f"memory   {listing(memory.name for memory in task.memory)}{moved}")
+    if whole.paper:
+        other = {"evogym": "rules=paper changes", "paper": "different under rules=evogym"}[keys["rules"]]
+        say(console, f"rules    {other}: {listing(key.replace('_', ' ') for key in whole.paper)}")
+    _print_observation(task, keys["design"], points, console)
+    print_world(world, console)
+    if keys["picture"] is not None:
+        try:
+            path = write_world_png(world, keys["picture"])
+        except OSError as error:
+            raise ConfigError(f"The picture {keys['picture']} cannot be written: {error.strerror}.") from None
+        say(console, f"\npicture: {path}")
+
+
+def _rewards(task: Any) -> Iterator[str]:
+    """What a control step is worth, term by term."""
+    for number, term in enumerate(task.rewards):
+        weight = "" if abs(term.weight) == 1 else f"{abs(term.weight):g} "
+        sign = "- " if term.weight < 0 else "+ " if number else ""
+        yield f"{sign}{weight}{term.formula}"
+    yield "(Δ: after the step less before; [condition]: only where it holds after the step)"
+
+
+def _ends(task: Any) -> Iterator[str]:
+    """Conditions of the end, with what each adds to the reward."""
+    for term in task.terminations:
+        yield f"{term.formula}: {term.bonus:+g}" if term.bonus else f"{term.formula}: no bonus"
+    yield f"the robot folds into itself: {task.unstable_penalty:+g}"
+
+
+def _print_observation(task: Any, design: str, points: dict[str, int], console: Console) -> None:
+    from warpvox.envs.about import UNITS
+
+    robots = ", ".join(f"{points[name]} points of {name}" for name in task.robots)
+    rows = list(_layout(task, points))
+    table = Table(title=f"observation: {rows[-1].place.stop} numbers ({robots}, design={design})", title_justify="left")
+    for heading in ("entries", "what", "unit", "values"):
+        table.add_column(heading, justify="right" if heading == "entries" else "left", overflow="fold")
+    for row in rows:
+        table.add_row(f"{row.place.start}:{row.place.stop}", escape(row.formula), row.unit, row.values)
+    console.print()
+    console.print(table)
+    used = {row.unit for row in rows}
+    say(console, "; ".join(f"{unit}: {meaning}" for unit, meaning in UNITS.items() if unit in used))
+    say(console, "x, y: centre of mass; v: its velocity; θ: turn since the beginning; p: (x, y); 0:2 is [0] and [1]\n")
