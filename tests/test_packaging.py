@@ -22,8 +22,21 @@ else:
 
 MAPPED = ("kernels", "envs", "algos", "configs")
 """Top-level folders that are subpackages of warpvox."""
-DATA_SUFFIXES = {".yaml", ".html", ".js", ".css", ".h", ".typed"}
-HEAVY = ("torch", "warp", "hydra", "omegaconf", "rsl_rl", "gymnasium", "matplotlib", "pxr", "tensorboard")
+DATA_SUFFIXES = {".yaml", ".cfg", ".html", ".js", ".css", ".h", ".typed"}
+HEAVY = (
+    "torch",
+    "warp",
+    "botorch",
+    "neat",
+    "ribs",
+    "hydra",
+    "omegaconf",
+    "rsl_rl",
+    "gymnasium",
+    "matplotlib",
+    "pxr",
+    "tensorboard",
+)
 IMPORT_SECONDS = 1.0
 
 

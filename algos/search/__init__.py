@@ -6,7 +6,7 @@ All speak the protocol of :class:`warpvox.algos.candidate.Search`::
     while candidates := search.ask():
         search.tell([fitness_of(candidate.body) for candidate in candidates])
 
-Names load on first use.
+Names load on first use: BoTorch, neat-python and pyribs are imported only by the search that needs them.
 """
 
 from importlib import import_module as _import_module
@@ -16,7 +16,10 @@ _PLACES = {
     "warpvox.algos.search.factory": ("make_search",),
     "warpvox.algos.search.settings": (
         "ALGORITHMS",
+        "BoSettings",
+        "CppnNeatSettings",
         "GaSettings",
+        "MapElitesSettings",
         "RandomSettings",
         "SearchSettings",
         "settings_from",
@@ -27,7 +30,10 @@ _HOME = {name: module for module, names in _PLACES.items() for name in names}
 __all__ = [
     "ALGORITHMS",
     "BaseSearch",
+    "BoSettings",
+    "CppnNeatSettings",
     "GaSettings",
+    "MapElitesSettings",
     "Proposal",
     "RandomSettings",
     "SearchSettings",

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpvox.algos.candidate import Candidate
-from warpvox.algos.search.bodies import MAX_VOXELS, body_key, count_valid, first_valid, random_bodies
+from warpvox.algos.search.bodies import MAX_VOXELS, body_key, count_valid, first_valid, mutate, random_bodies
 from warpvox.algos.search.settings import SearchSettings
 from warpvox.errors import ConfigError, SearchError
 
@@ -18,6 +18,12 @@ __all__ = ["BaseSearch", "Proposal"]
 
 BATCH = 32
 """Random bodies drawn at a time; about one in six of 5x5 is valid."""
+
+LITTER = 16
+"""Mutants of one parent that are drawn at a time, of which the first that will do counts."""
+
+FAMILY = 100_000
+"""Voxels of mutants that are drawn before all mutants of a parent count as known."""
 
 FEW_CELLS = 6
 """Up to here all bodies can be counted to see whether there are enough."""
@@ -107,6 +113,15 @@ class BaseSearch(ABC):
                 f" than max_evaluations={self.settings.max_evaluations}."
             )
         return Proposal(body)
+
+    def mutant(self, rng: np.random.Generator, parents: Sequence[int], rate: float) -> Proposal:
+        """A new mutant of one of the parents, each as likely; should all their mutants be known, a random body."""
+        for parent in rng.permutation(parents):
+            litter = np.repeat(self.bodies[parent][None], LITTER, axis=0)
+            body = self.new_body(lambda litter=litter: mutate(rng, litter, rate), FAMILY)
+            if body is not None:
+                return Proposal(body, (int(parent),), "mutation")
+        return self.random_proposal(rng)
 
     # ----------------------------------------------------------------------------------------------- in turns
 

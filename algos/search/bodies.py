@@ -54,8 +54,8 @@ def random_bodies(rng: np.random.Generator, count: int, shape: tuple[int, int]) 
     return draws.astype(np.int8)
 
 
-def mutate(rng: np.random.Generator, bodies: np.ndarray, rate: float) -> np.ndarray:
-    """Copies in which each voxel has, with probability ``rate``, turned into one of the other types."""
+def mutate(rng: np.random.Generator, bodies: np.ndarray, rate: float | np.ndarray) -> np.ndarray:
+    """Copies in which each voxel has, with probability ``rate`` (also ``[n, 1, 1]``), turned into another type."""
     changes = rng.random(bodies.shape) < rate
     # adding 1..4 modulo 5 reaches every other type alike and never the same
     steps = rng.integers(1, CELL_TYPES, bodies.shape, dtype=np.int8)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from warpvox.algos.candidate import Search
 from warpvox.algos.search.settings import (
+    BoSettings,
+    CppnNeatSettings,
     GaSettings,
+    MapElitesSettings,
     RandomSettings,
     SearchSettings,
 )
@@ -32,4 +35,16 @@ def make_search(settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed:
         from warpvox.algos.search.random_search import RandomSearch
 
         return RandomSearch(settings, shape, seed)
+    if isinstance(settings, BoSettings):
+        from warpvox.algos.search.bo import BayesianSearch
+
+        return BayesianSearch(settings, shape, seed)
+    if isinstance(settings, CppnNeatSettings):
+        from warpvox.algos.search.cppn_neat import CppnNeatSearch
+
+        return CppnNeatSearch(settings, shape, seed)
+    if isinstance(settings, MapElitesSettings):
+        from warpvox.algos.search.map_elites import MapElitesSearch
+
+        return MapElitesSearch(settings, shape, seed)
     raise ConfigError(f"There is no search for settings of type {type(settings).__name__}.")

@@ -9,16 +9,9 @@ import numpy as np
 
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.base import BaseSearch, Proposal
-from warpvox.algos.search.bodies import mutate
 from warpvox.algos.search.settings import GaSettings
 
 __all__ = ["GeneticSearch", "last_generation", "survivors_of"]
-
-LITTER = 16
-"""Mutants of one parent that are drawn at a time, of which the first that will do counts."""
-
-FAMILY = 100_000
-"""Voxels of mutants that are drawn before all mutants of a parent count as known."""
 
 
 def survivors_of(settings: GaSettings, generation: int, last: int) -> int:
@@ -72,16 +65,7 @@ class GeneticSearch(BaseSearch):
             return [self.random_proposal(rng) for _ in range(count)]
         survivors = self.survivors()
         count = min(count, self.settings.population - len(survivors))
-        return [self.child(rng, survivors) for _ in range(count)]
-
-    def child(self, rng: np.random.Generator, parents: Sequence[int]) -> Proposal:
-        """A new mutant of one of the parents; should all their mutants be known, a random body."""
-        for parent in rng.permutation(parents):
-            litter = np.repeat(self.bodies[parent][None], LITTER, axis=0)
-            body = self.new_body(lambda litter=litter: mutate(rng, litter, self.settings.mutation_rate), FAMILY)
-            if body is not None:
-                return Proposal(body, (int(parent),), "mutation")
-        return self.random_proposal(rng)
+        return [self.mutant(rng, survivors, self.settings.mutation_rate) for _ in range(count)]
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
         """The next generation: survivors and what they brought forth."""

@@ -17,11 +17,18 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 
 __all__ = [
     "ALGORITHMS",
+    "DESCRIPTORS",
+    "BoSettings",
+    "CppnNeatSettings",
     "GaSettings",
+    "MapElitesSettings",
     "RandomSettings",
     "SearchSettings",
     "settings_from",
 ]
+
+DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
+"""What MAP-Elites can sort bodies by, each a number from 0 to 1; see :mod:`warpvox.algos.search.descriptors`."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +76,53 @@ class GaSettings(SearchSettings):
             )
 
 
+@dataclass(frozen=True)
+class BoSettings(SearchSettings):
+    """Bayesian optimisation (paper Algorithm 2, Table 4)."""
+
+    algorithm: ClassVar[str] = "bo"
+
+    acquisition: str = key(
+        "pathwise",
+        "pathwise: climb samples of the posterior over valid designs; paper: expected improvement by L-BFGS",
+        choices=("pathwise", "paper"),
+    )
+    kernel_variance: float = key(1.0, "variance of the Matern 5/2 kernel, where its fit starts", above=0)
+    kernel_length_scale: float = key(1.0, "length scale of the kernel, where its fit starts", above=0)
+    optimizer_iterations: int = key(100, "iterations of L-BFGS, for the kernel and for the acquisition", low=1)
+    optimizer_restarts: int = key(5, "starts of the kernel's fit, of which the best counts", low=1)
+    candidates: int = key(1000, "designs among which a posterior sample finds its start", low=1)
+
+
+@dataclass(frozen=True)
+class CppnNeatSettings(SearchSettings):
+    """CPPN-NEAT (paper section C.3, Table 5); Table 5 itself is ``cppn_neat.cfg`` beside this module."""
+
+    algorithm: ClassVar[str] = "cppn_neat"
+
+    neat_config: str | None = key(None, "file with another configuration of neat-python; null: Table 5")
+
+
+@dataclass(frozen=True)
+class MapElitesSettings(SearchSettings):
+    """MAP-Elites: the best design of every kind of body."""
+
+    algorithm: ClassVar[str] = "map_elites"
+
+    mutation_rate: float = key(0.1, "probability that a mutation changes a voxel", above=0, high=1)
+    descriptors: tuple[str, ...] = key(("actuators", "empty"), "what kinds of bodies differ by", choices=DESCRIPTORS)
+    bins: int = key(5, "parts into which the range of each descriptor is cut", low=1)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "descriptors", _as_tuple(self.descriptors))
+        super().__post_init__()
+        if not self.descriptors or len(set(self.descriptors)) < len(self.descriptors):
+            raise ConfigError(f"descriptors must name one or more different ones, got {listing(self.descriptors)}.")
+
+
 ALGORITHMS: dict[str, type[SearchSettings]] = {
-    settings.algorithm: settings for settings in (GaSettings, RandomSettings)
+    settings.algorithm: settings
+    for settings in (GaSettings, BoSettings, CppnNeatSettings, MapElitesSettings, RandomSettings)
 }
 """The settings of each algorithm, by its name."""
 
@@ -99,6 +151,10 @@ def settings_from(values: Mapping[str, Any] | object) -> SearchSettings:
             whose = f" It is a setting of {listing(owners)}." if owners else did_you_mean(name, known)
             raise ConfigError(f"The search '{algorithm}' has no setting '{name}'.{whose} It has: {listing(known)}.")
     return ALGORITHMS[algorithm](**given)
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, (list, tuple)) else value
 
 
 def _check_types(settings: SearchSettings) -> None:

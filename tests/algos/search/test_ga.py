@@ -79,7 +79,7 @@ def test_all_survivors_breed_alike() -> None:
     search = GeneticSearch(GaSettings(), seed=0)
     search.tell([fitness_of(candidate.body) for candidate in search.ask()])
     rng = np.random.default_rng(0)
-    parents = [search.child(rng, [3, 8, 11, 20]).parents[0] for _ in range(800)]
+    parents = [search.mutant(rng, [3, 8, 11, 20], 0.1).parents[0] for _ in range(800)]
     shares = [parents.count(parent) / 800 for parent in (3, 8, 11, 20)]
     assert shares == pytest.approx([0.25] * 4, abs=SIGMAS * (0.25 * 0.75 / 800) ** 0.5)
 
@@ -91,7 +91,7 @@ def test_children_differ_from_their_parent_as_the_mutation_rate_says() -> None:
     search.bodies[0] = np.full((5, 5), 3, np.int8)
     assert search.claim(search.bodies[0])
     rng = np.random.default_rng(1)
-    changes = np.array([(search.child(rng, [0]).body != 3).sum() for _ in range(600)])
+    changes = np.array([(search.mutant(rng, [0], 0.1).body != 3).sum() for _ in range(600)])
     # the parent itself is not new: binomial without 0, and small families run out of single changes
     expected = 25 * 0.1 / (1 - 0.9**25)
     assert changes.min() >= 1

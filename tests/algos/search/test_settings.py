@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
-from warpvox.algos.search import ALGORITHMS, GaSettings, RandomSettings, make_search, settings_from
+from warpvox.algos.search import (
+    ALGORITHMS,
+    GaSettings,
+    MapElitesSettings,
+    RandomSettings,
+    make_search,
+    settings_from,
+)
 from warpvox.configs.keys import check_values
 from warpvox.configs.schema import SearchConfig
 from warpvox.errors import ConfigError
@@ -35,7 +45,8 @@ def test_every_yaml_file_makes_a_search(repository: Path) -> None:
         config = SearchConfig(**content)
         check_values(config, "search.")
         assert settings_from(config) == settings_from(content)
-        make_search(settings_from(content), (5, 7), seed=1)
+        if content["algorithm"] != "map_elites" or find_spec("ribs") is not None:
+            make_search(settings_from(content), (5, 7), seed=1)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -86,3 +97,20 @@ def test_mistakes_are_told_in_words(given: dict[str, Any], words: str) -> None:
 def test_settings_of_no_search_are_refused() -> None:
     with pytest.raises(ConfigError, match="no search for settings of type dict"):
         make_search({"algorithm": "ga"})  # type: ignore[arg-type]
+
+
+def test_without_pyribs_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "warpvox.algos.search.map_elites", raising=False)
+    monkeypatch.setitem(sys.modules, "ribs.archives", None)
+    with pytest.raises(ConfigError, match=r"map_elites needs the package ribs: pip install 'warpvox\[search\]'"):
+        make_search(MapElitesSettings())
+
+
+def test_settings_alone_load_no_library(tmp_path: Path) -> None:
+    code = (
+        "import sys\nfrom warpvox.algos.search import ALGORITHMS, RandomSettings, make_search\n"
+        "make_search(RandomSettings()).ask()\n"
+        "print(*{'torch', 'botorch', 'gpytorch', 'neat', 'ribs', 'scipy'} & set(sys.modules))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert (run.stderr, run.stdout) == ("", "\n")

@@ -1,0 +1,161 @@
+"""Bayesian optimisation (paper section C.2, Algorithm 2, Table 4) with BoTorch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpvox.algos.candidate import Candidate
+from warpvox.algos.search.base import BaseSearch, Proposal
+from warpvox.algos.search.bo_acquire import climb_posterior, improve, thompson_starts
+from warpvox.algos.search.bo_model import fit_model, own_torch
+from warpvox.algos.search.bodies import body_key, mutate, random_bodies, valid
+from warpvox.algos.search.settings import BoSettings
+
+__all__ = ["BayesianSearch", "Pool"]
+
+TOP = 25
+"""Designs whose mutants are worth a look."""
+
+RATES = (0.04, 0.1)
+"""Mutation rates of the pool: about one voxel of 25, or two to three; the first for two mutants of three."""
+
+RANDOM_SHARE = 0.25
+"""Share of the pool that is random; the rest are mutants of the best."""
+
+DRAWS, ROUNDS = 500, 60
+"""Bodies drawn at a time for the pool, and how often; small shapes may have fewer new bodies than are wanted."""
+
+NOBODY = -1
+
+
+@dataclass
+class Pool:
+    """New valid bodies int8 ``[m, rows, columns]``, all different, and the id of the parent of each, or -1."""
+
+    bodies: np.ndarray
+    parents: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.bodies)
+
+    def parents_of(self, place: int) -> tuple[int, ...]:
+        """As a candidate has them."""
+        return () if self.parents[place] == NOBODY else (int(self.parents[place]),)
+
+
+class BayesianSearch(BaseSearch):
+    """Fits a Gaussian process to all that is known and asks it for the next generation.
+
+    ``acquisition="paper"``: of random designs, batch Thompson sampling picks the starts; from each, L-BFGS climbs
+    expected improvement. Where the end, rounded to voxels, is not valid or not new, its start is taken.
+
+    ``acquisition="pathwise"``: each design is the summit of one function drawn from the posterior, climbed voxel by
+    voxel over valid bodies. If that is known already, the best new body beside it or in the pool is taken. Where
+    the climb has begun at a mutant of a design, this is the parent.
+    """
+
+    settings: BoSettings
+
+    def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
+        """Random bodies first, then what the process promises most of."""
+        if self.generation == 0:
+            return [self.random_proposal(rng) for _ in range(count)]
+        propose = self._improved if self.settings.acquisition == "paper" else self._summits
+        with own_torch(int(rng.integers(2**63))):
+            proposals = propose(rng, count)
+        # a tiny shape may have no more to offer
+        return proposals + [self.random_proposal(rng) for _ in range(count - len(proposals))]
+
+    def recall(self, candidates: Sequence[Candidate]) -> None:
+        """Take the candidates as given: to fit every generation again would cost minutes and change nothing."""
+        self.adopt(candidates)
+
+    # ------------------------------------------------------------------------------------------ acquisition
+
+    def _improved(self, rng: np.random.Generator, count: int) -> list[Proposal]:
+        pool = self.pool(rng, self.settings.candidates, 0)
+        if not len(pool):
+            return []
+        model = fit_model(np.stack(self.bodies), self.fitness, self.settings)
+        starts = pool.bodies[thompson_starts(model, pool.bodies, min(count, len(pool)))]
+        ends = improve(model, max(self.fitness), starts, self.settings.optimizer_iterations)
+        proposals = []
+        for start, end, good in zip(starts, ends, valid(ends), strict=True):
+            if good and self.claim(end):
+                proposals.append(Proposal(end, (), "improvement"))
+            elif self.claim(start):  # False where an earlier climb has ended at this start
+                proposals.append(Proposal(start, (), "thompson"))
+        return proposals
+
+    def _summits(self, rng: np.random.Generator, count: int) -> list[Proposal]:
+        random = max(1, round(self.settings.candidates * RANDOM_SHARE))
+        pool = self.pool(rng, random, self.settings.candidates - random)
+        if not len(pool):
+            return []
+        model = fit_model(np.stack(self.bodies), self.fitness, self.settings)
+        climb = climb_posterior(model, pool.bodies, count)
+        proposals = []
+        for path, start in enumerate(climb.start):
+            parents = pool.parents_of(start)
+            if self.claim(climb.summit[path]):
+                proposals.append(Proposal(climb.summit[path], parents, "posterior"))
+                continue
+            proposal = self._second_best(climb.around[path], climb.at_around[path], parents)
+            proposal = proposal or self._second_best_of_pool(pool, climb.at_pool[path])
+            proposals += [proposal] if proposal else []
+        return proposals
+
+    def _second_best(self, bodies: np.ndarray, values: np.ndarray, parents: tuple[int, ...]) -> Proposal | None:
+        for place in np.argsort(-values, kind="stable"):
+            if values[place] == -np.inf:
+                return None
+            if self.claim(bodies[place]):
+                return Proposal(bodies[place], parents, "posterior")
+        return None
+
+    def _second_best_of_pool(self, pool: Pool, values: np.ndarray) -> Proposal | None:
+        for place in np.argsort(-values, kind="stable"):
+            if self.claim(pool.bodies[place]):
+                return Proposal(pool.bodies[place], pool.parents_of(place), "posterior")
+        return None
+
+    # ------------------------------------------------------------------------------------------------- pool
+
+    def pool(self, rng: np.random.Generator, random: int, mutants: int) -> Pool:
+        """Bodies to choose from: ``random`` ones and ``mutants`` of the best, or fewer where there are no more."""
+        best = np.array(sorted(range(len(self.bodies)), key=lambda number: (-self.fitness[number], number))[:TOP])
+        stack = np.stack(self.bodies)
+
+        def draw_random() -> tuple[np.ndarray, np.ndarray]:
+            return random_bodies(rng, DRAWS, self.shape), np.full(DRAWS, NOBODY)
+
+        def draw_mutants() -> tuple[np.ndarray, np.ndarray]:
+            parents = rng.choice(best, DRAWS)
+            rates = rng.choice(RATES, DRAWS, p=(2 / 3, 1 / 3))
+            return mutate(rng, stack[parents], rates[:, None, None]), parents
+
+        found: dict[bytes, tuple[np.ndarray, int]] = {}
+        self._gather(found, draw_random, random)
+        self._gather(found, draw_mutants, len(found) + mutants)
+        bodies = [body for body, _ in found.values()]
+        parents = [parent for _, parent in found.values()]
+        return Pool(np.stack(bodies) if bodies else np.zeros((0, *self.shape), np.int8), np.array(parents, dtype=int))
+
+    def _gather(
+        self,
+        found: dict[bytes, tuple[np.ndarray, int]],
+        draw: Callable[[], tuple[np.ndarray, np.ndarray]],
+        total: int,
+    ) -> None:
+        """Add new valid bodies until there are ``total``."""
+        for _ in range(ROUNDS):
+            if len(found) >= total:
+                return
+            bodies, parents = draw()
+            for place in np.flatnonzero(valid(bodies)):
+                key = body_key(bodies[place])
+                if len(found) < total and not self.is_known(key):
+                    found.setdefault(key, (bodies[place], int(parents[place])))

@@ -1,0 +1,105 @@
+"""Which designs Bayesian optimisation tries next: expected improvement as in the paper, or posterior samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from botorch.acquisition import LogExpectedImprovement
+from botorch.generation import MaxPosteriorSampling
+from botorch.models import SingleTaskGP
+from botorch.optim import optimize_acqf
+from botorch.sampling.pathwise import draw_matheron_paths
+
+from warpvox.algos.search.bo_model import from_one_hot, one_hot
+from warpvox.algos.search.bodies import neighbours, valid
+
+__all__ = ["Climb", "climb", "climb_posterior", "improve", "thompson_starts"]
+
+NOTHING = 1e-9
+"""Gains below this are rounding."""
+
+
+@dataclass
+class Climb:
+    """Where climbing has ended, for each of n functions.
+
+    Attributes:
+        start: int ``[n]``, place in the pool where each began.
+        at_pool: ``[n, m]``, values of the pool.
+        summit: int8 ``[n, rows, columns]``.
+        around: int8 ``[n, k, rows, columns]``, the neighbours of the summit.
+        at_around: ``[n, k]``, their values; -inf where they are not valid.
+    """
+
+    start: np.ndarray
+    at_pool: np.ndarray
+    summit: np.ndarray
+    around: np.ndarray
+    at_around: np.ndarray
+
+
+def thompson_starts(model: SingleTaskGP, pool: np.ndarray, count: int) -> np.ndarray:
+    """Batch Thompson sampling: places ``[count]`` in the pool, each the best under a sample of the posterior."""
+    points = one_hot(pool)
+    with torch.no_grad():
+        chosen = MaxPosteriorSampling(model, replacement=False)(points, num_samples=count)
+    # a body's one-hot point is unlike all others, so that the point tells its place
+    return (chosen @ points.T).argmax(-1).numpy()
+
+
+def improve(model: SingleTaskGP, best: float, starts: np.ndarray, iterations: int) -> np.ndarray:
+    """Bodies ``[n, rows, columns]``, valid or not: expected improvement climbed by L-BFGS from each start.
+
+    Voxels become continuous on the way: the point moves in the box [0, 1] of the one-hot entries and is rounded in
+    the end. The logarithm of expected improvement has the same maxima, and gradients where there is hardly any.
+    """
+    points = one_hot(starts)
+    box = torch.stack([torch.zeros_like(points[0]), torch.ones_like(points[0])])
+    ends, _ = optimize_acqf(
+        LogExpectedImprovement(model, best_f=best),
+        box,
+        q=1,
+        num_restarts=len(points),
+        batch_initial_conditions=points[:, None],
+        return_best_only=False,
+        options={"maxiter": iterations},
+    )
+    return from_one_hot(ends[:, 0], starts.shape[1:])
+
+
+def climb_posterior(model: SingleTaskGP, pool: np.ndarray, count: int) -> Climb:
+    """Draw ``count`` functions from the posterior and climb each, over valid bodies."""
+    paths = draw_matheron_paths(model, torch.Size([count]))
+
+    def values(bodies: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            return paths(one_hot(bodies)).numpy()
+
+    return climb(values, pool)
+
+
+def climb(values: Callable[[np.ndarray], np.ndarray], pool: np.ndarray) -> Climb:
+    """Steepest ascent from the best body of the pool, one voxel at a time, over valid bodies only.
+
+    Args:
+        values: of n functions at once: bodies ``[k, rows, columns]``, the same for all, or ``[n, k, rows,
+            columns]`` to values ``[n, k]``.
+        pool: valid bodies ``[m, rows, columns]``.
+    """
+    at_pool = values(pool)
+    start = at_pool.argmax(1)
+    current, height = pool[start], at_pool.max(1)
+    each = np.arange(len(start))
+    while True:
+        around = neighbours(current)
+        usable = valid(around.reshape(-1, *pool.shape[1:])).reshape(around.shape[:2])
+        at_neighbours = np.where(usable, values(around), -np.inf)
+        best = at_neighbours.argmax(1)
+        higher = at_neighbours[each, best] > height + NOTHING
+        if not higher.any():
+            return Climb(start, at_pool, current, around, at_neighbours)
+        current = np.where(higher[:, None, None], around[each, best], current)
+        height = np.where(higher, at_neighbours[each, best], height)

@@ -1,0 +1,156 @@
+"""CPPN-NEAT (paper section C.3, Table 5) with neat-python: bodies are patterns that evolving networks paint."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import neat
+import numpy as np
+
+from warpvox.algos.candidate import Candidate
+from warpvox.algos.search.base import BaseSearch, Proposal
+from warpvox.algos.search.bodies import CELL_TYPES, valid
+from warpvox.algos.search.settings import CppnNeatSettings
+from warpvox.errors import ConfigError, SearchError
+
+__all__ = ["CppnNeatSearch", "inputs", "neat_config", "paint"]
+
+INPUTS = 3
+"""Of a network: x, y and the distance from the middle."""
+
+ROUNDS = 2000
+"""Rounds of fresh networks in place of those that paint nothing new, before there is nothing new to paint."""
+
+
+@contextmanager
+def own_random(seed: int) -> Iterator[None]:
+    """neat-python draws from Python's global generator: lend it one of our own, and give the global one back."""
+    state = random.getstate()
+    random.seed(seed)
+    try:
+        yield
+    finally:
+        random.setstate(state)
+
+
+def neat_config(settings: CppnNeatSettings) -> neat.Config:
+    """neat-python's configuration: Table 5, or the file of ``settings.neat_config``; population of the settings.
+
+    Raises:
+        ConfigError: no such file, or one that neat-python cannot read or that has another number of inputs or outputs.
+    """
+    kinds = (neat.DefaultGenome, neat.DefaultReproduction, neat.DefaultSpeciesSet, neat.DefaultStagnation)
+    if settings.neat_config is None:
+        with as_file(files("warpvox.algos.search") / "cppn_neat.cfg") as path:
+            config = neat.Config(*kinds, str(path))
+    else:
+        if not Path(settings.neat_config).is_file():
+            raise ConfigError(f"There is no configuration file of neat-python '{settings.neat_config}'.")
+        try:
+            config = neat.Config(*kinds, settings.neat_config)
+        except Exception as error:  # neat-python raises whatever its parser stumbles on
+            raise ConfigError(f"neat-python cannot read '{settings.neat_config}': {error}") from error
+    genome = config.genome_config
+    if (genome.num_inputs, genome.num_outputs) != (INPUTS, CELL_TYPES) or not genome.feed_forward:
+        raise ConfigError(
+            f"The networks must be feed_forward with num_inputs = {INPUTS} (x, y, distance) and num_outputs ="
+            f" {CELL_TYPES} (one per type of voxel); '{settings.neat_config}' has {genome.num_inputs} and"
+            f" {genome.num_outputs}."
+        )
+    config.pop_size = settings.population
+    return config
+
+
+def inputs(shape: tuple[int, int]) -> np.ndarray:
+    """What a network sees of each voxel, row by row: ``[cells, 3]``, x to the right and y down from the middle."""
+    rows, columns = shape
+    y, x = np.mgrid[:rows, :columns].reshape(2, -1) - np.array([[(rows - 1) / 2], [(columns - 1) / 2]])
+    return np.stack([x, y, np.hypot(x, y)], 1)
+
+
+def paint(genome: neat.DefaultGenome, config: neat.Config, shape: tuple[int, int]) -> np.ndarray:
+    """The body int8 ``[rows, columns]`` of a network: each voxel is of the type with the largest output."""
+    network = neat.nn.FeedForwardNetwork.create(genome, config)
+    types = [int(np.argmax(network.activate(seen))) for seen in inputs(shape).tolist()]
+    return np.array(types, np.int8).reshape(shape)
+
+
+class CppnNeatSearch(BaseSearch):
+    """NEAT evolves the networks; as in the paper's code, a fresh one replaces each that paints nothing valid and new.
+
+    Attributes:
+        population: genomes of the last generation, by neat-python's key.
+        ids: of the candidates that they painted, by the same key.
+    """
+
+    settings: CppnNeatSettings
+
+    def __init__(self, settings: CppnNeatSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
+        super().__init__(settings, shape, seed)
+        self.config = neat_config(settings)
+        self.reporters = neat.reporting.ReporterSet()
+        stagnation = neat.DefaultStagnation(self.config.stagnation_config, self.reporters)
+        self.reproduction = neat.DefaultReproduction(self.config.reproduction_config, self.reporters, stagnation)
+        self.species = neat.DefaultSpeciesSet(self.config.species_set_config, self.reporters)
+        self.population: dict[int, neat.DefaultGenome] = {}
+        self.ids: dict[int, int] = {}
+
+    def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
+        """What the children of the last generation paint, and fresh networks in place of the useless ones."""
+        with own_random(int(rng.integers(2**63))):
+            bred = self._breed()
+            elites = {key: genome for key, genome in bred.items() if key in self.ids}
+            children = {key: genome for key, genome in bred.items() if key not in self.ids}
+            count = min(count, self.settings.population - len(elites))
+            if not count:
+                raise SearchError("neat_config keeps the whole population as its elite: nothing new is ever tried.")
+            proposals = self._new_bodies(children, count)
+            self.population = elites | {key: genome for key, (genome, _) in proposals.items()}
+        return [self._proposal(key, body) for key, (_, body) in proposals.items()]
+
+    def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
+        """Tell the networks their fitness and sort them into species."""
+        fresh = [key for key in self.population if key not in self.ids]
+        self.ids |= {key: candidate.id for key, candidate in zip(fresh, candidates, strict=True)}
+        for key, genome in self.population.items():
+            genome.fitness = self.fitness[self.ids[key]]
+        if len(self.bodies) < self.settings.max_evaluations:  # the last generation may be too small for its species
+            self.species.speciate(self.config, self.population, self.generation)
+
+    def _breed(self) -> dict[int, neat.DefaultGenome]:
+        if self.generation:
+            bred = self.reproduction.reproduce(self.config, self.species, self.settings.population, self.generation - 1)
+            if bred:
+                return bred
+            # all species have stagnated (reset_on_extinction): a new beginning
+            self.species = neat.DefaultSpeciesSet(self.config.species_set_config, self.reporters)
+        return self._create(self.settings.population)
+
+    def _create(self, count: int) -> dict[int, neat.DefaultGenome]:
+        return self.reproduction.create_new(self.config.genome_type, self.config.genome_config, count)
+
+    def _new_bodies(
+        self, genomes: dict[int, neat.DefaultGenome], count: int
+    ) -> dict[int, tuple[neat.DefaultGenome, np.ndarray]]:
+        """The first ``count`` of the genomes, then of fresh ones, whose bodies are valid and new."""
+        chosen: dict[int, tuple[neat.DefaultGenome, np.ndarray]] = {}
+        for _ in range(ROUNDS):
+            bodies = np.stack([paint(genome, self.config, self.shape) for genome in genomes.values()])
+            for (key, genome), body, good in zip(genomes.items(), bodies, valid(bodies), strict=True):
+                if good and len(chosen) < count and self.claim(body):
+                    chosen[key] = (genome, body)
+            if len(chosen) == count:
+                return chosen
+            genomes = self._create(count - len(chosen))
+        raise SearchError(
+            f"The networks paint no new {self.shape[0]}x{self.shape[1]} body after {len(self._seen)} have been"
+            f" proposed. Ask for fewer evaluations than max_evaluations={self.settings.max_evaluations}."
+        )
+
+    def _proposal(self, key: int, body: np.ndarray) -> Proposal:
+        parents = tuple(sorted({self.ids[parent] for parent in self.reproduction.ancestors[key]}))
+        return Proposal(body, parents, ("random", "mutation", "crossover")[len(parents)])

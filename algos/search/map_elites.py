@@ -1,0 +1,61 @@
+"""MAP-Elites on pyribs: a grid of kinds of bodies, of each the best so far, and mutants of these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from warpvox.algos.candidate import Candidate
+from warpvox.algos.search.base import BaseSearch, Proposal
+from warpvox.algos.search.descriptors import describe
+from warpvox.algos.search.settings import MapElitesSettings
+from warpvox.errors import ConfigError
+
+try:
+    from ribs.archives import GridArchive
+except ImportError as error:
+    raise ConfigError("search=map_elites needs the package ribs: pip install 'warpvox[search]'") from error
+
+__all__ = ["MapElitesSearch"]
+
+
+class MapElitesSearch(BaseSearch):
+    """Mutates designs drawn from a grid that holds the best one of every kind, so that it ends with many good ones.
+
+    Attributes:
+        archive: of pyribs; its field ``id`` holds the candidate of each cell.
+    """
+
+    settings: MapElitesSettings
+
+    def __init__(self, settings: MapElitesSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
+        super().__init__(settings, shape, seed)
+        axes = len(settings.descriptors)
+        self.archive = GridArchive(
+            solution_dim=self.shape[0] * self.shape[1],
+            dims=[settings.bins] * axes,
+            ranges=[(0.0, 1.0)] * axes,
+            extra_fields={"id": ((), np.int64)},
+        )
+
+    def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
+        """Random bodies first, then mutants of the elites, each as likely as any other."""
+        if self.generation == 0:
+            return [self.random_proposal(rng) for _ in range(count)]
+        elites = self.elites()
+        return [self.mutant(rng, elites, self.settings.mutation_rate) for _ in range(count)]
+
+    def elites(self) -> list[int]:
+        """Ids of the best designs of all kinds found so far, in ascending order."""
+        return sorted(int(number) for number in self.archive.data("id"))
+
+    def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
+        """Put each design into its cell, unless a better one is there."""
+        bodies = np.stack([candidate.body for candidate in candidates])
+        self.archive.add(
+            bodies.reshape(len(bodies), -1),
+            np.asarray(fitness),
+            describe(bodies, self.settings.descriptors),
+            id=np.array([candidate.id for candidate in candidates]),
+        )

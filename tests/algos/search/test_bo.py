@@ -1,0 +1,344 @@
+"""Bayesian optimisation is the paper's: Table 4's process and its acquisitions, computed here a second time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from botorch.acquisition import LogExpectedImprovement
+from gpytorch.kernels import MaternKernel, ScaleKernel
+
+from warpvox.algos.search import BoSettings, make_search
+from warpvox.algos.search.bo import BayesianSearch
+from warpvox.algos.search.bo_acquire import climb, climb_posterior, improve, thompson_starts
+from warpvox.algos.search.bo_model import fit_model, from_one_hot, make_model, one_hot, own_torch
+from warpvox.algos.search.bodies import body_key, mutate, neighbours, random_bodies, valid
+
+TOLERANCE = 1e-6
+"""The process is in double precision; BoTorch adds up to this much to a diagonal for the sake of Cholesky."""
+
+
+def some_bodies(count: int, shape: tuple[int, int] = (4, 4), seed: int = 0) -> np.ndarray:
+    bodies = random_bodies(np.random.default_rng(seed), 40 * count, shape)
+    return np.unique(bodies[valid(bodies)], axis=0)[:count]
+
+
+def some_fitness(bodies: np.ndarray) -> list[float]:
+    """Actuators are good, the more so further down: something that a process can learn."""
+    return [float(((body >= 3) * np.arange(1, len(body) + 1)[:, None]).sum() + 10) for body in bodies]
+
+
+def matern(one: np.ndarray, other: np.ndarray, variance: float, length: float) -> np.ndarray:
+    """Matern 5/2 on one-hot voxels: bodies that differ in k voxels are the root of 2 k apart."""
+    differences = (one[:, None] != other[None]).sum((-1, -2))
+    r = np.sqrt(2.0 * differences) * math.sqrt(5) / length
+    return variance * (1 + r + r**2 / 3) * np.exp(-r)
+
+
+# ------------------------------------------------------------------------------------------------- the process
+
+
+def test_settings_are_those_of_table_4() -> None:
+    settings = BoSettings(acquisition="paper")
+    assert (settings.kernel_variance, settings.kernel_length_scale) == (1.0, 1.0)
+    assert (settings.optimizer_iterations, settings.optimizer_restarts) == (100, 5)
+
+
+def test_the_kernel_is_matern_5_2_with_variance_and_length_scale_1() -> None:
+    bodies = some_bodies(12)
+    model = make_model(bodies, some_fitness(bodies), BoSettings())
+    assert isinstance(model.covar_module, ScaleKernel)
+    assert isinstance(model.covar_module.base_kernel, MaternKernel)
+    assert model.covar_module.base_kernel.nu == 2.5
+    matrix = model.covar_module(one_hot(bodies)).to_dense()
+    assert matrix.dtype == torch.float64
+    assert matrix.detach().numpy() == pytest.approx(matern(bodies, bodies, 1.0, 1.0), abs=TOLERANCE)
+
+
+def test_the_posterior_is_that_of_the_text_book() -> None:
+    bodies, others = some_bodies(20), some_bodies(15, seed=1)
+    fitness = np.array(some_fitness(bodies))
+    with own_torch(0):
+        model = fit_model(bodies, fitness, BoSettings(optimizer_restarts=1))
+        posterior = model.posterior(one_hot(others))
+    kernel, mean = model.covar_module, model.mean_module.constant.item()
+    shape = (kernel.outputscale.item(), kernel.base_kernel.lengthscale.item())
+    targets = (fitness - fitness.mean()) / fitness.std(ddof=1)
+    covariance = matern(bodies, bodies, *shape) + model.likelihood.noise.item() * np.eye(20)
+    cross = matern(others, bodies, *shape)
+    expected = mean + cross @ np.linalg.solve(covariance, targets - mean)
+    assert posterior.mean.detach().numpy()[:, 0] == pytest.approx(
+        fitness.mean() + fitness.std(ddof=1) * expected, abs=1e-4
+    )
+    variance = shape[0] - np.einsum("ij,ji->i", cross, np.linalg.solve(covariance, cross.T))
+    assert posterior.variance.detach().numpy()[:, 0] == pytest.approx(variance * fitness.var(ddof=1), rel=1e-3)
+
+
+def test_the_fit_uses_l_bfgs_with_its_limit_and_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
+    from botorch.optim import fit
+
+    calls = []
+    original = fit.scipy_minimize
+
+    def watched(*args: object, **kwargs: object):
+        calls.append(kwargs)
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(fit, "scipy_minimize", watched)
+    bodies = some_bodies(15)
+    with own_torch(0):
+        fit_model(bodies, some_fitness(bodies), BoSettings(optimizer_restarts=3, optimizer_iterations=7))
+    assert len(calls) == 3
+    for call in calls:
+        assert call["options"] == {"maxiter": 7}
+        assert call.get("method", "L-BFGS-B") == "L-BFGS-B"
+
+
+def test_more_starts_never_fit_worse() -> None:
+    from gpytorch.mlls import ExactMarginalLogLikelihood
+
+    bodies = some_bodies(25)
+    likelihoods = []
+    for restarts in (1, 5):
+        with own_torch(0):
+            settings = BoSettings(optimizer_restarts=restarts, optimizer_iterations=20)
+            model = fit_model(bodies, some_fitness(bodies), settings)
+            model.train()
+            value = ExactMarginalLogLikelihood(model.likelihood, model)(model(*model.train_inputs), model.train_targets)
+        likelihoods.append(value.item())
+    assert likelihoods[1] >= likelihoods[0] - TOLERANCE
+
+
+def test_one_hot_there_and_back() -> None:
+    bodies = some_bodies(10, (3, 5))
+    points = one_hot(bodies)
+    assert points.shape == (10, 75)
+    assert points.dtype == torch.float64
+    assert (points.view(10, 15, 5).sum(-1) == 1).all()
+    assert np.array_equal(from_one_hot(points, (3, 5)), bodies)
+
+
+# ------------------------------------------------------------------------------------------------- acquisition
+
+
+@pytest.fixture(scope="module")
+def model():
+    bodies = some_bodies(30)
+    with own_torch(0):
+        return fit_model(bodies, some_fitness(bodies), BoSettings(optimizer_restarts=2))
+
+
+def test_expected_improvement_is_that_of_the_text_book(model) -> None:
+    others, best = some_bodies(15, seed=2), 20.0
+    with torch.no_grad():
+        value = LogExpectedImprovement(model, best_f=best)(one_hot(others)[:, None]).exp().numpy()
+        posterior = model.posterior(one_hot(others))
+    mean, deviation = (x.numpy()[:, 0] for x in (posterior.mean, posterior.variance.sqrt()))
+    z = (mean - best) / deviation
+    normal = torch.distributions.Normal(0.0, 1.0)
+    density = normal.log_prob(torch.tensor(z)).exp().numpy()
+    below = normal.cdf(torch.tensor(z)).numpy()
+    assert value == pytest.approx((mean - best) * below + deviation * density, rel=1e-4, abs=1e-9)
+
+
+def test_l_bfgs_climbs_expected_improvement_from_every_start(model, monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.algos.search import bo_acquire
+
+    seen = {}
+    original = bo_acquire.optimize_acqf
+
+    def watched(acquisition: object, box: torch.Tensor, **kwargs: object):
+        seen.update(acquisition=acquisition, box=box, **kwargs)
+        ends, values = original(acquisition, box, **kwargs)
+        seen.update(values=values)
+        return ends, values
+
+    monkeypatch.setattr(bo_acquire, "optimize_acqf", watched)
+    starts = some_bodies(6, seed=3)
+    with own_torch(0):
+        ends = improve(model, 25.0, starts, 40)
+        at_start = seen["acquisition"](one_hot(starts)[:, None]).detach()
+    assert isinstance(seen["acquisition"], LogExpectedImprovement)
+    assert seen["options"] == {"maxiter": 40}
+    assert torch.equal(seen["batch_initial_conditions"][:, 0], one_hot(starts))
+    assert seen["box"].tolist() == [[0.0] * 80, [1.0] * 80]
+    assert (seen["values"] >= at_start - TOLERANCE).all()
+    assert ends.shape == starts.shape
+
+
+def test_thompson_sampling_follows_the_posterior(model) -> None:
+    """Each place is the best of one sample: over many draws, as often as the posterior says it is the best."""
+    pool = some_bodies(6, seed=4)
+    with own_torch(0), torch.no_grad():
+        samples = model.posterior(one_hot(pool)).sample(torch.Size([4000]))[..., 0]
+        expected = np.bincount(samples.argmax(-1).numpy(), minlength=6) / 4000
+        first = [thompson_starts(model, pool, 1)[0] for _ in range(300)]
+        several = thompson_starts(model, pool, 5)
+    found = np.bincount(first, minlength=6) / 300
+    assert found == pytest.approx(expected, abs=5 * 0.5 * (1 / 300 + 1 / 4000) ** 0.5)
+    assert len(set(several.tolist())) == 5
+
+
+def test_climbing_ends_where_no_valid_neighbour_is_higher() -> None:
+    rng = np.random.default_rng(0)
+    table = rng.normal(size=(3, 16, 5))
+
+    def values(bodies: np.ndarray) -> np.ndarray:
+        flat = bodies.reshape(*bodies.shape[:-2], 16).astype(int)
+        flat = np.broadcast_to(flat, (3, *flat.shape[-2:]))
+        return np.take_along_axis(table[:, None], flat[..., None], -1)[..., 0].sum(-1)
+
+    pool = some_bodies(20)
+    result = climb(values, pool)
+    at_pool = values(pool)
+    assert np.array_equal(result.start, at_pool.argmax(1))
+    assert np.array_equal(result.at_pool, at_pool)
+    assert valid(result.summit).all()
+    around = neighbours(result.summit)
+    heights = values(result.summit[:, None])[:, 0]
+    assert (heights >= at_pool.max(1)).all()
+    usable = valid(around.reshape(-1, 4, 4)).reshape(3, -1)
+    assert (np.where(usable, values(around), -np.inf).max(1) <= heights + TOLERANCE).all()
+    # additive values: without the demand for validity, the best type of each voxel would be the summit
+    assert (heights <= table.max(-1).sum(-1) + TOLERANCE).all()
+
+
+def test_what_is_learned_leads_the_climb() -> None:
+    bodies = some_bodies(150, (3, 3))
+    with own_torch(1):
+        model = fit_model(bodies, some_fitness(bodies), BoSettings(optimizer_restarts=1))
+        result = climb_posterior(model, bodies, 8)
+    assert valid(result.summit).all()
+    # the best there is has actuators wherever that counts, and every summit comes near
+    best = some_fitness(np.full((1, 3, 3), 3))[0]
+    assert np.mean(some_fitness(result.summit)) > np.max(some_fitness(bodies)) - 1
+    assert np.mean(some_fitness(result.summit)) > 0.85 * best
+
+
+# -------------------------------------------------------------------------------------------------- the search
+
+
+def test_torch_is_as_before_whatever_happens() -> None:
+    threads, state = torch.get_num_threads(), torch.get_rng_state()
+    with pytest.raises(ZeroDivisionError), own_torch(3):
+        assert torch.get_num_threads() == 1
+        torch.rand(3)
+        raise ZeroDivisionError
+    assert torch.get_num_threads() == threads
+    assert torch.equal(torch.get_rng_state(), state)
+
+
+@pytest.mark.parametrize("acquisition", ["paper", "pathwise"])
+def test_proposals_do_not_depend_on_the_threads_of_torch(acquisition: str) -> None:
+    settings = BoSettings(
+        acquisition=acquisition,
+        population=6,
+        max_evaluations=12,
+        optimizer_restarts=2,
+        optimizer_iterations=10,
+        candidates=60,
+    )
+    found = []
+    before = torch.get_num_threads()
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        search = make_search(settings, seed=4)
+        keys = []
+        while asked := search.ask():
+            keys += [body_key(candidate.body) for candidate in asked]
+            search.tell(some_fitness(np.stack([candidate.body for candidate in asked])))
+        found.append(keys)
+    torch.set_num_threads(before)
+    assert found[0] == found[1]
+
+
+def test_the_papers_proposals_are_improvements_or_their_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.algos.search import bo
+
+    settings = BoSettings(
+        acquisition="paper",
+        population=6,
+        max_evaluations=18,
+        optimizer_restarts=1,
+        optimizer_iterations=5,
+        candidates=50,
+    )
+    search = BayesianSearch(settings, (4, 4), seed=1)
+    first = search.ask()
+    search.tell(some_fitness(np.stack([candidate.body for candidate in first])))
+    seen = {}
+
+    def ends_of(model: object, best: float, starts: np.ndarray, iterations: int) -> np.ndarray:
+        ends = starts.copy()
+        ends[0] = mutate(np.random.default_rng(0), starts[:1], 1e-9)[0]  # its start: new
+        ends[1] = ends[0]  # known by now
+        ends[2] = 0  # not valid
+        ends[3] = np.full((4, 4), 4, np.int8)  # new
+        seen.update(starts=starts, best=best)
+        return ends
+
+    monkeypatch.setattr(bo, "improve", ends_of)
+    asked = search.ask()
+    assert seen["best"] == max(search.fitness)
+    origins = [candidate.origin for candidate in asked]
+    assert origins == ["improvement", "thompson", "thompson", "improvement", "improvement", "improvement"]
+    for place in (0, 1, 2, 4, 5):
+        assert np.array_equal(asked[place].body, seen["starts"][place])
+    assert (asked[3].body == 4).all()
+
+
+def test_the_pool_has_random_bodies_and_mutants_of_the_best() -> None:
+    search = BayesianSearch(BoSettings(population=40, max_evaluations=80), seed=0)
+    asked = search.ask()
+    search.tell([float(candidate.id) for candidate in asked])
+    pool = search.pool(np.random.default_rng(0), 50, 150)
+    assert len(pool) == 200
+    assert valid(pool.bodies).all()
+    keys = {body_key(body) for body in pool.bodies}
+    assert len(keys) == 200
+    assert not any(search.is_known(key) for key in keys)
+    assert (pool.parents[:50] == -1).all()
+    assert set(pool.parents[50:]) <= set(range(15, 40))
+    changes = np.array(
+        [(search.bodies[p] != b).sum() for p, b in zip(pool.parents[50:], pool.bodies[50:], strict=True)]
+    )
+    assert changes.min() >= 1
+    assert changes.mean() < 5
+
+
+def test_a_descendant_is_near_its_parent_in_the_tree_or_has_none() -> None:
+    settings = BoSettings(
+        population=8, max_evaluations=24, optimizer_restarts=1, optimizer_iterations=10, candidates=60
+    )
+    search = BayesianSearch(settings, seed=0)
+    parents = 0
+    while asked := search.ask():
+        for candidate in asked:
+            assert candidate.origin == ("posterior" if candidate.generation else "random")
+            assert len(candidate.parents) <= 1
+            parents += len(candidate.parents)
+        search.tell(some_fitness(np.stack([candidate.body for candidate in asked])))
+    assert parents > 0
+
+
+def test_replay_fits_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.algos.search import bo
+
+    settings = BoSettings(population=5, max_evaluations=15, optimizer_restarts=1, optimizer_iterations=5, candidates=40)
+    search, history = BayesianSearch(settings, seed=2), []
+    for _ in range(2):
+        asked = search.ask()
+        told = some_fitness(np.stack([candidate.body for candidate in asked]))
+        search.tell(told)
+        history.append((asked, told))
+    expected = [body_key(candidate.body) for candidate in search.ask()]
+    calls = []
+    original = bo.fit_model
+    monkeypatch.setattr(bo, "fit_model", lambda *args: calls.append(1) or original(*args))
+    again = BayesianSearch(settings, seed=2)
+    again.replay(history)
+    assert not calls
+    assert [body_key(candidate.body) for candidate in again.ask()] == expected
+    assert len(calls) == 1
