@@ -131,6 +131,7 @@ class VoxelEnv(gymnasium.Env):
         self._view: Any = None
         self._window: Any = None
         self._next_frame = 0.0
+        self._ended: np.ndarray | None = None  # the observation with which the episode has ended
 
     def _check_mode(self, mode: str | None) -> None:
         """Refuse modes that there are not, or not here; ``metadata`` becomes that of this machine."""
@@ -170,6 +171,7 @@ class VoxelEnv(gymnasium.Env):
         """Begin an episode; ``options`` are not used."""
         super().reset(seed=seed)
         obs, _ = self._vec.reset(seed)
+        self._ended = None
         self._show()
         return obs[0].cpu().numpy(), {}
 
@@ -187,13 +189,14 @@ class VoxelEnv(gymnasium.Env):
         if action.shape != self.action_space.shape:
             expected = list(self.action_space.shape)
             raise ActionError(f"An action must have the shape {expected}, got {list(action.shape)}.")
-        obs, reward, terminated, _, info = self._vec.step(action[None])
-        details = {
-            "unstable": bool(info["unstable"][0]),
-            "reward_terms": {name: float(value[0]) for name, value in info["reward_terms"].items()},
-        }
+        if self._ended is not None:
+            return self._ended.copy(), 0.0, True, False, {"unstable": False, "reward_terms": {}}
+        obs, terms, terminated, unstable = self._vec.step_one(action[None])
+        obs = obs.cpu().numpy()
+        if terminated:
+            self._ended = obs.copy()
         self._show()
-        return obs[0].cpu().numpy(), float(reward[0]), bool(terminated[0]), False, details
+        return obs, sum(terms.values()), terminated, False, {"unstable": unstable, "reward_terms": terms}
 
     def render(self) -> np.ndarray | None:
         """The present state, uint8 ``[height, width, 3]``, in the mode ``rgb_array``.

@@ -25,6 +25,7 @@ from warpvox.world import World
 __all__ = ["STATE_FIELDS", "Simulation", "resolve_device"]
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
+_STOPPED, _OVERFLOW = int(UNSTABLE | NOT_FINITE), int(OVERFLOW)
 SIGHT = 5.0  # voxels that floor and ceiling scans see (tasks.md)
 
 
@@ -82,6 +83,7 @@ class Simulation:
         self._sensors: dict[tuple, tuple[wp.Launch, list[torch.Tensor]]] = {}
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in ("frozen", "status", "time", "drift")}
         self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
+        self._slot = self._env[0] * self._state.lanes + self._env[1]
         self._actions = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
         self._action_array = wp.from_torch(self._actions)
         self._graph = None
@@ -194,7 +196,7 @@ class Simulation:
         Args:
             mask: bool ``[num_envs]``.
         """
-        self._views["frozen"][self._env] = self._check_mask(mask).to(torch.int32)
+        self._views["frozen"].view(-1)[self._slot] = self._check_mask(mask).to(torch.int32)
 
     def _check_mask(self, mask) -> torch.Tensor:
         mask = torch.as_tensor(mask, device=self.device)
@@ -204,25 +206,28 @@ class Simulation:
 
     # ------------------------------------------------------------------ status
 
+    def _of_environments(self, name: str) -> torch.Tensor:
+        return self._views[name].view(-1).index_select(0, self._slot)
+
     @property
     def frozen(self) -> torch.Tensor:
         """bool [num_envs]: environments that keep their state."""
-        return self._views["frozen"][self._env] == 1
+        return self._of_environments("frozen") == 1
 
     @property
     def time(self) -> torch.Tensor:
         """int64 [num_envs]: complete control steps since the reset."""
-        return self._views["time"][self._env].long()
+        return self._of_environments("time").long()
 
     @property
     def unstable(self) -> torch.Tensor:
         """bool [num_envs]: the last step was stopped (self-folding or values that are not finite) and undone."""
-        return (self._views["status"][self._env] & int(UNSTABLE | NOT_FINITE)) != 0
+        return (self._of_environments("status") & _STOPPED) != 0
 
     @property
     def overflow(self) -> torch.Tensor:
         """bool [num_envs]: the last step met more contact candidates than there is room for, and left some out."""
-        return (self._views["status"][self._env] & int(OVERFLOW)) != 0
+        return (self._of_environments("status") & _OVERFLOW) != 0
 
     # ----------------------------------------------------------------- objects
 
@@ -235,6 +240,9 @@ class Simulation:
                 begin = body.first_point
                 ranges[d, self.object_names.index(body.name)] = begin, begin + len(body.points)
         self._state.ranges = wp.array(ranges, dtype=wp.vec2i, device=self.device)
+        self._found: dict[str, list[Body | None]] = {}
+        self._mobile = {body.name for design in self.designs for body in design.bodies}
+        self._terrain = {body.name for design in self.designs for body in design.statics}
         self._action_mask = torch.zeros((self.num_designs, self.num_actions), dtype=torch.bool, device=self.device)
         for d, design in enumerate(self.designs):
             self._action_mask[d, : sum(body.source.num_actuators for body in design.bodies)] = True
@@ -259,8 +267,10 @@ class Simulation:
         return self.object_names.index(name)
 
     def _bodies(self, name: str) -> list[Body | None]:
-        self._index(name)
-        return [design.body(name) for design in self.designs]
+        if name not in self._found:
+            self._index(name)
+            self._found[name] = [design.body(name) for design in self.designs]
+        return self._found[name]
 
     def num_points(self, name: str) -> int:
         """Points of an object, the most over the designs."""
@@ -311,18 +321,19 @@ class Simulation:
         return buffers
 
     def _points(self, name: str, what: int) -> torch.Tensor:
-        bodies = self._bodies(name)
         shape = (self.num_envs, self.num_points(name), 2)
-        if any(body in design.bodies for body, design in zip(bodies, self.designs, strict=True) if body):
+        if name in self._mobile:
             inputs = [self._index(name), what]
             out = self._sense(("points", *inputs), "points", self.num_envs, [shape], self.dtype, *inputs)[0].clone()
         else:
+            self._index(name)
             out = torch.zeros(shape, dtype=self.dtype, device=self.device)
-        for d, body in enumerate(bodies):
-            if body and body in self.designs[d].statics and what != 1:
-                fixed = torch.tensor(body.points, dtype=torch.float64, device=self.device)
-                fixed = fixed - fixed.mean(0) if what == 2 else fixed
-                out[self.design_index == d, : len(fixed)] = fixed.to(self.dtype)
+        if name in self._terrain and what != 1:
+            for d, design in enumerate(self.designs):
+                for body in (body for body in design.statics if body.name == name):
+                    fixed = torch.tensor(body.points, dtype=torch.float64, device=self.device)
+                    fixed = fixed - fixed.mean(0) if what == 2 else fixed
+                    out[self.design_index == d, : len(fixed)] = fixed.to(self.dtype)
         return out
 
     def com(self, name: str) -> torch.Tensor:
@@ -335,7 +346,7 @@ class Simulation:
 
     def _moving(self, name: str) -> int:
         index = self._index(name)
-        if not any(body.name == name for design in self.designs for body in design.bodies):
+        if name not in self._mobile:
             raise SimulationError(f"The object {name!r} is made of fixed cells only: it never moves.")
         return index
 
