@@ -311,12 +311,23 @@ class BenchConfig:
     output_dir: str = key("outputs", "folder that results are written to")
 
 
+@dataclass
+class DesignConfig:
+    """Keys of ``warpvox design``."""
+
+    file: str | None = key(None, "file in the folder to begin with")
+    folder: str = key("designs", "folder that files are opened and saved in; made when something is saved")
+    port: int = key(0, "of the server on 127.0.0.1; 0: a free one", low=0, high=65535)
+    browser: str = key("auto", "open the page in a browser: on, off, or auto, where there is a display", choices=SHOW)
+
+
 COMMANDS: dict[str, type] = {
     "train": TrainConfig,
     "demo": DemoConfig,
     "play": PlayConfig,
     "export": ExportConfig,
     "bench": BenchConfig,
+    "design": DesignConfig,
 }
 """Commands that take keys, and the dataclass of each."""
 

@@ -1,8 +1,13 @@
-"""What all tests share: hypothesis settings and the rule for tests that need a GPU."""
+"""What all tests share: hypothesis settings, the rule for tests that need a GPU, a browser."""
 
 from __future__ import annotations
 
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -10,6 +15,10 @@ from hypothesis import HealthCheck, settings
 # The same examples on every run, and no time limit for one: a shared machine may stall at any moment.
 settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+PATIENCE = 30.0  # seconds for anything in the browser; a shared machine may stall
+GRAVE = ("error", "warning")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -28,3 +37,53 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def repository() -> Path:
     """The root of the checkout."""
     return Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def tab() -> Iterator[Any]:
+    """A tab of headless Chromium, the one of the system, steered by Playwright."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    if found is None or os.name != "posix":
+        pytest.skip(f"no browser is installed (looked for {', '.join(BROWSERS)})")
+    # Of a module, not of the session: while it is open, nothing else in this process can run an event loop.
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        page = browser.new_page()
+        page.set_default_timeout(1000 * PATIENCE)
+        page.problems = []
+        page.on("pageerror", lambda error: page.problems.append(str(error)))
+        page.on("console", lambda message: page.problems.append(message.text) if message.type in GRAVE else None)
+        yield page
+        browser.close()
+
+
+@pytest.fixture
+def open_page(tab: Any, wait_for: Callable) -> Callable[..., Any]:
+    """``open_page(address, ready)``: the tab at an address, once the expression ``ready`` is true there.
+
+    Its list ``problems`` holds what the console has complained about since.
+    """
+
+    def call(address: str, ready: str = "true", size: tuple[int, int] = (1000, 700)) -> Any:
+        tab.goto("about:blank")
+        tab.set_viewport_size({"width": size[0], "height": size[1]})
+        tab.problems.clear()
+        tab.goto(address)
+        wait_for(tab, ready)
+        return tab
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def wait_for() -> Callable[[Any, str], None]:
+    """``wait_for(page, expression)``: until it is true. (Playwright's own way is barred by the pages' policies.)"""
+
+    def call(page: Any, expression: str) -> None:
+        end = time.monotonic() + PATIENCE
+        while not page.evaluate(expression):
+            assert time.monotonic() < end, f"never true: {expression}"
+            time.sleep(0.02)
+
+    return call

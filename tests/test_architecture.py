@@ -40,7 +40,7 @@ LAYERS = (
         "warpvox.player",
     ),
     ("warpvox.envs",),
-    ("warpvox.algos", "warpvox.configs"),
+    ("warpvox.algos", "warpvox.configs", "warpvox.editor"),
     ("warpvox.cli", "warpvox.__main__"),
 )
 CORE = (

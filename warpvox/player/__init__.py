@@ -20,7 +20,7 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -35,7 +35,7 @@ from warpvox.rollout import FRAME_SECONDS, Rollout
 from warpvox.scene import Scene
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 
-__all__ = ["write_html"]
+__all__ = ["asset", "fill_template", "page_of", "write_html"]
 
 PRECISION = 4096  # steps per simulator unit: 0.24 % of a voxel
 SCRIPTS = ("data.js", "view.js", "player.js")
@@ -58,25 +58,39 @@ def write_html(
     Raises:
         RolloutError: no such environment, or positions that are out of range.
     """
+    write_text(path, page_of(rollout, envs, title))
+    return Path(path)
+
+
+def page_of(rollout: Rollout, envs: Sequence[int] | None = None, title: str | None = None) -> str:
+    """The page that :func:`write_html` writes, as text."""
     chosen = [rollout.check_env(env) for env in (range(rollout.num_envs) if envs is None else envs)]
     if not chosen:
         raise RolloutError("No environment was chosen to be shown.")
     scale, data = _pack(rollout, chosen)
     meta = _describe(rollout, chosen, scale) | {"title": title or rollout.title}
-    parts = {
-        "title": escape(meta["title"]),
-        "style": _asset("player.css"),
-        "script": "\n".join(_asset(name) for name in SCRIPTS),
-        # "<" could end the element that carries the text
-        "meta": json.dumps(meta, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
-        "data": base64.b64encode(data).decode(),
+    return fill_template(
+        asset("player.html"),
+        values={"meta": meta},
+        title=escape(meta["title"]),
+        style=asset("player.css"),
+        script="\n".join(asset(name) for name in SCRIPTS),
+        data=base64.b64encode(data).decode(),
+    )
+
+
+def fill_template(template: str, values: Mapping[str, Any], **texts: str) -> str:
+    """A page: ``{{name}}`` becomes the text of that name, or the JSON of the value of that name."""
+    # "<" could end the element that carries the text
+    parts = texts | {
+        name: json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+        for name, value in values.items()
     }
-    page = re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _asset("player.html"))
-    write_text(path, page)
-    return Path(path)
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """A file of this package as text."""
     return files(__name__).joinpath(name).read_text(encoding="utf-8")
 
 

@@ -1,0 +1,258 @@
+"""What the design editor edits: a body or a world, drawn on one grid of cells.
+
+A document is a JSON object: ``kind`` ("body" or "world"), ``names`` (of the objects; a body has one, "robot"),
+``types`` (rows of cells, row 0 on top) and ``owners`` (rows of the same size: which of the names a cell belongs
+to; entries of empty cells mean nothing).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpvox.design import Design, as_grid, check_design, count_pieces, full_connections
+from warpvox.errors import DesignError, WarpvoxError, WorldError, did_you_mean, listing
+from warpvox.files import write_text
+from warpvox.types import Cell
+from warpvox.world import World, WorldObject
+
+__all__ = [
+    "BODY_SIDE",
+    "WORLD_SIZE",
+    "check",
+    "check_file_name",
+    "design_of",
+    "document_of",
+    "file_names",
+    "read_file",
+    "save_file",
+    "world_of",
+]
+
+BODY_SIDE = 32
+"""Rows and columns that a body may have in the editor."""
+WORLD_SIZE = (400, 100)
+"""Columns and rows that a world may have in the editor."""
+OBJECTS = 64
+LONGEST_FILE = 4_000_000
+FILE_NAME = re.compile(r"[A-Za-z0-9][\w.-]{0,63}")
+ROBOT = "robot"
+
+
+def design_of(document: Mapping[str, Any]) -> Design:
+    """The body that a document draws, without empty rows and columns around it.
+
+    Raises:
+        DesignError: it is not a valid robot.
+    """
+    return check_design(_trim(_cells(document, "types", BODY_SIDE, BODY_SIDE)))
+
+
+def world_of(document: Mapping[str, Any]) -> World:
+    """The world that a document draws.
+
+    Objects are added from the widest to the smallest: the bounding box of an object must lie on cells that are
+    free of those before it, and terrain may well reach around a robot.
+
+    Raises:
+        WorldError: no cells, or objects whose boxes are in each other's way.
+    """
+    types = _cells(document, "types", WORLD_SIZE[1], WORLD_SIZE[0], error=WorldError)
+    owners = _owners(document, types)
+    height, width = types.shape
+    objects = []
+    for number, name in enumerate(_names(document)):
+        rows, columns = np.nonzero((types != Cell.EMPTY) & (owners == number))
+        if not len(rows):
+            continue
+        box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
+        grid = np.where(owners[box] == number, types[box], Cell.EMPTY)
+        objects.append(WorldObject.from_array(name, grid, int(columns.min()), int(height - 1 - rows.max())))
+    if not objects:
+        raise WorldError("The world is empty: paint something.")
+    world = World(width, height)
+    for obj in sorted(objects, key=lambda item: -item.width * item.height):
+        world.add_object(obj)
+    return world
+
+
+def document_of(content: Design | World) -> dict[str, Any]:
+    """The document that draws a body or a world.
+
+    Raises:
+        WorldError: a world that the editor cannot show without loss.
+    """
+    if not isinstance(content, World):
+        grid = np.asarray(content)
+        return _document("body", [ROBOT], grid, np.zeros_like(grid))
+    if content.width > WORLD_SIZE[0] or content.height > WORLD_SIZE[1] or len(content.objects) > OBJECTS:
+        raise WorldError(
+            f"The editor shows worlds of up to {WORLD_SIZE[0]} x {WORLD_SIZE[1]} cells and {OBJECTS} objects; this one"
+            f" has {content.width} x {content.height} and {len(content.objects)}."
+        )
+    types = np.zeros((content.height, content.width), np.int8)
+    owners = np.zeros((content.height, content.width), np.int16)
+    for number, obj in enumerate(content.objects.values()):
+        if len(obj.connections) < len(full_connections(obj.grid)):
+            raise WorldError(
+                f"'{obj.name}' has neighbouring cells that are not connected, which the editor cannot show."
+            )
+        top = content.height - obj.y - obj.height
+        box = slice(top, top + obj.height), slice(obj.x, obj.x + obj.width)
+        filled = obj.grid != Cell.EMPTY
+        types[box][filled], owners[box][filled] = obj.grid[filled], number
+    return _document("world", list(content.objects), types, owners)
+
+
+def check(document: Mapping[str, Any]) -> str:
+    """A sentence that describes a valid document.
+
+    Raises:
+        DesignError, WorldError: what is wrong with it.
+    """
+    if _kind(document) == "body":
+        body = design_of(document)
+        actuators = int((body >= Cell.H_ACT).sum())
+        return (
+            f"A valid robot: {body.shape[0]} x {body.shape[1]}, {np.count_nonzero(body)} cells, {actuators} actuators."
+        )
+    world = world_of(document)
+    parts = []
+    for obj in world.objects.values():
+        kind = "robot" if obj.is_robot else "terrain" if obj.is_static else "object"
+        pieces = count_pieces(obj.grid)
+        apart = f", {pieces} pieces" if pieces > 1 and not obj.is_static else ""
+        parts.append(f"{obj.name} ({kind}, {np.count_nonzero(obj.grid)} cells{apart})")
+    return f"A valid world of {world.width} x {world.height}: {', '.join(parts)}."
+
+
+# ------------------------------------------------------------------------------------------------------ files
+
+
+def check_file_name(name: object) -> str:
+    """The file that a name stands for, with its suffix.
+
+    Raises:
+        WorldError: a name that could lead out of the folder, or that no system takes.
+    """
+    stem = name.removesuffix(".json") if isinstance(name, str) else ""
+    if not FILE_NAME.fullmatch(stem):
+        raise WorldError(
+            f"A name may hold letters, digits and . _ - and begins with one of the former; got {name!r:.80}."
+        )
+    return f"{stem}.json"
+
+
+def file_names(folder: Path) -> list[str]:
+    """Names of the JSON files in a folder that the editor may open."""
+    if not folder.is_dir():
+        return []
+    return sorted(path.name for path in folder.glob("*.json") if FILE_NAME.fullmatch(path.stem) and path.is_file())
+
+
+def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite: bool = False) -> Path:
+    """Write a document in EvoGym's world format; returns the path.
+
+    A body becomes a world that holds the robot alone. An entry ``body`` with its rows, which EvoGym ignores, lets
+    ``design=FILE`` read it, too.
+
+    Raises:
+        WarpvoxError: the document is not valid, or the file exists and ``overwrite`` is not set.
+    """
+    path = folder / check_file_name(name)
+    if _kind(document) == "body":
+        body = design_of(document)
+        world = World(body.shape[1], body.shape[0])
+        world.add_from_array(ROBOT, body, 0, 0)
+        content = json.loads(world.to_json()) | {"body": body.tolist()}
+        text = json.dumps(content)
+    else:
+        text = world_of(document).to_json()
+    if path.exists() and not overwrite:
+        raise FileExistsError(path.name)
+    write_text(path, text + "\n")
+    return path
+
+
+def read_file(path: Path) -> dict[str, Any]:
+    """The document of a file: a body (``{"body": rows}``) or a world of EvoGym's format.
+
+    Raises:
+        WarpvoxError: no such file, or neither of these.
+    """
+    if not path.is_file():
+        near = did_you_mean(path.name, file_names(path.parent))
+        raise WorldError(f"There is no file '{path.name}' in {path.parent}.{near}")
+    if path.stat().st_size > LONGEST_FILE:
+        raise WorldError(f"'{path.name}' is too large for the editor.")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        raise WorldError(f"'{path.name}' is not a JSON file.") from None
+    if isinstance(content, dict) and "body" in content:
+        body = as_grid(content["body"])
+        if max(body.shape) > BODY_SIDE:
+            raise DesignError(f"The editor shows bodies of up to {BODY_SIDE} x {BODY_SIDE} cells.")
+        return document_of(body)
+    if not isinstance(content, dict):
+        raise WorldError(f"'{path.name}' holds neither a body nor a world.")
+    return document_of(World.from_json(content))
+
+
+# --------------------------------------------------------------------------------------------------- documents
+
+
+def _document(kind: str, names: list[str], types: np.ndarray, owners: np.ndarray) -> dict[str, Any]:
+    return {"kind": kind, "names": names, "types": types.tolist(), "owners": owners.tolist()}
+
+
+def _kind(document: Mapping[str, Any]) -> str:
+    kind = document.get("kind")
+    if kind not in ("body", "world"):
+        raise WorldError(f"A document is a body or a world, got {kind!r:.80}.")
+    return kind
+
+
+def _cells(
+    document: Mapping[str, Any], key: str, rows: int, columns: int, error: type[WarpvoxError] = DesignError
+) -> np.ndarray:
+    value = document.get(key)
+    # Before numpy looks at it: what is not a rectangle of a modest size is not worth an array.
+    if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
+        raise error(f"{key} must be rows of cells.")
+    if len(value) > rows or any(len(row) > columns for row in value):
+        raise error(f"There is room for {columns} columns and {rows} rows.")
+    return as_grid(value, what="grid", error=error)
+
+
+def _owners(document: Mapping[str, Any], types: np.ndarray) -> np.ndarray:
+    value, count = document.get("owners"), len(_names(document))
+    fits = isinstance(value, list) and len(value) == len(types)
+    fits = fits and all(isinstance(row, list) and len(row) == types.shape[1] for row in value)
+    if not fits or not all(type(entry) is int and 0 <= entry < count for row in value for entry in row):
+        raise WorldError("owners must have an entry for every cell, the number of one of the names.")
+    return np.array(value, np.int16).reshape(types.shape)
+
+
+def _names(document: Mapping[str, Any]) -> list[str]:
+    names = document.get("names")
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise WorldError("names must be a list of texts, one or more.")
+    if len(names) > OBJECTS or any(not 0 < len(name) <= 64 for name in names):
+        raise WorldError(f"There may be up to {OBJECTS} objects with names of 1 to 64 letters.")
+    if len(set(names)) < len(names):
+        raise WorldError(f"The names of objects must differ; they are {listing(names)}.")
+    return names
+
+
+def _trim(grid: np.ndarray) -> np.ndarray:
+    """Without the empty rows and columns around; an empty grid as it is."""
+    rows, columns = np.nonzero(grid)
+    if not len(rows):
+        return grid
+    return grid[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]

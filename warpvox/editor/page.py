@@ -1,0 +1,47 @@
+"""The page of the design editor, put together from its parts."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from warpvox.editor.documents import BODY_SIDE, WORLD_SIZE, document_of
+from warpvox.editor.trials import LONGEST
+from warpvox.examples import EXAMPLES
+from warpvox.palette import CELL_NAMES, RAMPS
+from warpvox.player import asset, fill_template
+from warpvox.rollout import AGENTS
+
+__all__ = ["editor_page"]
+
+SCRIPTS = ("drawing.js", "board.js", "editor.js")
+
+
+def editor_page(start: dict[str, Any] | None, folder: Path) -> str:
+    """The page as text.
+
+    Args:
+        start: a document with a ``name``, to begin with; None: an example.
+        folder: where files are opened and saved, to be named on the page.
+    """
+    from warpvox.design import example_designs
+    from warpvox.envs.registry import task_ids
+
+    setup = {
+        "start": start or document_of(example_designs()["walker"]) | {"name": "my_robot"},
+        "folder": str(folder),
+        "examples": EXAMPLES,
+        "tasks": task_ids(),
+        "agents": list(reversed(AGENTS)),
+        "limits": {"body": [BODY_SIDE, BODY_SIDE], "world": list(WORLD_SIZE), "seconds": LONGEST},
+        "colours": {int(cell): ramp[1] for cell, ramp in RAMPS.items()},
+        "names": {0: "empty"} | {int(cell): name for cell, name in CELL_NAMES.items()},
+    }
+    parts = files(__package__)
+    return fill_template(
+        parts.joinpath("editor.html").read_text(encoding="utf-8"),
+        values={"setup": setup},
+        style=asset("player.css") + parts.joinpath("editor.css").read_text(encoding="utf-8"),
+        script="\n".join(parts.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS),
+    )

@@ -1,0 +1,241 @@
+"""The server of the design editor: this machine only, for whoever holds the token.
+
+It listens on the loopback address. Every address begins with a token that is drawn anew at each start, so that
+other users of the machine and pages of other sites cannot guess it. A request whose Host is not this server's is
+refused (a page cannot reach the editor under a name of its own that leads to 127.0.0.1), and so is one whose
+Origin is another's. Requests have a size limit and a time limit; files are read and written in one folder only.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import secrets
+import threading
+from collections.abc import Callable
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+from warpvox.editor.documents import check, check_file_name, document_of, file_names, read_file, save_file
+from warpvox.editor.page import editor_page
+from warpvox.editor.trials import try_out
+from warpvox.errors import ConfigError, DeviceError, WarpvoxError
+
+__all__ = ["EditorServer"]
+
+ADDRESS = "127.0.0.1"
+LARGEST = 1_000_000
+"""Bytes of a request."""
+SECONDS = 15
+"""Seconds that a request may take to arrive."""
+KEPT = 4
+"""Rollouts that stay to be looked at."""
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self';"
+    " frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+
+
+class EditorServer(ThreadingHTTPServer):
+    """Serves the editor until it is shut down.
+
+    Args:
+        folder: where files are opened and saved.
+        port: 0 takes a free one.
+        file: name of a file in the folder to begin with.
+
+    Attributes:
+        url: where the editor is to be found, token included.
+
+    Raises:
+        DeviceError: the port is taken. WarpvoxError: the file cannot be opened.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, folder: Path, port: int = 0, file: str | None = None) -> None:
+        self.folder, self.token = folder, secrets.token_urlsafe(24)
+        start = None if file is None else {"name": Path(file).stem} | self._read(file)
+        self.page = editor_page(start, folder)
+        self.rollouts: dict[int, bytes] = {}
+        self._count, self._busy = 0, threading.Lock()
+        try:
+            super().__init__((ADDRESS, port), _Handler)
+        except OSError as error:
+            raise DeviceError(f"The port {port} cannot be used: {error.strerror}. port=0 takes a free one.") from None
+        self.port = self.server_address[1]
+        self.hosts = {f"{ADDRESS}:{self.port}", f"localhost:{self.port}"}
+        self.url = f"http://{ADDRESS}:{self.port}/{self.token}/"
+
+    def _read(self, name: object) -> dict[str, Any]:
+        return read_file(self.folder / check_file_name(name))
+
+    # ------------------------------------------------------------- what a page may ask for
+
+    def check(self, ask: dict[str, Any]) -> dict[str, Any]:
+        """Whether the document is valid, in words."""
+        return {"message": check(_document(ask))}
+
+    def files(self, ask: dict[str, Any]) -> dict[str, Any]:
+        """What can be opened."""
+        return {"files": file_names(self.folder)}
+
+    def open(self, ask: dict[str, Any]) -> dict[str, Any]:
+        """The document of a file."""
+        return self._read(ask.get("name"))
+
+    def save(self, ask: dict[str, Any]) -> dict[str, Any]:
+        """Write the document; an existing file is only replaced if ``overwrite`` is set."""
+        try:
+            path = save_file(_document(ask), self.folder, ask.get("name"), ask.get("overwrite") is True)
+        except FileExistsError as error:
+            return {"exists": str(error)}
+        except OSError as error:
+            raise ConfigError(f"It cannot be saved: {error.strerror}.") from None
+        return {"message": f"Saved as {path}.", "path": str(path)}
+
+    def sample(self, ask: dict[str, Any]) -> dict[str, Any]:
+        """A random valid body."""
+        from warpvox.design import sample_design
+
+        rows, columns = ask.get("rows"), ask.get("columns")
+        if not all(type(n) is int and 1 <= n <= 10 for n in (rows, columns)):
+            raise ConfigError("A random body has 1 to 10 rows and columns.")
+        return document_of(sample_design((rows, columns)))
+
+    def rollout(self, ask: dict[str, Any]) -> dict[str, Any]:
+        """Try the document out; where to look at it, and what it returned. One at a time."""
+        from warpvox.player import page_of
+
+        if not self._busy.acquire(blocking=False):
+            raise ConfigError("Another rollout is being simulated: wait for its end.")
+        try:
+            rollout = try_out(_document(ask), *(ask.get(key) for key in ("agent", "seconds", "seed", "task")))
+        finally:
+            self._busy.release()
+        title = rollout.title if rollout.metadata["task"] else "world"
+        self._count += 1
+        self.rollouts[self._count] = page_of(rollout, title=title).encode()
+        for old in [number for number in self.rollouts if number <= self._count - KEPT]:
+            del self.rollouts[old]
+        total, steps = float(rollout.returns[-1, 0]), int(rollout.lengths[0])
+        return {"rollout": self._count, "message": f"return {total:.3f} in {steps} steps"}
+
+
+ACTIONS: dict[str, Callable[[EditorServer, dict[str, Any]], dict[str, Any]]] = {
+    "check": EditorServer.check,
+    "files": EditorServer.files,
+    "open": EditorServer.open,
+    "sample": EditorServer.sample,
+    "save": EditorServer.save,
+    "rollout": EditorServer.rollout,
+}
+
+
+def _document(ask: dict[str, Any]) -> dict[str, Any]:
+    document = ask.get("document")
+    if not isinstance(document, dict):
+        raise ConfigError("The request holds no document.")
+    return document
+
+
+class _Refused(Exception):
+    """A request that gets no answer but its reason."""
+
+    def __init__(self, status: HTTPStatus, reason: str) -> None:
+        super().__init__(reason)
+        self.status = status
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """One request."""
+
+    server: EditorServer
+    server_version, sys_version, protocol_version = "warpvox", "", "HTTP/1.1"
+    timeout = SECONDS
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: addresses hold the token."""
+
+    def do_GET(self) -> None:
+        """The page, or a rollout."""
+        try:
+            path = self._path()
+            number = path.removeprefix("rollout/")
+            if path == "":
+                self._send(self.server.page.encode(), "text/html; charset=utf-8")
+            elif number.isdigit() and int(number) in self.server.rollouts:
+                self._send(self.server.rollouts[int(number)], "text/html; charset=utf-8")
+            else:
+                raise _Refused(HTTPStatus.NOT_FOUND, "There is nothing here.")
+        except _Refused as refusal:
+            self._refuse(refusal)
+
+    def do_POST(self) -> None:
+        """An action: JSON in, JSON out; what is not valid comes back as ``error``."""
+        try:
+            action = ACTIONS.get(self._path())
+            if action is None:
+                raise _Refused(HTTPStatus.NOT_FOUND, "There is no such action.")
+            ask = self._body()
+        except _Refused as refusal:
+            self._refuse(refusal)
+            return
+        try:
+            answer = action(self.server, ask)
+        except WarpvoxError as error:
+            answer = {"error": " ".join(str(error).split())}
+        self._send(json.dumps(answer).encode(), "application/json")
+
+    def _path(self) -> str:
+        """What follows the token in the address."""
+        if self.headers.get("Host", "") not in self.server.hosts:
+            raise _Refused(HTTPStatus.FORBIDDEN, "This server answers to its own name only.")
+        origin = self.headers.get("Origin")
+        if origin is not None and origin not in {f"http://{host}" for host in self.server.hosts}:
+            raise _Refused(HTTPStatus.FORBIDDEN, "Requests of other sites are refused.")
+        token, _, rest = self.path.removeprefix("/").partition("/")
+        if not hmac.compare_digest(token.encode(), self.server.token.encode()):
+            raise _Refused(HTTPStatus.FORBIDDEN, "The address lacks the right token: use the one that was printed.")
+        return rest
+
+    def _body(self) -> dict[str, Any]:
+        if self.headers.get_content_type() != "application/json":
+            raise _Refused(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "Expected JSON.")
+        length = self.headers.get("Content-Length", "")
+        if not length.isdigit():
+            raise _Refused(HTTPStatus.LENGTH_REQUIRED, "The request does not say how long it is.")
+        if int(length) > LARGEST:
+            raise _Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"A request has {LARGEST} bytes at most.")
+        try:
+            ask = json.loads(self.rfile.read(int(length)))
+        except (ValueError, RecursionError):
+            raise _Refused(HTTPStatus.BAD_REQUEST, "This is not JSON.") from None
+        if not isinstance(ask, dict):
+            raise _Refused(HTTPStatus.BAD_REQUEST, "Expected a JSON object.")
+        return ask
+
+    def _refuse(self, refusal: _Refused) -> None:
+        # What was not read would be taken for the next request.
+        self.close_connection = True
+        self._send(str(refusal).encode(), "text/plain; charset=utf-8", refusal.status)
+
+    def _send(self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+        self.send_response(status)
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        self.send_header("Content-Security-Policy", POLICY)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        if self.close_connection:
+            self.send_header("Connection", "close")
+        self.end_headers()
+        self.wfile.write(content)

@@ -1,0 +1,115 @@
+"""Open-loop rollouts of what the editor draws."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from warpvox.editor.documents import design_of, world_of
+from warpvox.errors import ConfigError, WorldError, listing
+from warpvox.rollout import AGENTS, FRAME_SECONDS, Rollout, record
+
+__all__ = ["LONGEST", "MOST_MOVING", "try_out"]
+
+LONGEST = 20.0
+"""Seconds that a rollout may last."""
+MOST_MOVING = 1000
+"""Cells that may move in a world that is tried out."""
+PATIENCE = 60.0
+"""Seconds of real time after which a rollout is given up."""
+
+
+def try_out(document: Mapping[str, Any], agent: object, seconds: object, seed: object, task: object) -> Rollout:
+    """Record an episode: of a body in a task, or of a world as it stands.
+
+    In a world the reward of a step is how far the centre of mass of the first robot has moved to the right, in
+    simulator units (0.1 a voxel); without a robot it is 0.
+
+    Args:
+        document: see :mod:`warpvox.editor.documents`.
+        agent: one of :data:`warpvox.rollout.AGENTS`.
+        seconds: of simulated time.
+        seed: of the agent.
+        task: id, for a body.
+
+    Raises:
+        WarpvoxError: anything that is not valid, or takes too long.
+    """
+    if agent not in AGENTS:
+        raise ConfigError(f"agent must be one of {listing(AGENTS)}, got {agent!r:.80}.")
+    if type(seconds) not in (int, float) or not FRAME_SECONDS <= seconds <= LONGEST:
+        raise ConfigError(f"seconds must be a number from {FRAME_SECONDS} to {LONGEST:g}, got {seconds!r:.80}.")
+    if type(seed) is not int or not 0 <= seed < 2**31:
+        raise ConfigError(f"seed must be a whole number from 0 to {2**31 - 1}, got {seed!r:.80}.")
+    env = _task(document, task, seed) if document.get("kind") == "body" else _world(document, seed)
+    return record(_Hurried(env, time.monotonic() + PATIENCE), agent, round(seconds / FRAME_SECONDS))
+
+
+def _task(document: Mapping[str, Any], task: object, seed: int) -> Any:
+    from warpvox.envs.registry import get_task
+    from warpvox.envs.vec_env import make_vec
+
+    if not isinstance(task, str):
+        raise ConfigError(f"task must be the id of a task, got {task!r:.80}.")
+    return make_vec(get_task(task), [design_of(document)], 1, device="cpu", seed=seed, auto_reset=False, threads=1)
+
+
+def _world(document: Mapping[str, Any], seed: int) -> OpenWorld:
+    from warpvox.sim import Simulation
+
+    world = world_of(document)
+    moving = sum(int((obj.grid != 0).sum()) for obj in world.objects.values() if not obj.is_static)
+    if not moving:
+        raise WorldError("Nothing in this world moves: it needs cells that are not fixed.")
+    if moving > MOST_MOVING:
+        raise WorldError(f"{moving} cells of this world move; the editor tries out up to {MOST_MOVING}.")
+    return OpenWorld(Simulation([world], device="cpu", threads=1), seed)
+
+
+class OpenWorld:
+    """A bare simulation with the face of an environment, as far as recording needs it."""
+
+    def __init__(self, sim: Any, seed: int) -> None:
+        self.sim, self.seed, self.auto_reset = sim, seed, False
+        self.num_envs, self.num_actions = sim.num_envs, sim.num_actions
+        self.max_episode_steps = round(LONGEST / FRAME_SECONDS)
+        robots = [obj.name for obj in sim.worlds[0].objects.values() if obj.is_robot]
+        self._robot = min(robots, default=None)
+        self._where = self._place()
+
+    def _place(self) -> Any:
+        import torch
+
+        return torch.zeros(self.num_envs) if self._robot is None else self.sim.com(self._robot)[:, 0]
+
+    def reset(self) -> tuple[None, dict[str, Any]]:
+        """Back to the start."""
+        self.sim.reset()
+        self._where = self._place()
+        return None, {}
+
+    def step(self, actions: Any) -> tuple[Any, ...]:
+        """One control step: no observation, progress as reward, terminated where the simulation had to stop."""
+        import torch
+
+        self.sim.step(actions)
+        before, self._where = self._where, self._place()
+        stopped = self.sim.unstable
+        return None, self._where - before, stopped, torch.zeros_like(stopped), {}
+
+
+class _Hurried:
+    """An environment that gives up after a while: somebody is waiting in front of the screen."""
+
+    def __init__(self, env: Any, deadline: float) -> None:
+        self._env, self._deadline, self.auto_reset = env, deadline, False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._env, name)
+
+    def step(self, actions: Any) -> tuple[Any, ...]:
+        """As the environment's; refuses to go on after the deadline."""
+        if time.monotonic() > self._deadline:
+            raise ConfigError(f"This takes more than {PATIENCE:g} s to simulate: choose fewer seconds or fewer cells.")
+        return self._env.step(actions)
