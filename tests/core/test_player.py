@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from warpvox.errors import RolloutError
-from warpvox.painter import Painter
+from warpvox.painter import Canvas
 from warpvox.player import write_html
 from warpvox.rollout import Rollout
 
@@ -260,13 +260,13 @@ def test_the_page_shows_what_the_pictures_show(
         stage["x"] + x + (high[0] - left) * scale, stage["y"] + floor - (low[1] - bottom) * scale,
     ]  # fmt: skip
     ours = Image.fromarray(screenshot(page)).resize((96, 96), Image.Resampling.BOX, box)
-    painter = Painter(rollout, 1, (1000, 600))
-    corner = painter.camera[frame]
+    corner = np.rint(low * 30).astype(int) - 100
+    picture = Canvas(rollout.scene(1), (600, 500), 30).picture(rollout.positions[frame, 1], tuple(corner.tolist()))
     box = [
-        low[0] * painter.scale - corner[0], 600 + corner[1] - high[1] * painter.scale,
-        high[0] * painter.scale - corner[0], 600 + corner[1] - low[1] * painter.scale,
+        low[0] * 30 - corner[0], 500 + corner[1] - high[1] * 30,
+        high[0] * 30 - corner[0], 500 + corner[1] - low[1] * 30,
     ]  # fmt: skip
-    theirs = painter.frame(frame).resize((96, 96), Image.Resampling.BOX, box)
+    theirs = picture.resize((96, 96), Image.Resampling.BOX, box)
     difference = np.abs(np.asarray(ours, float) - np.asarray(theirs, float))
     assert difference.mean() < SAME
     wrong = np.abs(np.asarray(ours, float) - np.asarray(theirs, float)[:, ::-1]).mean()
