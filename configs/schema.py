@@ -249,6 +249,7 @@ SUITES = {
     "learning": "time to a return",
     "kernels": "times of the stages, memory, compilation",
     "precision": "float32 against float64",
+    "search": "search algorithms on a made-up fitness, against random search",
     "gpu": "checks and figures of a CUDA device in one go",
 }
 """What ``warpvox bench`` measures."""
@@ -283,6 +284,16 @@ class LearningConfig:
 
 
 @dataclass
+class SearchesConfig:
+    """Keys ``searches.*``: which algorithms are compared, on what."""
+
+    names: list[str] = key(["ga", "map_elites", "cppn_neat", "bo"], "names of configs/search")
+    seeds: int = key(20, "runs of each, every one with its own optimum", low=1)
+    evaluations: int = key(250, "of a run", low=1)
+    shape: list[int] = key([5, 5], "rows and columns of the bodies", low=3)
+
+
+@dataclass
 class BenchConfig:
     """Keys of ``warpvox bench``."""
 
@@ -305,6 +316,7 @@ class BenchConfig:
     peer: PeerConfig = key(PeerConfig, "the reference")
     scaling: ScalingConfig = key(ScalingConfig, "suite=scaling")
     learning: LearningConfig = key(LearningConfig, "suite=learning")
+    searches: SearchesConfig = key(SearchesConfig, "suite=search")
     seconds: float = key(440.0, "suite=gpu begins no part after so many", above=0)
     document: str | None = key(None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)")
     name: str | None = key(None, "appended to the name of the result's folder")

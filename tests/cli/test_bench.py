@@ -271,6 +271,27 @@ def test_figures_keep_what_matters(value: float | None, text: str) -> None:
 
 # ----------------------------------------------------------------------------------------------------- gpu
 
+
+def test_search_compares_with_random_search(warpvox: Callable) -> None:
+    words = "searches.names=[ga,cppn_neat] searches.seeds=5 searches.evaluations=120 searches.shape=[4,5]".split()
+    outcome = warpvox("bench", "suite=search", *words)
+    assert outcome.code == 0, outcome.err
+    assert "Best fitness, mean of 5 seeds, bodies of 4 x 5; the optimum is 1" in outcome.out
+    _, figures = results("search")
+    assert list(figures["searches"]) == ["random", "ga", "cppn_neat"]
+    for figure in figures["searches"].values():
+        assert [len(curve) for curve in figure["curves"]] == [120] * 5
+    # the smallest p of five pairs is 1/32
+    assert figures["searches"]["cppn_neat"]["p"]["random"] < 0.05
+
+
+def test_search_wants_names_of_searches(warpvox: Callable) -> None:
+    outcome = warpvox("bench", "suite=search", "searches.names=[gaa]")
+    assert outcome.code == 2
+    assert "searches.names must be of bo, " in outcome.err
+    assert "Did you mean 'ga'?" in outcome.err
+
+
 GPU = "bench suite=gpu device=cpu design=mini repeats=1 steps=2 columns=[step] compile=false".split()
 
 

@@ -1,0 +1,99 @@
+"""The made-up fitness has the optimum it says it has, and searches find their way to it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warpvox.algos.search import ALGORITHMS, make_search
+from warpvox.algos.search.bodies import neighbours
+from warpvox.algos.search.synthetic import SyntheticFitness, best_of
+from warpvox.cli.benchmarks.search import chance
+from warpvox.design import check_design, sample_design
+
+SURE = 0.01
+SHAPES = st.tuples(st.integers(3, 7), st.integers(3, 8))
+
+
+@given(st.integers(0, 10**6), SHAPES)
+def test_the_optimum_is_a_design_of_fitness_1_and_alone_in_that(seed: int, shape: tuple[int, int]) -> None:
+    fitness = SyntheticFitness(seed, shape)
+    assert np.array_equal(check_design(fitness.optimum), fitness.optimum)
+    assert fitness.optimum.shape == shape
+    assert fitness(fitness.optimum) == 1.0
+    others = [*neighbours(fitness.optimum[None])[0], *(sample_design((3, 3), seed + k) for k in range(3))]
+    for body in others:
+        if body.shape == shape and not np.array_equal(body, fitness.optimum):
+            assert 0 <= fitness(body) < 1
+
+
+def test_fitness_by_hand() -> None:
+    fitness = SyntheticFitness(0, (3, 3))
+    fitness.optimum = np.array([[1, 1, 1], [3, 0, 4], [3, 0, 4]], np.int8)
+    body = np.array([[1, 2, 1], [3, 0, 3], [0, 0, 4]], np.int8)
+    # right: 1, 1 | 3, 0 | 0, 4; of the right kind: 2 for 1, 3 for 4; wrong: 0 for 3
+    voxels = (6 + 2 * 0.4) / 9
+    # of the twelve pairs: down (0,0)-(1,0) and (1,1)-(2,1); across (1,0)-(1,1) and (2,1)-(2,2)
+    assert fitness(body) == pytest.approx((voxels + 4 / 12) / 2)
+
+
+def test_seeds_differ() -> None:
+    assert len({SyntheticFitness(seed).optimum.tobytes() for seed in range(30)}) > 20
+
+
+def test_best_of_is_the_running_maximum() -> None:
+    search = make_search(ALGORITHMS["random"](population=7, max_evaluations=30), seed=2)
+    fitness = SyntheticFitness(5)
+    best = best_of(search, fitness)
+    assert best == np.maximum.accumulate([fitness(body) for body in search.bodies]).tolist()
+
+
+def test_chance_agrees_with_all_signs_tried() -> None:
+    differences = np.array([0.3, -0.1, 0.2, 0.25, 0.05, 0.4, -0.02, 0.1])
+    signs = np.array(np.meshgrid(*[(-1, 1)] * 8)).reshape(8, -1).T
+    exact = np.mean(signs @ differences >= differences.sum() - 1e-12)
+    assert chance(differences, 0) == pytest.approx(exact, abs=0.001)
+    assert chance(-differences, 0) > 0.9
+    assert chance(np.zeros(8), 0) == 1.0
+
+
+@cache
+def final(algorithm: str, seeds: int, evaluations: int) -> np.ndarray:
+    settings = ALGORITHMS[algorithm](max_evaluations=evaluations)
+    return np.array([best_of(make_search(settings, seed=seed), SyntheticFitness(seed))[-1] for seed in range(seeds)])
+
+
+@pytest.mark.parametrize("algorithm", ["ga", "cppn_neat"])
+def test_better_than_random_search(algorithm: str) -> None:
+    assert chance(final(algorithm, 20, 250) - final("random", 20, 250), 0) < SURE
+
+
+def test_map_elites_is_better_than_random_search() -> None:
+    pytest.importorskip("ribs", reason="MAP-Elites needs the extra 'search'")
+    assert chance(final("map_elites", 20, 250) - final("random", 20, 250), 0) < SURE
+
+
+def test_posterior_samples_are_better_than_the_genetic_algorithm_soon() -> None:
+    """A small edition of the study below: three optima, few evaluations."""
+    found = [
+        best_of(make_search(settings, (4, 4), seed), SyntheticFitness(seed, (4, 4)))[-1]
+        for seed in range(3)
+        for settings in (
+            ALGORITHMS["bo"](
+                population=12, max_evaluations=72, optimizer_restarts=1, optimizer_iterations=30, candidates=150
+            ),
+            ALGORITHMS["ga"](population=12, max_evaluations=72),
+        )
+    ]
+    assert np.mean(found[::2]) > np.mean(found[1::2])
+
+
+@pytest.mark.slow
+def test_bayesian_optimisation_beats_the_genetic_algorithm_and_random_search() -> None:
+    bo = final("bo", 20, 250)
+    assert chance(bo - final("random", 20, 250), 0) < SURE
+    assert chance(bo - final("ga", 20, 250), 0) < SURE
