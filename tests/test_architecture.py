@@ -40,6 +40,7 @@ LAYERS = (
         "warpvox.player",
     ),
     ("warpvox.envs",),
+    ("warpvox.evogym",),
     ("warpvox.algos", "warpvox.configs", "warpvox.editor"),
     ("warpvox.cli", "warpvox.__main__"),
 )

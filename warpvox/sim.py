@@ -41,6 +41,7 @@ class Simulation:
         lanes: environments that one CPU thread advances at once (1, 8, 16 or 32); None chooses.
         threads: CPU threads; None takes all cores.
         loose: names of objects that :meth:`shift` may move; terrain among them is not merged with the rest.
+        action_range: to what actions are clipped.
 
     Positions are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step lasts
     30 x 1e-4). Tensors that methods return are fresh; they never alias the simulator's buffers.
@@ -58,6 +59,7 @@ class Simulation:
         lanes: int | None = None,
         threads: int | None = None,
         loose: Sequence[str] = (),
+        action_range: tuple[float, float] = (ACTION_LOW, ACTION_HIGH),
     ):
         if not worlds or not all(isinstance(world, World) for world in worlds):
             raise SimulationError(f"Simulation needs a list of one World or more, got {worlds!r:.80}.")
@@ -84,6 +86,7 @@ class Simulation:
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in ("frozen", "status", "time", "drift")}
         self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
         self._slot = self._env[0] * self._state.lanes + self._env[1]
+        self._action_range = action_range
         self._actions = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
         self._action_array = wp.from_torch(self._actions)
         self._graph = None
@@ -99,7 +102,7 @@ class Simulation:
 
         Args:
             actions: torch or numpy ``[num_envs, num_actions]``, goal lengths of the actuators in units of their
-                rest length, clipped to [0.6, 1.6]; columns beyond a design's own actuators are ignored.
+                rest length, clipped to ``action_range``; columns beyond a design's own actuators are ignored.
 
         Raises:
             ActionError: wrong shape; on the CPU also values that are not finite (on CUDA such an environment
@@ -124,7 +127,7 @@ class Simulation:
     def _control_step(self) -> None:
         if not self._shares:
             self._shares = self._record_shares()
-            self._take = step_stage.record_actions(self._state, self._action_array, ACTION_LOW, ACTION_HIGH)
+            self._take = step_stage.record_actions(self._state, self._action_array, *self._action_range)
         if self.num_actions:
             self._take.launch()
         jobs = [self._pool.submit(share.launch) for share in self._shares[1:]]

@@ -10,14 +10,29 @@ import numpy as np
 
 from warpvox.errors import DisplayError
 
-__all__ = ["Window", "why_no_window"]
+__all__ = ["OTHERWISE", "Window", "why_no_window"]
+
+SWITCH = "WARPVOX_WINDOW"
+OTHERWISE = f"Render pictures instead (mode 'rgb_array'), or set {SWITCH}=none to go on without showing anything."
+"""What to do where there is no window, for error messages."""
+
+
+def _wanted() -> bool:
+    """Whether windows shall be shown; ``WARPVOX_WINDOW=none`` lets scripts with windows run on servers as they are."""
+    choice = os.environ.get(SWITCH, "")
+    if choice not in ("", "none"):
+        raise DisplayError(f"{SWITCH} must be 'none' or not set, got '{choice}'.")
+    return not choice
 
 
 def why_no_window() -> str | None:
     """What keeps this machine from showing a window, as half a sentence ("there is no display ..."), or None.
 
-    A display that is named but does not answer is only noticed by :class:`Window`.
+    A display that is named but does not answer is only noticed by :class:`Window`. With ``WARPVOX_WINDOW=none`` nothing
+    does: windows then show nothing.
     """
+    if not _wanted():
+        return None
     try:
         import tkinter  # noqa: F401
     except ImportError:
@@ -45,15 +60,17 @@ class Window:
     def __init__(self, size: tuple[int, int], title: str) -> None:
         reason = why_no_window()
         if reason is not None:
-            raise DisplayError(f"Cannot open a window: {reason}. Render pictures instead (mode 'rgb_array').")
+            raise DisplayError(f"Cannot open a window: {reason}. {OTHERWISE}")
+        self.closed, self._root = False, None
+        if not _wanted():
+            return
         import tkinter
 
         width, height = size
         try:
             self._root = tkinter.Tk()
         except tkinter.TclError as error:
-            raise DisplayError(f"Cannot open a window: {error}. Render pictures instead (mode 'rgb_array').") from None
-        self.closed = False
+            raise DisplayError(f"Cannot open a window: {error}. {OTHERWISE}") from None
         self._root.title(title)
         self._root.resizable(False, False)
         self._root.protocol("WM_DELETE_WINDOW", self.close)
@@ -64,27 +81,38 @@ class Window:
 
     def show(self, frame: np.ndarray) -> None:
         """Show a picture, uint8 ``[height, width, 3]``, and answer mouse and keyboard; nothing once closed."""
-        if self.closed:
+        if self.closed or self._root is None:
             return
         height, width = frame.shape[:2]
         # Tk reads this format by itself, so that no other package has to know about Tk.
         self._image.configure(data=b"P6 %d %d 255\n" % (width, height) + np.ascontiguousarray(frame).tobytes())
         self._root.update()
 
+    @property
+    def visible(self) -> bool:
+        """Whether anyone can see what :meth:`show` is given."""
+        return self._root is not None
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """x and y of the window on the screen; (0, 0) if it is gone."""
+        return (0, 0) if self._root is None else (self._root.winfo_x(), self._root.winfo_y())
+
     def hide(self) -> None:
         """Take the window off the screen until :meth:`unhide`."""
-        if not self.closed:
+        if self._root is not None:
             self._root.withdraw()
             self._root.update()
 
     def unhide(self) -> None:
         """Bring a hidden window back."""
-        if not self.closed:
+        if self._root is not None:
             self._root.deiconify()
             self._root.update()
 
     def close(self) -> None:
         """Close the window. Harmless to repeat."""
-        if not self.closed:
-            self.closed = True
+        self.closed = True
+        if self._root is not None:
             self._root.destroy()
+            self._root = None

@@ -66,3 +66,23 @@ def test_a_window_closed_by_hand_stays_closed() -> None:
     window = Window((64, 48), "test")
     window._root.tk.call(*window._root.protocol("WM_DELETE_WINDOW").split())
     assert window.closed
+
+
+def test_windows_can_be_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setenv("WARPVOX_WINDOW", "none")
+    assert why_no_window() is None
+    window = Window((64, 48), "test")
+    window.show(np.zeros((48, 64, 3), np.uint8))
+    assert not window.closed
+    window.hide()
+    window.unhide()
+    assert window.place == (0, 0)
+    window.close()
+    assert window.closed
+
+
+def test_an_unknown_switch_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WARPVOX_WINDOW", "off")
+    with pytest.raises(DisplayError, match="must be 'none' or not set, got 'off'"):
+        why_no_window()

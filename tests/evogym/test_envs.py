@@ -1,0 +1,272 @@
+"""The drop-in's environments: ids, spaces, base classes for environments of one's own, what is random."""
+
+from __future__ import annotations
+
+import os
+import random
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.envs.registration import EnvSpec
+
+import warpvox.evogym.envs as envs
+from warpvox.envs.registry import get_task, task_ids
+from warpvox.envs.vec_env import make_vec
+from warpvox.errors import ConfigError
+from warpvox.evogym import BASELINE_ENV_NAMES, EvoWorld
+from warpvox.evogym.envs.moment import OBSERVATIONS, REWARDS, TERMINATIONS
+
+BODY = np.array([[1, 4, 4, 4, 1], [3, 3, 3, 3, 3], [3, 3, 3, 3, 3], [4, 4, 0, 4, 4], [4, 4, 0, 4, 4]])
+
+
+@pytest.mark.parametrize("name", BASELINE_ENV_NAMES)
+def test_ids_are_those_of_the_release(name: str) -> None:
+    spec: EnvSpec = gymnasium.spec(name)
+    module, _, cls = spec.entry_point.partition(":")
+    assert module.startswith("warpvox.evogym.envs.")
+    assert get_task(getattr(envs, cls).task) is get_task(name)
+    assert spec.max_episode_steps == get_task(name).max_episode_steps
+
+
+def test_every_term_is_written_for_one_environment_too() -> None:
+    drawn = {"goal_number", "goal_place", "goal_offset", "approach_goal", "all_goals_reached"}  # in multi_goal
+    for task in task_ids():
+        spec = get_task(task)
+        for terms, ours in (
+            (spec.observations, OBSERVATIONS),
+            (spec.rewards, REWARDS),
+            (spec.terminations, TERMINATIONS),
+        ):
+            missing = {term.function.__name__ for term in terms} - set(ours) - drawn
+            assert not missing, f"{task}: add {missing} to warpvox/evogym/envs/moment.py"
+
+
+@pytest.mark.parametrize("task", ["Traverser-v0", "AreaMinimizer-v0", "Carrier-v1", "Climber-v2", "Flipper-v0"])
+def test_it_agrees_with_the_batch(task: str) -> None:
+    env = gymnasium.make(task, body=BODY).unwrapped
+    batch = make_vec(task, designs=[BODY], num_envs=1, device="cpu", dtype="float64", auto_reset=False)
+    obs, info = env.reset()
+    assert info == {}
+    assert np.allclose(obs, batch.reset()[0][0].numpy(), atol=1e-12, rtol=0)
+    for row in np.random.default_rng(5).uniform(0.5, 1.7, (25, batch.num_actions)):
+        obs, reward, terminated, truncated, _ = env.step(row)
+        expected = batch.step(torch.as_tensor(row[None]))
+        assert np.allclose(obs, expected[0][0].numpy(), atol=1e-10, rtol=0)
+        assert reward == pytest.approx(float(expected[1][0]), abs=1e-10)
+        assert (terminated, truncated) == (bool(expected[2][0]), False)
+
+
+def test_spaces_are_those_of_the_release() -> None:
+    env = gymnasium.make("UpStepper-v0", body=BODY)
+    assert env.action_space == gymnasium.spaces.Box(0.6, 1.6, (21,), float)
+    assert env.observation_space == gymnasium.spaces.Box(-100, 100, (14 + 72,), float)
+    assert env.unwrapped.sight_dist == 5
+    assert env.unwrapped.terrain_list == ["ground"]
+    assert env.unwrapped.default_viewer._tracked == ["robot"]
+    assert gymnasium.make("Pusher-v0", body=BODY).unwrapped.default_viewer._tracked == ["robot", "package"]
+    assert gymnasium.make("BeamSlider-v0", body=BODY).unwrapped.default_viewer._tracked == ["robot", "beam"]
+
+
+def test_actions_are_clipped_and_copied() -> None:
+    env, other = (gymnasium.make("Walker-v0", body=BODY).unwrapped for _ in range(2))
+    actions = np.random.default_rng(1).uniform(-1, 3, (10, 21))
+    kept = actions.copy()
+    for row in actions:
+        env.step(row)
+        other.step(np.clip(row, 0.6, 1.6))
+    assert np.array_equal(actions, kept)
+    assert np.array_equal(env.pos_at_time(10), other.pos_at_time(10))
+
+
+def test_lengths_are_in_the_units_of_the_release() -> None:
+    env = gymnasium.make("Walker-v0", body=BODY).unwrapped
+    env.reset()
+    for _ in range(5):
+        env.step(env.action_space.sample())
+    plain, now = envs.EvoGymBase, env.get_time()
+    for look in ("object_pos_at_time", "object_vel_at_time"):
+        assert np.allclose(getattr(env, look)(now, "robot"), getattr(plain, look)(env, now, "robot") / 10)
+    for look in ("get_pos_com_obs", "get_vel_com_obs", "get_relative_pos_obs"):
+        assert np.allclose(getattr(env, look)("robot"), getattr(plain, look)(env, "robot") / 10)
+    assert np.allclose(env.get_floor_obs("robot", ["ground"], 2), plain.get_floor_obs(env, "robot", ["ground"], 2) / 10)
+    assert np.array_equal(env.get_ort_obs("robot"), [env.object_orientation_at_time(now, "robot")])
+    assert env.get_ceil_obs("robot", ["ground"], 2).tolist() == [0.5] * 5
+    assert env.get_floor_obs("robot", [], 2) is None
+
+
+def test_terrain_is_seen_window_by_window() -> None:
+    world = EvoWorld()
+    world.add_from_array("robot", np.array([[3, 3, 3]]), 10, 4)  # the centre lies at (11.5, 4.5)
+    world.add_from_array("ground", np.array([[5, 0, 0], [5, 5, 0]]), 10, 0)
+    world.add_from_array("roof", np.array([[5]]), 11, 8)
+    env = envs.EvoGymBase(world)
+    env.sim.translate_object(0.02, 0.0, "robot")  # to (11.7, 4.5): else points lie on the borders of windows
+    assert env.get_floor_obs("robot", ["ground"], 2, 4) == pytest.approx([2.5, 2.5, 3.5, 4, 4])
+    assert env.get_floor_obs("robot", ["ground"], 2, 3) == pytest.approx([2.5, 2.5, 3, 3, 3])
+    assert env.get_ceil_obs("robot", ["ground", "roof"], 1) == pytest.approx([3.5, 3.5, 5])
+
+
+class TwoRobots(envs.EvoGymBase):
+    """Someone's own environment: two robots, a box, a reward of their own."""
+
+    def __init__(self, body: np.ndarray, render_mode: str | None = None, render_options: Any = None) -> None:
+        self.world = EvoWorld()
+        self.world.add_from_array("ground", np.full((1, 30), 5), 0, 0)
+        self.world.add_from_array("left", body, 2, 1)
+        self.world.add_from_array("right", np.array([[3, 4]]), 12, 1)
+        self.world.add_from_array("box", np.array([[2]]), 20, 1)
+        envs.EvoGymBase.__init__(self, self.world, render_mode, render_options)
+        count = sum(self.get_dim_action_space(name) for name in ("left", "right"))
+        self.action_space = gymnasium.spaces.Box(0.6, 1.6, (count,), float)
+        self.observation_space = gymnasium.spaces.Box(-100, 100, self.reset()[0].shape, float)
+        self.default_viewer.track_objects("left", "right")
+
+    def observe(self) -> np.ndarray:
+        return np.concatenate(
+            [self.get_pos_com_obs("left"), self.get_relative_pos_obs("right"), self.get_ort_obs("box")]
+        )
+
+    def step(self, action: np.ndarray) -> tuple:
+        before = self.get_pos_com_obs("left")
+        done = super().step({"left": action[:-2], "right": action[-2:]})
+        return self.observe(), self.get_pos_com_obs("left")[0] - before[0], done, False, {}
+
+    def reset(self, seed: int | None = None, options: dict | None = None) -> tuple:
+        super().reset(seed=seed, options=options)
+        return self.observe(), {}
+
+
+def test_an_environment_of_ones_own() -> None:
+    gymnasium.register("TwoRobots-v0", entry_point=lambda **kwargs: TwoRobots(**kwargs), max_episode_steps=8)
+    env = gymnasium.make("TwoRobots-v0", body=BODY, render_mode="rgb_array", render_options={"hide_grid": True})
+    first, _ = env.reset(seed=1)
+    env.action_space.seed(1)
+    place, total = first[0], 0.0
+    for step in range(1, 9):
+        obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+        total += reward
+        assert not terminated
+        assert truncated == (step == 8)
+    assert total == pytest.approx(obs[0] - place)
+    assert env.unwrapped.get_time() == 8
+    assert env.render().shape == (600, 1200, 3)
+    again, _ = env.reset()
+    assert np.array_equal(again, first)
+    env.close()
+    env.close()
+
+
+class Benchmark(envs.BenchmarkBase):
+    """One in the manner of the release's own, with a world from its files."""
+
+    def __init__(self, body: np.ndarray) -> None:
+        self.world = EvoWorld.from_json(os.path.join(self.DATA_PATH, "Walker-v0.json"))
+        self.world.add_from_array("robot", body, 1, 1)
+        super().__init__(self.world)
+
+    def step(self, action: np.ndarray) -> tuple:
+        done = super().step({"robot": action})
+        return self.get_relative_pos_obs("robot"), 0.0, done, False, {}
+
+
+def test_the_worlds_of_the_benchmark_serve_other_environments() -> None:
+    assert Path(envs.BenchmarkBase.DATA_PATH, "Climber-v0.json").is_file()
+    own, walker = Benchmark(BODY), gymnasium.make("Walker-v0", body=BODY).unwrapped
+    for row in np.random.default_rng(2).uniform(0.6, 1.6, (10, 21)):
+        ours, theirs = own.step(row)[0], walker.step(row)[0][2:]
+    assert np.allclose(ours, theirs, atol=1e-13, rtol=0)
+    assert own.default_viewer._tracked == ["robot"]
+
+
+def test_goals_come_from_the_global_generator_or_the_seed() -> None:
+    random.seed(7)
+    env = gymnasium.make("BidirectionalWalker-v0", body=BODY).unwrapped
+    env.reset()
+    random.seed(7)
+    expected = []
+    for _ in range(2):  # drawn when it is made and when it is reset
+        place, way, expected = 35, 0, []
+        while way < 100:
+            goal = random.randrange(20, 50)
+            way, place = way + abs(goal - place), goal
+            expected.append(goal)
+    assert [goal.x_goal for goal in env.goals] == expected
+    runs = []
+    for _ in range(2):
+        env.reset(seed=3)
+        random.seed()
+        runs.append([goal.x_goal for goal in env.goals])
+        env.reset()
+        runs.append([goal.x_goal for goal in env.goals])
+    assert runs[0] == runs[2] != runs[1] == runs[3]
+
+
+def test_goals_are_reached_one_after_the_other() -> None:
+    env = gymnasium.make("BidirectionalWalker-v0", body=BODY).unwrapped
+    obs, _ = env.reset()
+    assert obs[-3:].tolist() == pytest.approx([0, env.goals[0].x_goal / 10, env.goals[0].x_goal / 10 - obs_x(env)])
+    env.init_reward_goals([envs.WalkToX(goal) for goal in (35, 36, 30)])
+    obs, reward, terminated, _, _ = env.step(np.ones(21))
+    assert (env.current_goal, terminated) == (2, False)  # the robot stands within 2 voxels of the first two
+    assert obs[-3] == 0  # observed before it counts
+    env.init_reward_goals([envs.WalkToX(35)])
+    _, reward, terminated, _, _ = env.step(np.ones(21))
+    assert terminated
+    assert reward == pytest.approx(1, abs=0.01)
+    env.step(np.ones(21))
+    with pytest.raises(ValueError, match="at least one"):
+        env.init_reward_goals([])
+
+
+def obs_x(env: envs.BenchmarkBase) -> float:
+    return float(env.get_pos_com_obs("robot")[0])
+
+
+def test_the_package_begins_in_other_places() -> None:
+    random.seed(11)
+    env = gymnasium.make("Catcher-v0", body=BODY).unwrapped
+    env.reset()
+    random.seed(11)
+    drawn = [(random.randint(-6, 4), random.randint(0, 5)) for _ in range(2)]
+    assert (env.offsetx, env.offsety) == drawn[1]
+    corner = env.object_pos_at_time(0, "package").min(axis=1)
+    assert corner.tolist() == pytest.approx([2.1 + drawn[1][0] / 10, 4.1 + drawn[1][1] / 10])
+    places = {(env.reset(seed=seed), env.offsetx, env.offsety)[1:] for seed in (1, 2, 3, 1)}
+    assert 1 < len(places) <= 3
+
+
+def test_shapes_have_hulls() -> None:
+    env = gymnasium.make("AreaMaximizer-v0", body=BODY).unwrapped
+    points = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [0, 1], [1, 0.5], [1, 0]])
+    corners = env.jarvis_march(points)
+    assert sorted(map(tuple, corners.tolist())) == [(0, 0), (0, 1), (2, 0), (2, 1)]
+    assert env.convex_poly_area(corners) == pytest.approx(2)
+    assert env.convex_poly_area(corners[::-1]) == pytest.approx(-2)
+    assert env.CCW((0, 0), (1, 0), (1, 1))
+
+
+def test_bodies_that_do_not_work_are_refused() -> None:
+    with pytest.raises(ValueError, match="robots are"):
+        gymnasium.make("Walker-v0", body=np.array([[1, 2]]))
+    with pytest.raises(ValueError, match="overlaps"):
+        gymnasium.make("Climber-v0", body=np.full((5, 6), 3))
+    with pytest.raises(ValueError, match="actuators, but the action has 3"):
+        gymnasium.make("Walker-v0", body=BODY).unwrapped.step(np.ones(3))
+
+
+def test_loose_bodies_are_allowed_as_released() -> None:
+    env = gymnasium.make("Walker-v0", body=np.array([[3, 0, 4], [3, 0, 4]])).unwrapped
+    assert env.reset()[0].shape == (2 + 2 * 12,)
+
+
+def test_render_modes_and_options_are_checked() -> None:
+    world = EvoWorld()
+    world.add_from_array("robot", BODY, 1, 1)
+    with pytest.raises(ConfigError, match="Did you mean 'rgb_array'"):
+        envs.EvoGymBase(world, render_mode="rgb_aray")
+    with pytest.warns(UserWarning, match="Did you mean 'hide_grid'"):
+        envs.EvoGymBase(world, render_options={"hide_gird": True})

@@ -1,0 +1,80 @@
+"""``install()`` makes ``import evogym`` mean the drop-in, in processes of their own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
+    return subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True)
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A folder with another package named evogym, as if it were installed."""
+    (tmp_path / "evogym").mkdir()
+    (tmp_path / "evogym" / "__init__.py").write_text("WHO = 'another'\n")
+    return tmp_path
+
+
+def test_a_script_runs_unchanged(tmp_path: Path) -> None:
+    code = """
+import warpvox.evogym; warpvox.evogym.install(); warpvox.evogym.install()
+import gymnasium as gym
+import evogym.envs
+from evogym import EvoWorld, EvoSim, sample_robot
+from evogym.utils import get_full_connectivity
+from evogym.envs import *
+import evogym.envs.base, evogym.simulator_cpp
+import pickle, sys
+
+assert evogym is warpvox.evogym and evogym.envs.base is sys.modules["warpvox.evogym.envs.base"]
+assert evogym.EvoSim is warpvox.evogym.EvoSim and issubclass(evogym.envs.WalkingFlat, EvoGymBase)
+assert evogym.utils.__spec__.name == evogym.utils.__name__ == "warpvox.evogym.utils"
+assert pickle.loads(pickle.dumps(evogym.Pair(1, 2))) == evogym.Pair(1, 2)
+body, connections = sample_robot((3, 3))
+env = gym.make("Walker-v0", body=body, connections=connections)
+env.reset()
+env.step(env.action_space.sample())
+try:
+    import evogym.nonsense
+except ModuleNotFoundError:
+    print("done")
+"""
+    done = run(code, tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "done\n"
+
+
+def test_an_installed_package_gives_way(package: Path) -> None:
+    done = run("import warpvox.evogym as w; w.install(); import evogym; print(evogym is w)", package)
+    assert done.stdout == "True\n", done.stderr
+
+
+def test_one_that_is_imported_already_does_not(package: Path) -> None:
+    done = run("import evogym, warpvox.evogym as w; w.install()", package)
+    assert done.returncode != 0
+    assert "InstallError: evogym has been imported already, from " in done.stderr
+    assert "Call warpvox.evogym.install() before anything imports it." in done.stderr
+
+
+def test_nothing_changes_without_it(package: Path) -> None:
+    done = run("import warpvox.evogym.envs, evogym; print(evogym.WHO)", package)
+    assert done.stdout == "another\n", done.stderr
+
+
+def test_worlds_need_neither_torch_nor_warp(tmp_path: Path) -> None:
+    code = """
+import sys, numpy as np, warpvox.evogym as evogym
+world = evogym.EvoWorld()
+world.add_from_array("robot", evogym.sample_robot((4, 4))[0], 0, 0)
+print(sorted({"torch", "warp", "gymnasium"} & set(sys.modules)))
+"""
+    done = run(code, tmp_path)
+    assert done.stdout == "[]\n", done.stderr

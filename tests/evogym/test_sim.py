@@ -1,0 +1,219 @@
+"""The drop-in's simulation: its record of the past, several robots, moved objects, errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warpvox.errors import SimulationError
+from warpvox.evogym import EvoSim, EvoWorld
+from warpvox.evogym.engine import orientation
+from warpvox.evogym.simulator_cpp import Sim
+from warpvox.sim import Simulation
+from warpvox.world import World
+
+BODY = np.array([[3, 1, 3], [4, 2, 4], [4, 0, 4]])
+
+
+def make_world(second: bool = False) -> EvoWorld:
+    world = EvoWorld()
+    world.add_from_array("ground", np.full((1, 30), 5), 0, 0)
+    world.add_from_array("robot", BODY, 3, 1)
+    if second:
+        world.add_from_array("other", np.array([[3, 4]]), 10, 1)
+    world.add_from_array("box", np.full((2, 2), 2), 15, 1)
+    return world
+
+
+def waves(steps: int, count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(0.6, 1.6, (steps, count))
+
+
+def test_objects_and_points_have_an_order() -> None:
+    sim = EvoSim(make_world(second=True))
+    every = sim.pos_at_time(0)
+    parts = [sim.object_pos_at_time(0, name) for name in ("other", "robot", "box", "ground")]
+    assert np.array_equal(every, np.concatenate(parts, axis=1))
+    assert parts[0].T.tolist() == pytest.approx(np.array([[10, 2], [11, 2], [10, 1], [11, 1], [12, 2], [12, 1]]))
+    assert all(points.flags.f_contiguous for points in parts)  # sums over points then run as in the release
+    assert np.array_equal(sim.vel_at_time(0), np.zeros_like(every))
+
+
+def test_actuators_are_counted_row_by_row() -> None:
+    sim = EvoSim(make_world())
+    assert sim.get_actuator_indices("robot").tolist() == [0, 2, 3, 5, 6, 8]
+    assert sim.get_indices_of_actuators("robot").shape == (1, 6)
+    assert sim.get_dim_action_space("robot") == 6
+
+
+def test_it_is_the_simulation_of_warpvox() -> None:
+    world, actions = make_world(), waves(40, 6)
+    sim = EvoSim(world)
+    core = World()
+    for obj in world.objects.values():
+        core.add_object(obj.to_core())
+    batch = Simulation([core], "cpu", "evogym", "float64", lanes=1, threads=1)
+    for row in actions:
+        sim.set_action("robot", row)
+        assert sim.step() is False
+        batch.step(row[None])
+    for name in ("robot", "box"):
+        assert np.array_equal(Sim.object_pos_at_time(sim, 40, name).T, batch.object_positions(name)[0].numpy())
+        turned = sim.object_orientation_at_time(40, name) - float(batch.orientation(name)[0])
+        assert abs((turned + np.pi) % (2 * np.pi) - np.pi) < 1e-12
+
+
+def test_robots_have_actions_of_their_own() -> None:
+    apart, together = EvoSim(make_world()), EvoSim(make_world(second=True))
+    for row in waves(30, 6):
+        apart.set_action("robot", row)
+        together.set_action("robot", row)
+        together.set_action("other", [0.8, 1.3])
+        apart.step()
+        together.step()
+    assert np.array_equal(apart.object_pos_at_time(30, "robot"), together.object_pos_at_time(30, "robot"))
+    width = np.ptp(together.object_pos_at_time(30, "other")[0])
+    assert width < 1.9
+
+
+def test_actions_hold_until_others_are_set_and_are_not_clipped() -> None:
+    world = EvoWorld()
+    world.add_from_array("robot", np.array([[3]]), 0, 5)
+    lengths = {}
+    for goal in (1.0, 1.2, 1.6, 2.0):
+        sim = EvoSim(world)
+        if goal != 1.0:
+            sim.set_action("robot", np.array([goal]))
+        sim.step()
+        sim.step()
+        lengths[goal] = np.ptp(sim.object_pos_at_time(2, "robot")[0])
+    assert lengths[1.0] == pytest.approx(1.0, abs=1e-6)
+    assert lengths[1.0] < lengths[1.2] < lengths[1.6] < lengths[2.0]
+
+
+def test_the_past_is_remembered_and_can_be_returned_to() -> None:
+    sim, actions = EvoSim(make_world()), waves(20, 6)
+    seen = [sim.pos_at_time(0)]
+    for row in actions:
+        sim.set_action("robot", row)
+        sim.step()
+        seen.append(sim.pos_at_time(sim.get_time()))
+    assert sim.get_time() == 20
+    assert all(np.array_equal(sim.pos_at_time(time), points) for time, points in enumerate(seen))
+    sim.revert(12)
+    assert sim.get_time() == 12
+    assert np.array_equal(sim.pos_at_time(12), seen[12])
+    with pytest.raises(ValueError, match="between 0 and 12, got 13"):
+        sim.pos_at_time(13)
+    for row in actions[12:]:
+        sim.set_action("robot", row)
+        sim.step()
+    # Not bit for bit: the release, too, takes velocities for those of the last sub-step when it goes back.
+    assert np.abs(sim.pos_at_time(20) - seen[20]).max() < 0.05
+    sim.reset()
+    for row in actions:
+        sim.set_action("robot", row)
+        sim.step()
+    assert np.array_equal(sim.pos_at_time(20), seen[20])
+
+
+def test_what_is_returned_is_a_copy() -> None:
+    sim = EvoSim(make_world())
+    for points in (sim.object_pos_at_time(0, "robot"), Sim.object_pos_at_time(sim, 0, "ground")):
+        points += 1
+    assert np.array_equal(sim.object_pos_at_time(0, "robot"), EvoSim(make_world()).object_pos_at_time(0, "robot"))
+    assert sim.object_pos_at_time(0, "ground").max() == pytest.approx(30)
+
+
+@pytest.mark.parametrize("name", ["box", "ground"])
+def test_objects_can_be_translated(name: str) -> None:
+    sim = EvoSim(make_world())
+    for row in waves(5, 6):
+        sim.set_action("robot", row)
+        sim.step()
+    before = {each: sim.object_pos_at_time(5, each) for each in ("robot", "box", "ground")}
+    early = sim.pos_at_time(2)
+    sim.translate_object(0.3, 0.0, name)
+    for each, points in before.items():
+        shift = [[3.0], [0.0]] if each == name else 0.0
+        assert np.allclose(sim.object_pos_at_time(5, each), points + shift, atol=1e-12, rtol=0)
+    assert np.array_equal(sim.pos_at_time(2), early)
+    assert sim.step() is False
+    moved = np.abs(sim.object_pos_at_time(6, "robot") - before["robot"]).max()
+    assert 0 < moved < 0.5
+
+
+def test_a_robot_that_folds_stops_the_clock() -> None:
+    body = np.array([[3, 3, 1, 2, 0], [4, 0, 0, 2, 4], [4, 2, 0, 3, 1], [3, 2, 0, 2, 1], [4, 3, 3, 2, 0]])
+    world = EvoWorld()
+    world.add_from_array("ground", np.full((1, 20), 5), 0, 0)
+    world.add_from_array("robot", body, 3, 1)
+    sim = EvoSim(world)
+    rng = np.random.default_rng(3)
+    for _ in range(600):
+        sim.set_action("robot", np.where(rng.random(sim.get_dim_action_space("robot")) < 0.5, 0.0, 4.0))
+        time = sim.get_time()
+        if sim.step():
+            assert sim.get_time() == time
+            assert time in range(600)
+            return
+        assert sim.get_time() == time + 1
+    pytest.fail("goals far beyond what bodies survive have not folded this one")
+
+
+@given(st.floats(0.0, 6.28), st.integers(3, 40), st.integers(0, 99))
+def test_orientation_measures_rotations(angle: float, count: int, seed: int) -> None:
+    home = np.random.default_rng(seed).uniform(-1, 1, (count, 2))
+    about = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    found = orientation(home @ about.T + [3, -2], home)
+    # The guard of the arc cosine makes angles below 0.0045 uncertain by as much.
+    assert abs((found - angle + np.pi) % (2 * np.pi) - np.pi) < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("ask", "kind", "words"),
+    [
+        (lambda sim: sim.object_pos_at_time(0, "stone"), ValueError, "objects are box, ground, robot"),
+        (lambda sim: sim.object_vel_at_time(-1, "robot"), ValueError, "between 0 and 0"),
+        (lambda sim: sim.object_orientation_at_time(1.0, "robot"), TypeError, "whole number"),
+        (lambda sim: sim.get_actuator_indices("box"), ValueError, "robots are robot"),
+        (lambda sim: sim.get_dim_action_space("stone"), ValueError, "not a valid robot name"),
+        (lambda sim: sim.set_action("robot", np.ones(5)), ValueError, "6 actuators, but the action has 5"),
+        (lambda sim: sim.revert(3), ValueError, "no record of the time 3"),
+        (lambda sim: sim.translate_object(1, 1, "stone"), ValueError, "not a valid object name"),
+        (lambda sim: Sim.set_action(sim, "robot", [[1, 1.0]]), ValueError, "no actuator at index 1"),
+    ],
+)
+def test_mistakes_are_explained(ask, kind: type[Exception], words: str) -> None:
+    with pytest.raises(kind, match=words):
+        ask(EvoSim(make_world()))
+
+
+def test_the_lower_layer_reads_objects_and_files(tmp_path: Path) -> None:
+    sim = Sim()
+    sim.init(30, 10)
+    none = np.empty((2, 0))
+    assert sim.read_object_from_array(np.full((1, 3), 5), none, "ground", 0, 0)
+    (tmp_path / "robot.txt").write_text("2 1\n3 4\n0 1\n")
+    assert sim.read_robot_from_file(str(tmp_path / "robot.txt"), "robot", 0, 1)
+    assert sim.get_indices_of_actuators("robot").tolist() == [[0, 1]]
+    sim.set_action("robot", np.array([[1, 1.4]]))
+    assert sim.step() is False
+    assert sim.object_pos_at_time(1, "robot").shape == (2, 6)
+    assert sim.pos_at_time(0)[:, 0].tolist() == pytest.approx([0, 0.2])
+    with pytest.raises(SimulationError, match="has begun"):
+        sim.read_object_from_array(np.full((1, 1), 1), none, "late", 5, 5)
+
+
+def test_an_empty_world_is_refused_and_still_ones_are_not() -> None:
+    with pytest.raises(SimulationError, match="nothing that can move"):
+        EvoSim(EvoWorld()).step()
+    still = EvoWorld()
+    still.add_from_array("ground", np.full((1, 4), 5), 0, 0)
+    sim = EvoSim(still)
+    sim.step()
+    assert np.array_equal(sim.pos_at_time(1), sim.pos_at_time(0))

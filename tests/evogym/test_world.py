@@ -1,0 +1,140 @@
+"""Worlds and objects of the drop-in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from warpvox.envs.registry import get_task, task_ids
+from warpvox.errors import WorldError
+from warpvox.evogym import EvoWorld, Pair, WorldObject
+from warpvox.evogym.envs import BenchmarkBase
+from warpvox.world import World
+
+BODY = np.array([[3, 0, 1], [4, 2, 2]])
+
+
+@pytest.fixture
+def world() -> EvoWorld:
+    made = EvoWorld()
+    made.add_from_array("ground", np.full((1, 8), 5), 0, 0)
+    made.add_from_array("robot", BODY, 2, 1)
+    return made
+
+
+def test_rows_count_upward(world: EvoWorld) -> None:
+    assert world.grid.tolist() == [[5] * 8, [0, 0, 4, 2, 2, 0, 0, 0], [0, 0, 3, 0, 1, 0, 0, 0]]
+    assert world.grid_size == Pair(8, 3)
+    robot = world.objects["robot"]
+    assert robot.get_pos() == (2, 1)
+    assert robot.grid.tolist() == BODY[::-1].tolist()
+    assert np.array_equal(robot.get_structure(), BODY)
+    assert Pair(1, 1) not in robot.voxels
+    assert set(robot.neighbors[Pair(0, 0)]) == {Pair(1, 0), Pair(0, 1)}
+
+
+def test_connections_are_told_both_ways() -> None:
+    obj = WorldObject.from_array("robot", BODY, np.array([[0, 3], [3, 4]]))
+    assert sorted(map(tuple, obj.get_connections().T.tolist())) == [(0, 3), (3, 0), (3, 4), (4, 3)]
+    alone = WorldObject.from_array("cell", np.array([[1]]))
+    assert alone.get_connections().shape == (2, 0)
+
+
+@pytest.mark.parametrize("wrong", [[[0], [1]], [[0], [4]], [[0], [9]]])
+def test_connections_are_between_neighbouring_cells(wrong: list[list[int]]) -> None:
+    with pytest.raises(ValueError, match="connections"):
+        WorldObject.from_array("robot", BODY, np.array(wrong))
+
+
+def test_objects_are_moved_and_removed(world: EvoWorld) -> None:
+    world.translate_object("robot", 3, 1)
+    assert world.objects["robot"].get_pos() == (5, 2)
+    assert world.grid[1].sum() == 0
+    assert world.grid_size == Pair(8, 4)
+    world.move_object("robot", 0, 1)
+    taken = world.remove_object("robot")
+    assert taken.get_pos() == (0, 1)
+    assert world.grid[1:].sum() == 0
+    assert list(world.objects) == ["ground"]
+
+
+def test_what_cannot_be_done_changes_nothing(world: EvoWorld) -> None:
+    grid = world.grid.copy()
+    for wrong, words in (
+        (lambda: world.move_object("robot", 1, 0), "overlaps"),
+        (lambda: world.translate_object("robot", -3, 0), "negative"),
+        (lambda: world.move_object("robots", 0, 1), "Did you mean 'robot'"),
+        (lambda: world.remove_object("box"), "no object named 'box'"),
+        (lambda: world.add_from_array("robot", BODY, 5, 1), "already"),
+        (lambda: world.add_from_array("box", BODY, 4, 1), r"overlaps another one at cell \(4, 1\)"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            wrong()
+        assert np.array_equal(world.grid, grid)
+        assert world.objects["robot"].get_pos() == (2, 1)
+
+
+def test_the_bounding_box_must_be_free(world: EvoWorld) -> None:
+    with pytest.raises(WorldError, match="overlaps"):
+        world.add_from_array("box", np.array([[1, 1], [1, 0]]), 1, 1)
+
+
+def test_copies_are_independent(world: EvoWorld) -> None:
+    other = world.objects["robot"].copy()
+    other.rename("twin")
+    other.translate(1, 0)
+    other.grid[0, 0] = 1
+    robot = world.objects["robot"]
+    assert (robot.get_name(), robot.get_pos(), robot.grid[0, 0]) == ("robot", (2, 1), 4)
+    assert str(other) == "Size (3, 2) object named twin at (3, 1)."
+
+
+def test_files_come_back(world: EvoWorld, tmp_path: Path) -> None:
+    core = World()
+    for obj in world.objects.values():
+        core.add_object(obj.to_core())
+    core.to_json(tmp_path / "world.json")
+    again = EvoWorld.from_json(str(tmp_path / "world.json"))
+    assert np.array_equal(again.grid, world.grid)
+    assert {name: obj.neighbors for name, obj in again.objects.items()} == {
+        name: obj.neighbors for name, obj in world.objects.items()
+    }
+    with pytest.raises(WorldError, match="must hold one object, but holds 2: ground, robot"):
+        WorldObject.from_json(str(tmp_path / "world.json"))
+    with pytest.raises(FileNotFoundError, match="no world file"):
+        EvoWorld.from_json(str(tmp_path / "other.json"))
+    (tmp_path / "list.json").write_text("[1, 2]")
+    with pytest.raises(ValueError, match="must hold a JSON object"):
+        EvoWorld.from_json(str(tmp_path / "list.json"))
+
+
+def test_parsed_entries_become_objects() -> None:
+    entry = {"indices": [5, 6], "types": [2, 1], "neighbors": {"5": [6], "6": [5]}}
+    obj = WorldObject()
+    obj.load_from_parsed_json("box", entry, Pair(4, 2))
+    assert (obj.get_pos(), obj.grid.tolist()) == ((1, 1), [[2, 1]])
+
+
+def test_worlds_are_printed(world: EvoWorld, capsys: pytest.CaptureFixture[str]) -> None:
+    world.pretty_print(voxels_per_line=5)
+    first, second = capsys.readouterr().out.split("\n\n")[:2]
+    assert first.splitlines()[:3] == ["2 | . . H . R", "1 | . . V S S", "0 | F F F F F"]
+    assert second.splitlines()[2] == "0 | F F F"
+
+
+def test_the_benchmarks_worlds_are_there_as_files() -> None:
+    folder = Path(BenchmarkBase.DATA_PATH)
+    assert folder == Path(BenchmarkBase.DATA_PATH)
+    for task in task_ids():
+        path = folder / f"{task}.json"
+        if path.exists():
+            spec = {obj.name: obj for obj in get_task(task).objects}
+            world = EvoWorld.from_json(str(path))
+            assert all(obj.to_core() == spec[name] for name, obj in world.objects.items())
+            assert set(spec) - set(world.objects) <= {name for name in spec if name.startswith("block_")}
+    for name, size in (("package", (3, 2)), ("peg", (5, 1)), ("rigid_2x2", (2, 2)), ("rigid_3x3", (3, 3))):
+        obj = WorldObject.from_json(str(folder / f"{name}.json"))
+        assert (obj.grid_size.x, obj.grid_size.y) == size
+    assert len(EvoWorld.from_json(str(folder / "ShapeChange.json")).objects) == 1

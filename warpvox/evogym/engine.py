@@ -1,0 +1,229 @@
+"""One environment of the simulator, seen with numpy: its points without copies, and the record of its past.
+
+The release keeps every control step since the reset and answers questions about any of them; so does this.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from warpvox.errors import listing
+from warpvox.evogym.errors import ArgumentError
+from warpvox.kernels.reset import STALE
+from warpvox.kernels.state import NOT_FINITE, UNSTABLE
+from warpvox.sim import Simulation
+from warpvox.types import Cell
+from warpvox.world import World
+
+__all__ = ["Engine", "orientation"]
+
+_STOPPED = int(UNSTABLE) | int(NOT_FINITE)
+_NEARLY_ONE, _TINY, _TWO_PI = 0.99999, 1e-7, 2 * 3.1415926  # as released
+_ANY_NUMBER = (-np.inf, np.inf)
+
+
+class Engine:
+    """A world that is stepped in float64 with the release's physics.
+
+    Points come object by object, robots first, then the others, each by name; an object's points in the order of its
+    cells, row by row from the top. Positions are in simulator units (0.1 a voxel).
+
+    Args:
+        world: what there is.
+        loose: names of objects that may be moved although none of their cells can move.
+
+    Attributes:
+        names: objects in their order.
+        robots: names of those with actuators.
+        time: complete control steps.
+        goals: for every robot float64 ``[actuators]``, goal lengths for the next step. May be written into.
+        changes: grows with everything that happens to the points.
+
+    Raises:
+        SimulationError: the world is empty.
+    """
+
+    def __init__(self, world: World, loose: tuple[str, ...] = ()) -> None:
+        if all(obj.is_static for obj in world.objects.values()):
+            loose = tuple(world.objects)  # a simulation needs something that can move
+        self.world, self._loose = world, loose
+        self._build()
+        self.time = self.changes = 0
+        self._past: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._record()
+
+    def _build(self) -> None:
+        sim = Simulation(
+            [self.world], "cpu", "evogym", "float64", lanes=1, threads=1, loose=self._loose, action_range=_ANY_NUMBER
+        )
+        design = sim.designs[0]
+        views = {name: array.numpy() for name, array in sim._state.arrays.items()}
+        self._views = {name: views[name].reshape(-1, 2) for name in ("pos", "vel", "true_vel")}
+        self._status, self._drift = views["status"].reshape(-1), views["drift"]
+        self._actions = sim._actions.numpy()[0]  # of all robots
+        self._actions[:] = 1.0  # until an action is set, actuators keep their length
+        self._bodies = {body.name: body for body in design.bodies + design.statics}
+        self.names = sorted(self._bodies, key=lambda name: (not self._bodies[name].source.is_robot, name))
+        self.robots = [body.name for body in design.robots]
+        self._spans = {b.name: slice(b.first_point, b.first_point + len(b.points)) for b in design.bodies}
+        counts = {body.name: body.source.num_actuators for body in design.robots}
+        self.goals = {b.name: self._actions[b.first_action :][: counts[b.name]] for b in design.robots}
+        self._still = {body.name: np.array(body.points) for body in design.statics}
+        self._sim = sim
+
+    # ------------------------------------------------------------------------------------------- stepping
+
+    def step(self) -> bool:
+        """One control step; True if self-folding (or numbers that are not finite) stopped and undid it."""
+        self._sim._control_step()
+        self.changes += 1
+        if self._status[0] & _STOPPED:
+            return True
+        self.time += 1
+        self._record()
+        return False
+
+    def _record(self) -> None:
+        self._past[self.time] = (self._views["pos"].copy(), self._views["vel"].copy())
+
+    def revert(self, time: int) -> None:
+        """Go back to a recorded time and forget what came after it."""
+        pos, vel = self._at(time)
+        self._set(pos, vel)
+        self.time = time
+        self._past = {then: kept for then, kept in self._past.items() if then <= time}
+        self.changes += 1
+
+    def _set(self, pos: np.ndarray, vel: np.ndarray) -> None:
+        self._views["pos"][:] = pos
+        self._views["vel"][:] = self._views["true_vel"][:] = vel
+        self._drift.fill(STALE)
+
+    def translate(self, name: str, dx: float, dy: float) -> None:
+        """Move all points of an object, in simulator units; overlaps are not looked at."""
+        if name in self._still:
+            self._loosen(name)
+        self._views["pos"][self._spans[name]] += (dx, dy)
+        self._drift.fill(STALE)
+        self._record()
+        self.changes += 1
+
+    def _loosen(self, name: str) -> None:
+        """Make an object one that can be moved; the past is told anew with its points in it."""
+        past, actions = self._past, self._actions.copy()
+        told = {time: [self._parts(kept) for kept in past[time]] for time in past}
+        still, self._loose = self._still, (*self._loose, name)
+        self._build()
+        self._actions[:] = actions
+        moving = [body.name for body in self._sim.designs[0].bodies]
+        home = (still[name], np.zeros_like(still[name]))
+        self._past = {
+            time: tuple(np.concatenate([part.get(n, home[k]) for n in moving]) for k, part in enumerate(parts))
+            for time, parts in told.items()
+        }
+        self._set(*self._past[self.time])
+
+    def _parts(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+        return {body.name: rows[self._spans[body.name]] for body in self._sim.designs[0].bodies}
+
+    # -------------------------------------------------------------------------------------------- looking
+
+    def _at(self, time: int) -> tuple[np.ndarray, np.ndarray]:
+        if time not in self._past:
+            raise ArgumentError(
+                f"There is no record of the time {time!r}; it must be a whole number, 0 to {self.time}."
+            )
+        return self._past[time]
+
+    def check(self, name: str) -> None:
+        """Raise ArgumentError unless there is an object of that name."""
+        if name not in self._bodies:
+            raise ArgumentError(f"{name} is not a valid object name; there are {listing(self.names)}.")
+
+    def moves(self, name: str) -> bool:
+        """Whether an object has points that the simulation can move."""
+        return name not in self._still
+
+    def positions(self, time: int, name: str) -> np.ndarray:
+        """``[points, 2]``, not to be written into."""
+        pos, _ = self._at(time)
+        return self._still[name] if name in self._still else pos[self._spans[name]]
+
+    def velocities(self, time: int, name: str) -> np.ndarray:
+        """``[points, 2]``, not to be written into."""
+        _, vel = self._at(time)
+        return np.zeros_like(self._still[name]) if name in self._still else vel[self._spans[name]]
+
+    def all_positions(self, time: int) -> np.ndarray:
+        """``[points, 2]`` of all objects."""
+        return np.concatenate([self.positions(time, name) for name in self.names])
+
+    def all_velocities(self, time: int) -> np.ndarray:
+        """``[points, 2]`` of all objects."""
+        return np.concatenate([self.velocities(time, name) for name in self.names])
+
+    def orientation(self, time: int, name: str) -> float:
+        """How far an object has turned since time 0, counter-clockwise in [0, 2 pi]."""
+        return orientation(self.positions(time, name), self.positions(0, name))
+
+    # --------------------------------------------------------------------------------------------- robots
+
+    def actuators(self, name: str) -> np.ndarray:
+        """int32 ``[actuators]``: flat indices of a robot's actuators, row by row from the top."""
+        grid = self._bodies[name].source.grid
+        return np.flatnonzero(np.isin(grid, (Cell.H_ACT, Cell.V_ACT))).astype(np.int32)
+
+    # ------------------------------------------------------------------------------------------- pictures
+
+    @cached_property
+    def cells(self) -> np.ndarray:
+        """int8 ``[voxels]``: types of all cells, object by object."""
+        return np.array([body.kind(cell) for body in self._in_order() for cell in body.cells], np.int8)
+
+    @cached_property
+    def corners(self) -> np.ndarray:
+        """int ``[voxels, 4]``: all points' indices at the top left, top right, bottom right and bottom left."""
+        parts, first = [], 0
+        for body in self._in_order():
+            parts.append(np.array(list(body.corners.values())) + first)
+            first += len(body.points)
+        return np.concatenate(parts)
+
+    @cached_property
+    def outlines(self) -> np.ndarray:
+        """int ``[sides, 2]``: all points' indices at the ends of sides that no other cell shares."""
+        sides = np.stack([self.corners, np.roll(self.corners, -1, axis=1)], axis=-1).reshape(-1, 2)
+        _, first, counts = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
+        return sides[first[counts == 1]]
+
+    def _in_order(self) -> list:
+        return [self._bodies[name] for name in self.names]
+
+
+def orientation(now: np.ndarray, home: np.ndarray) -> float:
+    """The release's measure of how far points ``[n, 2]`` have turned, counter-clockwise in [0, 2 pi].
+
+    The mean of the angles between old and new directions from the centre, weighted with the old distances. Where
+    rounding makes a cosine exceed 1 the release takes 0.99999: only its own order of summation gives its values at
+    rest, hence :func:`_sum`.
+    """
+    n = len(home)
+    now, home = now - _sum(now) / n, home - _sum(home) / n
+    far, weight = np.sqrt((now * now).sum(1)), np.sqrt((home * home).sum(1))
+    a, b = (rows / np.maximum(size, 1e-300)[:, None] for rows, size in ((now, far), (home, weight)))
+    cosine = (a * b).sum(1)
+    cosine[(far * weight < _TINY) | (cosine > 1)] = _NEARLY_ONE
+    cosine[cosine < -1] = -_NEARLY_ONE
+    angle = float((np.arccos(cosine) * weight).sum() / weight.sum())
+    clockwise = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() > 0
+    return _TWO_PI - angle if clockwise else angle
+
+
+def _sum(points: np.ndarray) -> np.ndarray:
+    """The sum of rows ``[n, 2]``: the first, then four at a time in two pairs, then the rest."""
+    whole = 1 + (len(points) - 1) // 4 * 4
+    four = points[1:whole].reshape(-1, 4, 2)
+    pairs = (four[:, 0] + four[:, 1]) + (four[:, 2] + four[:, 3])
+    return np.add.reduce(np.concatenate([points[:1], pairs, points[whole:]]))

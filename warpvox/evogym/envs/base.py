@@ -1,0 +1,312 @@
+"""Base classes of environments, under the names of EvoGym's module ``evogym.envs.base``."""
+
+from __future__ import annotations
+
+import atexit
+import math
+import os
+import random
+import shutil
+import tempfile
+import warnings
+from typing import Any, Dict, List, Optional, Tuple  # noqa: UP035  # scripts take these from here
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import error, spaces
+from gymnasium.utils import seeding
+
+from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.evogym.sim import EvoSim
+from warpvox.evogym.utils import *  # noqa: F403
+from warpvox.evogym.utils import __all__ as _of_utils
+from warpvox.evogym.viewer import EvoViewer
+from warpvox.evogym.world import EvoWorld, WorldObject
+from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
+
+# As in the release, `from evogym.envs import *` also gives what the modules import.
+__all__ = [  # noqa: PLE0604, RUF100
+    *_of_utils,
+    "Any",
+    "BenchmarkBase",
+    "Dict",
+    "EvoGymBase",
+    "EvoSim",
+    "EvoViewer",
+    "EvoWorld",
+    "List",
+    "Optional",
+    "Tuple",
+    "WorldObject",
+    "error",
+    "gym",
+    "math",
+    "np",
+    "os",
+    "random",
+    "seeding",
+    "spaces",
+]
+
+_WINDOWED = ("human", "screen")
+_RENDER_OPTIONS = ("verbose", "hide_background", "hide_grid", "hide_edges", "hide_voxels")
+
+
+class EvoGymBase(gym.Env):
+    """Base of environments: a simulation, a viewer, and helpers for observations. Lengths are in voxels.
+
+    A subclass makes a world, calls this constructor, sets ``action_space`` and ``observation_space``, and has
+    ``step`` and ``reset`` that call those of this class.
+
+    Args:
+        world: what there is.
+        render_mode: ``human`` or ``screen`` show every step in a window; with ``rgb_array`` or ``img``
+            :meth:`render` returns a picture; None: nothing is rendered.
+        render_options: ``verbose``, ``hide_background``, ``hide_grid``, ``hide_edges``, ``hide_voxels``, all False by
+            default; see :meth:`EvoViewer.render`. Others have no effect, as released, but a warning.
+
+    Raises:
+        ConfigError: an unknown mode. DisplayError: a window where there is no display.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["screen", "human", "img", "rgb_array"]}  # noqa: RUF012
+
+    def __init__(
+        self, world: EvoWorld, render_mode: str | None = None, render_options: dict[str, Any] | None = None
+    ) -> None:
+        modes = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in modes:
+            hint = did_you_mean(render_mode, modes)
+            raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {render_mode!r}.{hint}")
+        self._sim = EvoSim(world)
+        self._default_viewer = EvoViewer(self._sim)
+        self.render_mode = self._render_mode = render_mode
+        self._render_options = _known(render_options or {})
+        if render_mode in _WINDOWED:
+            self._default_viewer.show_debug_window()  # fails now rather than in the first step
+
+    def step(self, action: dict[str, np.ndarray]) -> bool:
+        """One control step.
+
+        Args:
+            action: for robots, by name, ``[actuators]`` goal lengths, clipped to [0.6, 1.6]. A robot that is not named
+                keeps its goals.
+
+        Returns:
+            Whether the simulation was stopped by self-folding; the step is then undone.
+
+        Raises:
+            ArgumentError (a ValueError): no such robot, or another number of values.
+        """
+        for name, goals in action.items():
+            self._sim.set_action(name, np.clip(goals, ACTION_LOW, ACTION_HIGH))
+        stopped = self._sim.step()
+        if self._render_mode in _WINDOWED:
+            self.render()
+        return stopped
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Go back to time 0; neither argument has an effect here."""
+        self._sim.reset()
+
+    @property
+    def sim(self) -> EvoSim:
+        """The simulation."""
+        return self._sim
+
+    @property
+    def default_viewer(self) -> EvoViewer:
+        """The viewer with which :meth:`render` makes its pictures."""
+        return self._default_viewer
+
+    def render(self) -> np.ndarray | None:
+        """A picture of the present state as ``render_mode`` and ``render_options`` say.
+
+        Returns:
+            uint8 ``[height, width, 3]`` in the modes ``img`` and ``rgb_array``, else None.
+        """
+        if self._render_mode is None:
+            return None
+        return self.default_viewer.render(self._render_mode, **self._render_options)
+
+    def close(self) -> None:
+        """Close the window. Harmless to repeat."""
+        self.default_viewer.close()
+
+    # --------------------------------------------------------------------------------------- as the simulation's
+
+    def get_actuator_indices(self, robot_name: str) -> np.ndarray:
+        """See :meth:`EvoSim.get_actuator_indices`."""
+        return self._sim.get_actuator_indices(robot_name)
+
+    def get_dim_action_space(self, robot_name: str) -> int:
+        """Number of a robot's actuators."""
+        return self._sim.get_dim_action_space(robot_name)
+
+    def get_time(self) -> int:
+        """Control steps since the reset."""
+        return self._sim.get_time()
+
+    def pos_at_time(self, time: int) -> np.ndarray:
+        """``[2, points]``: positions of all points."""
+        return self._sim.pos_at_time(time)
+
+    def vel_at_time(self, time: int) -> np.ndarray:
+        """``[2, points]``: velocities of all points."""
+        return self._sim.vel_at_time(time)
+
+    def object_pos_at_time(self, time: int, object_name: str) -> np.ndarray:
+        """``[2, points]``: positions of an object's points."""
+        return self._sim.object_pos_at_time(time, object_name)
+
+    def object_vel_at_time(self, time: int, object_name: str) -> np.ndarray:
+        """``[2, points]``: velocities of an object's points."""
+        return self._sim.object_vel_at_time(time, object_name)
+
+    def object_orientation_at_time(self, time: int, object_name: str) -> float:
+        """How far an object has turned since the reset, counter-clockwise, radians in [0, 2 pi]."""
+        return self._sim.object_orientation_at_time(time, object_name)
+
+    # --------------------------------------------------------------------------------------------- observations
+
+    def get_pos_com_obs(self, object_name: str) -> np.ndarray:
+        """``[2]``: an object's centre of mass."""
+        return self._sim.object_pos_at_time(self._sim.get_time(), object_name).mean(axis=1)
+
+    def get_vel_com_obs(self, object_name: str) -> np.ndarray:
+        """``[2]``: velocity of an object's centre of mass."""
+        return self._sim.object_vel_at_time(self._sim.get_time(), object_name).mean(axis=1)
+
+    def get_relative_pos_obs(self, object_name: str) -> np.ndarray:
+        """``[2 points]``: an object's points relative to its centre of mass, all x before all y."""
+        points = self._sim.object_pos_at_time(self._sim.get_time(), object_name)
+        return (points - points.mean(axis=1, keepdims=True)).flatten()
+
+    def get_ort_obs(self, object_name: str) -> np.ndarray:
+        """``[1]``: orientation of an object."""
+        return np.array([self.object_orientation_at_time(self.get_time(), object_name)])
+
+    def get_floor_obs(
+        self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
+    ) -> np.ndarray | None:
+        """Depth of the terrain below an object's centre of mass.
+
+        Args:
+            object_name: of the object.
+            terrain_list: names of the objects that are terrain.
+            sight_dist: windows to the left and to the right; each is a voxel wide, one lies about the centre of mass.
+            sight_range: how far down is seen.
+
+        Returns:
+            ``[2 sight_dist + 1]``: down to the highest point of the terrain below the centre of mass, ``sight_range``
+            at most. None without terrain, as released.
+        """
+        return self._scan(object_name, terrain_list, sight_dist, sight_range, -1)
+
+    def get_ceil_obs(
+        self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
+    ) -> np.ndarray | None:
+        """Height of the terrain above; as :meth:`get_floor_obs`, upward to the lowest point."""
+        return self._scan(object_name, terrain_list, sight_dist, sight_range, 1)
+
+    def _scan(self, name: str, terrain: list[str], reach: int, sight: float, up: int) -> np.ndarray | None:
+        if len(terrain) == 0:
+            return None
+        # By name and in voxels even where a subclass measures otherwise.
+        x, y = EvoGymBase.get_pos_com_obs(self, name)
+        points = np.concatenate([self._sim.object_pos_at_time(self._sim.get_time(), each) for each in terrain], axis=1)
+        offsets = np.arange(-reach, reach + 1)
+        left, right = x + (offsets - 0.5), x + (offsets + 0.5)
+        beyond = points[1] > y if up > 0 else points[1] < y
+        points = points[:, beyond & (points[0] > left[0]) & (points[0] < right[-1])]
+        inside = (points[0] > left[:, None]) & (points[0] < right[:, None])
+        distance = np.where(inside, up * (points[1] - y), sight).min(axis=1, initial=sight)
+        return np.clip(distance, 0, sight)
+
+
+def _known(options: dict[str, Any]) -> dict[str, Any]:
+    for name in options:
+        if name not in _RENDER_OPTIONS:
+            hint = did_you_mean(name, _RENDER_OPTIONS)
+            text = f"There is no render option {name!r}; there are {listing(_RENDER_OPTIONS)}.{hint}"
+            warnings.warn(text, stacklevel=3)
+    return {name: value for name, value in options.items() if name in _RENDER_OPTIONS}
+
+
+class _WorldFiles:
+    """A folder with the benchmark's worlds as files of EvoGym's design tool, written when it is first asked for."""
+
+    def __init__(self) -> None:
+        self._folder: str | None = None
+
+    def __get__(self, instance: object, owner: type) -> str:
+        if self._folder is None:
+            from warpvox.evogym.envs.files import write_worlds
+
+            self._folder = tempfile.mkdtemp(prefix="warpvox-worlds-")
+            atexit.register(shutil.rmtree, self._folder, ignore_errors=True)
+            write_worlds(self._folder)
+        return self._folder
+
+
+class BenchmarkBase(EvoGymBase):
+    """Base of the benchmark's environments: as :class:`EvoGymBase`, with lengths in simulator units (0.1 a voxel).
+
+    The viewer follows the object ``robot``.
+
+    Attributes:
+        DATA_PATH: a folder that holds the worlds of the benchmark as files, for instance ``Walker-v0.json``; a copy
+            for this process.
+        VOXEL_SIZE: 0.1.
+    """
+
+    DATA_PATH = _WorldFiles()
+    VOXEL_SIZE = VOXEL
+
+    def __init__(
+        self, world: EvoWorld, render_mode: str | None = None, render_options: dict[str, Any] | None = None
+    ) -> None:
+        EvoGymBase.__init__(self, world=world, render_mode=render_mode, render_options=render_options)
+        self.default_viewer.track_objects("robot")
+
+    def pos_at_time(self, time: int) -> np.ndarray:
+        """``[2, points]``: positions of all points."""
+        return super().pos_at_time(time) * VOXEL
+
+    def vel_at_time(self, time: int) -> np.ndarray:
+        """``[2, points]``: velocities of all points."""
+        return super().vel_at_time(time) * VOXEL
+
+    def object_pos_at_time(self, time: int, object_name: str) -> np.ndarray:
+        """``[2, points]``: positions of an object's points."""
+        return super().object_pos_at_time(time, object_name) * VOXEL
+
+    def object_vel_at_time(self, time: int, object_name: str) -> np.ndarray:
+        """``[2, points]``: velocities of an object's points."""
+        return super().object_vel_at_time(time, object_name) * VOXEL
+
+    def get_pos_com_obs(self, object_name: str) -> np.ndarray:
+        """``[2]``: an object's centre of mass."""
+        return super().get_pos_com_obs(object_name) * VOXEL
+
+    def get_vel_com_obs(self, object_name: str) -> np.ndarray:
+        """``[2]``: velocity of an object's centre of mass."""
+        return super().get_vel_com_obs(object_name) * VOXEL
+
+    def get_relative_pos_obs(self, object_name: str) -> np.ndarray:
+        """``[2 points]``: an object's points relative to its centre of mass, all x before all y."""
+        return super().get_relative_pos_obs(object_name) * VOXEL
+
+    def get_floor_obs(
+        self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
+    ) -> np.ndarray | None:
+        """As :meth:`EvoGymBase.get_floor_obs`; ``sight_range`` stays in voxels, as released."""
+        found = super().get_floor_obs(object_name, terrain_list, sight_dist, sight_range)
+        return None if found is None else found * VOXEL
+
+    def get_ceil_obs(
+        self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
+    ) -> np.ndarray | None:
+        """As :meth:`EvoGymBase.get_ceil_obs`; ``sight_range`` stays in voxels, as released."""
+        found = super().get_ceil_obs(object_name, terrain_list, sight_dist, sight_range)
+        return None if found is None else found * VOXEL

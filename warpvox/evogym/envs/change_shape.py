@@ -1,0 +1,58 @@
+"""Changes of shape, under the names of EvoGym's module ``evogym.envs.change_shape``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from warpvox.evogym.envs.base import BenchmarkBase
+from warpvox.evogym.envs.moment import convex_hull, polygon_area, turn
+from warpvox.evogym.envs.task import TaskEnv
+
+__all__ = ["MaximizeShape", "MaximizeXShape", "MaximizeYShape", "MinimizeShape", "ShapeBase"]
+
+
+class ShapeBase(BenchmarkBase):
+    """Base of tasks about a robot's shape: it observes its points; with helpers about convex hulls."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        """Begin an episode. Returns the robot's points and an empty dictionary."""
+        super().reset(seed=seed, options=options)
+        return self.get_relative_pos_obs("robot"), {}
+
+    def CCW(self, p1: np.ndarray, p2: np.ndarray, p3: np.ndarray) -> bool:
+        """Whether the way over three points turns left or goes straight on."""
+        return bool(turn(p1, p2, p3) >= 0)
+
+    def jarvis_march(self, S: np.ndarray) -> np.ndarray:
+        """Corners ``[k, 2]`` of the convex hull of points ``[n, 2]``, counter-clockwise."""
+        return convex_hull(np.asarray(S))
+
+    def convex_poly_area(self, pts_cw: np.ndarray) -> float:
+        """Area of a polygon ``[k, 2]``, positive if counter-clockwise."""
+        return polygon_area(np.asarray(pts_cw))
+
+
+class MaximizeShape(TaskEnv, ShapeBase):
+    """AreaMaximizer-v0."""
+
+    task = "AreaMaximizer-v0"
+
+
+class MinimizeShape(TaskEnv, ShapeBase):
+    """AreaMinimizer-v0."""
+
+    task = "AreaMinimizer-v0"
+
+
+class MaximizeXShape(TaskEnv, ShapeBase):
+    """WingspanMaximizer-v0, which the release spells WingspanMazimizer-v0."""
+
+    task = "WingspanMaximizer-v0"
+
+
+class MaximizeYShape(TaskEnv, ShapeBase):
+    """HeightMaximizer-v0."""
+
+    task = "HeightMaximizer-v0"

@@ -1,0 +1,39 @@
+"""Climbing, under the names of EvoGym's module ``evogym.envs.climb``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from warpvox.evogym.envs.base import BenchmarkBase
+from warpvox.evogym.envs.task import TaskEnv
+
+__all__ = ["Climb0", "Climb1", "Climb2", "ClimbBase"]
+
+
+class ClimbBase(BenchmarkBase):
+    """Base of tasks in which a robot observes its velocity and its points."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        """Begin an episode. Returns velocity and points of the robot, and an empty dictionary."""
+        super().reset(seed=seed, options=options)
+        return np.concatenate([self.get_vel_com_obs("robot"), self.get_relative_pos_obs("robot")]), {}
+
+
+class Climb0(TaskEnv, ClimbBase):
+    """Climber-v0."""
+
+    task = "Climber-v0"
+
+
+class Climb1(TaskEnv, ClimbBase):
+    """Climber-v1."""
+
+    task = "Climber-v1"
+
+
+class Climb2(TaskEnv, ClimbBase):
+    """Climber-v2."""
+
+    task = "Climber-v2"

@@ -1,0 +1,164 @@
+"""Objects that are carried, pushed, thrown, caught and toppled: EvoGym's module ``evogym.envs.manipulate``."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import numpy as np
+
+from warpvox.envs.spec import TaskSpec
+from warpvox.evogym.envs.base import BenchmarkBase
+from warpvox.evogym.envs.task import TaskEnv
+from warpvox.evogym.sim import EvoSim
+from warpvox.evogym.world import EvoWorld
+
+__all__ = [
+    "CarrySmallRect",
+    "CarrySmallRectToTable",
+    "CatchSmallRect",
+    "LiftSmallRect",
+    "PackageBase",
+    "PushSmallRect",
+    "PushSmallRectOnOppositeSide",
+    "SlideBeam",
+    "ThrowSmallRect",
+    "ToppleBeam",
+]
+
+
+class PackageBase(BenchmarkBase):
+    """Base of tasks with an object named ``package``.
+
+    Attributes:
+        thresh_height: below it, in simulator units, the package costs reward for falling; set by a subclass.
+    """
+
+    thresh_height = 0.0
+
+    def __init__(self, world: EvoWorld, render_mode: str | None = None, render_options: dict | None = None) -> None:
+        super().__init__(world=world, render_mode=render_mode, render_options=render_options)
+        self.default_viewer.track_objects("robot", "package")
+
+    def get_obs(
+        self,
+        robot_pos_final: np.ndarray,
+        robot_vel_final: np.ndarray,
+        package_pos_final: np.ndarray,
+        package_vel_final: np.ndarray,
+    ) -> np.ndarray:
+        """``[6]``: the robot's velocity, the way from it to the package, the package's velocity.
+
+        Args: positions and velocities of points, ``[2, n]``.
+        """
+        places = (robot_pos_final, robot_vel_final, package_pos_final, package_vel_final)
+        robot, robot_speed, package, package_speed = (np.mean(points, axis=1) for points in places)
+        return np.concatenate([robot_speed, package - robot, package_speed])
+
+    def get_reward(
+        self,
+        package_pos_init: np.ndarray,
+        package_pos_final: np.ndarray,
+        robot_pos_init: np.ndarray,
+        robot_pos_final: np.ndarray,
+    ) -> float:
+        """For moving both to the right and together, less for dropping the package; positions are ``[2, n]``."""
+        places = (package_pos_init, package_pos_final, robot_pos_init, robot_pos_final)
+        package_0, package_1, robot_0, robot_1 = (np.mean(points, axis=1) for points in places)
+        reward = 0.75 * (package_1[0] - package_0[0]) + 0.5 * (robot_1[0] - robot_0[0])
+        reward += abs(robot_0[0] - package_0[0]) - abs(robot_1[0] - package_1[0])
+        return reward + (10 * (package_1[1] - package_0[1]) if package_1[1] < self.thresh_height else 0.0)
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        """Begin an episode. Returns what :meth:`get_obs` gives with the robot's points, and an empty dictionary."""
+        super().reset(seed=seed, options=options)
+        now = self.get_time()
+        parts = [look(now, name) for name in ("robot", "package") for look in self._looks()]
+        return np.concatenate([self.get_obs(*parts), self.get_relative_pos_obs("robot")]), {}
+
+    def _looks(self) -> tuple:
+        return self.object_pos_at_time, self.object_vel_at_time
+
+
+class CarrySmallRect(TaskEnv, PackageBase):
+    """Carrier-v0."""
+
+    task = "Carrier-v0"
+
+
+class CarrySmallRectToTable(TaskEnv, PackageBase):
+    """Carrier-v1."""
+
+    task = "Carrier-v1"
+
+
+class PushSmallRect(TaskEnv, PackageBase):
+    """Pusher-v0."""
+
+    task = "Pusher-v0"
+
+
+class PushSmallRectOnOppositeSide(TaskEnv, PackageBase):
+    """Pusher-v1."""
+
+    task = "Pusher-v1"
+
+
+class ThrowSmallRect(TaskEnv, PackageBase):
+    """Thrower-v0."""
+
+    task = "Thrower-v0"
+
+
+class CatchSmallRect(TaskEnv, PackageBase):
+    """Catcher-v0: the package and its pegs begin every episode in another place.
+
+    The place is drawn when the environment is made and at every reset, as released from Python's global generator
+    ``random``; ``reset(seed=...)`` gives the environment a generator of its own.
+
+    Attributes:
+        offsetx, offsety: the present place, in cells from that in the world.
+    """
+
+    task = "Catcher-v0"
+
+    def __init__(self, body: np.ndarray, *args: Any, **kwargs: Any) -> None:
+        self._random: Any = random
+        super().__init__(body, *args, **kwargs)
+
+    def _make_world(self, spec: TaskSpec, body: np.ndarray, connections: np.ndarray | None) -> EvoWorld:
+        world = super()._make_world(spec, body, connections)
+        self.offsetx, self.offsety = self._random.randint(-6, 4), self._random.randint(0, 5)
+        places = {obj.name: (obj.x + self.offsetx, obj.y + self.offsety) for obj in spec.objects}
+        for name in spec.scattered:
+            world.move_object(name, *places[name])
+        self._made_of = (spec, body, connections)
+        return world
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        """Begin an episode with the package in another place."""
+        if seed is not None:
+            self._random = random.Random(seed)
+        self.world = self._make_world(*self._made_of)
+        self._sim = EvoSim(self.world)
+        self.default_viewer.look_at(self._sim)
+        self._last = None
+        return self._observe(self._moment()), {}
+
+
+class ToppleBeam(TaskEnv, PackageBase):
+    """BeamToppler-v0."""
+
+    task = "BeamToppler-v0"
+
+
+class SlideBeam(TaskEnv, PackageBase):
+    """BeamSlider-v0."""
+
+    task = "BeamSlider-v0"
+
+
+class LiftSmallRect(TaskEnv, PackageBase):
+    """Lifter-v0."""
+
+    task = "Lifter-v0"

@@ -1,0 +1,132 @@
+"""Lists of goals that are reached one after the other, under the names of ``evogym.envs.multi_goal``."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from warpvox.evogym.envs.base import BenchmarkBase
+from warpvox.evogym.envs.moment import OBSERVATIONS, Moment
+from warpvox.evogym.envs.task import TaskEnv
+from warpvox.evogym.errors import ArgumentError
+from warpvox.types import VOXEL
+
+__all__ = ["BiWalk", "Goal", "GoalBase", "WalkToX"]
+
+_NEAR = 2 * VOXEL  # a goal is reached within this distance
+_BEFORE, _AFTER = "robot_com_pos_initial", "robot_com_pos_final"
+
+
+class Goal:
+    """A goal. A subclass has ``evaluate(args)``, which gives the reward and whether the goal is reached, and
+    ``get_obs(args)``.
+
+    Args:
+        name: for messages.
+        requirements: keys of ``args`` that it needs.
+    """
+
+    def __init__(self, name: str, requirements: Sequence[str] | None = None) -> None:
+        self.name, self.requirements = name, list(requirements or ())
+
+    def evaluate(self, args: Mapping[str, Any]) -> tuple[float, bool]:
+        """Reward of a step, and whether the goal is reached."""
+        raise NotImplementedError(f"The goal '{self.name}' must define evaluate(args).")
+
+    def get_obs(self, args: Mapping[str, Any]) -> np.ndarray:
+        """What is observed of the goal."""
+        raise NotImplementedError(f"The goal '{self.name}' must define get_obs(args).")
+
+
+class WalkToX(Goal):
+    """Come near a place along x, given in voxels; ``args`` hold the robot's points before and after, ``[2, n]``."""
+
+    def __init__(self, x_goal: float) -> None:
+        super().__init__(f"Walk to x = {x_goal}", [_BEFORE, _AFTER])
+        self.x_goal = x_goal
+
+    def evaluate(self, args: Mapping[str, np.ndarray]) -> tuple[float, bool]:
+        """How much closer the robot has come, and whether it is within two voxels."""
+        before, after = (abs(self.x_goal * VOXEL - np.mean(args[key][0])) for key in (_BEFORE, _AFTER))
+        return before - after, bool(after < _NEAR)
+
+    def get_obs(self, args: Mapping[str, np.ndarray]) -> np.ndarray:
+        """``[2]``: the place, and the way to it."""
+        place = self.x_goal * VOXEL
+        return np.array([place, place - np.mean(args[_AFTER][0])])
+
+
+class GoalBase(BenchmarkBase):
+    """Base of tasks with a list of goals.
+
+    Attributes:
+        goals: the list.
+        current_goal: how many of them have been reached.
+    """
+
+    def init_reward_goals(self, goals: Sequence[Goal]) -> None:
+        """Set the list and begin with its first goal; ArgumentError if there is none."""
+        if not goals:
+            raise ArgumentError("An environment with goals needs at least one.")
+        self.goals, self.current_goal = list(goals), 0
+        self.requirements: dict[str, list[str]] = {}
+        for goal in self.goals:
+            for key in goal.requirements:
+                self.requirements.setdefault(key, []).append(goal.name)
+
+    def get_reward(self, args: Mapping[str, Any]) -> tuple[float, bool]:
+        """Reward for the goal that is open after this step, and whether none is."""
+        for key, names in self.requirements.items():
+            if args.get(key) is None:
+                raise ArgumentError(f"args lack '{key}', which {', '.join(dict.fromkeys(names))} need.")
+        reward, reached = 0.0, True
+        while reached and self.current_goal < len(self.goals):
+            reward, reached = self.goals[self.current_goal].evaluate(args)
+            self.current_goal += int(reached)
+        return reward, self.current_goal == len(self.goals)
+
+    def get_obs(self, args: Mapping[str, Any]) -> np.ndarray:
+        """What is observed of the present goal; of the last one when all have been reached."""
+        return self.goals[min(self.current_goal, len(self.goals) - 1)].get_obs(args)
+
+
+class BiWalk(TaskEnv, GoalBase):
+    """BidirectionalWalker-v0.
+
+    Goals are drawn when the environment is made and at every reset, as released from Python's global generator
+    ``random``; ``reset(seed=...)`` gives the environment a generator of its own.
+    """
+
+    task = "BidirectionalWalker-v0"
+
+    def __init__(self, body: np.ndarray, *args: Any, **kwargs: Any) -> None:
+        self._random: Any = random
+        self.set_random_goals(20, 50, 100)
+        super().__init__(body, *args, **kwargs)
+
+    def set_random_goals(self, lower_bound: int, upper_bound: int, goal_dist: float) -> None:
+        """Draw goals in [lower_bound, upper_bound) voxels until the way past all of them is ``goal_dist`` or longer."""
+        place, way, goals = 35, 0, []
+        while way < goal_dist:
+            goal = self._random.randrange(lower_bound, upper_bound)
+            way, place = way + abs(place - goal), goal
+            goals.append(WalkToX(goal))
+        self.init_reward_goals(goals)
+
+    def _observe(self, now: Moment) -> np.ndarray:
+        body = [OBSERVATIONS[name](now, "robot") for name in ("velocity", "shape")]
+        return np.concatenate([*body, [self.current_goal], self.get_obs({_AFTER: now.points("robot").T})])
+
+    def _judge(self, before: Moment, after: Moment) -> tuple[float, bool]:
+        reward, done = self.get_reward({_BEFORE: before.points("robot").T, _AFTER: after.points("robot").T})
+        return float(reward) + done, done
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        """Begin an episode with other goals."""
+        if seed is not None:
+            self._random = random.Random(seed)
+        self.set_random_goals(20, 50, 100)
+        return super().reset(seed=seed, options=options)

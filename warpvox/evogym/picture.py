@@ -1,0 +1,94 @@
+"""Pictures of a running simulation, from any place and with any shape of view; without a display."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from warpvox.painter import GRID, INK, SKY
+from warpvox.palette import colour_index, palette
+from warpvox.types import VOXEL, Cell
+
+if TYPE_CHECKING:
+    from warpvox.evogym.engine import Engine
+
+__all__ = ["paint"]
+
+SMOOTH = 2  # pictures are painted this many times larger, which makes their edges smooth
+WHITE = (255, 255, 255)
+OUTLINE = 1 / 14  # width of outlines in voxels
+
+
+def paint(
+    engine: Engine,
+    middle: tuple[float, float],
+    view: tuple[float, float],
+    size: tuple[int, int],
+    hide_background: bool = False,
+    hide_grid: bool = False,
+    hide_edges: bool = False,
+    hide_voxels: bool = False,
+) -> np.ndarray:
+    """The present state.
+
+    Args:
+        engine: what is looked at.
+        middle: the centre of the picture, in simulator units.
+        view: width and height of what is seen, in simulator units; stretched to the picture.
+        size: width and height in pixels.
+        hide_background: white instead of the sky.
+        hide_grid, hide_edges, hide_voxels: leave out the grid, the outlines of objects, the cells.
+
+    Returns:
+        uint8 ``[height, width, 3]``.
+    """
+    large = (size[0] * SMOOTH, size[1] * SMOOTH)
+    scale = np.array(large) / view
+    corner = np.array(middle) - np.array(view) / 2
+    image = Image.new("RGB", large, WHITE if hide_background else SKY)
+    draw = ImageDraw.Draw(image)
+    if not hide_grid:
+        _grid(draw, corner, view, scale, large)
+    points = engine.all_positions(engine.time)
+    # Clipped: drawing is exact within the picture, and far points would overflow Pillow's whole numbers.
+    places = np.clip((points - corner) * scale, -1e6, 1e6)
+    places[:, 1] = large[1] - places[:, 1]
+    if not hide_voxels:
+        quads = places[engine.corners]
+        seen = _seen(quads, large)
+        colours = palette()[
+            colour_index(engine.cells[seen], _stretch(points[engine.corners[seen]], engine.cells[seen]))
+        ]
+        for quad, colour in zip(quads[seen].reshape(-1, 8).tolist(), colours.tolist(), strict=True):
+            draw.polygon(quad, fill=tuple(colour))
+    if not hide_edges:
+        sides = places[engine.outlines]
+        width = max(1, round(OUTLINE * VOXEL * float(scale.min())))
+        for side in sides[_seen(sides, large)].reshape(-1, 4).tolist():
+            draw.line(side, fill=INK, width=width)
+    return np.asarray(image.reduce(SMOOTH))
+
+
+def _seen(shapes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """bool ``[k]``: which shapes ``[k, corners, 2]`` may touch the picture."""
+    return ((shapes.max(axis=1) >= 0) & (shapes.min(axis=1) <= size)).all(axis=1)
+
+
+def _stretch(corners: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """``[voxels]``: length of each cell ``[voxels, 4, 2]`` along its axis of actuation, in units of a voxel."""
+    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2) / VOXEL
+    across, upright = (lengths[:, 0] + lengths[:, 2]) / 2, (lengths[:, 1] + lengths[:, 3]) / 2
+    return np.where(cells == Cell.V_ACT, upright, across)
+
+
+def _grid(draw: ImageDraw.ImageDraw, corner: np.ndarray, view: tuple, scale: np.ndarray, size: tuple) -> None:
+    """A line at every voxel; none where they would lie closer than three pixels."""
+    for axis in (0, 1):
+        if scale[axis] * VOXEL < 3 * SMOOTH:
+            continue
+        low, high = np.ceil(corner[axis] / VOXEL), np.floor((corner[axis] + view[axis]) / VOXEL)
+        for at in ((np.arange(low, high + 1) * VOXEL - corner[axis]) * scale[axis]).tolist():
+            line = (at, 0, at, size[1]) if axis == 0 else (0, size[1] - at, size[0], size[1] - at)
+            draw.line(line, fill=GRID, width=SMOOTH)

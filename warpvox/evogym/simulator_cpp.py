@@ -1,0 +1,324 @@
+"""The lower layer of the release, its module ``evogym.simulator_cpp``: ``Sim``, ``Camera`` and ``Viewer``.
+
+Lengths are in simulator units here (0.1 a voxel); :class:`warpvox.evogym.EvoSim` speaks of voxels.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpvox.errors import DisplayError, SimulationError, WorldError
+from warpvox.evogym.errors import ArgumentError
+from warpvox.evogym.picture import paint
+from warpvox.world import World, WorldObject
+
+if TYPE_CHECKING:
+    from warpvox.evogym.engine import Engine
+    from warpvox.window import Window
+
+__all__ = ["Camera", "Sim", "Viewer"]
+
+
+class Sim:
+    """A simulation that objects are read into, and that is then stepped.
+
+    Objects are simulated in one order, whatever the order of reading: robots first, then the others, each by name.
+    """
+
+    def __init__(self) -> None:
+        self._plan = World()
+        self._running: Engine | None = None
+
+    @property
+    def _engine(self) -> Engine:
+        """The running simulation; from its first use on no object can be added."""
+        if self._running is None:
+            _quiet_warp()
+            from warpvox.evogym.engine import Engine  # brings torch and Warp, which worlds alone do not need
+
+            self._running = Engine(self._plan)
+        return self._running
+
+    # ------------------------------------------------------------------------------------------- building
+
+    def init(self, x: int, y: int) -> None:
+        """Begin with an empty grid of ``x`` by ``y`` cells."""
+        self._plan, self._running = World(int(x), int(y)), None
+
+    def get_version(self) -> None:
+        """Print which simulator this is."""
+        print("warpvox, with the physics of Evolution Gym Simulator v2.2.5")
+
+    def read_object_from_array(
+        self, grid: np.ndarray, connections: np.ndarray, object_name: str, x: float, y: float
+    ) -> bool:
+        """Add an object.
+
+        Args:
+            grid: cells ``[rows, columns]``, row 0 on top.
+            connections: ``[2, k]`` pairs of flat indices into ``grid``.
+            object_name: unique name.
+            x, y: cell of the lower left corner.
+
+        Returns:
+            True.
+
+        Raises:
+            WorldError: it is not valid or overlaps another object. SimulationError: the simulation has begun.
+        """
+        self._add(WorldObject.from_array(object_name, grid, int(x), int(y), connections))
+        return True
+
+    def read_robot_from_array(
+        self, grid: np.ndarray, connections: np.ndarray, robot_name: str, x: float, y: float
+    ) -> bool:
+        """Add a robot; as :meth:`read_object_from_array`."""
+        return self.read_object_from_array(grid, connections, robot_name, x, y)
+
+    def read_object_from_file(self, file_name: str, object_name: str, x: float, y: float) -> bool:
+        """Add an object from a file of whole numbers: columns, rows, the cells from the top row on, pairs of indices.
+
+        Raises:
+            FileNotFoundError: no such file. Otherwise as :meth:`read_object_from_array`.
+        """
+        words = Path(file_name).read_text(encoding="utf-8").split()
+        try:
+            columns, rows, *rest = (int(word) for word in words)
+            grid = np.array(rest[: rows * columns]).reshape(rows, columns)
+            pairs = np.array(rest[rows * columns :], int).reshape(-1, 2).T
+        except ValueError:
+            raise WorldError(
+                f"The file '{file_name}' must hold columns, rows, as many cells, and pairs of indices of cells."
+            ) from None
+        return self.read_object_from_array(grid, pairs, object_name, x, y)
+
+    def read_robot_from_file(self, file_name: str, robot_name: str, x: float, y: float) -> bool:
+        """Add a robot; as :meth:`read_object_from_file`."""
+        return self.read_object_from_file(file_name, robot_name, x, y)
+
+    def _add(self, obj: WorldObject) -> None:
+        if self._running is not None:
+            raise SimulationError(f"'{obj.name}' cannot be added: the simulation has begun. Add objects before.")
+        self._plan.add_object(obj)
+
+    # ------------------------------------------------------------------------------------------- stepping
+
+    def step(self) -> bool:
+        """One control step of 30 sub-steps.
+
+        Returns:
+            Whether a robot has folded into itself. The step is then undone, and time stands still.
+        """
+        return self._engine.step()
+
+    def set_action(self, robot_name: str, action: np.ndarray) -> None:
+        """Set goals of actuators from the next step on; they hold until others are set.
+
+        Args:
+            robot_name: of the robot.
+            action: ``[k, 2]``, the flat index of an actuator's cell and the goal length of its sides in units of
+                their rest length (1.0 before anything is set). Not clipped.
+
+        Raises:
+            ArgumentError: no such robot, or no actuator there.
+        """
+        self._check_robot(robot_name)
+        action = np.asarray(action, float).reshape(-1, 2)
+        known = self._engine.actuators(robot_name)
+        wrong = np.setdiff1d(action[:, 0], known)
+        if len(wrong):
+            raise ArgumentError(f"'{robot_name}' has no actuator at index {wrong[0]:g}; they are at {known.tolist()}.")
+        self._engine.goals[robot_name][np.searchsorted(known, action[:, 0])] = action[:, 1]
+
+    def revert(self, sim_time: int) -> None:
+        """Go back to a time that has been; what came after it is forgotten. Goals of actuators stay as they are.
+
+        Raises:
+            ArgumentError: there is no record of that time.
+        """
+        self._engine.revert(sim_time)
+
+    def translate_object(self, x: float, y: float, object_name: str) -> None:
+        """Move an object by (x, y) at once; overlaps are not looked at.
+
+        Raises:
+            ArgumentError: no such object.
+        """
+        self._engine.check(object_name)
+        self._engine.translate(object_name, x, y)
+
+    # -------------------------------------------------------------------------------------------- looking
+
+    def get_time(self) -> int:
+        """Complete control steps since the beginning."""
+        return self._engine.time
+
+    def pos_at_time(self, sim_time: int) -> np.ndarray:
+        """``[2, points]``: positions of all points, object by object."""
+        return _rows(self._engine.all_positions(sim_time))
+
+    def vel_at_time(self, sim_time: int) -> np.ndarray:
+        """``[2, points]``: velocities of all points, in simulator units per inner time (30 x 1e-4 a step)."""
+        return _rows(self._engine.all_velocities(sim_time))
+
+    def object_pos_at_time(self, sim_time: int, object_name: str) -> np.ndarray:
+        """``[2, points]``: positions of an object's points."""
+        self._engine.check(object_name)
+        return _rows(self._engine.positions(sim_time, object_name))
+
+    def object_vel_at_time(self, sim_time: int, object_name: str) -> np.ndarray:
+        """``[2, points]``: velocities of an object's points."""
+        self._engine.check(object_name)
+        return _rows(self._engine.velocities(sim_time, object_name))
+
+    def object_orientation_at_time(self, sim_time: int, object_name: str) -> float:
+        """How far an object has turned since time 0, counter-clockwise, radians in [0, 2 pi]."""
+        self._engine.check(object_name)
+        return self._engine.orientation(sim_time, object_name)
+
+    def get_indices_of_actuators(self, robot_name: str) -> np.ndarray:
+        """int32 ``[1, actuators]``: flat indices of their cells, row by row from the top."""
+        self._check_robot(robot_name)
+        return self._engine.actuators(robot_name)[None]
+
+    def _check_robot(self, name: str) -> None:
+        if name not in self._engine.robots:
+            raise ArgumentError(f"{name} is not a valid robot name; robots are {self._engine.robots}.")
+
+
+def _quiet_warp() -> None:
+    """Keep Warp from reporting what it loads, unless the script has chosen what it reports."""
+    import warp
+
+    if warp.config.log_level == warp.LOG_INFO:
+        warp.config.log_level = warp.LOG_WARNING
+
+
+def _rows(points: np.ndarray) -> np.ndarray:
+    """A copy of ``[n, 2]`` as ``[2, n]``, point by point in memory as the release has it."""
+    return points.T.copy(order="F")
+
+
+class Camera:
+    """What a picture shows.
+
+    Args:
+        is_renderable: as released, True for a camera of images and False for one of windows.
+    """
+
+    def __init__(self, is_renderable: bool) -> None:
+        self.is_renderable = is_renderable
+        self.pos, self.size, self.resolution = (0.0, 0.0), (1.0, 1.0), (320, 320)
+        self._image = np.zeros(0, np.uint8)
+
+    def set_pos(self, x: float, y: float) -> None:
+        """Set the middle of the picture, in simulator units."""
+        self.pos = (float(x), float(y))
+
+    def set_size(self, x: float, y: float) -> None:
+        """Set how much the picture shows, width and height in simulator units."""
+        self.size = (float(x), float(y))
+
+    def set_resolution(self, x: float, y: float) -> None:
+        """Set the width and height of the picture in pixels."""
+        self.resolution = (int(x), int(y))
+
+    def get_resolution_width(self) -> int:
+        """Pixels from left to right."""
+        return self.resolution[0]
+
+    def get_resolution_height(self) -> int:
+        """Pixels from top to bottom."""
+        return self.resolution[1]
+
+    def get_image(self) -> memoryview:
+        """The bytes of the last picture: rows from the top, red, green and blue."""
+        return memoryview(self._image.reshape(-1))
+
+
+class Viewer:
+    """Paints a simulation for cameras, and owns a window.
+
+    Args:
+        sim: what is looked at.
+    """
+
+    def __init__(self, sim: Sim) -> None:
+        self._sim, self._window, self._shown = sim, None, False
+
+    def look_at(self, sim: Sim) -> None:
+        """Go on with another simulation, in the same window."""
+        self._sim = sim
+
+    def init(self) -> None:
+        """Nothing: kept because scripts may call it."""
+
+    def render(
+        self,
+        camera: Camera,
+        hide_background: bool = False,
+        hide_grid: bool = False,
+        hide_edges: bool = False,
+        hide_boxels: bool = False,
+        dont_clear: bool = False,
+    ) -> None:
+        """Paint what a camera sees, into its image, or into the window if it is shown.
+
+        Raises:
+            ArgumentError: ``dont_clear``, which painted over the last picture, is asked for.
+        """
+        if dont_clear:
+            raise ArgumentError("dont_clear=True is not available: every picture is painted anew.")
+        if not (camera.is_renderable or self._shown):
+            return
+        window = None if camera.is_renderable else self._open(camera.resolution)
+        if window is not None and not window.visible:
+            return
+        hidden = (hide_background, hide_grid, hide_edges, hide_boxels)
+        picture = paint(self._sim._engine, camera.pos, camera.size, camera.resolution, *hidden)
+        if window is None:
+            camera._image = picture
+        else:
+            window.show(picture)
+
+    def _open(self, size: tuple[int, int]) -> Window:
+        if self._window is None:
+            from warpvox.window import Window
+
+            self._window = Window(size, "warpvox")
+        return self._window
+
+    def show_debug_window(self) -> None:
+        """Let pictures of window cameras be shown; the window opens with the first.
+
+        Raises:
+            DisplayError: windows cannot be shown here.
+        """
+        from warpvox.window import OTHERWISE, why_no_window
+
+        reason = why_no_window()
+        if reason is not None:
+            raise DisplayError(f"The modes 'screen' and 'human' show a window, but {reason}. {OTHERWISE}")
+        self._shown = True
+        if self._window is not None:
+            self._window.unhide()
+
+    def hide_debug_window(self) -> None:
+        """Take the window off the screen."""
+        self._shown = False
+        if self._window is not None:
+            self._window.hide()
+
+    def close(self) -> None:
+        """Close the window."""
+        self._shown = False
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def get_debug_window_pos(self) -> list[int]:
+        """x and y of the window on the screen; [0, 0] while there is none."""
+        return [0, 0] if self._window is None else list(self._window.place)

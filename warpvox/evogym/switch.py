@@ -1,0 +1,59 @@
+"""``install()``: from then on ``import evogym`` means this package."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+from warpvox.evogym.errors import InstallError
+
+__all__ = ["install"]
+
+THEIRS, OURS = "evogym", "warpvox.evogym"
+
+
+class _Alias(MetaPathFinder, Loader):
+    """Finds ``evogym`` and everything below it as the modules of this package: one module under two names."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if fullname == THEIRS or fullname.startswith(THEIRS + "."):
+            try:
+                here = importlib.util.find_spec(OURS + fullname[len(THEIRS) :])
+            except ModuleNotFoundError:
+                return None
+            if here is not None:
+                return ModuleSpec(fullname, self, is_package=here.submodule_search_locations is not None)
+        return None
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        module = importlib.import_module(OURS + spec.name[len(THEIRS) :])
+        self._own = module.__spec__, module.__loader__, module.__package__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        # The import system has just told the module that its name is another one.
+        module.__spec__, module.__loader__, module.__package__ = self._own
+
+
+def install() -> None:
+    """Make ``import evogym``, ``import evogym.envs`` and so on give the modules of :mod:`warpvox.evogym`.
+
+    An installed EvoGym stays as it is, but can no longer be imported by this process. Harmless to repeat.
+
+    Raises:
+        InstallError (an ImportError): EvoGym itself has been imported already.
+    """
+    loaded = sys.modules.get(THEIRS)
+    if loaded is not None and loaded is not sys.modules[OURS]:
+        place = getattr(loaded, "__file__", None) or "an unknown place"
+        raise InstallError(
+            f"evogym has been imported already, from {place}. Call warpvox.evogym.install() before anything imports it."
+        )
+    if not any(isinstance(finder, _Alias) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Alias())

@@ -1,0 +1,249 @@
+"""Constants, sampling of robots and small helpers under the names of EvoGym's module ``evogym.utils``."""
+
+from __future__ import annotations
+
+import random
+import time
+from bisect import bisect_left
+from collections.abc import Callable
+from itertools import accumulate
+from typing import Optional, Tuple  # noqa: UP035  # scripts take these from here
+
+import numpy as np
+
+from warpvox import design
+from warpvox.errors import DesignError
+from warpvox.evogym.errors import ArgumentTypeError, RangeError
+from warpvox.types import Cell
+
+# EvoGym's modules have no __all__: scripts that say `from evogym import *` also get what the modules import.
+__all__ = [
+    "BASELINE_ENV_NAMES",
+    "VOXEL_TYPES",
+    "Optional",
+    "Pair",
+    "Timer",
+    "Tuple",
+    "draw",
+    "get_full_connectivity",
+    "get_uniform",
+    "has_actuator",
+    "hashable",
+    "is_connected",
+    "np",
+    "random",
+    "sample_robot",
+    "time",
+]
+
+VOXEL_TYPES = {cell.name: int(cell) for cell in Cell}
+"""What a cell holds: EMPTY 0, RIGID 1, SOFT 2, H_ACT 3, V_ACT 4, FIXED 5."""
+
+BASELINE_ENV_NAMES = [
+    *("Walker-v0", "BridgeWalker-v0", "BidirectionalWalker-v0"),
+    *("Carrier-v0", "Carrier-v1", "Pusher-v0", "Pusher-v1", "Thrower-v0", "Catcher-v0"),
+    *("BeamToppler-v0", "BeamSlider-v0", "Lifter-v0"),
+    *("Climber-v0", "Climber-v1", "Climber-v2"),
+    *("UpStepper-v0", "DownStepper-v0", "ObstacleTraverser-v0", "ObstacleTraverser-v1", "Hurdler-v0"),
+    *("PlatformJumper-v0", "GapJumper-v0", "Traverser-v0", "CaveCrawler-v0"),
+    *("AreaMaximizer-v0", "AreaMinimizer-v0", "WingspanMazimizer-v0", "HeightMaximizer-v0"),
+    *("Flipper-v0", "Jumper-v0", "Balancer-v0", "Balancer-v1"),
+]
+"""Ids of the benchmark's tasks, in the release's order and spelling."""
+
+
+# ---------------------------------------------------------------------------------------------------- sampling
+
+
+def get_uniform(x: int) -> np.ndarray:
+    """The uniform distribution over ``x`` outcomes, float64 ``[x]``.
+
+    Raises:
+        RangeError: ``x`` is not positive.
+    """
+    if x <= 0:
+        raise RangeError(f"A distribution needs at least one outcome, got size {x}.")
+    return np.full(x, 1.0) / x
+
+
+def draw(pd: np.ndarray) -> int:
+    """Draw an index with relative weights ``pd`` from Python's global generator ``random``.
+
+    Raises:
+        RangeError: no weights, a negative one, or all 0.
+    """
+    return _drawer(pd)()
+
+
+def _drawer(pd: object) -> Callable[[], int]:
+    """A function that draws indices; the same numbers of ``random`` give the same indices as in the release."""
+    weights = np.array(pd)
+    if weights.size == 0 or not np.all(weights >= 0) or not weights.sum() > 0:
+        raise RangeError(f"Weights must be at least one number >= 0, and not all 0, got {pd!r}.")
+    up_to = list(accumulate((weights / weights.sum()).tolist()))
+    last = int(np.flatnonzero(weights)[-1])  # where rounding leaves the sum below 1
+    return lambda: min(bisect_left(up_to, random.uniform(0, 1)), last)
+
+
+def sample_robot(robot_shape: tuple[int, int], pd: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Draw a valid robot (one piece, with an actuator) by rejection, from Python's global generator ``random``.
+
+    Args:
+        robot_shape: rows and columns.
+        pd: relative weights ``[5]`` of empty, rigid, soft, horizontal and vertical actuator cells; default
+            (0.6, 0.2, 0.2, 0.2, 0.2).
+
+    Returns:
+        Cells float64 ``[rows, columns]``, row 0 on top, and their connections ``[2, k]``.
+
+    Raises:
+        RangeError: other than five weights. DesignError: weights that cannot give an actuator.
+    """
+    if pd is None:
+        pd = np.array([0.6, 0.2, 0.2, 0.2, 0.2])
+    weights = np.asarray(pd)
+    if weights.shape != (5,):
+        raise RangeError(f"pd must hold five weights (empty, rigid, soft, h_act, v_act), got shape {weights.shape}.")
+    if weights[Cell.H_ACT] + weights[Cell.V_ACT] == 0:
+        raise DesignError(f"A robot needs an actuator, but pd gives both kinds the weight 0: {pd!r}.")
+    pick, count = _drawer(weights), int(np.prod(robot_shape))
+    while True:
+        robot = np.array([pick() for _ in range(count)], float).reshape(robot_shape)
+        if has_actuator(robot) and is_connected(robot):
+            return robot, get_full_connectivity(robot)
+
+
+# ------------------------------------------------------------------------------------------------------ bodies
+
+
+def is_connected(robot: np.ndarray) -> bool:
+    """Whether all cells that are not empty hang together along edges; False for an empty body."""
+    return design.is_connected(robot)
+
+
+def has_actuator(robot: np.ndarray) -> bool:
+    """Whether any cell is an actuator."""
+    return design.has_actuator(robot)
+
+
+def get_full_connectivity(robot: np.ndarray) -> np.ndarray:
+    """All pairs of neighbouring cells that are not empty, ``[2, k]``: flat indices, row by row from the top."""
+    pairs = design.full_connections(robot)
+    return pairs.T.astype(np.int64) if len(pairs) else np.empty((2, 0))
+
+
+def hashable(robot: np.ndarray) -> str:
+    """The cells as a word of digits, row by row from the top."""
+    return "".join(str(int(cell)) for cell in np.ravel(robot))
+
+
+# ----------------------------------------------------------------------------------------------------- helpers
+
+
+class Timer:
+    """Keeps a loop from running more often than a target says.
+
+    Args:
+        target_step_frequency: steps per second; None: as often as possible.
+    """
+
+    def __init__(self, target_step_frequency: int | None = None) -> None:
+        self._target = target_step_frequency
+        self._begin = time.monotonic()
+        self._steps = self._all_steps = self.total_count = 0
+
+    def should_step(self) -> bool:
+        """Whether the target allows for another step now."""
+        # As released, one step a second less than asked for.
+        return self._target is None or self._steps < (self._target - 1) * (time.monotonic() - self._begin)
+
+    def step(self, verbose: bool = False) -> None:
+        """Count a step; once a second print the rate if ``verbose``."""
+        self._steps += 1
+        if time.monotonic() - self._begin > 1:
+            self._all_steps, self.total_count = self._all_steps + self._steps, self.total_count + 1
+            if verbose:
+                print(f"rps: {self._steps} | avg rps: {self._all_steps / self.total_count:.2f}")
+            self._begin, self._steps = self._begin + 1, 0
+
+
+class Pair:
+    """Two whole numbers, x and y, that are added, subtracted, multiplied and divided (rounding down) in parallel.
+
+    Raises:
+        ArgumentTypeError: other than whole numbers.
+    """
+
+    __slots__ = ("x", "y")
+
+    def __init__(self, x: int, y: int) -> None:
+        for value in (x, y):
+            if not isinstance(value, int | np.integer):
+                raise ArgumentTypeError(f"A Pair holds whole numbers, got {value!r} of type {type(value).__name__}.")
+        self.x, self.y = int(x), int(y)
+
+    def _with(self, other: int | Pair, verb: str, result: Callable[[int, int], int]) -> Pair:
+        x, y = (other.x, other.y) if isinstance(other, Pair) else (other, other)
+        if not isinstance(x, int):
+            raise ArgumentTypeError(f"Cannot {verb} a Pair and {other!r} of type {type(other).__name__}.")
+        return Pair(result(self.x, x), result(self.y, y))
+
+    def __getitem__(self, key: int) -> int:
+        if key not in (0, 1):
+            raise IndexError(f"A Pair has the entries 0 and 1, got {key!r}.")
+        return self.y if key else self.x
+
+    def __add__(self, other: int | Pair) -> Pair:
+        return self._with(other, "add", lambda a, b: a + b)
+
+    def __sub__(self, other: int | Pair) -> Pair:
+        return self._with(other, "subtract", lambda a, b: a - b)
+
+    def __mul__(self, other: int | Pair) -> Pair:
+        return self._with(other, "multiply", lambda a, b: a * b)
+
+    def __floordiv__(self, other: int | Pair) -> Pair:
+        return self._with(other, "divide", lambda a, b: a // b)
+
+    __truediv__ = __floordiv__
+
+    def __mod__(self, other: int | Pair) -> Pair:
+        return self._with(other, "take the remainder of", lambda a, b: a % b)
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Pair):
+            return self.x == other.x and self.y == other.y
+        return isinstance(other, int) and self.x == other and self.y == other
+
+    def __hash__(self) -> int:
+        return hash((self.x, self.y))
+
+    def abs(self) -> Pair:
+        """The magnitudes."""
+        return Pair(abs(self.x), abs(self.y))
+
+    def each_max(self, other: Pair) -> Pair:
+        """The larger x and the larger y."""
+        return self._with(self._pair(other), "compare", max)
+
+    def each_min(self, other: Pair) -> Pair:
+        """The smaller x and the smaller y."""
+        return self._with(self._pair(other), "compare", min)
+
+    @staticmethod
+    def _pair(other: object) -> Pair:
+        if not isinstance(other, Pair):
+            raise ArgumentTypeError(f"Expected a Pair, got {other!r} of type {type(other).__name__}.")
+        return other
+
+    def copy(self) -> Pair:
+        """An independent Pair."""
+        return Pair(self.x, self.y)
+
+    __copy__ = copy
+
+    def __str__(self) -> str:
+        return f"({self.x}, {self.y})"
+
+    def __repr__(self) -> str:
+        return f"Pair{self}"

@@ -1,0 +1,249 @@
+"""Pictures and a window, under the names of EvoGym's module ``evogym.viewer``. Lengths are in voxels here."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from warpvox.errors import did_you_mean, listing
+from warpvox.evogym.errors import ArgumentError, ArgumentTypeError, RangeError
+from warpvox.evogym.sim import EvoSim
+from warpvox.evogym.simulator_cpp import Camera, Viewer
+from warpvox.evogym.utils import Timer
+from warpvox.types import VOXEL
+
+__all__ = ["EvoViewer"]
+
+_SCREEN, _IMAGE = ("screen", "human"), ("img", "rgb_array")
+_LOCKS = ("lock_x", "lock_y", "lock_width", "lock_height")
+# The camera's motion, as released: gains of the filter, how fast its memory fades, and how far targets may wander
+# before they are followed (voxels for places, a share for sizes).
+_GAIN, _SUM_GAIN, _SPEED_GAIN, _FADE = 0.04, 0.005, 0.08, 0.9
+_DEAD_PLACE, _DEAD_SIZE = 1.0, 0.3
+_JUMP_BACK = 50  # steps of the camera in one go after time has gone back
+
+
+class EvoViewer:
+    """A camera on a simulation, which stands still or follows objects.
+
+    Args:
+        sim_to_view: what is looked at.
+        target_rps: pictures per second at most; None: as many as possible.
+        pos: middle of the picture.
+        view_size: width and height of what is seen; stretched to the picture.
+        resolution: width and height of the picture in pixels.
+
+    Raises:
+        ArgumentTypeError, RangeError: as the setters.
+    """
+
+    def __init__(
+        self,
+        sim_to_view: EvoSim,
+        target_rps: int | None = 50,
+        pos: tuple[float, float] = (12, 4),
+        view_size: tuple[float, float] = (40, 20),
+        resolution: tuple[int, int] = (1200, 600),
+    ) -> None:
+        self._sim = sim_to_view
+        self._viewer: Viewer | None = None
+        self._shown = False
+        self._tracked: list[str] = []
+        self._padding, self._scale = (5.0, 3.0), (0.2, 0.2)
+        self._locks: dict[str, float] = {}
+        self._target: np.ndarray | None = None  # where the camera would be without inertia: x, y, width, height
+        self._aims: list[np.ndarray] = []  # the last two places that the filter has aimed at
+        self._sum = np.zeros(4)
+        self._last_rendered = -1
+        self.set_target_rps(target_rps)
+        self.set_pos(pos)
+        self.set_view_size(view_size)
+        self.set_resolution(resolution)
+
+    def look_at(self, sim: EvoSim) -> None:
+        """Go on with another simulation, in the same window and with the same camera."""
+        self._sim = sim
+        if self._viewer is not None:
+            self._viewer.look_at(sim)
+
+    # --------------------------------------------------------------------------------------------- camera
+
+    def set_pos(self, pos: tuple[float, float]) -> None:
+        """Set the middle of the picture; ArgumentTypeError if it is no tuple."""
+        self.pos = _checked("pos", pos)
+
+    def set_view_size(self, view_size: tuple[float, float]) -> None:
+        """Set the width and height of what is seen; ArgumentTypeError if it is no tuple."""
+        self.view_size = _checked("view_size", view_size)
+
+    def set_resolution(self, resolution: tuple[int, int]) -> None:
+        """Set the width and height of the picture in pixels; ArgumentTypeError if it is no tuple."""
+        self.resolution = _checked("resolution", resolution)
+
+    def set_target_rps(self, target_rps: int | None) -> None:
+        """Set how many pictures a second are made at most; None: as many as possible.
+
+        Raises:
+            RangeError: fewer than two.
+        """
+        if target_rps is not None and int(target_rps) < 2:
+            raise RangeError(f"The lowest target rps is 2, got {target_rps}.")
+        self._timer = Timer(None if target_rps is None else int(target_rps))
+
+    # ------------------------------------------------------------------------------------------- tracking
+
+    def track_objects(self, *objects: str) -> None:
+        """Follow objects, given by name: ``pos`` and ``view_size`` are then set before every picture."""
+        self._tracked = list(objects)
+
+    def set_tracking_settings(self, **settings: object) -> None:
+        """Say how objects are followed.
+
+        Args:
+            padding: (x, y), voxels left free around the objects.
+            scale: (x, y), further room as a share of what is seen.
+            lock_x, lock_y, lock_width, lock_height: a number fixes that entry of the view, False frees it again.
+
+        Raises:
+            ArgumentError, ArgumentTypeError: an unknown setting, or a value that it cannot have.
+        """
+        valid = ("padding", "scale", *_LOCKS)
+        for name, value in settings.items():
+            if name not in valid:
+                hint = did_you_mean(name, valid)
+                raise ArgumentError(f"There is no tracking setting '{name}'; there are {listing(valid)}.{hint}")
+            if name in _LOCKS:
+                if value is True or not isinstance(value, bool | int | float):
+                    raise ArgumentError(f"{name} must be a number or False, got {value!r}.")
+                self._locks.pop(name, None)
+                if value is not False:
+                    self._locks[name] = float(value)
+            elif name == "padding":
+                self._padding = _checked(name, value)
+            else:
+                self._scale = _checked(name, value)
+
+    def _box(self) -> np.ndarray:
+        """What should be seen: x, y, width and height of the objects' box, with padding and scale."""
+        now = self._sim.get_time()
+        points = np.concatenate([self._sim.object_pos_at_time(now, name) for name in self._tracked], axis=1)
+        low, high = points.min(axis=1) - self._padding, points.max(axis=1) + self._padding
+        # As released, the right and upper sides get a share of what the left and lower ones have added already.
+        low = low - np.array(self._scale) * (high - low) / 2
+        high = high + np.array(self._scale) * (high - low) / 2
+        return np.concatenate([(low + high) / 2, high - low])
+
+    def _follow(self) -> None:
+        """Move the camera by one step of its filter."""
+        target = self._box()
+        if self._target is None:
+            self.set_pos(tuple(target[:2].tolist()))
+            self.set_view_size(tuple(target[2:].tolist()))
+            self._target, self._aims = target, [target, target]
+        still = np.concatenate(
+            [
+                np.abs(self._target[:2] - target[:2]) < _DEAD_PLACE,
+                np.abs(1 - self._target[2:] / target[2:]) < _DEAD_SIZE,
+            ]
+        )
+        target = self._target = np.where(still, self._target, target)
+        before, last = self._aims
+        self._sum = (self._sum + target - last) * _FADE
+        aim = np.array([*self.pos, *self.view_size])
+        aim = aim + _GAIN * (target - last) + _SPEED_GAIN * (last - before) + _SUM_GAIN * self._sum
+        for entry, name in enumerate(_LOCKS):
+            aim[entry] = self._locks.get(name, aim[entry])
+        self._aims = [last, aim]
+        x, y, width, height = aim.tolist()
+        aspect = self.resolution[0] / self.resolution[1]
+        self.set_pos((x, y))
+        self.set_view_size((max(width, height * aspect), max(height, width / aspect)))
+
+    # ------------------------------------------------------------------------------------------ rendering
+
+    def render(
+        self,
+        mode: str = "screen",
+        verbose: bool = False,
+        hide_background: bool = False,
+        hide_grid: bool = False,
+        hide_edges: bool = False,
+        hide_voxels: bool = False,
+    ) -> np.ndarray | None:
+        """Show or return a picture of the present state.
+
+        Args:
+            mode: ``screen`` or ``human`` show it in a window, ``img`` or ``rgb_array`` return it.
+            verbose: print once a second how many pictures a second are made.
+            hide_background, hide_grid, hide_edges, hide_voxels: leave out the colour of the sky, the grid, the outlines
+                of objects, the cells.
+
+        Returns:
+            uint8 ``[height, width, 3]``, or None from a window.
+
+        Raises:
+            ArgumentError: unknown mode. DisplayError: there is no display for a window.
+        """
+        if mode not in (*_SCREEN, *_IMAGE):
+            modes = (*_SCREEN, *_IMAGE)
+            raise ArgumentError(f"There is no mode {mode!r}; there are {listing(modes)}.{did_you_mean(mode, modes)}")
+        if mode in _SCREEN and not self._shown:
+            self.show_debug_window()
+        self._catch_up()
+        camera = self._camera(mode in _IMAGE)
+        self._painter().render(camera, hide_background, hide_grid, hide_edges, hide_voxels)
+        picture = None
+        if mode in _IMAGE:
+            width, height = camera.resolution
+            picture = np.frombuffer(camera.get_image(), np.uint8).reshape(height, width, 3).copy()
+        self._timer.step(verbose=verbose)
+        while not self._timer.should_step():
+            time.sleep(0.001)
+        return picture
+
+    def _catch_up(self) -> None:
+        """Move the camera as often as the simulation has stepped since the last picture."""
+        now = self._sim.get_time()
+        if now < self._last_rendered:
+            self._last_rendered = now - _JUMP_BACK
+        for _ in range(now - self._last_rendered if self._tracked else 0):
+            self._follow()
+        self._last_rendered = now
+
+    def _camera(self, image: bool) -> Camera:
+        camera = Camera(image)
+        camera.set_pos(*(VOXEL * value for value in self.pos))
+        camera.set_size(*(VOXEL * value for value in self.view_size))
+        camera.set_resolution(*self.resolution)
+        return camera
+
+    def _painter(self) -> Viewer:
+        if self._viewer is None:
+            self._viewer = Viewer(self._sim)
+        return self._viewer
+
+    # --------------------------------------------------------------------------------------------- window
+
+    def show_debug_window(self) -> None:
+        """Show the window; DisplayError where there is no display."""
+        self._painter().show_debug_window()
+        self._shown = True
+
+    def hide_debug_window(self) -> None:
+        """Take the window off the screen."""
+        if self._viewer is not None:
+            self._viewer.hide_debug_window()
+        self._shown = False
+
+    def close(self) -> None:
+        """Close the window. Harmless to repeat."""
+        if self._viewer is not None:
+            self._viewer.close()
+        self._shown = False
+
+
+def _checked(name: str, value: object) -> tuple:
+    if not isinstance(value, tuple) or len(value) != 2:
+        raise ArgumentTypeError(f"{name} must be a tuple of two numbers, got {value!r} of type {type(value).__name__}.")
+    return value

@@ -1,0 +1,309 @@
+"""Worlds under the names of EvoGym's module ``evogym.world``: made in cells, read from its world files.
+
+Here rows count upward, as in the release: row 0 of ``grid`` is the lowest. Arrays that users give and get
+(``structure``) have row 0 on top.
+"""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpvox import world as core
+from warpvox.errors import WorldError, did_you_mean, listing
+from warpvox.evogym.utils import Pair
+from warpvox.types import Cell
+
+__all__ = ["EvoWorld", "WorldObject"]
+
+_LETTERS = {Cell.RIGID: "R", Cell.SOFT: "S", Cell.H_ACT: "H", Cell.V_ACT: "V", Cell.FIXED: "F"}
+
+
+class EvoWorld:
+    """Named objects on a grid of cells that grows with them.
+
+    Attributes:
+        grid: int ``[height, width]``, row 0 at the bottom.
+        grid_size: :class:`Pair`, width and height.
+        objects: ``{name: WorldObject}``.
+    """
+
+    def __init__(self) -> None:
+        self.grid = np.zeros((1, 1), int)
+        self.objects: dict[str, WorldObject] = {}
+
+    @property
+    def grid_size(self) -> Pair:
+        """Width and height in cells."""
+        return Pair(self.grid.shape[1], self.grid.shape[0])
+
+    @classmethod
+    def from_json(cls, file_path: str) -> EvoWorld:
+        """Read a file of EvoGym's design tool.
+
+        Raises:
+            FileNotFoundError: no such file. WorldError (a ValueError): it is not a world.
+        """
+        world = cls()
+        world.add_from_json(file_path)
+        return world
+
+    def add_from_json(self, file_path: str) -> None:
+        """Add all objects of a file of EvoGym's design tool.
+
+        Raises:
+            FileNotFoundError: no such file. WorldError: it is not a world, or an object cannot be added.
+        """
+        for obj in _read(file_path):
+            self.add_object(obj)
+
+    def add_from_array(
+        self, name: str, structure: np.ndarray, x: int, y: int, connections: np.ndarray | None = None
+    ) -> None:
+        """Add an object.
+
+        Args:
+            name: unique in the world.
+            structure: cells ``[rows, columns]``, row 0 on top (see ``VOXEL_TYPES``).
+            x, y: cell of its lower left corner.
+            connections: ``[2, k]`` pairs of flat indices into ``structure``; None connects all neighbours.
+
+        Raises:
+            WorldError: cells, connections, position or name that are not valid, or an overlap.
+        """
+        obj = WorldObject.from_array(name, structure, connections)
+        obj.set_pos(x, y)
+        self.add_object(obj)
+
+    def add_object(self, obj: WorldObject) -> None:
+        """Add an object where it is.
+
+        Raises:
+            WorldError: its name is taken, or its bounding box covers a cell of another object.
+        """
+        if obj.name in self.objects:
+            raise WorldError(f"The world has an object named '{obj.name}' already; names must differ.")
+        (x, y), (columns, rows) = obj.get_pos(), obj.grid.shape[::-1]
+        filled = np.argwhere(self.grid[y : y + rows, x : x + columns])
+        if len(filled):
+            cell = int(x + filled[0][1]), int(y + filled[0][0])
+            raise WorldError(
+                f"The object '{obj.name}' at {obj.pos} overlaps another one at cell {cell}; its bounding box must lie"
+                " on empty cells."
+            )
+        height, width = self.grid.shape
+        self.grid = np.pad(self.grid, ((0, max(0, y + rows - height)), (0, max(0, x + columns - width))))
+        self.grid[y : y + rows, x : x + columns] = obj.grid
+        self.objects[obj.name] = obj
+
+    def remove_object(self, obj_name: str) -> WorldObject:
+        """Remove an object; return a copy of it. The grid keeps its size.
+
+        Raises:
+            WorldError: there is no such object.
+        """
+        obj = self._find(obj_name).copy()
+        (x, y), (columns, rows) = obj.get_pos(), obj.grid.shape[::-1]
+        self.grid[y : y + rows, x : x + columns] = 0
+        del self.objects[obj_name]
+        return obj
+
+    def translate_object(self, obj_name: str, dx: int, dy: int) -> None:
+        """Move an object by some cells.
+
+        Raises:
+            WorldError: no such object, a negative position or an overlap; the object then stays where it was.
+        """
+        pos = self._find(obj_name).pos + Pair(dx, dy)
+        self.move_object(obj_name, pos.x, pos.y)
+
+    def move_object(self, obj_name: str, x: int, y: int) -> None:
+        """Move an object so that (x, y) is the cell of its lower left corner.
+
+        Raises:
+            WorldError: no such object, a negative position or an overlap; the object then stays where it was.
+        """
+        moved = self._find(obj_name).copy()
+        moved.set_pos(x, y)
+        before, grid = self.objects.copy(), self.grid.copy()
+        self.remove_object(obj_name)
+        try:
+            self.add_object(moved)
+        except WorldError:
+            self.objects, self.grid = before, grid
+            raise
+
+    def pretty_print(self, voxels_per_line: int = 50) -> None:
+        """Print the world in letters: R rigid, S soft, H and V actuators, F fixed, a dot for empty.
+
+        Args:
+            voxels_per_line: columns after which a new block of lines begins.
+        """
+        for begin in range(0, self.grid_size.x, voxels_per_line):
+            block = self.grid[:, begin : begin + voxels_per_line]
+            for y in reversed(range(len(block))):
+                print(f"{y % 10} | " + " ".join(_LETTERS.get(cell, ".") for cell in block[y].tolist()))
+            columns = range(begin, begin + block.shape[1])
+            print("   -" + "--" * len(columns))
+            print("    " + " ".join(str(x % 10) for x in columns) + "\n")
+
+    def _find(self, name: str) -> WorldObject:
+        if name not in self.objects:
+            hint = did_you_mean(name, self.objects)
+            raise WorldError(f"The world has no object named '{name}'.{hint} It has {listing(self.objects)}.")
+        return self.objects[name]
+
+
+class WorldObject:
+    """A named group of cells with a place.
+
+    Attributes:
+        name: unique in its world.
+        pos: :class:`Pair`, cell of the lower left corner.
+        grid: int ``[rows, columns]``, row 0 at the bottom.
+        grid_size: :class:`Pair`, columns and rows.
+        voxels: a Pair (column, row) for every cell that is not empty.
+        neighbors: for each of them the Pairs of those it is connected to.
+    """
+
+    def __init__(self) -> None:
+        self.name = ""
+        self.pos = Pair(0, 0)
+        self.grid_size = Pair(0, 0)
+        self.grid = np.zeros((0, 0), int)
+        self.voxels: list[Pair] = []
+        self.neighbors: dict[Pair, list[Pair]] = {}
+
+    @classmethod
+    def from_json(cls, file_path: str) -> WorldObject:
+        """Read a file of EvoGym's design tool that holds one object.
+
+        Raises:
+            FileNotFoundError: no such file. WorldError: it is not a world, or not of one object.
+        """
+        obj = cls()
+        obj.load_from_json(file_path)
+        return obj
+
+    def load_from_json(self, file_path: str) -> None:
+        """Become the object of a file; see :meth:`from_json`."""
+        objects = _read(file_path)
+        if len(objects) != 1:
+            names = listing(obj.name for obj in objects)
+            raise WorldError(f"The file '{file_path}' must hold one object, but holds {len(objects)}: {names}.")
+        self.__dict__.update(objects[0].__dict__)
+
+    @classmethod
+    def from_array(cls, name: str, structure: np.ndarray, connections: np.ndarray | None = None) -> WorldObject:
+        """An object at (0, 0) made of cells ``[rows, columns]``, row 0 on top.
+
+        ``connections``: ``[2, k]`` pairs of flat indices into ``structure``; None connects all neighbours.
+
+        Raises:
+            WorldError: cells or connections that are not valid.
+        """
+        obj = cls()
+        obj.load_from_array(name, structure, connections)
+        return obj
+
+    def load_from_array(self, name: str, structure: np.ndarray, connections: np.ndarray | None = None) -> None:
+        """Become an object at (0, 0); see :meth:`from_array`."""
+        self._become(core.WorldObject.from_array(name, structure, 0, 0, connections))
+
+    def load_from_parsed_json(self, name: str, json_data: Any, grid_size: Pair) -> None:
+        """Become an object of a parsed world file.
+
+        Args:
+            name: its name.
+            json_data: its entry: ``indices``, ``types`` and ``neighbors``.
+            grid_size: of the world in the file.
+        """
+        data = {"grid_width": grid_size.x, "grid_height": grid_size.y, "objects": {name: json_data}}
+        self._become(core.World.from_json(data).objects[name])
+
+    @classmethod
+    def from_core(cls, obj: core.WorldObject) -> WorldObject:
+        """The same object as ``obj``, a :class:`warpvox.world.WorldObject`."""
+        made = cls()
+        made._become(obj)
+        return made
+
+    def _become(self, obj: core.WorldObject) -> None:
+        self.name, self.pos = obj.name, Pair(obj.x, obj.y)
+        self.grid = np.flipud(obj.grid).astype(int)
+        rows, columns = self.grid.shape
+        self.grid_size = Pair(columns, rows)
+        self.voxels = [Pair(int(x), int(y)) for y, x in np.argwhere(self.grid)]
+        self.neighbors = {voxel: [] for voxel in self.voxels}
+        for pair in obj.connections.tolist():
+            a, b = (Pair(cell % columns, rows - 1 - cell // columns) for cell in pair)
+            self.neighbors[a].append(b)
+            self.neighbors[b].append(a)
+
+    def to_core(self) -> core.WorldObject:
+        """The same object as :class:`warpvox.world.WorldObject`."""
+        return core.WorldObject.from_array(
+            self.name, self.get_structure(), self.pos.x, self.pos.y, self.get_connections()
+        )
+
+    def translate(self, dx: int, dy: int) -> None:
+        """Move by some cells; WorldError if a coordinate becomes negative."""
+        self.set_pos(self.pos.x + dx, self.pos.y + dy)
+
+    def set_pos(self, x: int, y: int) -> None:
+        """Move so that (x, y) is the cell of the lower left corner; WorldError if one is negative."""
+        pos = Pair(x, y)
+        if pos.x < 0 or pos.y < 0:
+            raise WorldError(f"The position of '{self.name}' must not be negative, got {pos}.")
+        self.pos = pos
+
+    def get_structure(self) -> np.ndarray:
+        """Cells int ``[rows, columns]``, row 0 on top."""
+        return np.flipud(self.grid)
+
+    def get_connections(self) -> np.ndarray:
+        """``[2, k]``: pairs of flat indices into the structure, each connection in both directions."""
+        columns, rows = self.grid.shape[1], self.grid.shape[0]
+        pairs = [
+            [(rows - 1 - cell.y) * columns + cell.x for cell in (voxel, near)]
+            for voxel, others in self.neighbors.items()
+            for near in others
+        ]
+        return np.array(pairs, int).reshape(-1, 2).T
+
+    def get_pos(self) -> tuple[int, int]:
+        """Cell of the lower left corner."""
+        return self.pos.x, self.pos.y
+
+    def rename(self, name: str) -> None:
+        """Give it another name."""
+        self.name = name
+
+    def get_name(self) -> str:
+        """Its name."""
+        return self.name
+
+    def copy(self) -> WorldObject:
+        """An independent object."""
+        other = WorldObject()
+        other.name, other.pos, other.grid_size = self.name, self.pos.copy(), self.grid_size.copy()
+        other.grid, other.voxels = self.grid.copy(), [voxel.copy() for voxel in self.voxels]
+        other.neighbors = {voxel.copy(): [near.copy() for near in others] for voxel, others in self.neighbors.items()}
+        return other
+
+    __copy__ = copy
+
+    def __str__(self) -> str:
+        return f"Size {self.grid_size} object named {self.name} at {self.pos}."
+
+    def __repr__(self) -> str:
+        return f"WorldObject({self})"
+
+
+def _read(file_path: str) -> list[WorldObject]:
+    if not Path(file_path).exists():
+        raise FileNotFoundError(errno.ENOENT, "There is no world file", str(file_path))
+    return [WorldObject.from_core(obj) for obj in core.World.from_json(Path(file_path)).objects.values()]
