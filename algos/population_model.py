@@ -157,13 +157,12 @@ class PopulationModel(nn.Module):
 
     # -------------------------------------------------------------------- more
 
-    def update_normalization(self, obs: torch.Tensor) -> None:
-        """Learn from observations ``[designs, rows, num_obs]``, as rsl-rl's normaliser does from each design's."""
-        if not (self.normalizes and self.training):
+    def update_normalization(self, mean: torch.Tensor, var: torch.Tensor, rows: int) -> None:
+        """Learn from the moments ``[designs, 1, num_obs]`` of so many rows, as rsl-rl's normaliser does."""
+        if not self.normalizes:
             return
-        var, mean = torch.var_mean(obs, dim=1, unbiased=False, keepdim=True)
-        self.count += obs.shape[1]
-        rate = obs.shape[1] / self.count
+        self.count += rows
+        rate = rows / self.count
         delta = mean - self.mean
         self.mean += rate * delta
         self.var += rate * (var - self.var + delta * (mean - self.mean))

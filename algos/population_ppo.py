@@ -77,8 +77,10 @@ class PopulationPPO(PPO):
         times = self.num_learning_epochs * self.num_mini_batches
         self.streams.skip_normal(size, self.actor.outputs, times)
         obs = self._by_design(self._observations())
-        self.actor.update_normalization(obs)
-        self.critic.update_normalization(obs)
+        mean = obs.mean(1, keepdim=True)
+        var = (obs - mean).square_().mean(1, keepdim=True)  # several times faster than torch.var over this axis
+        for model in (self.actor, self.critic):
+            model.update_normalization(mean, var, obs.shape[1])
         self.storage.clear()
         self.updates += 1
         self.losses = dict(zip(("value", "surrogate", "entropy"), sums / times, strict=True))

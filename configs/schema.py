@@ -247,6 +247,7 @@ SUITES = {
     "tasks": "all tasks, beside the reference if there is one",
     "scaling": "bodies of n x n voxels, numbers of environments, threads",
     "learning": "time to a return",
+    "population": "designs trained at once, against one after another",
     "kernels": "times of the stages, memory, compilation",
     "precision": "float32 against float64",
     "search": "search algorithms on a made-up fitness, against random search",
@@ -294,6 +295,14 @@ class SearchesConfig:
 
 
 @dataclass
+class GenerationConfig:
+    """Keys ``population.*``: a generation of a design search."""
+
+    designs: int = key(25, "random bodies that are trained side by side", low=1)
+    training: str = key("paper", "settings: a name of configs/training", choices=("paper", "fast"))
+
+
+@dataclass
 class BenchConfig:
     """Keys of ``warpvox bench``."""
 
@@ -318,6 +327,7 @@ class BenchConfig:
     learning: LearningConfig = key(LearningConfig, "suite=learning")
     searches: SearchesConfig = key(SearchesConfig, "suite=search")
     seconds: float = key(440.0, "suite=gpu begins no part after so many", above=0)
+    population: GenerationConfig = key(GenerationConfig, "suite=population")
     document: str | None = key(None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)")
     name: str | None = key(None, "appended to the name of the result's folder")
     output_dir: str = key("outputs", "folder that results are written to")

@@ -155,6 +155,28 @@ def test_learning_has_a_curve(warpvox: Callable) -> None:
     assert run["best_return"] >= run["curve"][-1]["return"] > -100
 
 
+def test_population_is_checked_against_stock_trainings(warpvox: Callable) -> None:
+    words = "population.designs=4 population.training=fast".split()
+    outcome = warpvox("bench", "suite=population", *TINY, *words)
+    assert outcome.code == 0, outcome.err
+    figures = results("population")[1]
+    assert 0 <= figures["check_error"] < 1e-6
+    assert figures["designs"] == 4
+    assert all(rate > 0 for rates in figures["rates"].values() for rate in rates.values())
+    together, apart = (figures["rates"][name]["cpu"] for name in ("all at once", "one after another"))
+    assert figures["ratio"]["cpu"] == pytest.approx(together / apart)
+
+
+def test_population_prints_no_time_of_a_wrong_training(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.algos import population_ppo
+
+    monkeypatch.setattr(population_ppo, "clip_gradients", lambda parameters, limit: None)
+    outcome = warpvox("bench", "suite=population", *TINY, "population.designs=2")
+    assert outcome.code == 2
+    assert "no speed is worth printing" in outcome.err
+    assert "control steps/s" not in outcome.out
+
+
 def test_kernels_names_every_stage(warpvox: Callable) -> None:
     from warpvox.kernels.step import SUBSTEP
 
