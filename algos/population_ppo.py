@@ -77,10 +77,11 @@ class PopulationPPO(PPO):
         times = self.num_learning_epochs * self.num_mini_batches
         self.streams.skip_normal(size, self.actor.outputs, times)
         obs = self._by_design(self._observations())
-        mean = obs.mean(1, keepdim=True)
-        var = (obs - mean).square_().mean(1, keepdim=True)  # several times faster than torch.var over this axis
+        rows = obs.shape[1]
+        mean = _total(obs) / rows
+        var = _total((obs - mean).square_()) / rows
         for model in (self.actor, self.critic):
-            model.update_normalization(mean, var, obs.shape[1])
+            model.update_normalization(mean, var, rows)
         self.storage.clear()
         self.updates += 1
         self.losses = dict(zip(("value", "surrogate", "entropy"), sums / times, strict=True))
@@ -184,3 +185,15 @@ class PopulationPPO(PPO):
         self.streams.set_state(loaded_dict["streams"])
         self.updates = loaded_dict["updates"]
         return True
+
+
+def _total(values: torch.Tensor) -> torch.Tensor:
+    """Sum over the second axis, kept as an axis of 1, by adding halves.
+
+    torch's own sums add in an order that depends on the number of columns, which other designs have a say in.
+    """
+    while (rows := values.shape[1]) > 1:
+        half, rest = rows // 2, values[:, rows - rows % 2 :]
+        values = values[:, :half] + values[:, half : 2 * half]
+        values = torch.cat([values, rest], dim=1) if rows % 2 else values
+    return values
