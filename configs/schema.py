@@ -334,6 +334,17 @@ class BenchConfig:
 
 
 @dataclass
+class CurvesConfig:
+    """Keys of ``warpvox curves``."""
+
+    runs: list[str] = key(["latest"], "runs of `warpvox train`: latest, their folders or checkpoints")
+    x: str = key("steps", "what is to the right", choices=("steps", "elapsed", "iteration"))
+    size: list[int] = key([760, 340], "width and height in pixels", low=64, high=8192)
+    file: str = key("curves.png", "picture to write: .png, .svg or .pdf")
+    output_dir: str = key("outputs", "folder that runs are looked up in")
+
+
+@dataclass
 class DesignConfig:
     """Keys of ``warpvox design``."""
 
@@ -349,6 +360,7 @@ COMMANDS: dict[str, type] = {
     "play": PlayConfig,
     "export": ExportConfig,
     "bench": BenchConfig,
+    "curves": CurvesConfig,
     "design": DesignConfig,
 }
 """Commands that take keys, and the dataclass of each."""

@@ -22,6 +22,7 @@ COMMANDS = {
     "train": "train a controller for a body on a task",
     "play": "watch a trained controller or a simple agent, print returns, export what it did",
     "export": "write a run's rollout as USD, film, pictures or page",
+    "curves": "draw the learning curves of runs as one picture",
     "design": "paint a body or a world in the browser, save it, try it out",
     "demo": "train a walker in a minute or two and export it",
     "bench": "measure speed, beside the reference",

@@ -18,15 +18,20 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 __all__ = ["run"]
 
 USAGE = """\
-usage: warpvox tasks [ID [KEY=VALUE ...]]
+usage: warpvox tasks [ID] [KEY=VALUE ...]
 
 Lists the tasks; with an ID (or module:NAME, or file.py:NAME) shows that task in detail, with its world.
 
 keys:
   rules=evogym    as released (evogym) or as printed (paper)
   design=walker   the body that the world is shown with, and that the layout of the observation is for
-  picture=FILE    also write the world as a picture (.png)"""
+  picture=FILE    also write the world as a picture (.png)
+
+keys without an ID:
+  gallery=FILE    instead of the list write all worlds into one picture (.png)
+  design=walker   the body that stands in them"""
 KEYS = {"rules": "evogym", "design": "walker", "picture": None}
+ALL_KEYS = {"gallery": None, "design": "walker"}
 
 
 def run(words: list[str]) -> None:
@@ -38,7 +43,9 @@ def run(words: list[str]) -> None:
     console = Console()
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = 120  # a pipe has no width of its own; 80 columns would cut the sentences
-    if name is None:
+    if name is None and keys["gallery"] is not None:
+        _write_gallery(keys, console)
+    elif name is None:
         _print_all(console)
     else:
         _print_task(name, keys, console)
@@ -53,17 +60,19 @@ def _read(words: list[str]) -> tuple[str | None, dict[str, Any]]:
     names = [word for word in words if "=" not in word]
     if len(names) > 1 or any(word.startswith("-") for word in words):
         raise ConfigError(f"`warpvox tasks` takes one task id at most, got '{' '.join(words)}'.")
-    keys = dict(KEYS)
+    keys = dict(KEYS if names else ALL_KEYS)
     for word in words:
         key, given, value = word.partition("=")
         if not given:
             continue
-        if key not in keys or not names:
+        if key not in keys:
             hint = did_you_mean(key, keys)
-            raise ConfigError(f"`warpvox tasks ID` takes the keys {listing(keys)}, got '{word}'.{hint}")
+            place = "`warpvox tasks ID`" if names else "Without an ID `warpvox tasks`"
+            raise ConfigError(f"{place} takes the keys {listing(keys)}, got '{word}'.{hint}")
         keys[key] = value
-    if keys["picture"] is not None and Path(keys["picture"]).suffix.lower() != ".png":
-        raise ConfigError(f"picture must be a file ending in .png, got '{keys['picture']}'.")
+    for key in ("picture", "gallery"):
+        if keys.get(key) is not None and Path(keys[key]).suffix.lower() != ".png":
+            raise ConfigError(f"{key} must be a file ending in .png, got '{keys[key]}'.")
     return (names or [None])[0], keys
 
 
@@ -91,6 +100,16 @@ def _print_all(console: Console) -> None:
     console.print(table)
     say(console, "steps: the longest episode; observes: numbers in an observation of a robot of n points")
     say(console, "`warpvox tasks ID` shows one in detail.")
+
+
+def _write_gallery(keys: dict[str, Any], console: Console) -> None:
+    from warpvox.cli.gallery import write_gallery
+
+    try:
+        path = write_gallery(keys["gallery"], keys["design"])
+    except OSError as error:
+        raise ConfigError(f"The gallery {keys['gallery']} cannot be written: {error.strerror}.") from None
+    say(console, f"gallery: {path}")
 
 
 @dataclass(frozen=True)

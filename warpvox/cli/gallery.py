@@ -1,0 +1,72 @@
+"""All tasks in one picture: each world where its robot begins."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from warpvox.design import load_design
+from warpvox.envs.registry import get_task, task_ids
+from warpvox.envs.worlds import task_world
+from warpvox.files import atomic_path
+from warpvox.painter import BELOW, INK, Canvas, font
+from warpvox.still import scene_of_world
+from warpvox.types import VOXEL
+
+__all__ = ["draw_gallery", "write_gallery"]
+
+COLUMNS, TILE, SCALE = 4, (324, 150), 8
+LABEL, GAP = 24, 10
+PAPER = (255, 255, 255)
+AHEAD = 5.0  # voxels between the left rim of a picture and the robot
+HEIGHT = 0.42  # of the middle of the robot in its picture, where the ground is not in sight
+
+
+def draw_gallery(design: str = "walker") -> Image.Image:
+    """All tasks in the order of the paper, row by row.
+
+    Args:
+        design: the body that stands in the worlds; anything :func:`warpvox.load_design` reads.
+
+    Raises:
+        DesignError, WorldError: a body that is not valid, or does not fit into every task.
+    """
+    names, body = task_ids(), load_design(design)
+    rows = -(-len(names) // COLUMNS)
+    width, height = TILE[0] + GAP, TILE[1] + LABEL + GAP
+    sheet = Image.new("RGB", (COLUMNS * width + GAP, rows * height + GAP), PAPER)
+    draw, letters = ImageDraw.Draw(sheet), font(14)
+    for number, name in enumerate(names):
+        row, column = divmod(number, COLUMNS)
+        x, y = GAP + column * width, GAP + row * height
+        sheet.paste(_tile(get_task(name), body), (x, y))
+        draw.text((x + 2, y + TILE[1] + LABEL / 2), name, INK, letters, "lm")
+    return sheet
+
+
+def _tile(task: Any, body: np.ndarray) -> Image.Image:
+    """A world with the robot at the left, so that what lies ahead is in sight."""
+    scene, points = scene_of_world(task_world(task, body))
+    robot = points[scene.robot_points] / VOXEL
+    view = np.array(TILE) / SCALE
+    left = robot[:, 0].min() - AHEAD
+    if scene.width + 2 * BELOW > view[0]:
+        left = np.clip(left, -BELOW, scene.width + BELOW - view[0])
+    else:
+        left = (scene.width - view[0]) / 2
+    bottom = max(-BELOW, robot[:, 1].mean() - HEIGHT * view[1])
+    corner = np.rint(np.array([left, bottom]) * SCALE).astype(int)
+    return Canvas(scene, TILE, SCALE).picture(points, (int(corner[0]), int(corner[1])))
+
+
+def write_gallery(path: str | os.PathLike[str], design: str = "walker") -> Path:
+    """Write what :func:`draw_gallery` draws as PNG; returns the path."""
+    # Few colours: as a palette the picture takes a fraction of the room, and nobody sees a difference.
+    sheet = draw_gallery(design).quantize(128, dither=Image.Dither.NONE)
+    with atomic_path(path) as temporary:
+        sheet.save(temporary, "PNG", optimize=True)
+    return Path(path)
