@@ -12,7 +12,8 @@ import numpy as np
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.bodies import MAX_VOXELS, body_key, count_valid, first_valid, mutate, random_bodies
 from warpvox.algos.search.settings import SearchSettings
-from warpvox.errors import ConfigError, SearchError
+from warpvox.design import check_design
+from warpvox.errors import ConfigError, DesignError, SearchError
 
 __all__ = ["BaseSearch", "Proposal"]
 
@@ -69,6 +70,7 @@ class BaseSearch(ABC):
         self.bodies: list[np.ndarray] = []
         self.fitness: list[float] = []
         self._seen: set[bytes] = set()
+        self._told: set[bytes] = set()
         self._asked: list[Candidate] | None = None
 
     # --------------------------------------------------------------------------------------- for the subclass
@@ -129,7 +131,8 @@ class BaseSearch(ABC):
         """The next generation, every body valid and never proposed before; empty when all evaluations are spent.
 
         Raises:
-            SearchError: the last generation has not been told yet, or no new body can be found.
+            SearchError: the last generation has not been told yet, no new body can be found, or a subclass has
+                proposed what no candidate may be.
         """
         if self._asked is not None:
             raise SearchError(
@@ -140,7 +143,9 @@ class BaseSearch(ABC):
         if left <= 0:
             return []
         rng = np.random.default_rng([STREAM, self.seed, self.generation])
-        proposals = self.propose(rng, min(self.settings.population, left))
+        wanted = min(self.settings.population, left)
+        proposals = self.propose(rng, wanted)
+        self._check(proposals, wanted)
         first = len(self.bodies)
         self._asked = [
             Candidate(first + place, proposal.body, proposal.parents, proposal.origin, self.generation)
@@ -195,6 +200,27 @@ class BaseSearch(ABC):
             )
         self._asked = list(candidates)
 
+    def _check(self, proposals: Sequence[Proposal], wanted: int) -> None:
+        """What a subclass must keep to; a mistake would only show as a broken experiment much later."""
+        who = f"{type(self).__name__} proposed"
+        if not proposals:
+            raise SearchError(f"{who} no body for generation {self.generation}: at least one of {wanted} is needed.")
+        if len(proposals) > wanted:
+            raise SearchError(f"{who} {len(proposals)} bodies where {wanted} were wanted.")
+        keys = {body_key(proposal.body) for proposal in proposals}
+        if len(keys) < len(proposals) or keys & self._told:
+            raise SearchError(f"{who} a body twice: use those for which claim() is true.")
+        self._seen |= keys
+        for proposal in proposals:
+            if proposal.body.shape != self.shape:
+                raise SearchError(f"{who} a body of shape {proposal.body.shape}: expected {self.shape}.")
+            try:
+                check_design(proposal.body)
+            except DesignError as error:
+                raise SearchError(f"{who} a body that is not valid. {error}") from error
+            if not all(0 <= parent < len(self.bodies) for parent in proposal.parents):
+                raise SearchError(f"{who} a body with parents {proposal.parents}: expected ids of evaluated bodies.")
+
     def _take_in(self, asked: Sequence[Candidate], fitness: Sequence[float]) -> None:
         values = [float(value) for value in fitness]
         if len(values) != len(asked):
@@ -204,6 +230,7 @@ class BaseSearch(ABC):
                 raise SearchError(f"The fitness of candidate {candidate.id} must be a finite number, got {value}.")
         self.bodies += [candidate.body for candidate in asked]
         self.fitness += values
+        self._told |= {body_key(candidate.body) for candidate in asked}
         self.learn(asked, values)
         self._asked = None
         self.generation += 1

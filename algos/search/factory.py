@@ -6,6 +6,7 @@ from warpvox.algos.candidate import Search
 from warpvox.algos.search.settings import (
     BoSettings,
     CppnNeatSettings,
+    CustomSettings,
     GaSettings,
     MapElitesSettings,
     RandomSettings,
@@ -47,4 +48,8 @@ def make_search(settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed:
         from warpvox.algos.search.map_elites import MapElitesSearch
 
         return MapElitesSearch(settings, shape, seed)
+    if isinstance(settings, CustomSettings):
+        from warpvox.algos.search.custom import make_custom
+
+        return make_custom(settings, shape, seed)
     raise ConfigError(f"There is no search for settings of type {type(settings).__name__}.")

@@ -20,6 +20,7 @@ __all__ = [
     "DESCRIPTORS",
     "BoSettings",
     "CppnNeatSettings",
+    "CustomSettings",
     "GaSettings",
     "MapElitesSettings",
     "RandomSettings",
@@ -120,9 +121,27 @@ class MapElitesSettings(SearchSettings):
             raise ConfigError(f"descriptors must name one or more different ones, got {listing(self.descriptors)}.")
 
 
+@dataclass(frozen=True)
+class CustomSettings(SearchSettings):
+    """A search of your own; see docs/search.md."""
+
+    algorithm: ClassVar[str] = "custom"
+
+    make: str | None = key(None, "your search: FILE.py:NAME or MODULE:NAME, called with settings, shape and seed")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        place, _, name = (self.make or "").rpartition(":")
+        if not place or not name.isidentifier():
+            raise ConfigError(
+                "The search 'custom' needs make=FILE.py:NAME or make=MODULE:NAME, where NAME makes a search of"
+                f" settings, shape and seed; got {self.make!r}."
+            )
+
+
 ALGORITHMS: dict[str, type[SearchSettings]] = {
     settings.algorithm: settings
-    for settings in (GaSettings, BoSettings, CppnNeatSettings, MapElitesSettings, RandomSettings)
+    for settings in (GaSettings, BoSettings, CppnNeatSettings, MapElitesSettings, RandomSettings, CustomSettings)
 }
 """The settings of each algorithm, by its name."""
 
