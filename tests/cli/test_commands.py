@@ -185,6 +185,32 @@ def test_the_demo_trains_and_exports(warpvox: Callable) -> None:
     assert warpvox("play", "run=latest", "steps=2", "threads=1").code == 0
 
 
+TEAM = """
+from dataclasses import replace
+from warpvox.envs.registry import get_task
+
+TEAM = replace(get_task("Walker-v0"), id="Team-v0", partners={"mate": (20, 1)})
+"""
+
+
+def test_tasks_of_ones_own_with_several_robots_cell_by_cell(train: Callable, warpvox: Callable) -> None:
+    Path("my_own.py").write_text(TEAM)
+    folder = train("task=my_own.py:TEAM", "design={robot:mini,mate:[[3,4]]}", "obs=voxel", "max_iterations=1")
+    assert folder.parent == Path("outputs/train/Team-v0")
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    assert config["design"] == {"robot": example_design("mini").tolist(), "mate": [[3, 4]]}
+    assert (config["task"], config["obs"]) == ("my_own.py:TEAM", "voxel")
+    assert summary(folder)["task"] == "Team-v0"
+    outcome = warpvox("play", f"run={folder}", "num_envs=2", "threads=1", "steps=3", "device=cpu")
+    assert outcome.code == 0, outcome.err
+    assert "Team-v0" in outcome.out
+    several = train("task=my_own.py:TEAM", "design=[{robot:mini,mate:worm},{robot:worm,mate:mini}]", "max_iterations=1")
+    config = yaml.safe_load((several / "config.yaml").read_text())
+    assert config["design"][1] == {
+        name: example_design(body).tolist() for name, body in (("robot", "worm"), ("mate", "mini"))
+    }
+
+
 def test_info_names_versions_devices_and_the_cache(warpvox: Callable) -> None:
     outcome = warpvox("info")
     assert outcome.code == 0

@@ -1,0 +1,56 @@
+"""The code of the pages under ``docs/`` runs as it is printed, one page in one empty folder."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from warpvox.cli import main
+
+ROOT = Path(__file__).resolve().parents[2]
+BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.DOTALL | re.MULTILINE)
+PAGES = sorted(path.name for path in (ROOT / "docs").glob("*.md") if BLOCK.search(path.read_text(encoding="utf-8")))
+# Commands are run with these besides: the page is about what they do, not about how long.
+SMALL = {
+    "train": "num_envs=8 max_iterations=1 eval_interval=1 ppo.steps=4 ppo.epochs=1 ppo.hidden=[8] threads=1 device=cpu",
+    "play": "num_envs=1 steps=5 threads=1 device=cpu",
+    "tasks": "",
+}
+
+
+def run_command(line: str) -> None:
+    program, command, *words = shlex.split(line)
+    assert program == "warpvox"
+    keys = [word.split("=")[0] for word in SMALL[command].split()]
+    given = [word for word in words if word.split("=")[0] not in keys]
+    threads = torch.get_num_threads()
+    assert main([command, *given, *SMALL[command].split()]) == 0, line
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    names: dict[str, object] = {}
+    ran = 0
+    blocks = BLOCK.findall((ROOT / "docs" / page).read_text(encoding="utf-8"))
+    for _, title, _ in blocks:  # what a page imports from its own files is forgotten afterwards
+        if title:
+            monkeypatch.setitem(sys.modules, Path(title).stem, None)
+            del sys.modules[Path(title).stem]
+    for language, title, text in blocks:
+        if title:
+            (tmp_path / title).write_text(text, encoding="utf-8")
+        elif language == "python":
+            exec(compile(text, f"{page}:{ran}", "exec"), names)
+        elif language == "sh":
+            for line in text.splitlines():
+                run_command(line)
+        ran += language in ("python", "sh")
+    assert ran, f"docs/{page} has blocks, but none that can be run"
