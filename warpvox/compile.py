@@ -286,7 +286,7 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
         active=[r for p in active for r in (2 * p, 2 * p + 1)],
         spring_ends=np.reshape(ends, (-1, 2)),
         spring_drive=np.reshape(drives, (-1, 2)),
-        link_start=np.concatenate([[0], np.cumsum(np.bincount(np.ravel(ends), minlength=len(fixed)))]),
+        link_start=np.concatenate([[0], np.cumsum(np.bincount(np.array(ends, int).ravel(), minlength=len(fixed)))]),
         link=_links_of_points(ends),
         rigid_spring=rigid,
         corner=np.reshape(corner, (-1, 4)),
@@ -315,7 +315,7 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
 
 def _links_of_points(ends: list[list[int]]) -> np.ndarray:
     """Springs point by point, in ascending order: s at the first end of spring s, -1 - s at the second."""
-    point = np.ravel(ends)
+    point = np.array(ends, int).ravel()
     order = np.argsort(point, kind="stable")
     return np.where(order % 2 == 0, order // 2, -1 - order // 2)
 

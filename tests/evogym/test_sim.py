@@ -129,13 +129,15 @@ def test_what_is_returned_is_a_copy() -> None:
     assert sim.object_pos_at_time(0, "ground").max() == pytest.approx(30)
 
 
-@pytest.mark.parametrize("name", ["box", "ground"])
+@pytest.mark.parametrize("name", ["box", "ground", "shelf"])
 def test_objects_can_be_translated(name: str) -> None:
-    sim = EvoSim(make_world())
+    world = make_world()
+    world.add_from_array("shelf", np.array([[5, 2]]), 20, 5)
+    sim = EvoSim(world)
     for row in waves(5, 6):
         sim.set_action("robot", row)
         sim.step()
-    before = {each: sim.object_pos_at_time(5, each) for each in ("robot", "box", "ground")}
+    before = {each: sim.object_pos_at_time(5, each) for each in ("robot", "box", "ground", "shelf")}
     early = sim.pos_at_time(2)
     sim.translate_object(0.3, 0.0, name)
     for each, points in before.items():
@@ -145,6 +147,17 @@ def test_objects_can_be_translated(name: str) -> None:
     assert sim.step() is False
     moved = np.abs(sim.object_pos_at_time(6, "robot") - before["robot"]).max()
     assert 0 < moved < 0.5
+
+
+def test_translated_terrain_carries() -> None:
+    world = EvoWorld()
+    world.add_from_array("robot", np.array([[3]]), 10, 2)
+    world.add_from_array("table", np.array([[5, 5], [2, 5]]), 0, 0)
+    sim = EvoSim(world)
+    sim.translate_object(0.95, -0.05, "table")
+    for _ in range(60):
+        sim.step()
+    assert sim.object_pos_at_time(60, "robot")[1].min() == pytest.approx(1.5, abs=0.05)
 
 
 def test_a_robot_that_folds_stops_the_clock() -> None:

@@ -103,7 +103,7 @@ class Engine:
 
     def translate(self, name: str, dx: float, dy: float) -> None:
         """Move all points of an object, in simulator units; overlaps are not looked at."""
-        if name in self._still:
+        if name not in self._loose and (self._bodies[name].source.grid == Cell.FIXED).any():
             self._loosen(name)
         self._views["pos"][self._spans[name]] += (dx, dy)
         self._drift.fill(STALE)
@@ -111,16 +111,18 @@ class Engine:
         self.changes += 1
 
     def _loosen(self, name: str) -> None:
-        """Make an object one that can be moved; the past is told anew with its points in it."""
+        """Make an object one whose fixed cells can be moved; the past is told anew with its points in it."""
         past, actions = self._past, self._actions.copy()
         told = {time: [self._parts(kept) for kept in past[time]] for time in past}
         still, self._loose = self._still, (*self._loose, name)
         self._build()
         self._actions[:] = actions
         moving = [body.name for body in self._sim.designs[0].bodies]
-        home = (still[name], np.zeros_like(still[name]))
+        if name in still:  # it has not moved so far
+            for pos, vel in told.values():
+                pos[name], vel[name] = still[name], np.zeros_like(still[name])
         self._past = {
-            time: tuple(np.concatenate([part.get(n, home[k]) for n in moving]) for k, part in enumerate(parts))
+            time: tuple(np.concatenate([part[each] for each in moving]) for part in parts)
             for time, parts in told.items()
         }
         self._set(*self._past[self.time])
