@@ -10,7 +10,7 @@ import functools
 import warp as wp
 
 from warpvox.kernels.broadphase import DISTANT, lattice_range
-from warpvox.kernels.lanes import REALS, inline, lane_ops
+from warpvox.kernels.lanes import REALS, inline, lane_ops, native
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
@@ -20,6 +20,36 @@ DEGENERATE = 1.0e-6  # a side shorter than this is never the nearest
 
 real = wp.float64
 quad = wp.types.vector(length=8, dtype=real)
+
+
+# A quad of the points c. Constant places: with a loop over them it would go through memory, twice.
+FRAME = """
+    const double* at = &wp::index(data.pos, pack, 0, lane);
+    const size_t gap = data.pos.strides[1] / sizeof(double);
+    wp::vec_t<8, double> q;
+    q[0] = at[2 * c[0] * gap];
+    q[1] = at[(2 * c[0] + 1) * gap];
+    q[2] = at[2 * c[1] * gap];
+    q[3] = at[(2 * c[1] + 1) * gap];
+    q[4] = at[2 * c[2] * gap];
+    q[5] = at[(2 * c[2] + 1) * gap];
+    q[6] = at[2 * c[3] * gap];
+    q[7] = at[(2 * c[3] + 1) * gap];
+    return q;
+"""
+
+# The lanes in which point p is in one of the triangles TL-TR-BR and TL-BR-BL of the voxel with points r.
+INSIDE = """
+    const auto pos = wides(data.pos);
+    const Wide x = pos[2 * p], y = pos[2 * p + 1];
+    const Wide x0 = pos[2 * r[0]] - x, y0 = pos[2 * r[0] + 1] - y;
+    const Wide x1 = pos[2 * r[1]] - x, y1 = pos[2 * r[1] + 1] - y;
+    const Wide x2 = pos[2 * r[2]] - x, y2 = pos[2 * r[2] + 1] - y;
+    const Wide x3 = pos[2 * r[3]] - x, y3 = pos[2 * r[3] + 1] - y;
+    const Wide c = x2 * y0 - y2 * x0, a = x0 * y1 - y0 * x1, b = x1 * y2 - y1 * x2;
+    const Wide d = x0 * y3 - y0 * x3, e = x3 * y2 - y3 * x2;
+    return bits_of(((c * a >= 0.0) & (c * b >= 0.0)) | ((c * d >= 0.0) & (c * e >= 0.0)));
+"""
 
 
 @functools.cache
@@ -155,16 +185,21 @@ def voxel_frame(precision: str):
     """Function: a voxel as a quad."""
     types = structs(precision)
 
-    @inline
-    def frame(data: types.Data, pack: int, k: int, c: wp.vec4i):
-        q = quad()
-        four = int(4)
-        for n in range(four):
-            q[2 * n] = data.pos[pack, 2 * c[n], k]
-            q[2 * n + 1] = data.pos[pack, 2 * c[n] + 1, k]
-        return q
+    @wp.func_native(FRAME)
+    def frame(data: types.Data, pack: int, lane: int, c: wp.vec4i) -> quad: ...
 
     return frame
+
+
+@functools.cache
+def lanes_inside(precision: str, width: int):
+    """Function: the lanes in which a point is in a voxel, as :func:`geometry` has it for one."""
+    types = structs(precision)
+
+    @wp.func_native(native("float64", width) + INSIDE)
+    def inside(data: types.Data, pack: int, lane: int, p: int, r: wp.vec4i) -> int: ...
+
+    return inside
 
 
 @functools.cache
@@ -172,7 +207,7 @@ def voxel_contacts(precision: str, width: int):
     """Stage: contacts of the candidate pairs."""
     ops, types = lane_ops("float64", width), structs(precision)
     load, at_most, first, drop = ops.load, ops.at_most, ops.first, ops.drop
-    contact, frame = resolve(precision), voxel_frame(precision)
+    contact, frame, inside = resolve(precision), voxel_frame(precision), lanes_inside(precision, width)
 
     @inline
     def corner_hits(data: types.Data, pack: int, lane: int, p: int, r: int):
@@ -224,7 +259,10 @@ def voxel_contacts(precision: str, width: int):
         four = int(4)
         for c in range(four):
             if ((corners >> c) & 1) == 1:
-                lanes = active & corner_hits(data, pack, lane, model.corner[design, i][c], j)
+                p = model.corner[design, i][c]
+                lanes = active & corner_hits(data, pack, lane, p, j)
+                if lanes != 0:
+                    lanes = lanes & inside(data, pack, lane, p, model.corner[design, j])
                 while lanes != 0:
                     touch(model, data, design, pack, lane + first(lanes), i, j, c, times)
                     lanes = drop(lanes)

@@ -102,6 +102,7 @@ auto any_below = [](Value a) -> bool { return a <= Real(0); };
 auto each_lane = [](auto&& act) { act(0); };
 auto lane_of = [](const Value& a, int) -> Real { return a; };
 auto set_lane = [](Value& a, int, Real x) { a = x; };
+auto bits_of = [](bool a) -> int { return a ? 1 : 0; };
 #if defined(__CUDA_ARCH__)
 struct Values {
     Value* first;
@@ -135,6 +136,13 @@ auto any_below = [](Value a) -> bool { return __builtin_reduce_min(a) <= Real(0)
 auto each_lane = [](auto&& act) { for (int k = 0; k < WIDTH; ++k) act(k); };
 auto lane_of = [](const Value& a, int k) -> Real { return a[k]; };
 auto set_lane = [](Value& a, int k, Real x) { a[k] = x; };
+auto bits_of = [](auto a) -> int {
+    typedef bool Bits __attribute__((ext_vector_type(WIDTH)));
+    const Bits bits = __builtin_convertvector(a, Bits);
+    unsigned mask = 0;
+    __builtin_memcpy(&mask, &bits, WIDTH / 8);
+    return static_cast<int>(mask);
+};
 auto values = [&](const wp::array_t<Real>& a) { return reinterpret_cast<Value*>(&wp::index(a, pack, 0, lane)); };
 auto wides = [&](const wp::array_t<double>& a) { return reinterpret_cast<Wide*>(&wp::index(a, pack, 0, lane)); };
 """
