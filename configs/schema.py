@@ -135,6 +135,7 @@ class TrainConfig:
     dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
     lanes: int | None = key(None, "environments that a thread advances at once; null: chosen by size")
+    cuda_graph: bool = key(False, "on CUDA launch each control step, rewards and resets included, as one graph")
     torch_threads: int = key(1, "threads of PyTorch; more than 1 slows small networks down", low=1)
     resume: str | None = key(None, "go on with a run: latest, its folder, or a checkpoint file in it")
     name: str | None = key(None, "appended to the name of the run's folder")

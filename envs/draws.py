@@ -28,6 +28,7 @@ class Draws:
         device: where to draw.
 
     Attributes:
+        keys: long ``[num_envs]``, where the streams begin.
         episode: long ``[num_envs]``, the episode that is being drawn for.
     """
 
@@ -36,7 +37,7 @@ class Draws:
         block = num_envs // len(seeds)
         children = [child for one in seeds for child in np.random.SeedSequence(one).spawn(block)]
         keys = np.array([child.generate_state(1, np.uint64)[0] for child in children], np.uint64)
-        self._keys = torch.as_tensor(keys.view(np.int64), device=device)
+        self.keys = torch.as_tensor(keys.view(np.int64), device=device)
         self.episode = torch.zeros(num_envs, dtype=torch.long, device=device)
         self._count = 0
 
@@ -58,7 +59,7 @@ class Draws:
         """long ``[num_envs, count]``: the next ``count`` numbers of each stream, in [low, high), uniform."""
         place = torch.arange(self._count + 1, self._count + count + 1, device=self.episode.device)
         self._count += count
-        word = self._keys[:, None] + (self.episode[:, None] * _EPISODE + place) * _STEP
+        word = self.keys[:, None] + (self.episode[:, None] * _EPISODE + place) * _STEP
         word = (word ^ _shifted(word, 30)) * _MIX_1
         word = (word ^ _shifted(word, 27)) * _MIX_2
         word = word ^ _shifted(word, 31)

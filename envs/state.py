@@ -29,12 +29,18 @@ class State:
     Args:
         sim: the simulation that stands at this moment.
         memory: what the environments remember of their episodes, by name.
+        values: quantities that are known already.
     """
 
-    def __init__(self, sim: Simulation, memory: Mapping[str, Tensor] | None = None) -> None:
+    def __init__(
+        self,
+        sim: Simulation,
+        memory: Mapping[str, Tensor] | None = None,
+        values: Mapping[Quantity, Tensor] | None = None,
+    ) -> None:
         self._sim = sim
         self._memory = memory or {}
-        self._values: dict[Quantity, Tensor] = {}
+        self._values: dict[Quantity, Tensor] = dict(values or {})
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -46,6 +52,15 @@ class State:
         for quantity in quantities:
             self._ask(*quantity)
         return self
+
+    @property
+    def remembered(self) -> Mapping[str, Tensor]:
+        """What the environments remember of their episodes, by name."""
+        return self._memory
+
+    def value(self, quantity: Quantity) -> Tensor:
+        """One of :attr:`quantities`."""
+        return self._values[quantity]
 
     def update(self, memories: Iterable[Memory]) -> dict[str, Tensor]:
         """Update what this state remembers, one memory after the other; return all of it."""

@@ -11,6 +11,7 @@ import torch
 
 from warpvox.design import Design, load_design
 from warpvox.envs.draws import Draws
+from warpvox.envs.graph import StepGraph, capture_on_cuda
 from warpvox.envs.layout import Layout
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import ROBOT, TaskSpec
@@ -44,6 +45,7 @@ def make_vec(
     connections: Sequence[object] | None = None,
     max_episode_steps: int | None = None,
     obs: str = "task",
+    cuda_graph: bool = False,
 ) -> VoxelVecEnv:
     """Make ``num_envs`` environments of a task, ready to be stepped.
 
@@ -66,6 +68,8 @@ def make_vec(
         max_episode_steps: another time limit than the task's.
         obs: ``task`` (what the task observes) or ``voxel`` (every cell of the body, then the rest of what the task
             observes; see :mod:`warpvox.envs.voxels`).
+        cuda_graph: on CUDA launch a whole control step, from the physics to rewards and resets, as one graph (see
+            :mod:`warpvox.envs.graph`). Without, the physics alone is one. Means nothing on the CPU.
 
     Raises:
         TaskError: unknown task. DesignError: a body that is not valid. WorldError: a body that does not fit.
@@ -94,7 +98,7 @@ def make_vec(
         threads=threads,
         loose=spec.scattered,
     )
-    return VoxelVecEnv(spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs)
+    return VoxelVecEnv(spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs, cuda_graph=cuda_graph)
 
 
 class VoxelVecEnv:
@@ -129,6 +133,7 @@ class VoxelVecEnv:
         seed: int | Sequence[int] = 0,
         auto_reset: bool = True,
         obs: str = "task",
+        cuda_graph: bool = False,
     ) -> None:
         if obs not in OBSERVATIONS:
             hint = did_you_mean(obs, OBSERVATIONS)
@@ -163,6 +168,7 @@ class VoxelVecEnv:
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
         # Looking at a mask to skip work is free on the CPU; elsewhere it would wait for the device.
         self._may_look = torch.device(sim.device).type == "cpu"
+        self._graph = StepGraph(self, capture_on_cuda(sim.device)) if cuda_graph and not self._may_look else None
         self._clear_episodes()
 
     @property
@@ -265,8 +271,14 @@ class VoxelVecEnv:
             ActionError: wrong shape; on the CPU also entries that are not finite. Nothing has been stepped
                 then. On CUDA an environment with such entries becomes unstable.
         """
+        self.sim.take(actions)
+        self._drawn = False
+        return self._whole_step() if self._graph is None else self._graph()
+
+    def _whole_step(self) -> StepResult:
+        """The part of :meth:`step` that runs on the device, without waiting for it."""
         going = None if self.auto_reset else ~(self._terminated | self._truncated)
-        obs, after, remembered, unstable, terms, terminated = self._advance(actions, going)
+        obs, after, remembered, unstable, terms, terminated = self._advance(going)
         reward = sum(terms.values())
         self.episode_length = self.episode_length + (1 if going is None else going)
         self._return = self._return + reward
@@ -296,10 +308,9 @@ class VoxelVecEnv:
             self.sim.set_frozen(terminated | truncated)
         return obs, reward.to(self.dtype), terminated, truncated, info
 
-    def _advance(self, actions: torch.Tensor | np.ndarray, going: torch.Tensor | None):
+    def _advance(self, going: torch.Tensor | None):
         """The step without what follows at the end of an episode."""
-        self.sim.step(actions)
-        self._drawn = False
+        self.sim.advance()
         after = State(self.sim, self._memory)
         obs = self._layout.observe(after)
         remembered = after.update(self.spec.memory)
@@ -313,8 +324,36 @@ class VoxelVecEnv:
             Observation ``[num_obs]``, what each term has added to the reward, terminated, and whether the step was
             stopped. What follows after the end means nothing, until :meth:`reset`.
         """
-        obs, self._before, self._memory, unstable, terms, terminated = self._advance(actions, None)
+        self.sim.take(actions)
+        self._drawn = False
+        obs, self._before, self._memory, unstable, terms, terminated = self._advance(None)
         return obs[0], {name: value.item() for name, value in terms.items()}, terminated.item(), unstable.item()
+
+    def _carried(self) -> dict[Any, torch.Tensor]:
+        """What a step leaves for the next, besides the simulation's own state; the inverse of :meth:`_carry`."""
+        carried: dict[Any, torch.Tensor] = {
+            "length": self.episode_length,
+            "return": self._return,
+            "terminated": self._terminated,
+            "truncated": self._truncated,
+        }
+        carried |= {("memory", name): value for name, value in self._memory.items()}
+        carried |= {("remembered", name): value for name, value in self._before.remembered.items()}
+        carried |= {("before", quantity): self._before.value(quantity) for quantity in self._needed_before}
+        if self._draws is not None:
+            carried |= {"keys": self._draws.keys, "episode": self._draws.episode}
+        return carried
+
+    def _carry(self, carried: Mapping[Any, torch.Tensor]) -> None:
+        def part(kind: str) -> dict[Any, torch.Tensor]:
+            return {name[1]: value for name, value in carried.items() if isinstance(name, tuple) and name[0] == kind}
+
+        self.episode_length, self._return = carried["length"], carried["return"]
+        self._terminated, self._truncated = carried["terminated"], carried["truncated"]
+        self._memory = part("memory")
+        self._before = State(self.sim, part("remembered"), part("before"))
+        if self._draws is not None:
+            self._draws.keys, self._draws.episode = carried["keys"], carried["episode"]
 
     def _judge(
         self, before: State, after: State, unstable: torch.Tensor, going: torch.Tensor | None

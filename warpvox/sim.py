@@ -83,7 +83,7 @@ class Simulation:
         self._pool = ThreadPoolExecutor(self._threads)
         self._shares: list[wp.Launch] = []
         self._sensors: dict[tuple, tuple[wp.Launch, list[torch.Tensor]]] = {}
-        self._views = {name: wp.to_torch(self._state.arrays[name]) for name in ("frozen", "status", "time", "drift")}
+        self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
         self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
         self._slot = self._env[0] * self._state.lanes + self._env[1]
         self._action_range = action_range
@@ -91,6 +91,7 @@ class Simulation:
         self._action_array = wp.from_torch(self._actions)
         self._graph = None
         self._scans: dict[tuple, tuple] = {}
+        self._fixed: dict[tuple[str, bool], tuple[torch.Tensor, torch.Tensor]] = {}
         self._centres_are_new = False
         self._views["frozen"].fill_(1)  # lanes that belong to no environment stay so
         self.reset()
@@ -108,6 +109,11 @@ class Simulation:
             ActionError: wrong shape; on the CPU also values that are not finite (on CUDA such an environment
                 becomes unstable, because looking at them would wait for the device).
         """
+        self.take(actions)
+        self.advance()
+
+    def take(self, actions) -> None:
+        """The first half of :meth:`step`: check the actions and keep them for :meth:`advance`."""
         actions = torch.as_tensor(actions)
         if tuple(actions.shape) != tuple(self._actions.shape):
             expected = list(self._actions.shape)
@@ -118,7 +124,10 @@ class Simulation:
             bad = int((~torch.isfinite(actions)).nonzero()[0, 0])
             raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
         self._actions.copy_(actions)
-        if self.device == "cpu":
+
+    def advance(self) -> None:
+        """The second half of :meth:`step`; on CUDA it can be part of a graph that is being captured."""
+        if self.device == "cpu" or torch.cuda.is_current_stream_capturing():
             self._control_step()
         else:
             self._replay()
@@ -187,9 +196,11 @@ class Simulation:
         y = (y * VOXEL + height.double() * VOXEL) - down * VOXEL
         pack, lane = (index[:, None] for index in self._env)
         for row, values in ((2 * point, x), (2 * point + 1, y)):
-            for name, new in (("pos", values), ("vel", 0.0), ("true_vel", 0.0)):
-                view = wp.to_torch(self._state.arrays[name])
-                view[pack, row, lane] = torch.where(mask, new, view[pack, row, lane])
+            for name in ("pos", "vel", "true_vel"):
+                view = self._views[name]
+                old = view[pack, row, lane]
+                new = torch.where(mask, values, old) if name == "pos" else old.masked_fill(mask, 0.0)
+                view.index_put_((pack, row, lane), new)
         self._views["drift"].fill_(STALE)
         self._centres_are_new = False
 
@@ -332,12 +343,22 @@ class Simulation:
             self._index(name)
             out = torch.zeros(shape, dtype=self.dtype, device=self.device)
         if name in self._terrain and what != 1:
+            fixed, is_fixed = self._fixed_points(name, what == 2)
+            out = torch.where(is_fixed[self.design_index], fixed[self.design_index], out)
+        return out
+
+    def _fixed_points(self, name: str, relative: bool) -> tuple[torch.Tensor, torch.Tensor]:
+        """Points of an object that never moves, ``[num_designs, points, 2]``, and bool: of which designs it is one."""
+        if (name, relative) not in self._fixed:
+            fixed = torch.zeros((self.num_designs, self.num_points(name), 2), dtype=torch.float64)
+            is_fixed = torch.zeros((self.num_designs, self.num_points(name), 1), dtype=torch.bool)
             for d, design in enumerate(self.designs):
                 for body in (body for body in design.statics if body.name == name):
-                    fixed = torch.tensor(body.points, dtype=torch.float64, device=self.device)
-                    fixed = fixed - fixed.mean(0) if what == 2 else fixed
-                    out[self.design_index == d, : len(fixed)] = fixed.to(self.dtype)
-        return out
+                    points = torch.tensor(body.points, dtype=torch.float64)
+                    fixed[d, : len(points)] = points - points.mean(0) if relative else points
+                    is_fixed[d, : len(points)] = True
+            self._fixed[name, relative] = fixed.to(self.device, self.dtype), is_fixed.to(self.device)
+        return self._fixed[name, relative]
 
     def com(self, name: str) -> torch.Tensor:
         """float64 [num_envs, 2]: centre of mass of an object that can move (B.1)."""
@@ -405,7 +426,7 @@ class Simulation:
     def state(self) -> dict[str, torch.Tensor]:
         """Everything that changes, a row for every environment: what :meth:`set_state` takes back."""
         pack, lane = self._env
-        views = {name: wp.to_torch(self._state.arrays[name]) for name in STATE_FIELDS}
+        views = {name: self._views[name] for name in STATE_FIELDS}
         return {name: view[pack, :, lane] if view.ndim == 3 else view[pack, lane] for name, view in views.items()}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
@@ -418,7 +439,7 @@ class Simulation:
             SimulationError: fields or shapes that are not this simulation's.
         """
         pack, lane = self._env
-        views = {name: wp.to_torch(self._state.arrays[name]) for name in STATE_FIELDS}
+        views = {name: self._views[name] for name in STATE_FIELDS}
         least = max(2 * sum(len(body.points) for body in design.bodies) for design in self.designs)
         for name, view in views.items():
             given = state.get(name)

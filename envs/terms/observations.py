@@ -125,7 +125,9 @@ def _windows(state: State, name: str, reach: int, objects: tuple[str, ...], noth
 def short_of(state: State, name: str, x: float, y: float) -> Tensor:
     """From the centre of mass to a goal: (g_x - p_x, g_y - p_y)."""
     centre = state.com(name)
-    return centre.new_tensor([x, y]) - centre
+    goal = centre.new_full((2,), x)  # filled on the device: a list would have to be brought there, which waits
+    goal[1:].fill_(y)
+    return goal - centre
 
 
 @about("goals reached", unit=NUMBER, low=0.0, high=LONGEST)

@@ -50,7 +50,7 @@ def drop(before: State, after: State, name: str, below: float) -> Tensor:
 def staged_drop(before: State, after: State, name: str, below: float, x: float, below_beyond: float) -> Tensor:
     """As :func:`drop`, with another height (``below_beyond``) where the centre of mass is now beyond ``x``."""
     place, height = after.com(name).unbind(1)
-    limit = height.new_tensor(below).where(place <= x, height.new_tensor(below_beyond))
+    limit = height.new_full((), below).where(place <= x, height.new_full((), below_beyond))
     return (height - before.com(name)[:, 1]).masked_fill(height >= limit, 0.0)
 
 

@@ -42,8 +42,10 @@ class Puppet:
         self.frozen = self.fold.clone()
         self.steps = 0
 
-    def step(self, actions: torch.Tensor) -> None:
+    def take(self, actions: torch.Tensor) -> None:
         assert tuple(actions.shape) == (self.num_envs, self.num_actions)
+
+    def advance(self) -> None:
         self.steps += 1
         self.unstable = self.fold & ~self.frozen
         moves = ~(self.fold | self.frozen)

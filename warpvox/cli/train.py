@@ -33,6 +33,7 @@ CHANGEABLE = (
     "device",
     "threads",
     "torch_threads",
+    "cuda_graph",
     "resume",
     "output_dir",
 )

@@ -48,8 +48,10 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         "trajectories": lambda: gpu_checks.trajectories(config, report, _tasks(config)),
         "determinism": lambda: gpu_checks.determinism(config, report, size.tasks),
         "independence": lambda: gpu_checks.independence(config, report, size.tasks),
+        "graph": lambda: gpu_checks.graph(config, report, size.tasks),
         "recordings": lambda: gpu_checks.recordings(config, report),
-        "environments": lambda: _environments(config, report, size),
+        "environments": lambda: _environments(config, report, size, False),
+        "environments, graph": lambda: _environments(config, report, size, True),
         "tasks": lambda: _all_tasks(config, report, size),
         "stages": lambda: _stages(config, report, size),
         "compilation": lambda: _compilation(config, report),
@@ -86,15 +88,17 @@ def _tasks(config: Any) -> list[str]:
     return [get_task(task).id for task in config.tasks] or task_ids()
 
 
-def _environments(config: Any, report: Report, size: Size) -> list[dict[str, Any]]:
+def _environments(config: Any, report: Report, size: Size, graph: bool) -> list[dict[str, Any]]:
     """The three columns by number of environments, with the memory that they take from the device."""
     body, rows, needed = one_body(config), [], 0.0
+    if graph and config.device == "cpu":
+        return []
     for count in size.envs:
         before = available_memory(config.device)
         if count * needed > before:
             report.note(f"{count:,} environments need {count * needed / 2**30:.1f} GiB: left out.")
             continue
-        subject = Subject(config, config.task, body, count)
+        subject = Subject(config, config.task, body, count, cuda_graph=graph)
         subject.settle()
         rates = measure(subject, config.columns, config.repeats)
         taken = before - available_memory(config.device)
@@ -108,7 +112,8 @@ def _environments(config: Any, report: Report, size: Size) -> list[dict[str, Any
         ]
         for row in rows
     ]
-    title = f"{config.task}, control steps per second, {config.dtype}, {config.device}"
+    launched = ", one graph a step" if graph else ""
+    title = f"{config.task}, control steps per second, {config.dtype}, {config.device}{launched}"
     report.table(title, ["environments", *(HEADINGS[c] for c in config.columns), "kB an environment"], shown)
     return rows
 

@@ -15,7 +15,7 @@ from warpvox.cli.benchmarks.report import Report, number
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import SimulationError
 
-__all__ = ["determinism", "independence", "recordings", "trajectories"]
+__all__ = ["determinism", "graph", "independence", "recordings", "trajectories"]
 
 STEPS, ENVS = 30, 32
 POSITION = {"float64": 1e-9, "float32": 1e-5}
@@ -90,6 +90,28 @@ def determinism(config: Any, report: Report, envs: int) -> dict[str, Any]:
     _compare(first, second, "Two runs of the same actions")
     report.note(f"Two runs of {envs:,} environments over {STEPS} control steps are equal bit for bit.")
     return {"num_envs": envs, "steps": STEPS}
+
+
+def graph(config: Any, report: Report, envs: int) -> dict[str, Any]:
+    """Control steps launched as one graph are those launched one by one, bit for bit, past ends of episodes.
+
+    Raises:
+        SimulationError: they are not.
+    """
+    if config.device == "cpu":
+        report.note("No graph was captured: that needs a GPU.")
+        return {"captured": False}
+    options = dict(device=config.device, dtype=config.dtype, seed=config.seed, max_episode_steps=STEPS // 2)
+    both = []
+    for wanted in (False, True):
+        env = make_vec(config.task, [one_body(config)], envs, cuda_graph=wanted, **options)
+        env.reset()
+        outcomes = [env.step(action) for action in _actions(env, 1)]
+        rewards = torch.stack([reward for _, reward, *_ in outcomes])
+        both.append({"rewards": rewards, "obs": outcomes[-1][0], **env.sim.state()})
+    _compare(*both, "Steps with and without a graph")
+    report.note(f"{envs:,} environments over {STEPS} control steps end alike with and without a graph, bit for bit.")
+    return {"captured": True, "num_envs": envs}
 
 
 def independence(config: Any, report: Report, envs: int) -> dict[str, Any]:

@@ -15,7 +15,6 @@ from warpvox.cli.benchmarks.reference import Reference, open_reference
 from warpvox.cli.benchmarks.report import Report, middle, number
 from warpvox.cli.benchmarks.step import HEADINGS, unit
 from warpvox.cli.benchmarks.subject import Subject, measure
-from warpvox.envs.vec_env import make_vec
 from warpvox.errors import SimulationError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
@@ -140,12 +139,10 @@ def scale_threads(config: Any, report: Report) -> dict[str, Any]:
     """
     counts = sorted({1, core_count()})
     body, rates = one_body(config), {count: [] for count in counts}
-    options = dict(device=config.device, dtype=config.dtype)
     subjects = {}
     with report.status("threads"):
         for count in counts:
-            env = make_vec(config.task, [body], config.num_envs, threads=count, **options)
-            subjects[count] = Subject(config, config.task, body, config.num_envs, env)
+            subjects[count] = Subject(config, config.task, body, config.num_envs, threads=count)
             subjects[count].settle()
         for _ in range(config.repeats):
             for count, subject in subjects.items():

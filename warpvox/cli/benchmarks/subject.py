@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from warpvox.cli.config import load
-from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.envs.vec_env import make_vec
 from warpvox.errors import SimulationError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
@@ -18,6 +18,8 @@ __all__ = ["Subject", "clock", "measure"]
 
 LEAST_STEPS = 2
 """Control steps of a repetition, at the least."""
+LOADING = 4
+"""Control steps that load kernels, and on CUDA capture the graph."""
 PATIENCE, SHORT = 4, 2
 """An iteration of training may take so many times the limit; one beyond the limit is repeated so often."""
 
@@ -36,12 +38,12 @@ class Subject:
     Args:
         config: of ``warpvox bench``: precision, device, threads, seed, limits.
         task, body, num_envs: what to make.
-        env: environments that exist already, instead.
+        options: of ``make_vec``, other than the configuration's.
     """
 
-    def __init__(self, config: Any, task: str, body: np.ndarray, num_envs: int, env: VoxelVecEnv | None = None) -> None:
-        options = dict(device=config.device, dtype=config.dtype, threads=config.threads)
-        self.env = env or make_vec(task, [body], num_envs, **options)
+    def __init__(self, config: Any, task: str, body: np.ndarray, num_envs: int, **options: Any) -> None:
+        common = dict(device=config.device, dtype=config.dtype, threads=config.threads)
+        self.env = make_vec(task, [body], num_envs, **(common | options))
         self.device, self.num_envs, self.limit = self.env.device, num_envs, config.limit
         self._random = torch.Generator(self.device).manual_seed(config.seed)
         self._runner: Any = None
@@ -60,7 +62,7 @@ class Subject:
         Raises:
             SimulationError: not even a few steps do.
         """
-        self.timed("step", 1)
+        self.timed("step", LOADING)
         seconds = self.num_envs / self.timed("step", 1)
         if LEAST_STEPS * seconds > self.limit:
             raise SimulationError(f"a control step takes {seconds:.1f} s")
