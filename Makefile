@@ -2,6 +2,7 @@
 #   make demo   train a walker and write its rollout as USD, GIF and a page
 #   make test   run the default test suite
 #   make lint   check style (make format: repair it)
+#   make docs   build the documentation into site/ and check its links
 #   make clean  remove what builds leave behind (make distclean: .venv as well)
 # PYTHON=python3.12 make demo   chooses the interpreter that .venv is made from.
 
@@ -11,11 +12,11 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
 
-.PHONY: help install demo test lint format clean distclean
+.PHONY: help install demo test lint format docs pictures clean distclean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,6s/^# *//p' Makefile
+	@sed -n '2,7s/^# *//p' Makefile
 
 install: $(STAMP)
 
@@ -43,9 +44,17 @@ format: $(STAMP)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+docs: $(STAMP)
+	$(PIP) --quiet -c constraints.txt -e ".[docs]"
+	$(BIN)/python -m mkdocs build --strict
+
+# Makes the pictures of the documentation anew, of three runs of a walker; takes some minutes.
+pictures: $(STAMP)
+	$(BIN)/python docs/pictures.py
+
 # Removes what builds and runs of tools leave behind; keeps .venv and outputs/.
 clean:
-	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf build dist site *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 # Also removes the virtual environment.

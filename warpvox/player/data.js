@@ -61,21 +61,26 @@ const findTerrain = (scene) => {
   }
 };
 
-// The robot's smoothed centre and its size at the start.
+// The robot's smoothed centre, its height at the start, and how far it reaches from its centre however it turns.
 const findTrack = (env, frames) => {
   const { robot, points } = env.scene, x = new Float32Array(frames), y = new Float32Array(frames);
-  let low = Infinity, high = -Infinity;
+  let low = Infinity, high = -Infinity, left = Infinity, right = -Infinity;
   for (let k = 0; k < frames; k++) {
     for (const p of robot) {
       const at = (k * points + p) * 2;
       x[k] += env.xy[at] / robot.length;
       y[k] += env.xy[at + 1] / robot.length;
-      if (k === 0) { low = Math.min(low, env.xy[at + 1]); high = Math.max(high, env.xy[at + 1]); }
+      if (k > 0) continue;
+      low = Math.min(low, env.xy[at + 1]);
+      high = Math.max(high, env.xy[at + 1]);
+      left = Math.min(left, env.xy[at]);
+      right = Math.max(right, env.xy[at]);
     }
   }
   env.trackX = smooth(x, 9);
   env.trackY = smooth(y, 22);
   env.tall = high - low;
+  env.reach = Math.hypot(high - low, right - left) / 2 + 1;
 };
 
 const readRollout = async () => {

@@ -50,11 +50,11 @@ const lookAt = (env, time, box, zoom, pan) => {
   if (pan) return { scale, left: pan.x - w / 2, bottom: pan.y - h / 2, w, h };
   const x = valueAt(env.trackX, time), y = valueAt(env.trackY, time), { width } = env.scene;
   const left = w > width + 2 * BELOW ? (width - w) / 2 : Math.min(width + BELOW - w, Math.max(-BELOW, x - w / 2));
-  const margin = Math.min(env.tall, w / 2, h / 2);
+  const beside = Math.min(env.reach, w / 2), above = Math.min(env.reach, h / 2);
   return {
     scale, w, h,
-    left: Math.min(x - margin, Math.max(x + margin - w, left)),
-    bottom: Math.min(y - margin, Math.max(y + margin - h, Math.max(-BELOW, y - ANCHOR * h))),
+    left: Math.min(x - beside, Math.max(x + beside - w, left)),
+    bottom: Math.min(y - above, Math.max(y + above - h, Math.max(-BELOW, y - ANCHOR * h))),
   };
 };
 

@@ -1,0 +1,60 @@
+"""What mkdocs asks while it builds the site: the order of the pages, and the help of the commands.
+
+Not part of the library. A page's line ``<!-- help COMMAND -->`` becomes what ``warpvox COMMAND --help`` prints, so that
+the site cannot say anything else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+ORDER = (
+    "index",
+    "quickstart",
+    "concepts",
+    "commands",
+    "see",
+    "editor",
+    "custom_tasks",
+    "observations",
+    "codesign",
+    "search",
+    "physics",
+    "performance",
+    "formats",
+    "evogym",
+    "faq",
+)
+"""Pages as they follow each other; any others come last."""
+HELP = re.compile(r"^<!-- help (\w+) -->$", re.MULTILINE)
+WIDTH = "104"
+
+
+def on_config(config: Any) -> Any:
+    """Put the pages that there are into order."""
+    found = {path.stem for path in Path(config["docs_dir"]).glob("*.md")}
+    config["nav"] = [f"{name}.md" for name in [*(n for n in ORDER if n in found), *sorted(found - set(ORDER))]]
+    return config
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Insert the help of commands."""
+    return HELP.sub(lambda match: f"```text\n{help_of(match[1])}\n```", markdown)
+
+
+def help_of(command: str) -> str:
+    """What ``warpvox COMMAND --help`` prints."""
+    from warpvox.cli import main
+
+    os.environ["COLUMNS"] = WIDTH
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text):
+        code = main([command, "--help"])
+    if code:
+        raise ValueError(f"warpvox {command} --help failed")
+    return text.getvalue().strip()
