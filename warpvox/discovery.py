@@ -1,7 +1,7 @@
 """Makes ``warpvox/<Task>`` known to gymnasium as soon as both libraries are there, whichever comes first.
 
 Gymnasium has no plugins: whoever has environments must register them after it has been imported. Importing it here
-would cost every user of ``import warpvox`` its time, so a finder waits for its import and steps aside.
+would cost every user of ``import warpvox`` its time, so a finder waits for its import and then goes away.
 """
 
 from __future__ import annotations
@@ -27,13 +27,18 @@ def announce() -> None:
 
 
 class _Waiter(MetaPathFinder):
-    """Finds gymnasium by asking everyone else."""
+    """Finds gymnasium by asking everyone else; stays until it is imported, since some only ask where it is."""
+
+    _asking = False
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        if name != GYMNASIUM:
+        if name != GYMNASIUM or self._asking:
             return None
-        sys.meta_path.remove(self)
-        spec = importlib.util.find_spec(name)
+        self._asking = True
+        try:
+            spec = importlib.util.find_spec(name)
+        finally:
+            self._asking = False
         if spec is not None and spec.loader is not None:
             spec.loader = _ThenRegister(spec.loader)
         return spec
@@ -50,5 +55,6 @@ class _ThenRegister(Loader):
 
     def exec_module(self, module: ModuleType) -> None:
         module.__loader__ = module.__spec__.loader = self._loader
+        sys.meta_path[:] = [finder for finder in sys.meta_path if not isinstance(finder, _Waiter)]
         self._loader.exec_module(module)
         importlib.import_module(ENVIRONMENTS)

@@ -110,11 +110,16 @@ def test_the_time_limit_is_gymnasiums() -> None:
 
 
 def test_registered_for_both_orders_of_import(tmp_path: Path) -> None:
-    light = "import sys, warpvox; assert 'gymnasium' not in sys.modules; import gymnasium; "
-    loader = "assert type(gymnasium.__spec__.loader) is type(warpvox.__spec__.loader) is type(gymnasium.__loader__); "
+    light = "import sys, warpvox; assert 'gymnasium' not in sys.modules; "
+    loader = (
+        "import gymnasium; gymnasium.spec('warpvox/Walker-v0');"
+        "assert type(gymnasium.__spec__.loader) is type(warpvox.__spec__.loader) is type(gymnasium.__loader__); "
+    )
+    asked = "import warpvox; from importlib.util import find_spec as f; assert f('gymnasium') and f('gymnasium'); "
     for code in (
-        light + loader + "assert 'torch' not in sys.modules; gymnasium.spec('warpvox/Walker-v0')",
+        light + loader + "assert 'torch' not in sys.modules; assert 'discovery' not in str(sys.meta_path)",
         "import gymnasium, warpvox; gymnasium.spec('warpvox/Walker-v0')",
+        asked + loader,
         "import gymnasium; gymnasium.make('warpvox:warpvox/Walker-v0')",
         "import warpvox; warpvox.task_ids(); import gymnasium; gymnasium.spec('warpvox/Walker-v0')",
         "import warpvox; from gymnasium.envs.registration import spec; spec('warpvox/Walker-v0')",

@@ -143,5 +143,5 @@ def test_mistakes_are_named() -> None:
         make(get_task("Walker-v0"), [{"robot": A, "mate": B}])
     with pytest.raises(DesignError, match=r"Design 1: .*no actuator"):
         make(TEAM, [B, {"robot": A, "mate": B, "third": [[1]]}], 2)
-    with pytest.raises(WorldError, match=r"1x2 body does not fit the world of Team-v0.*.*'third' .* overlaps 'mate'"):
+    with pytest.raises(WorldError, match=r"1x2 body does not fit the world of Team-v0.*'third' .* overlaps 'mate'"):
         make(TEAM, [{"robot": A, "mate": np.full((1, 20), 3), "third": C}])
