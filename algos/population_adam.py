@@ -49,6 +49,14 @@ class PopulationAdam:
         for parameter, move in zip(self.parameters, moves, strict=True):
             parameter.sub_(move.mul_(sizes))
 
+    def part(self, share: slice, parameters: Iterable[nn.Parameter]) -> PopulationAdam:
+        """The optimiser of some neighbouring designs' ``parameters``, which keeps its moments in this one's memory."""
+        part = object.__new__(PopulationAdam)
+        part.parameters, part.eps, part.steps = list(parameters), self.eps, self.steps
+        part.means = [moment[share] for moment in self.means]
+        part.squares = [moment[share] for moment in self.squares]
+        return part
+
     def keep(self, index: Sequence[int]) -> None:
         """Only these designs go on; to be called after the parameters have been cut alike."""
         for moments in (self.means, self.squares):

@@ -193,6 +193,19 @@ class PopulationModel(nn.Module):
             name: value.detach().cpu().clone(memory_format=torch.contiguous_format) for name, value in state.items()
         }
 
+    def part(self, share: slice) -> PopulationModel:
+        """Some neighbouring designs as a model that learns in this one's memory, for already scaled inputs."""
+        # `.data` and not `.detach()`: what others write to their share must not look like a change of this one
+        part = object.__new__(PopulationModel)
+        nn.Module.__init__(part)
+        part.inputs, part.outputs, part.width = self.inputs[share], self.outputs[share], self.width
+        part.activation, part.normalizes, part._range = self.activation, False, self._range
+        part.weights = nn.ParameterList(nn.Parameter(weight.data[share]) for weight in self.weights)
+        part.biases = nn.ParameterList(nn.Parameter(bias.data[share]) for bias in self.biases)
+        part.log_std = None if self.log_std is None else nn.Parameter(self.log_std.data[share])
+        part.register_buffer("mask", self.mask[share], persistent=False)
+        return part
+
     def keep(self, index: Sequence[int]) -> None:
         """Only these designs go on, in this order; parameters remain the same objects."""
         rows = torch.as_tensor(list(index), device=self.mask.device)

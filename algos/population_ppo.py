@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import torch
@@ -30,6 +32,7 @@ class PopulationPPO(PPO):
         actor, critic: stacked networks.
         storage: for ``designs * envs`` environments; actions as wide as the actor's outputs.
         streams: each design's random numbers.
+        threads: that share the designs while learning.
         settings: further arguments of :class:`warpvox.algos.ppo.PPO`.
 
     Attributes:
@@ -43,13 +46,18 @@ class PopulationPPO(PPO):
         critic: PopulationModel,
         storage: RolloutStorage,
         streams: Streams,
+        threads: int = 1,
         **settings: Any,
     ) -> None:
         # Advantages are normalised for each design in `update`; rsl-rl would do it over all rows.
         super().__init__(actor, critic, storage, normalize_advantage_per_mini_batch=True, **settings)
         eps = self.optimizer.param_groups[0]["eps"]
         self.optimizer = PopulationAdam([*actor.parameters(), *critic.parameters()], eps)
-        self.streams = streams
+        self.streams, self.threads = streams, threads
+        # torch's own number of threads is a setting of every thread
+        self._pool = ThreadPoolExecutor(
+            max(1, threads - 1), initializer=torch.set_num_threads, initargs=(torch.get_num_threads(),)
+        )
         actor.sampler = lambda rows: streams.normal(rows, actor.outputs, actor.width)
         self.rates = torch.full((actor.num_designs,), self.learning_rate, dtype=torch.float64, device=self.device)
         self.losses: dict[str, torch.Tensor] = {}
@@ -65,17 +73,11 @@ class PopulationPPO(PPO):
         """One iteration's optimisation of all designs; returns the mean losses."""
         if self.decays:
             self.rates.fill_(self.initial_learning_rate * max(0.0, 1.0 - self.updates / self.total_iterations))
-        data, size = self._shuffled(), self._minibatch()
-        self.actor.set_mean(torch.zeros_like(data["mean"][:, :1]))
-        old_std = self.actor.output_std.detach().clone()
-        sums = torch.zeros((3, self.num_designs), device=self.device)
-        for _ in range(self.num_learning_epochs):
-            for k in range(self.num_mini_batches):
-                part = {name: values[:, k * size : (k + 1) * size] for name, values in data.items()}
-                sums += self._descend(part, old_std)
+        data, times = self._shuffled(), self.num_learning_epochs * self.num_mini_batches
+        losses = torch.cat(self._share_out(lambda share: self._learn(share, data)), dim=1) / times
+        self.optimizer.steps += times
         # What a separate training draws to no purpose while it learns: rsl-rl samples in every forward pass.
-        times = self.num_learning_epochs * self.num_mini_batches
-        self.streams.skip_normal(size, self.actor.outputs, times)
+        self.streams.skip_normal(self._minibatch(), self.actor.outputs, times)
         obs = self._by_design(self._observations())
         rows = obs.shape[1]
         mean = _total(obs) / rows
@@ -84,9 +86,64 @@ class PopulationPPO(PPO):
             model.update_normalization(mean, var, rows)
         self.storage.clear()
         self.updates += 1
-        self.losses = dict(zip(("value", "surrogate", "entropy"), sums / times, strict=True))
+        self.losses = dict(zip(("value", "surrogate", "entropy"), losses, strict=True))
         self.learning_rate = float(self.rates.mean())
         return {name: float(values.mean()) for name, values in self.losses.items()}
+
+    def _share_out(self, learn: Callable[[slice], torch.Tensor]) -> list[torch.Tensor]:
+        """Results of ``learn`` for equal shares of the designs, a thread for each; designs do not mind how."""
+        count = min(self.threads, self.num_designs)
+        cuts = [self.num_designs * k // count for k in range(count + 1)]
+        shares = [slice(begin, end) for begin, end in itertools.pairwise(cuts)]
+        jobs = [self._pool.submit(learn, share) for share in shares[1:]]
+        return [learn(shares[0]), *(job.result() for job in jobs)]
+
+    def _learn(self, share: slice, data: dict[str, torch.Tensor]) -> torch.Tensor:
+        """All epochs of some designs; returns sums of value loss, surrogate loss and entropy ``[3, designs]``."""
+        data, size = {name: values[share] for name, values in data.items()}, self._minibatch()
+        actor, critic = self.actor.part(share), self.critic.part(share)
+        optimizer = self.optimizer.part(share, [*actor.parameters(), *critic.parameters()])
+        actor.set_mean(torch.zeros_like(data["mean"][:, :1]))
+        old_std, rates = actor.output_std.detach().clone(), self.rates[share]
+        sums = torch.zeros((3, actor.num_designs), device=self.device)
+        for _ in range(self.num_learning_epochs):
+            for k in range(self.num_mini_batches):
+                part = {name: values[:, k * size : (k + 1) * size] for name, values in data.items()}
+                actor.set_mean(actor.run(part["obs"]))
+                if self.schedule == "adaptive":
+                    self._adapt(rates, actor, part["mean"], old_std)
+                losses = self._losses(part, actor, critic)
+                optimizer.zero_grad()
+                weights = (self.value_loss_coef, 1.0, -self.entropy_coef)
+                # the sum, not the mean, over designs: each has the gradient that it would have alone
+                sum(weight * loss for weight, loss in zip(weights, losses, strict=True)).sum().backward()
+                for model in (actor, critic):
+                    clip_gradients(model.parameters(), self.max_grad_norm)
+                optimizer.step(rates)
+                sums += torch.stack(losses).detach()
+        return sums
+
+    def _losses(
+        self, part: dict[str, torch.Tensor], actor: PopulationModel, critic: PopulationModel
+    ) -> list[torch.Tensor]:
+        """Value loss, surrogate loss and entropy of a minibatch, ``[designs]`` each; the actor's mean is set."""
+        ratio = torch.exp(actor.log_prob(part["actions"]) - part["log_prob"])
+        bounded = ratio.clamp(1 - self.clip_param, 1 + self.clip_param)
+        surrogate = torch.max(-part["advantages"] * ratio, -part["advantages"] * bounded).mean(1)
+        values = critic.run(part["obs"])[..., 0]
+        error = (values - part["returns"]).square()
+        if self.use_clipped_value_loss:
+            near = part["values"] + (values - part["values"]).clamp(-self.clip_param, self.clip_param)
+            error = torch.max(error, (near - part["returns"]).square())
+        return [error.mean(1), surrogate, actor.output_entropy]
+
+    @torch.no_grad()
+    def _adapt(self, rates: torch.Tensor, actor: PopulationModel, mean: torch.Tensor, std: torch.Tensor) -> None:
+        """rsl-rl's adaptive schedule, for each design; changes ``rates``."""
+        kl = actor.kl_divergence(mean, std).mean(1)
+        lower, higher = (rates / 1.5).clamp(min=SLOWEST), (rates * 1.5).clamp(max=FASTEST)
+        far, near = kl > 2 * self.desired_kl, (kl < self.desired_kl / 2) & (kl > 0)
+        rates.copy_(torch.where(far, lower, torch.where(near, higher, rates)))
 
     def _minibatch(self) -> int:
         """Samples of a design in a minibatch."""
@@ -123,37 +180,6 @@ class PopulationPPO(PPO):
         # The normalisers learn after the update only: scaled once, the inputs serve all epochs.
         data["obs"] = self.actor.latent(data["obs"])
         return data
-
-    def _descend(self, part: dict[str, torch.Tensor], old_std: torch.Tensor) -> torch.Tensor:
-        """One step of Adam; returns value loss, surrogate loss and entropy ``[3, designs]``."""
-        self.actor.set_mean(self.actor.run(part["obs"]))
-        log_prob, entropy = self.actor.log_prob(part["actions"]), self.actor.output_entropy
-        values = self.critic.run(part["obs"])[..., 0]
-        if self.schedule == "adaptive":
-            self._adapt(part["mean"], old_std)
-        ratio = torch.exp(log_prob - part["log_prob"])
-        gain, bounded = -part["advantages"] * ratio, ratio.clamp(1 - self.clip_param, 1 + self.clip_param)
-        surrogate = torch.max(gain, -part["advantages"] * bounded).mean(1)
-        error = (values - part["returns"]).square()
-        if self.use_clipped_value_loss:
-            near = part["values"] + (values - part["values"]).clamp(-self.clip_param, self.clip_param)
-            error = torch.max(error, (near - part["returns"]).square())
-        value = error.mean(1)
-        loss = surrogate + self.value_loss_coef * value - self.entropy_coef * entropy
-        self.optimizer.zero_grad()
-        loss.sum().backward()  # the sum, not the mean: each design has the gradient that it would have alone
-        clip_gradients(self.actor.parameters(), self.max_grad_norm)
-        clip_gradients(self.critic.parameters(), self.max_grad_norm)
-        self.optimizer.step(self.rates)
-        return torch.stack([value, surrogate, entropy]).detach()
-
-    @torch.no_grad()
-    def _adapt(self, mean: torch.Tensor, std: torch.Tensor) -> None:
-        """rsl-rl's adaptive schedule, for each design."""
-        kl = self.actor.kl_divergence(mean, std).mean(1)
-        lower, higher = (self.rates / 1.5).clamp(min=SLOWEST), (self.rates * 1.5).clamp(max=FASTEST)
-        far, near = kl > 2 * self.desired_kl, (kl < self.desired_kl / 2) & (kl > 0)
-        self.rates = torch.where(far, lower, torch.where(near, higher, self.rates))
 
     # ------------------------------------------------------------ state, parts
 

@@ -105,7 +105,8 @@ class PopulationTraining:
         storage = RolloutStorage("rl", self.env.num_envs, self.ppo.steps, obs, [width], device)
         settings = dict(rsl_rl_config(self.ppo, self.settings.iterations)["algorithm"])
         settings.pop("class_name")
-        return PopulationPPO(actor, critic, storage, streams, device=device, **settings)
+        threads = self.env.env.sim.threads if device == "cpu" else 1
+        return PopulationPPO(actor, critic, storage, streams, threads=threads, device=device, **settings)
 
     @property
     def num_designs(self) -> int:

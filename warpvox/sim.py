@@ -39,7 +39,7 @@ class Simulation:
         dtype: precision of the springs and of what is returned: 'float32', or 'float64' for parity to round-off.
             State and contacts are float64 in both.
         lanes: environments that one CPU thread advances at once (1, 8, 16 or 32); None chooses.
-        threads: CPU threads; None takes all cores.
+        threads: CPU threads; None takes all cores. Also an attribute.
         loose: names of objects that :meth:`shift` may move; terrain among them is not merged with the rest.
         action_range: to what actions are clipped.
 
@@ -79,8 +79,8 @@ class Simulation:
         self._name_objects()
         self.loose = tuple(loose)
         self._loose = _loose_points(self, self.loose)
-        self._threads = _check_threads(threads)
-        self._pool = ThreadPoolExecutor(self._threads)
+        self.threads = _check_threads(threads)
+        self._pool = ThreadPoolExecutor(self.threads)
         self._shares: list[wp.Launch] = []
         self._sensors: dict[tuple, tuple[wp.Launch, list[torch.Tensor]]] = {}
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
@@ -147,7 +147,7 @@ class Simulation:
     def _record_shares(self) -> list[wp.Launch]:
         """On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs."""
         packs = self._state.packs
-        count = min(self._threads, packs) if self.device == "cpu" else 1
+        count = min(self.threads, packs) if self.device == "cpu" else 1
         cuts = [packs * k // count for k in range(count + 1)]
         return [step_stage.record(self._state, SUBSTEPS, begin, end - begin) for begin, end in itertools.pairwise(cuts)]
 

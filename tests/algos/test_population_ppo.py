@@ -194,3 +194,15 @@ def test_a_design_that_diverges_leaves_the_others_alone() -> None:
     for design in (0, 2):
         for name, value in sound.policy(design).items():
             assert torch.equal(spoilt.policy(design)[name], value)
+
+
+@pytest.mark.parametrize("threads", [2, 3, 8])
+def test_learning_is_the_same_bit_for_bit_with_any_number_of_threads(threads: int) -> None:
+    one, many = (PopulationTraining(arena(), bodies(4), SEEDS, settings("fast", {"steps": 4})) for _ in range(2))
+    many.algorithm.threads = threads
+    for training in (one, many):
+        for _ in range(2):
+            training.iterate()
+    for design in range(4):
+        for name, value in one.policy(design).items():
+            assert torch.equal(many.policy(design)[name], value)
