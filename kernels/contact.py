@@ -9,6 +9,7 @@ import functools
 
 import warp as wp
 
+from warpvox.kernels import order
 from warpvox.kernels.broadphase import DISTANT, lattice_range
 from warpvox.kernels.lanes import REALS, inline, lane_ops, native
 from warpvox.kernels.launch import launch_stage
@@ -181,6 +182,49 @@ def resolve(precision: str):
 
 
 @functools.cache
+def meeting(precision: str):
+    """Function: what comes of corner c (point p) of quad m of voxel i perhaps being in quad r of voxel j.
+
+    A voxel below 0 stands for cell -1 - i of the terrain.
+    """
+    types, contact = structs(precision), resolve(precision)
+    if precision == "float64":
+        nearest_side, remember = geometry(), order.note()
+
+        @wp.func
+        def leaf(model: types.Model, design: int, v: int):
+            if v < 0:
+                return model.cell_leaf[design, -1 - v]
+            return model.leaf[design, v]
+
+        @inline
+        def meet(
+            model: types.Model, data: types.Data, design: int, pack: int, k: int, unit: int, i: int, m: quad,
+            m_sides: int, p: int, c: int, j: int, r: quad, r_sides: int, r_points: wp.vec4i, times: real,
+        ):  # fmt: skip
+            side, depth = nearest_side(m, m_sides, c, r, r_sides)
+            if side >= 0:
+                f = (side + 1) % 4
+                ux, uy = r[2 * f] - r[2 * side], r[2 * f + 1] - r[2 * side + 1]
+                length = wp.sqrt(ux * ux + uy * uy)
+                normal = wp.vec3d(-uy / length, ux / length, depth)
+                ends = wp.vec2i(r_points[side], r_points[f])
+                mine, other = leaf(model, design, i), leaf(model, design, j)
+                remember(model, data, design, pack, k, unit, mine, other, c, p, ends, normal)
+
+        return meet
+
+    @inline
+    def meet(
+        model: types.Model, data: types.Data, design: int, pack: int, k: int, unit: int, i: int, m: quad, m_sides: int,
+        p: int, c: int, j: int, r: quad, r_sides: int, r_points: wp.vec4i, times: real,
+    ):  # fmt: skip
+        contact(model.contact, data.true_vel, data.contact, pack, k, m, m_sides, p, c, r, r_sides, r_points, times)
+
+    return meet
+
+
+@functools.cache
 def voxel_frame(precision: str):
     """Function: a voxel as a quad."""
     types = structs(precision)
@@ -207,7 +251,7 @@ def voxel_contacts(precision: str, width: int):
     """Stage: contacts of the candidate pairs."""
     ops, types = lane_ops("float64", width), structs(precision)
     load, at_most, first, drop = ops.load, ops.at_most, ops.first, ops.drop
-    contact, frame, inside = resolve(precision), voxel_frame(precision), lanes_inside(precision, width)
+    meet, frame, inside = meeting(precision), voxel_frame(precision), lanes_inside(precision, width)
 
     @inline
     def corner_hits(data: types.Data, pack: int, lane: int, p: int, r: int):
@@ -221,38 +265,19 @@ def voxel_contacts(precision: str, width: int):
 
     @inline
     def touch(
-        model: types.Model,
-        data: types.Data,
-        design: int,
-        pack: int,
-        k: int,
-        i: int,
-        j: int,
-        c: int,
-        times: real,
-    ):
+        model: types.Model, data: types.Data, design: int, pack: int, k: int, unit: int,
+        i: int, j: int, c: int, times: real,
+    ):  # fmt: skip
         mc, rc = model.corner[design, i], model.corner[design, j]
         m, r = frame(data, pack, k, mc), frame(data, pack, k, rc)
-        sides = model.side[design, j]
-        contact(
-            model.contact,
-            data.true_vel,
-            data.contact,
-            pack,
-            k,
-            m,
-            model.side[design, i],
-            model.pushed[design, i][c],
-            c,
-            r,
-            sides,
-            model.pushed[design, j],
-            times,
-        )
+        meet(
+            model, data, design, pack, k, unit, i, m, model.side[design, i],
+            model.pushed[design, i][c], c, j, r, model.side[design, j], model.pushed[design, j], times,
+        )  # fmt: skip
 
     @inline
     def one_way(
-        model: types.Model, data: types.Data, design: int, pack: int, lane: int,
+        model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int,
         i: int, j: int, corners: int, times: real, active: int,
     ):  # fmt: skip
         """Corners of voxel i in voxel j."""
@@ -264,7 +289,7 @@ def voxel_contacts(precision: str, width: int):
                 if lanes != 0:
                     lanes = lanes & inside(data, pack, lane, p, model.corner[design, j])
                 while lanes != 0:
-                    touch(model, data, design, pack, lane + first(lanes), i, j, c, times)
+                    touch(model, data, design, pack, lane + first(lanes), unit, i, j, c, times)
                     lanes = drop(lanes)
 
     @inline
@@ -277,7 +302,7 @@ def voxel_contacts(precision: str, width: int):
             corners = pair[2] & (DISTANT - 1)
             ways = int(2)
             for way in range(ways):
-                one_way(model, data, design, pack, lane, i, j, corners, times, active)
+                one_way(model, data, design, pack, lane, unit, i, j, corners, times, active)
                 i, j, corners = pair[1], pair[0], pair[3]
 
     return stage
@@ -288,7 +313,7 @@ def terrain_contacts(precision: str, width: int):
     """Stage: contacts of the near voxels with the cells of the terrain lattice."""
     ops, types = lane_ops("float64", width), structs(precision)
     load, at_most, first, drop = ops.load, ops.at_most, ops.first, ops.drop
-    contact, frame, span = resolve(precision), voxel_frame(precision), lattice_range(precision)
+    meet, frame, span = meeting(precision), voxel_frame(precision), lattice_range(precision)
 
     @inline
     def cell_quad(model: types.Model, design: int, cell: int):
@@ -302,8 +327,8 @@ def terrain_contacts(precision: str, width: int):
 
     @inline
     def with_cell(
-        model: types.Model, data: types.Data, pack: int, k: int,
-        m: quad, m_sides: int, mc: wp.vec4i, r: quad, r_sides: int,
+        model: types.Model, data: types.Data, design: int, pack: int, k: int, unit: int,
+        v: int, m: quad, mc: wp.vec4i, cell: int, r: quad,
     ):  # fmt: skip
         """Corners of the voxel in the cell and of the cell in the voxel; each behind a test of boxes."""
         none = wp.vec4i(-1, -1, -1, -1)
@@ -317,45 +342,17 @@ def terrain_contacts(precision: str, width: int):
         )
         if x1 < r[0] or r[2] < x0 or y1 < r[5] or r[1] < y0:
             return
-        one = real(1.0)
+        m_sides, r_sides, one = model.side[design, v], model.terrain_side[design, cell], real(1.0)
         four = int(4)
         for c in range(four):
             if holds(r[0], r[2], r[5], r[1], m[2 * c], m[2 * c + 1]):
-                contact(
-                    model.contact,
-                    data.true_vel,
-                    data.contact,
-                    pack,
-                    k,
-                    m,
-                    m_sides,
-                    mc[c],
-                    c,
-                    r,
-                    r_sides,
-                    none,
-                    one,
-                )
+                meet(model, data, design, pack, k, unit, v, m, m_sides, mc[c], c, -1 - cell, r, r_sides, none, one)
         for c in range(four):
             if holds(x0, x1, y0, y1, r[2 * c], r[2 * c + 1]):
-                contact(
-                    model.contact,
-                    data.true_vel,
-                    data.contact,
-                    pack,
-                    k,
-                    r,
-                    r_sides,
-                    -1,
-                    c,
-                    m,
-                    m_sides,
-                    mc,
-                    one,
-                )
+                meet(model, data, design, pack, k, unit, -1 - cell, r, r_sides, -1, c, v, m, m_sides, mc, one)
 
     @inline
-    def with_terrain(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int):
+    def with_terrain(model: types.Model, data: types.Data, design: int, pack: int, k: int, unit: int, v: int):
         cx0, cx1, cy0, cy1 = span(model, data, design, pack, k, v, real(0.0))
         loaded = int(0)
         mc = model.corner[design, v]
@@ -363,22 +360,11 @@ def terrain_contacts(precision: str, width: int):
         for cy in range(cy0, cy1 + 1):
             for cx in range(cx0, cx1 + 1):
                 cell = cy * model.terrain[design][0] + cx
-                sides = model.terrain_side[design, cell]
-                if sides != 0:
+                if model.terrain_side[design, cell] != 0:
                     if loaded == 0:
                         m = frame(data, pack, k, mc)
                         loaded = 1
-                    with_cell(
-                        model,
-                        data,
-                        pack,
-                        k,
-                        m,
-                        model.side[design, v],
-                        mc,
-                        cell_quad(model, design, cell),
-                        sides,
-                    )
+                    with_cell(model, data, design, pack, k, unit, v, m, mc, cell, cell_quad(model, design, cell))
 
     @inline
     def in_reach(data: types.Data, pack: int, lane: int, v: int):
@@ -397,7 +383,7 @@ def terrain_contacts(precision: str, width: int):
             v = data.near[unit, n]
             lanes = active & in_reach(data, pack, lane, v)
             while lanes != 0:
-                with_terrain(model, data, design, pack, lane + first(lanes), v)
+                with_terrain(model, data, design, pack, lane + first(lanes), unit, v)
                 lanes = drop(lanes)
 
     return stage
@@ -409,6 +395,7 @@ def contacts(precision: str, width: int):
     ops, types = lane_ops(precision, width), structs(precision)
     zero, store, splat = ops.real, ops.store, ops.splat
     with_voxels, with_terrain = voxel_contacts(precision, width), terrain_contacts(precision, width)
+    in_order = order.take(width) if precision == "float64" else None
 
     @inline
     def active_lanes(data: types.Data, pack: int, lane: int):
@@ -419,7 +406,7 @@ def contacts(precision: str, width: int):
         return mask
 
     @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    def find(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int):
         for n in range(2 * model.actives[design]):
             r = model.active[design, n]
             store(data.contact, pack, r, lane, splat(zero(0.0)))
@@ -427,7 +414,18 @@ def contacts(precision: str, width: int):
         with_voxels(model, data, design, pack, lane, unit, active)
         with_terrain(model, data, design, pack, lane, unit, active)
 
-    return stage
+    @inline
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+        find(model, data, design, pack, lane, unit)
+
+    @inline
+    def ordered(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+        for k in range(lane, lane + int(width)):
+            data.hits[pack, k] = 0
+        find(model, data, design, pack, lane, unit)
+        in_order(model, data, design, pack, lane)
+
+    return ordered if precision == "float64" else stage
 
 
 def launch(state):

@@ -1,6 +1,6 @@
 """Spring, gravity, drag and floor forces, integrated by RK4 over positions and velocities (paper section A.2).
 
-The sub-step itself is in ``integrate.h``.
+The sub-step itself is in ``integrate.h``; in float64 in ``exact.h``, which rounds as the released simulator does.
 """
 
 import functools
@@ -8,11 +8,15 @@ from pathlib import Path
 
 import warp as wp
 
+from warpvox.kernels import exact
 from warpvox.kernels.lanes import inline, lane_ops, native
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
-BODY = Path(__file__).with_suffix(".h").read_text(encoding="utf-8")
+BODIES = {
+    precision: Path(__file__).with_name(name).read_text(encoding="utf-8")
+    for precision, name in (("float32", "integrate.h"), ("float64", "exact.h"))
+}
 
 
 @functools.cache
@@ -20,7 +24,7 @@ def runge_kutta(precision: str, width: int):
     """Stage: displacement and new velocity of every free point after dt."""
     types = structs(precision)
 
-    @wp.func_native(native(precision, width) + BODY)
+    @wp.func_native(native(precision, width) + BODIES[precision])
     def substep(model: types.Model, data: types.Data, design: int, pack: int, lane: int, dt: wp.float64): ...
 
     @inline
@@ -33,6 +37,8 @@ def runge_kutta(precision: str, width: int):
 @functools.cache
 def advance(precision: str, width: int):
     """Stage: positions move; true velocity and drift follow."""
+    if precision == "float64":
+        return exact.advance(width)
     ops, types = lane_ops("float64", width), structs(precision)
     load, store, splat, grow, largest = ops.load, ops.store, ops.splat, ops.grow, ops.largest
 

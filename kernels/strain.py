@@ -8,6 +8,7 @@ import functools
 
 import warp as wp
 
+from warpvox.kernels import exact
 from warpvox.kernels.lanes import casts, inline, lane_ops
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
@@ -19,6 +20,8 @@ RIGID_LIMIT, RIGID_SHARE = 0.03, 0.5
 @functools.cache
 def limit(precision: str, width: int):
     """Stage: both passes."""
+    if precision == "float64":
+        return exact.limit(width)
     ops, types, wide = lane_ops(precision, width), structs(precision), lane_ops("float64", width)
     real, load, store, mul, div, splat, root = (
         ops.real,

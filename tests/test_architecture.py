@@ -25,6 +25,7 @@ LAYERS = (
     ("warpvox.kernels",),
     ("warpvox.design", "warpvox.world"),
     (
+        "warpvox.order",
         "warpvox.compile",
         "warpvox.layout",
         "warpvox.sim",

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from warpvox.errors import SimulationError
+from warpvox.order import no_order, order_arrays
 from warpvox.types import VOXEL, Cell, Physics
 from warpvox.world import World, WorldObject
 
@@ -42,6 +43,7 @@ class Body:
     surface: dict[tuple[int, int], int] = field(default_factory=dict)  # (row, column) -> bits, surface voxels only
     springs: list[list] = field(default_factory=list)  # [a, b, rest, stiffness]
     drives: dict[int, list[int]] = field(default_factory=dict)  # spring -> actions
+    links: set = field(default_factory=set)  # connected neighbours, both ways, as pairs of (row, column)
     first_point: int = 0
     first_action: int = 0
     loose: bool = False  # may begin an episode elsewhere
@@ -99,10 +101,11 @@ def compile_world(world: World, physics: Physics, loose: Sequence[str] = ()) -> 
 def mesh(source: WorldObject, physics: Physics) -> Body:
     """Points, springs and surface of one object (paper section A.1)."""
     body = Body(source.name, source)
-    links = _links(source)
+    body.links = links = _links(source)
     for cell in zip(*np.nonzero(source.grid), strict=True):
         row, column = int(cell[0]), int(cell[1])
         _add_voxel(body, links, (row, column), physics)
+    _orient_surface(body)
     _set_stiffness(body, physics)
     _set_drives(body)
     for cell, corners in body.corners.items():
@@ -147,6 +150,15 @@ def _add_voxel(body: Body, links, cell, physics: Physics) -> None:
     bits = sum(SIDE_BIT[side] for side in near if not linked[side])
     if bits:
         body.surface[cell] = bits
+
+
+def _orient_surface(body: Body) -> None:
+    """Surface sides run clockwise: the order of a point's forces depends on which end of a spring it is."""
+    for cell, bits in body.surface.items():
+        for k in (2, 3):  # bottom and left were made the other way round
+            if bits >> k & 1:
+                spring = body.springs[body.sides[cell][k]]
+                spring[0], spring[1] = spring[1], spring[0]
 
 
 def _find_corner(body: Body, links, cell, corner) -> int | None:
@@ -208,9 +220,12 @@ def _set_drives(body: Body) -> None:
             action += 1
 
 
-def model_arrays(designs: list[Design]) -> tuple[dict[str, np.ndarray], dict[str, int]]:
-    """The Model's arrays for a list of designs, padded to common capacities, and those capacities."""
-    parts = [_design_arrays(design) for design in designs]
+def model_arrays(designs: list[Design], ordered: bool) -> tuple[dict[str, np.ndarray], dict[str, int]]:
+    """The Model's arrays for a list of designs, padded to common capacities, and those capacities.
+
+    ``ordered``: with what keeps the released order of contacts.
+    """
+    parts = [_design_arrays(d) | (order_arrays(d) if ordered else no_order()) for d in designs]
     count = {
         "point": "home",
         "active": "active",
@@ -220,6 +235,9 @@ def model_arrays(designs: list[Design]) -> tuple[dict[str, np.ndarray], dict[str
         "voxel": "side",
         "mobile": "mobile",
         "robot": "fold_limit",
+        "node": "node",
+        "leaf": "leaf",
+        "plot": "cell_leaf",
     }
     sizes = {symbol: max(len(part[name]) for part in parts) for symbol, name in count.items()}
     for symbol in ("point", "active"):  # two rows each
@@ -314,9 +332,9 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
 
 
 def _links_of_points(ends: list[list[int]]) -> np.ndarray:
-    """Springs point by point, in ascending order: s at the first end of spring s, -1 - s at the second."""
+    """Springs point by point: s at the first end of spring s, then -1 - s at the second, each in ascending order."""
     point = np.array(ends, int).ravel()
-    order = np.argsort(point, kind="stable")
+    order = np.lexsort((np.arange(len(point)), np.arange(len(point)) % 2, point))
     return np.where(order % 2 == 0, order // 2, -1 - order // 2)
 
 

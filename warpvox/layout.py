@@ -24,6 +24,7 @@ __all__ = ["MARGIN", "State", "choose_lanes", "group", "lanes_for", "layout"]
 WIDTHS = (1, 8, 16, 32)
 CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
 MARGIN = 0.02  # width added to boxes when candidates are collected, a fifth of a voxel
+HITS, HITS_PER_VOXEL = 64, 12  # capacity for contacts that are put in order, in float64
 PAIRS_PER_VOXEL = 24  # capacity of the candidate list for bodies that go through the hashed grid
 
 
@@ -86,9 +87,10 @@ def layout(designs: list[Design], index: list[int], physics: Physics, precision:
         env_pack[members] = len(pack_design) + np.arange(len(members)) // lanes
         env_lane[members] = np.arange(len(members)) % lanes
         pack_design += [design] * -(-len(members) // lanes)
-    host, sizes = model_arrays(designs)
+    host, sizes = model_arrays(designs, precision == "float64")
     units = lanes // width
     sizes |= _capacities(sizes["voxel"], sizes["mobile"]) | {
+        "hit": HITS + HITS_PER_VOXEL * sizes["mobile"] if precision == "float64" else 1,
         "pack": len(pack_design),
         "lane": lanes,
         "unit": len(pack_design) * units,

@@ -14,9 +14,6 @@ import numpy as np
 import torch
 
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
-from warpvox.types import VOXEL
-
-TIE = 1e-9  # voxels; far above rounding, far below what a robot moves in a step
 
 
 @dataclass(frozen=True)
@@ -58,8 +55,7 @@ class Replay:
     """Our side of a run. Row 0 is after the reset, row t + 1 after step t.
 
     ``positions`` ``[steps + 1, 2, points that can move]``, ``obs`` ``[steps + 1, num_obs]``; ``reward``,
-    ``terminated``, ``truncated`` ``[steps]``; ``angles``: columns of ``obs`` that hold an orientation,
-    ``scans``: those that hold distances to terrain.
+    ``terminated``, ``truncated`` ``[steps]``; ``angles``: columns of ``obs`` that hold an orientation.
     """
 
     positions: np.ndarray
@@ -68,7 +64,6 @@ class Replay:
     terminated: np.ndarray
     truncated: np.ndarray
     angles: list[int]
-    scans: list[int]
 
 
 def load_runs(path: str | Path) -> list[Run]:
@@ -90,9 +85,9 @@ def make_env(run: Run, **options: Any) -> VoxelVecEnv:
     return make_vec(run.task, designs=[run.arrays["body"]], num_envs=1, **(defaults | options))
 
 
-def replay(run: Run, steps: int | None = None, env: VoxelVecEnv | None = None) -> Replay:
-    """Repeat the first ``steps`` (default: all) actions of a run."""
-    env = make_env(run) if env is None else env
+def replay(run: Run, steps: int | None = None, **options: Any) -> Replay:
+    """Repeat the first ``steps`` (default: all) actions of a run in :func:`make_env`'s environment."""
+    env = make_env(run, **options)
     actions = torch.as_tensor(run.actions[:steps]).to(env.dtype)
     observations = [env.reset(memory=run.memory)[0][0]]
     positions = [moving_positions(env, run)]
@@ -105,9 +100,8 @@ def replay(run: Run, steps: int | None = None, env: VoxelVecEnv | None = None) -
     reward, terminated, truncated = (np.array(column) for column in zip(*outcomes, strict=True))
     columns = env.obs_columns[0].items()
     angles = [span.start for name, span in columns if name.startswith("orientation")]
-    scans = [k for name, span in columns if name.startswith(("floor", "ceiling")) for k in range(span.start, span.stop)]
     observed = torch.stack(observations).double().cpu().numpy()
-    return Replay(np.stack(positions), observed, reward, terminated, truncated, angles, scans)
+    return Replay(np.stack(positions), observed, reward, terminated, truncated, angles)
 
 
 def moving_positions(env: VoxelVecEnv, run: Run) -> np.ndarray:
@@ -123,29 +117,12 @@ def position_error(run: Run, ours: Replay) -> np.ndarray:
 
 
 def obs_error(run: Run, ours: Replay) -> tuple[np.ndarray, np.ndarray]:
-    """float64 ``[frames]`` twice: largest difference of entries but angles, and of angles modulo 2 pi.
-
-    Distances to terrain do not count in frames that :func:`tied` names.
-    """
+    """float64 ``[frames]`` twice: largest difference of entries but angles, and of angles modulo 2 pi."""
     rows = run.frames[run.frames < len(ours.obs)]
     gap = np.abs(run.arrays["obs"][: len(rows)] - ours.obs[rows])
-    gap[np.ix_(tied(run)[: len(rows)], ours.scans)] = 0.0
     turned = gap[:, ours.angles]
     turned = np.minimum(turned, np.abs(2 * np.pi - turned))
     return np.delete(gap, ours.angles, axis=1).max(axis=1), turned.max(axis=1, initial=0.0)
-
-
-def tied(run: Run) -> np.ndarray:
-    """bool ``[frames]``: borders of the windows in which the robot sees terrain lie on points of the terrain.
-
-    So it is as long as a body in the air has its centre of mass midway between lattice lines: the last bit of the
-    sum over its points, which no other computation reproduces, decides which window has the point, and if any has.
-    Only frame 0, where the coordinates are equal bit for bit, is sure.
-    """
-    robot = run.info["objects"][0]
-    own = (run.arrays["dyn"] >= robot["start"]) & (run.arrays["dyn"] < robot["stop"])
-    x = run.arrays["pos"][:, 0, own].mean(axis=1) / VOXEL
-    return (np.abs(x % 1 - 0.5) < TIE) & (run.frames > 0)
 
 
 def reward_error(run: Run, ours: Replay) -> np.ndarray:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from replay import load_runs, make_env, obs_error, position_error, replay
+from replay import load_runs, obs_error, position_error, replay
 
 RUNS = [run for path in sorted(Path(__file__).parent.glob("recordings/*.npz")) for run in load_runs(path)[:1]]
 
@@ -15,7 +15,7 @@ ANGLE = 5e-3
 @pytest.mark.gpu
 @pytest.mark.parametrize("run", RUNS, ids=[f"{run.task}: {run.info['name']}" for run in RUNS])
 def test_a_run_is_reproduced_on_cuda(run):
-    ours = replay(run, env=make_env(run, device="cuda"))
+    ours = replay(run, device="cuda")
     plain, angle = obs_error(run, ours)
     assert position_error(run, ours).max() < POSITION
     assert plain.max() < OBSERVATION

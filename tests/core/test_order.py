@@ -1,0 +1,119 @@
+"""The trees that say in which order contacts are met."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from warpvox.compile import compile_world
+from warpvox.design import sample_design
+from warpvox.order import BUCKETS, HashSet, order_arrays, tree_of
+from warpvox.types import Physics
+from warpvox.world import World
+
+
+class Chained:
+    """The same set as the C++ library builds it: one linked list, and per bucket the node before its first."""
+
+    def __init__(self):
+        self.count, self.room, self.size = 1, 0, 0
+        self.next = {"head": None}
+        self.before = {}
+
+    def numbers(self):
+        out, node = [], self.next["head"]
+        while node is not None:
+            out.append(node)
+            node = self.next[node]
+        return out
+
+    def link(self, number):
+        bucket = number % self.count
+        if bucket in self.before:
+            self.next[number] = self.next[self.before[bucket]]
+            self.next[self.before[bucket]] = number
+        else:
+            first = self.next["head"]
+            self.next[number], self.next["head"] = first, number
+            if first is not None:
+                self.before[first % self.count] = number
+            self.before[bucket] = "head"
+
+    def add(self, number):
+        old = self.numbers()
+        if number in old:
+            return
+        if len(old) + 1 > self.room:
+            self.count = self.room = next(n for n in BUCKETS[1:] if n >= max(11, 2 * self.room))
+            self.next, self.before = {"head": None}, {}
+            for other in old:
+                self.link(other)
+        self.link(number)
+
+    def discard(self, number):
+        keep = self.numbers()
+        if number not in keep:
+            return
+        keep.remove(number)
+        chain = ["head", *keep]
+        self.next = dict(zip(chain, [*keep, None], strict=True))
+        self.before = {}
+        for before, node in zip(chain, keep, strict=False):
+            self.before.setdefault(node % self.count, before)
+
+
+@settings(max_examples=60)
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 300)), max_size=150))
+def test_the_set_is_gone_through_as_a_chained_hash_table(changes):
+    ours, chained = HashSet(), Chained()
+    for is_added, number in changes:
+        for one in (ours, chained):
+            one.add(number) if is_added else one.discard(number)
+    assert list(ours) == chained.numbers()
+
+
+def test_the_set_turns_round_when_it_grows():
+    small, grown = HashSet(), HashSet()
+    for n in range(13):
+        small.add(n)
+    for n in range(16):
+        grown.add(n)
+    assert list(small) == list(range(12, -1, -1))
+    assert list(grown) == [15, 14, 13, *range(13)]
+
+
+def compiled(seed, shape=(5, 5)):
+    world = World(20, 12)
+    world.add_from_array("ground", np.full((1, 20), 5), 0, 0)
+    world.add_from_array("box", np.full((2, 2), 1), 12, 1)
+    world.add_from_array("robot", sample_design(shape, seed=seed), 1, 1)
+    return compile_world(world, Physics.preset("evogym"))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([(3, 3), (5, 5), (4, 7)]))
+def test_a_tree_holds_every_surface_voxel_once(seed, shape):
+    design = compiled(seed, shape)
+    for body in design.bodies + design.statics:
+        tree = tree_of(body)
+        begin, middle = tree.ranks()
+        leaves = {cell: n for n, cell in enumerate(tree.cells) if cell is not None}
+        assert set(leaves) == set(body.surface)
+        assert len(tree.cells) == 2 * len(leaves) - 1
+        assert sorted(begin[n] for n in leaves.values()) == list(range(len(leaves)))
+        for n, pair in enumerate(tree.children):
+            if pair:
+                assert max(pair) < n
+                parts = np.array([tree.boxes[child] for child in pair])
+                assert tree.boxes[n] == (*parts[:, :2].min(0), *parts[:, 2:].max(0))
+                assert (begin[pair[0]], begin[pair[1]]) == (begin[n], middle[n])
+
+
+def test_nodes_of_bodies_come_before_those_of_terrain():
+    design = compiled(3)
+    arrays = order_arrays(design)
+    nodes, count = arrays["node"], int(arrays["nodes"])
+    voxels = sum(len(body.surface) for body in design.bodies)
+    assert sorted(-1 - nodes[arrays["leaf"], 0]) == list(range(voxels))
+    assert arrays["leaf"].max() < count <= arrays["cell_leaf"].max()
+    assert (nodes[arrays["leaf"][0], 2], arrays["objects"]) == (0, 3)  # the robot comes first
+    assert set(arrays["cell_leaf"][20:]) == {0}  # nothing above the ground

@@ -1,0 +1,207 @@
+"""The order in which the released simulator meets contacts: a tree of boxes over the surface voxels of an object.
+
+Forces on a point are sums, and sums round by their order. The released simulator finds pairs of surface voxels by
+descending two such trees at once; their shape follows from areas of boxes at the beginning, equal ones being told
+apart by rounding and by the order of hash sets of its C++ library. Both are rebuilt here. Only float64 uses them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+__all__ = ["HashSet", "Tree", "no_order", "order_arrays", "tree_of"]
+
+# Bucket counts of the library's hash tables, each the first of its prime list that at least doubles the last.
+BUCKETS = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753)
+CARDINAL = ((-1, 0), (1, 0), (0, -1), (0, 1))  # row and column of neighbours: top, bottom, left, right
+DIAGONAL = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+
+
+class HashSet:
+    """A set of whole numbers that is gone through in the order of libstdc++'s ``unordered_set<int>``.
+
+    A number comes to the front of its bucket (itself modulo the count of buckets), a new bucket to the front of all;
+    a full table puts its numbers, in their order, into a larger one.
+    """
+
+    def __init__(self) -> None:
+        self._size = 0
+        self._order: list[int] = []
+
+    def __iter__(self):
+        return iter(self._order)
+
+    def __len__(self) -> int:
+        return len(self._order)
+
+    def add(self, number: int) -> None:
+        if number in self._order:
+            return
+        if len(self._order) + 1 > (BUCKETS[self._size] if self._size else 0):
+            self._size += 1
+            before, self._order = self._order, []
+            for other in before:
+                self._place(other)
+        self._place(number)
+
+    def _place(self, number: int) -> None:
+        bucket = number % BUCKETS[self._size]
+        at = next((k for k, other in enumerate(self._order) if other % BUCKETS[self._size] == bucket), 0)
+        self._order.insert(at, number)
+
+    def discard(self, number: int) -> None:
+        if number in self._order:
+            self._order.remove(number)
+
+
+@dataclass
+class Tree:
+    """Nodes of a binary tree, children before their parents, the root last.
+
+    ``cells``: (row, column) of a leaf, None for others; ``children``: the two of an inner node, None for a leaf;
+    ``boxes``: left, bottom, right, top at the beginning.
+    """
+
+    cells: list[tuple[int, int] | None] = field(default_factory=list)
+    children: list[tuple[int, int] | None] = field(default_factory=list)
+    boxes: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    def add(self, cell, children, box) -> int:
+        self.cells.append(cell)
+        self.children.append(children)
+        self.boxes.append(box)
+        return len(self.cells) - 1
+
+    def ranks(self) -> tuple[list[int], list[int]]:
+        """For every node the number of leaves before it (from first child to second), and before its second child."""
+        count = [1] * len(self.cells)
+        for node, pair in enumerate(self.children):
+            if pair:
+                count[node] = count[pair[0]] + count[pair[1]]
+        begin = [0] * len(self.cells)
+        for node in reversed(range(len(self.cells))):
+            if self.children[node]:
+                first, second = self.children[node]
+                begin[first], begin[second] = begin[node], begin[node] + count[first]
+        middle = [b + count[pair[0]] if pair else b for b, pair in zip(begin, self.children, strict=True)]
+        return begin, middle
+
+
+def tree_of(body) -> Tree:
+    """The tree of a mesh (:class:`warpvox.compile.Body`)."""
+    number = {cell: n for n, cell in enumerate(body.corners)}
+    surface = HashSet()
+    for cell in body.surface:
+        surface.add(number[cell])
+    cells = list(body.corners)
+    tree = Tree()
+    node_of = {}
+    for n in surface:
+        points = [body.points[p] for p in body.corners[cells[n]]]
+        xs, ys = zip(*points, strict=True)
+        node_of[cells[n]] = tree.add(cells[n], None, (min(xs), min(ys), max(xs), max(ys)))
+    near = [_neighbours(body, cell, node_of) for cell in tree.cells]
+    _merge(tree, near)
+    return tree
+
+
+def _neighbours(body, cell, node_of: dict) -> HashSet:
+    """Nodes of the connected surface voxels beside a cell, of the diagonal ones only if there are none."""
+    found = HashSet()
+    for steps in (CARDINAL, DIAGONAL):
+        if not len(found):
+            for dy, dx in steps:
+                other = (cell[0] + dy, cell[1] + dx)
+                if other in node_of and _connected(body, cell, dy, dx):
+                    found.add(node_of[other])
+    return found
+
+
+def _connected(body, cell, dy: int, dx: int) -> bool:
+    """Whether a neighbour is linked to the cell, a diagonal one over a cell beside both."""
+    if dy == 0 or dx == 0:
+        return (cell, (cell[0] + dy, cell[1] + dx)) in body.links
+    corner = (cell[0] + dy, cell[1] + dx)
+    around = ((cell[0] + dy, cell[1]), (cell[0], cell[1] + dx))
+    return any((cell, side) in body.links and (side, corner) in body.links for side in around)
+
+
+def _union(a, b):
+    return min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3])
+
+
+def _area(box) -> float:
+    return (box[2] - box[0]) * (box[3] - box[1])
+
+
+def _merge(tree: Tree, near: list[HashSet]) -> None:
+    """Join the two nodes of the smallest common box, neighbours if there are any, until one is left.
+
+    A diagonal neighbour need not know of it, so sets may hold nodes that have been joined.
+    """
+    open_nodes = dict.fromkeys(range(len(tree.cells)))  # in ascending order
+    while len(open_nodes) > 1:
+        pairs = [(i, j) for i in open_nodes for j in near[i] if j in open_nodes]
+        pairs = pairs or [(i, j) for i in open_nodes for j in open_nodes if i != j]
+        sizes = [_area(_union(tree.boxes[i], tree.boxes[j])) for i, j in pairs]
+        a, b = pairs[sizes.index(min(sizes))]  # the first of equals
+        merged = tree.add(None, (a, b), _union(tree.boxes[a], tree.boxes[b]))
+        around = HashSet()
+        for node in [*near[a], *near[b]]:
+            around.add(node)
+        around.discard(a)
+        around.discard(b)
+        for node in around:
+            near[node].discard(a)
+            near[node].discard(b)
+            near[node].add(merged)
+        near.append(around)
+        del open_nodes[a], open_nodes[b]
+        open_nodes[merged] = None
+
+
+def order_arrays(design) -> dict[str, np.ndarray]:
+    """The Model's arrays about trees for a :class:`warpvox.compile.Design`: nodes of bodies, then of terrain."""
+    world = design.world
+    ordered = sorted(world.objects.values(), key=lambda o: (not o.is_robot, o.name))
+    place = {o.name: n for n, o in enumerate(ordered)}
+    rows, areas, leaf, moving = [], [], [], 0
+    cell_leaf = np.zeros(world.width * world.height, dtype=np.int32)
+    for body in design.bodies + design.statics:
+        tree, base = tree_of(body), len(rows)
+        rank, middle = tree.ranks()
+        leaves = {}
+        for n, (cell, pair, box) in enumerate(zip(tree.cells, tree.children, tree.boxes, strict=True)):
+            areas.append(_area(box))
+            if pair:
+                rows.append([base + pair[0], base + pair[1], middle[n], 0])
+            else:
+                leaves[cell] = base + n
+                rows.append([-1, rank[n], place[body.name], base + len(tree.cells) - 1])
+        source = body.source
+        if body in design.bodies:
+            for cell in body.surface:
+                rows[leaves[cell]][0] = -1 - len(leaf)
+                leaf.append(leaves[cell])
+            moving = len(rows)
+        else:
+            for row, column in body.surface:
+                at = (source.y + source.height - 1 - row) * world.width + source.x + column
+                cell_leaf[at] = leaves[row, column]
+    return dict(
+        objects=np.int32(len(ordered)),
+        nodes=np.int32(moving),
+        node=np.array(rows, dtype=np.int32),
+        node_area=np.array(areas),
+        leaf=np.array(leaf, dtype=np.int32),
+        cell_leaf=cell_leaf,
+    )
+
+
+def no_order() -> dict[str, np.ndarray]:
+    """The same for simulations that do not keep the order."""
+    one = np.zeros(1, dtype=np.int32)
+    return dict(objects=one[0], nodes=one[0], node=one.reshape(1, 1).repeat(4, 1), node_area=np.zeros(1),
+                leaf=one, cell_leaf=one)  # fmt: skip
