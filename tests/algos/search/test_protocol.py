@@ -20,7 +20,7 @@ History = list[tuple[list[Candidate], list[float]]]
 OURS = [name for name in ALGORITHMS if name != "custom"]
 NEEDS = {"map_elites": pytest.mark.skipif(find_spec("ribs") is None, reason="needs the extra 'search'")}
 EVERY = pytest.mark.parametrize("algorithm", [pytest.param(name, marks=NEEDS.get(name, ())) for name in OURS])
-QUICK = {"bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 60}}
+QUICK = {"bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 40}}
 """Turns, seeds and records are the same with a hasty fit."""
 
 

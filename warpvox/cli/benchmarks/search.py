@@ -25,7 +25,7 @@ __all__ = ["chance", "run"]
 BASELINE = "random"
 FLIPS = 200_000
 """Random signs for a p value; the smallest that can be told is one of so many."""
-SHOWN = (50, 100, 250, 500, 750)
+SHOWN = (100, 250, 500, 750)
 """Evaluations after which the best fitness is tabulated, and at the end."""
 SOLVED = 1 - 1e-9
 
