@@ -1,7 +1,8 @@
 """What mkdocs asks while it builds the site: the order of the pages, and the help of the commands.
 
 Not part of the library. A page's line ``<!-- help COMMAND -->`` becomes what ``warpvox COMMAND --help`` prints, so that
-the site cannot say anything else.
+the site cannot say anything else; ``<!-- help of all others -->`` becomes a section for every command that the page
+does not mention.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ ORDER = (
     "faq",
 )
 """Pages as they follow each other; any others come last."""
+OTHERS = "<!-- help of all others -->"
 HELP = re.compile(r"^<!-- help (\w+) -->$", re.MULTILINE)
 WIDTH = "104"
 
@@ -44,6 +46,12 @@ def on_config(config: Any) -> Any:
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Insert the help of commands."""
+    if OTHERS in markdown:
+        from warpvox.cli import COMMANDS
+
+        others = [name for name in COMMANDS if name not in HELP.findall(markdown)]
+        sections = [f"## {name}\n\n<!-- help {name} -->" for name in others]
+        markdown = markdown.replace(OTHERS, "\n\n".join(sections))
     return HELP.sub(lambda match: f"```text\n{help_of(match[1])}\n```", markdown)
 
 

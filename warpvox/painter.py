@@ -136,15 +136,19 @@ class Canvas:
         large = patch.resize((patch.width * SMOOTH, patch.height * SMOOTH), Image.Resampling.NEAREST)
         draw = ImageDraw.Draw(large)
         xy = (points - low) * SMOOTH
-        for quad, colour in zip(xy[mesh.corners].reshape(-1, 8).tolist(), colours.tolist(), strict=True):
-            draw.polygon(quad, fill=self._colours[colour])
         thin, thick = self._pens
-        for side, dark in zip(xy[mesh.inner].reshape(-1, 4).tolist(), mesh.inner_dark.tolist(), strict=True):
+        quads = _seen(xy, mesh.corners, large.size, 0)
+        for quad, colour in zip(xy[mesh.corners[quads]].reshape(-1, 8).tolist(), colours[quads].tolist(), strict=True):
+            draw.polygon(quad, fill=self._colours[colour])
+        inner = _seen(xy, mesh.inner, large.size, thin)
+        inks = mesh.inner_dark[inner].tolist()
+        for side, dark in zip(xy[mesh.inner[inner]].reshape(-1, 4).tolist(), inks, strict=True):
             draw.line(side, fill=PALE_INK if dark else INK, width=thin)
-        for side in xy[mesh.outer].reshape(-1, 4).tolist():
+        outer = mesh.outer[_seen(xy, mesh.outer, large.size, thick)]
+        for side in xy[outer].reshape(-1, 4).tolist():
             draw.line(side, fill=INK, width=thick)
         radius = (thick - 1) / 2  # round joints: lines alone would leave notches at corners
-        for x, y in xy[np.unique(mesh.outer)].tolist():
+        for x, y in xy[np.unique(outer)].tolist():
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=INK)
         image.paste(large.reduce(SMOOTH), box[:2])
 
@@ -231,6 +235,12 @@ def _mesh(scene: Scene, number: int) -> Mesh:
         inner_dark=all_dark[counts > 1],
         outer=sides[first[counts == 1]],
     )
+
+
+def _seen(xy: np.ndarray, shapes: np.ndarray, size: tuple[int, int], rim: int) -> np.ndarray:
+    """bool ``[shapes]``: those of which some part, with a rim, may lie in the picture. Bridges are longer than it."""
+    ends = xy[shapes]
+    return ((ends.max(axis=1) >= -rim) & (ends.min(axis=1) <= np.array(size) + rim)).all(axis=1)
 
 
 def _window(terrain: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
