@@ -59,9 +59,9 @@ class Engine:
             [self.world], "cpu", "evogym", "float64", lanes=1, threads=1, loose=self._loose, action_range=_ANY_NUMBER
         )
         design = sim.designs[0]
-        views = {name: array.numpy() for name, array in sim._state.arrays.items()}
-        self._views = {name: views[name].reshape(-1, 2) for name in ("pos", "vel", "true_vel")}
-        self._status, self._drift = views["status"].reshape(-1), views["drift"]
+        arrays = sim._state.arrays
+        self._views = {name: arrays[name].numpy().reshape(-1, 2) for name in ("pos", "vel", "true_vel")}
+        self._status, self._drift = arrays["status"].numpy().reshape(-1), arrays["drift"].numpy()
         self._actions = sim._actions.numpy()[0]  # of all robots
         self._actions[:] = 1.0  # until an action is set, actuators keep their length
         self._bodies = {body.name: body for body in design.bodies + design.statics}
@@ -168,7 +168,14 @@ class Engine:
 
     def orientation(self, time: int, name: str) -> float:
         """How far an object has turned since time 0, counter-clockwise in [0, 2 pi]."""
+        if time == self.time and name not in self._still:
+            return float(self._sim.orientation(name)[0])  # the same, by a kernel in a third of the time
         return orientation(self.positions(time, name), self.positions(0, name))
+
+    def scan(self, name: str, objects: tuple[str, ...], reach: int, up: bool) -> np.ndarray:
+        """``[2 reach + 1]``: present distances from an object to others, below or above: ``Simulation.floor_scan``."""
+        look = self._sim.ceiling_scan if up else self._sim.floor_scan
+        return look(name, reach, objects)[0].numpy()
 
     # --------------------------------------------------------------------------------------------- robots
 

@@ -7,6 +7,7 @@ import numpy as np
 from warpvox.errors import listing
 from warpvox.evogym.errors import ArgumentError, ArgumentTypeError
 from warpvox.evogym.simulator_cpp import Sim
+from warpvox.evogym.utils import *  # noqa: F403  # as in the release, scripts may take them from here
 from warpvox.evogym.world import EvoWorld
 from warpvox.types import VOXEL
 

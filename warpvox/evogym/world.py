@@ -14,6 +14,7 @@ import numpy as np
 
 from warpvox import world as core
 from warpvox.errors import WorldError, did_you_mean, listing
+from warpvox.evogym.utils import *  # noqa: F403  # as in the release, scripts may take them from here
 from warpvox.evogym.utils import Pair
 from warpvox.types import Cell
 

@@ -17,6 +17,7 @@ from gymnasium import error, spaces
 from gymnasium.utils import seeding
 
 from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.evogym import sim, simulator_cpp, utils, viewer, world
 from warpvox.evogym.sim import EvoSim
 from warpvox.evogym.utils import *  # noqa: F403
 from warpvox.evogym.utils import __all__ as _of_utils
@@ -45,7 +46,12 @@ __all__ = [  # noqa: PLE0604, RUF100
     "os",
     "random",
     "seeding",
+    "sim",
+    "simulator_cpp",
     "spaces",
+    "utils",
+    "viewer",
+    "world",
 ]
 
 _WINDOWED = ("human", "screen")

@@ -121,10 +121,7 @@ class CatchSmallRect(TaskEnv, PackageBase):
     """
 
     task = "Catcher-v0"
-
-    def __init__(self, body: np.ndarray, *args: Any, **kwargs: Any) -> None:
-        self._random: Any = random
-        super().__init__(body, *args, **kwargs)
+    _random: Any = random
 
     def _make_world(self, spec: TaskSpec, body: np.ndarray, connections: np.ndarray | None) -> EvoWorld:
         world = super()._make_world(spec, body, connections)

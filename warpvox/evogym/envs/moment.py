@@ -11,14 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpvox.types import VOXEL
-
 if TYPE_CHECKING:
     from warpvox.evogym.engine import Engine
 
 __all__ = ["OBSERVATIONS", "REWARDS", "TERMINATIONS", "Moment", "convex_hull", "polygon_area", "turn"]
 
-SIGHT = 5  # voxels, as released
 AXES = {"x": 0, "y": 1}
 
 
@@ -26,12 +23,12 @@ class Moment:
     """What terms ask about one recorded time, in simulator units.
 
     Args:
-        engine: what is simulated.
-        scan: ``scan(name, terrain, reach, sight, up)`` of the environment, in voxels.
+        engine: what is simulated. The moment is its present; it can be asked for places, sizes and velocities later,
+            too, but for terrain only while it is the present.
     """
 
-    def __init__(self, engine: Engine, scan) -> None:
-        self.changes, self.scan = engine.changes, scan
+    def __init__(self, engine: Engine) -> None:
+        self.changes = engine.changes
         self._engine, self._time = engine, engine.time
         self._known: dict[tuple, object] = {}
 
@@ -51,6 +48,10 @@ class Moment:
     def orientation(self, name: str) -> float:
         """In [0, 2 pi]."""
         return self._once(("turn", name), lambda: self._engine.orientation(self._time, name))
+
+    def scan(self, name: str, objects: tuple[str, ...], reach: int, up: bool) -> np.ndarray:
+        """``[2 reach + 1]``: distances to terrain, 5 voxels at most."""
+        return self._engine.scan(name, objects, reach, up)
 
     def extent(self, name: str) -> np.ndarray:
         """``[2]``: width and height."""
@@ -98,11 +99,11 @@ def shape(now: Moment, name: str) -> np.ndarray:
 
 
 def floor(now: Moment, name: str, reach: int, objects: tuple[str, ...]) -> np.ndarray:
-    return now.scan(name, objects, reach, SIGHT, -1) * VOXEL
+    return now.scan(name, objects, reach, up=False)
 
 
 def ceiling(now: Moment, name: str, reach: int, objects: tuple[str, ...]) -> np.ndarray:
-    return now.scan(name, objects, reach, SIGHT, 1) * VOXEL
+    return now.scan(name, objects, reach, up=True)
 
 
 OBSERVATIONS = {

@@ -12,6 +12,7 @@ from warpvox.evogym.envs.base import BenchmarkBase
 from warpvox.evogym.envs.moment import OBSERVATIONS, Moment
 from warpvox.evogym.envs.task import TaskEnv
 from warpvox.evogym.errors import ArgumentError
+from warpvox.evogym.world import EvoWorld
 from warpvox.types import VOXEL
 
 __all__ = ["BiWalk", "Goal", "GoalBase", "WalkToX"]
@@ -102,10 +103,11 @@ class BiWalk(TaskEnv, GoalBase):
 
     task = "BidirectionalWalker-v0"
 
-    def __init__(self, body: np.ndarray, *args: Any, **kwargs: Any) -> None:
-        self._random: Any = random
-        self.set_random_goals(20, 50, 100)
-        super().__init__(body, *args, **kwargs)
+    _random: Any = random
+
+    def _make_world(self, *parts: Any) -> EvoWorld:
+        self.set_random_goals(20, 50, 100)  # before the first observation tells the size of observations
+        return super()._make_world(*parts)
 
     def set_random_goals(self, lower_bound: int, upper_bound: int, goal_dist: float) -> None:
         """Draw goals in [lower_bound, upper_bound) voxels until the way past all of them is ``goal_dist`` or longer."""

@@ -75,7 +75,7 @@ class TaskEnv(BenchmarkBase):
         """The present, known from the last step if nothing has happened since."""
         engine = self._sim._engine
         if self._last is None or self._last.changes != engine.changes:
-            self._last = Moment(engine, self._scan)
+            self._last = Moment(engine)
         return self._last
 
     def _observe(self, now: Moment) -> np.ndarray:
