@@ -56,7 +56,8 @@ class Stock:
             if transitions is None:
                 self.runner.learn(1, init_at_random_ep_len=self.random_start)
             else:
-                self.runner._collect()
+                for actions in transitions["actions"]:  # what acting would have drawn
+                    torch.randn(actions.shape)
                 self.replace(transitions)
                 self.runner.alg.update()
             self.random = torch.get_rng_state()
@@ -67,7 +68,11 @@ class Stock:
         storage.actions.copy_(transitions["actions"])
         for name in ("rewards", "dones", "values", "actions_log_prob"):
             getattr(storage, name).copy_(transitions[name])
-        storage.distribution_params[0].copy_(transitions["mean"])
+        mean = transitions["mean"]
+        storage.distribution_params = (
+            mean,
+            self.runner.alg.actor.distribution.log_std_param.detach().exp().expand_as(mean),
+        )
         with torch.no_grad():
             self.runner.alg.compute_returns(transitions["last"])
 
