@@ -63,12 +63,13 @@ class PopulationEvaluator:
         with deferred_interrupts() as interrupted:
             while generation.going:
                 generation.advance()
-                due = generation.iteration % self.settings.save_interval == 0 and generation.going
-                if checkpoint is not None and (due or interrupted):
-                    generation.save(checkpoint)
                 if report is not None:
                     report(generation.progress())
-                if interrupted:
+                due = generation.iteration % self.settings.save_interval == 0 and generation.going
+                stop = bool(interrupted)  # an interrupt from here on waits for the next iteration
+                if checkpoint is not None and (due or stop):
+                    generation.save(checkpoint)
+                if stop:
                     raise KeyboardInterrupt
         return generation.outcomes
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -165,11 +166,32 @@ def test_a_killed_evaluation_goes_on_to_the_same_outcomes(
         assert_equal(ours, theirs)
 
 
+def test_an_interrupted_evaluation_is_saved_and_goes_on(tmp_path: Path) -> None:
+    found, file, seen = candidates(2), tmp_path / "state.pt", []
+    how = small(save_interval=100)
+
+    def interrupt(event: dict[str, Any]) -> None:
+        seen.append(event["iteration"])
+        if event["iteration"] == 3:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        PopulationEvaluator(arena(), how, 0).evaluate(found, {}, interrupt, file)
+    assert seen == [1, 2, 3]
+    whole = PopulationEvaluator(arena(), how, 0).evaluate(found, {})
+    resumed = PopulationEvaluator(arena(), how, 0).evaluate(
+        found, {}, lambda event: seen.append(event["iteration"]), file
+    )
+    assert seen == [1, 2, 3, 4, 5, 6]
+    for ours, theirs in zip(resumed, whole, strict=True):
+        assert_equal(ours, theirs)
+
+
 def test_checkpoints_are_written_when_due_and_only_then(tmp_path: Path) -> None:
     file, there = tmp_path / "state.pt", []
     how = small(save_interval=4)
     PopulationEvaluator(arena(), how, 0).evaluate(candidates(1), {}, lambda _: there.append(file.exists()), file)
-    assert there == [False, False, False, True, True, True]
+    assert there == [False, False, False, False, True, True]  # written after the report
 
 
 @pytest.mark.parametrize("evaluator", [PopulationEvaluator, SequentialEvaluator])
