@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from warpvox.errors import ConfigError, DesignError, SearchError
 __all__ = ["BaseSearch", "Proposal"]
 
 BATCH = 32
-"""Random bodies drawn at a time; about one in six of 5x5 is valid."""
+"""Random bodies drawn at a time; about one in seven of 5x5 is valid."""
 
 LITTER = 16
 """Mutants of one parent that are drawn at a time, of which the first that will do counts."""
@@ -111,7 +111,7 @@ class BaseSearch(ABC):
             rows, columns = self.shape
             raise SearchError(
                 f"No new {rows}x{columns} body turns up after {len(self._seen)} have been proposed: too few are left,"
-                f" or random cells of this shape hardly ever hang together. Try another shape, or fewer evaluations"
+                " or random cells of this shape hardly ever hang together. Try another shape, or fewer evaluations"
                 f" than max_evaluations={self.settings.max_evaluations}."
             )
         return Proposal(body)
@@ -151,7 +151,8 @@ class BaseSearch(ABC):
             Candidate(first + place, proposal.body, proposal.parents, proposal.origin, self.generation)
             for place, proposal in enumerate(proposals)
         ]
-        return list(self._asked)
+        # copies: what happens to them outside must not reach the record
+        return [replace(candidate, body=candidate.body.copy()) for candidate in self._asked]
 
     def tell(self, fitness: Sequence[float]) -> None:
         """The fitness of the candidates asked for last, in their order; larger is better.

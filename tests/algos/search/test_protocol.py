@@ -164,6 +164,17 @@ def test_bad_fitness_is_refused_and_can_be_told_again(algorithm: str, fitness: l
 
 
 @EVERY
+def test_a_candidates_body_may_be_painted_over(algorithm: str) -> None:
+    search, undisturbed = fresh(algorithm), fresh(algorithm)
+    told = [actuators(candidate.body) for candidate in undisturbed.ask()]
+    undisturbed.tell(told)
+    for candidate in search.ask():
+        candidate.body[:] = 0
+    search.tell(told)
+    assert told_apart(run(search, generations=1)) == told_apart(run(undisturbed, generations=1))
+
+
+@EVERY
 def test_a_spent_search_asks_for_nothing(algorithm: str) -> None:
     search = fresh(algorithm)
     run(search)
