@@ -1,6 +1,6 @@
 // Draws environments on a canvas.
 
-const BELOW = 1.25, ANCHOR = 0.42, SHADES = 65;
+const BELOW = 1.25, ANCHOR = 0.42, SHADES = 33;
 
 // Colours of a cell type from contracted to extended, ready for the canvas.
 const makeShades = (ramp) => Array.from({ length: SHADES }, (_, i) => {
@@ -89,21 +89,28 @@ const drawWorld = (g, env, look, theme, pixel) => {
   g.stroke(scene.surface);
 };
 
-const drawCells = (g, env, xy, colourOf, theme, pixel) => {
+const drawCells = (g, env, xy, look, colourOf, theme, pixel) => {
+  const left = look.left - 2, right = look.left + look.w + 2, low = look.bottom - 2, high = look.bottom + look.h + 2;
+  // Bridges and heaps are larger than the picture: what lies outside costs nothing.
+  const seen = (p) => xy[2 * p] > left && xy[2 * p] < right && xy[2 * p + 1] > low && xy[2 * p + 1] < high;
   const trace = (pairs) => {
     g.beginPath();
     for (let i = 0; i < pairs.length; i += 2) {
-      g.moveTo(xy[2 * pairs[i]], xy[2 * pairs[i] + 1]);
-      g.lineTo(xy[2 * pairs[i + 1]], xy[2 * pairs[i + 1] + 1]);
+      const a = pairs[i], b = pairs[i + 1];
+      if (!seen(a)) continue;
+      g.moveTo(xy[2 * a], xy[2 * a + 1]);
+      g.lineTo(xy[2 * b], xy[2 * b + 1]);
     }
   };
   // Cells of one colour make one path: fewer calls, and no seams between them.
   const byColour = new Map();
   for (const { cells, corners } of env.scene.objects) {
     for (let i = 0; i < cells.length; i++) {
-      const colour = colourOf(cells[i], stretchOf(xy, corners[i], cells[i]));
+      const cell = cells[i], quad = corners[i];
+      if (!seen(quad[0])) continue;
+      const colour = colourOf(cell, cell === 3 || cell === 4 ? stretchOf(xy, quad, cell) : 1);
       const quads = byColour.get(colour);
-      if (quads) quads.push(corners[i]); else byColour.set(colour, [corners[i]]);
+      if (quads) quads.push(quad); else byColour.set(colour, [quad]);
     }
   }
   for (const [colour, quads] of byColour) {
@@ -170,7 +177,7 @@ const drawEnv = (g, env, time, box, look, style, ratio) => {
   );
   g.lineCap = g.lineJoin = "round";
   drawWorld(g, env, look, theme, pixel);
-  drawCells(g, env, xy, colourOf, theme, pixel);
+  drawCells(g, env, xy, look, colourOf, theme, pixel);
   g.setTransform(ratio, 0, 0, ratio, 0, 0);
   drawRuler(g, env, box, look, theme);
   g.restore();
