@@ -199,4 +199,5 @@ def _print_observation(task: Any, design: str, points: dict[str, int], console: 
     console.print(table)
     used = {row.unit for row in rows}
     say(console, "; ".join(f"{unit}: {meaning}" for unit, meaning in UNITS.items() if unit in used))
-    say(console, "x, y: centre of mass; v: its velocity; θ: turn since the beginning; p: (x, y); 0:2 is [0] and [1]\n")
+    say(console, "x, y: centre of mass; v: its velocity; θ: turn since the beginning; p: (x, y); 0:2 is [0] and [1]")
+    say(console, "obs=voxel: 25 numbers for every cell of the body instead of c, before the others\n")
