@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
 
 import warpvox.evogym.envs as envs
 from warpvox.envs.registry import get_task, task_ids
@@ -69,6 +71,15 @@ def test_spaces_are_those_of_the_release() -> None:
     assert env.unwrapped.default_viewer._tracked == ["robot"]
     assert gymnasium.make("Pusher-v0", body=BODY).unwrapped.default_viewer._tracked == ["robot", "package"]
     assert gymnasium.make("BeamSlider-v0", body=BODY).unwrapped.default_viewer._tracked == ["robot", "beam"]
+
+
+@pytest.mark.parametrize("task", ["Walker-v0", "BidirectionalWalker-v0", "Catcher-v0"])
+def test_gymnasiums_own_check(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that actions are not within [-1, 1]
+        check_env(gymnasium.make(task, body=BODY, render_mode="rgb_array").unwrapped)
 
 
 def test_actions_are_clipped_and_copied() -> None:

@@ -24,6 +24,7 @@ from warpvox.evogym.utils import __all__ as _of_utils
 from warpvox.evogym.viewer import EvoViewer
 from warpvox.evogym.world import EvoWorld, WorldObject
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
+from warpvox.window import why_no_window
 
 # As in the release, `from evogym.envs import *` also gives what the modules import.
 __all__ = [  # noqa: PLE0604, RUF100
@@ -61,6 +62,8 @@ _RENDER_OPTIONS = ("verbose", "hide_background", "hide_grid", "hide_edges", "hid
 class EvoGymBase(gym.Env):
     """Base of environments: a simulation, a viewer, and helpers for observations. Lengths are in voxels.
 
+    ``metadata`` of the class names all render modes, that of an instance those which work on this machine.
+
     A subclass makes a world, calls this constructor, sets ``action_space`` and ``observation_space``, and has
     ``step`` and ``reset`` that call those of this class.
 
@@ -75,7 +78,7 @@ class EvoGymBase(gym.Env):
         ConfigError: an unknown mode. DisplayError: a window where there is no display.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["screen", "human", "img", "rgb_array"]}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["screen", "human", "img", "rgb_array"], "render_fps": 50}  # noqa: RUF012
 
     def __init__(
         self, world: EvoWorld, render_mode: str | None = None, render_options: dict[str, Any] | None = None
@@ -90,6 +93,8 @@ class EvoGymBase(gym.Env):
         self._render_options = _known(render_options or {})
         if render_mode in _WINDOWED:
             self._default_viewer.show_debug_window()  # fails now rather than in the first step
+        if why_no_window() is not None:
+            self.metadata = self.metadata | {"render_modes": [mode for mode in modes if mode not in _WINDOWED]}
 
     def step(self, action: dict[str, np.ndarray]) -> bool:
         """One control step.
@@ -112,7 +117,8 @@ class EvoGymBase(gym.Env):
         return stopped
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-        """Go back to time 0; neither argument has an effect here."""
+        """Go back to time 0. ``seed`` is for :attr:`np_random`, which nothing here uses; ``options`` are not used."""
+        gym.Env.reset(self, seed=seed)
         self._sim.reset()
 
     @property

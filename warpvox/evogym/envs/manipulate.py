@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from typing import Any
 
+import gymnasium
 import numpy as np
 
 from warpvox.envs.spec import TaskSpec
@@ -134,6 +135,7 @@ class CatchSmallRect(TaskEnv, PackageBase):
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
         """Begin an episode with the package in another place."""
+        gymnasium.Env.reset(self, seed=seed)
         if seed is not None:
             self._random = random.Random(seed)
         self.world = self._make_world(*self._made_of)
