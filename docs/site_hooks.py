@@ -34,7 +34,7 @@ ORDER = (
 """Pages as they follow each other; any others come last."""
 OTHERS = "<!-- help of all others -->"
 HELP = re.compile(r"^<!-- help (\w+) -->$", re.MULTILINE)
-WIDTH = "104"
+WIDTH = "82"
 
 
 def on_config(config: Any) -> Any:
