@@ -11,11 +11,12 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.lanes import inline, lane_ops
+from warpvox.kernels.lanes import inline, lane_ops, native
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
-GRID_FROM = 64  # mobile voxels from which the grid is used
+GRID_FROM = 64  # mobile voxels from which the grid is used ...
+WIDE_GRID_FROM = 256  # ... where comparing boxes serves many lanes at once
 SLOT = 0.2  # size of a grid cell: a voxel with its margin covers 1 to 4 cells
 ENTRIES_PER_VOXEL = 9  # capacity; a voxel cannot be stretched over more cells than 3 x 3
 DISTANT = wp.constant(16)  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
@@ -90,21 +91,51 @@ def mark_pair(precision: str):
     return mark
 
 
+# The candidates among mobile voxels, by boxes around all lanes first: while lanes are alike that is nearly enough.
+MARK_ALL = """
+    const auto box = wides(data.box);
+    const int n = wp::index(model.mobiles, design), words = (wp::index(model.voxels, design) + 31) / 32;
+    const int* mobile = &wp::index(model.mobile, design, 0);
+    const int* still = &wp::index(model.still, design, 0);
+    double* hull = &wp::index(data.hull, unit, 0);
+    int* bits = &wp::index(data.pair_bit, unit, 0);
+    for (int a = 0; a < n; ++a) {
+        for (int side = 0; side < 4; ++side) {
+            hull[4 * a + side] = side % 2 ? largest(box[4 * mobile[a] + side]) : least(box[4 * mobile[a] + side]);
+        }
+    }
+    for (int a = 0; a < n; ++a) {
+        const int i = mobile[a];
+        const double slack = 1.001 * margin;
+        const double left = hull[4 * a] - slack, right = hull[4 * a + 1] + slack;
+        const double low = hull[4 * a + 2] - slack, high = hull[4 * a + 3] + slack;
+        const Wide x0 = box[4 * i], x1 = box[4 * i + 1] + margin, y0 = box[4 * i + 2], y1 = box[4 * i + 3] + margin;
+        for (int b = a + 1; b < n; ++b) {
+            const double* h = hull + 4 * b;
+            if (h[0] > right || h[1] < left || h[2] > high || h[3] < low) continue;
+            const int j = mobile[b];
+            if (still[i] && still[j]) continue;
+            const auto meet = (x0 <= box[4 * j + 1] + margin) & (box[4 * j] <= x1) & (y0 <= box[4 * j + 3] + margin)
+                & (box[4 * j + 2] <= y1);
+            if (bits_of(meet)) bits[i * words + j / 32] |= 1 << (j % 32);
+        }
+    }
+"""
+
+
 @functools.cache
 def mark_all(precision: str, width: int):
     """Stage: candidates among mobile voxels by comparing all boxes with all."""
     types = structs(precision)
-    overlap, mark = box_overlap(precision, width), mark_pair(precision)
+
+    @wp.func_native(native("float64", width) + MARK_ALL)
+    def mark(
+        model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, margin: wp.float64
+    ): ...
 
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
-        n = model.mobiles[design]
-        for a in range(n):
-            i = model.mobile[design, a]
-            for b in range(a + 1, n):
-                j = model.mobile[design, b]
-                if overlap(data, pack, lane, i, j, model.margin) != 0:
-                    mark(model, data, design, unit, i, j)
+        mark(model, data, design, pack, lane, unit, model.margin)
 
     return stage
 
@@ -341,6 +372,7 @@ def collect_near(precision: str, width: int):
 def collect_pairs(precision: str, width: int):
     """Stage: the candidate pairs anew."""
     types, enclose = structs(precision), voxel_box(precision, width)
+    grid_from = GRID_FROM if width == 1 else WIDE_GRID_FROM
     by_grid, by_all, by_lattice, listed = (
         build(precision, width) for build in (mark_grid, mark_all, mark_still, list_pairs)
     )
@@ -350,7 +382,7 @@ def collect_pairs(precision: str, width: int):
         if model.mobiles[design] < model.voxels[design]:
             for v in range(model.voxels[design]):
                 enclose(model, data, design, pack, lane, v)
-        if model.mobiles[design] >= GRID_FROM:
+        if model.mobiles[design] >= grid_from:
             by_grid(model, data, design, pack, lane, unit, dt)
         else:
             by_all(model, data, design, pack, lane, unit, dt)

@@ -103,6 +103,8 @@ auto each_lane = [](auto&& act) { act(0); };
 auto lane_of = [](const Value& a, int) -> Real { return a; };
 auto set_lane = [](Value& a, int, Real x) { a = x; };
 auto bits_of = [](bool a) -> int { return a ? 1 : 0; };
+auto least = [](Wide a) -> double { return a; };
+auto largest = [](Wide a) -> double { return a; };
 #if defined(__CUDA_ARCH__)
 struct Values {
     Value* first;
@@ -136,6 +138,8 @@ auto any_below = [](Value a) -> bool { return __builtin_reduce_min(a) <= Real(0)
 auto each_lane = [](auto&& act) { for (int k = 0; k < WIDTH; ++k) act(k); };
 auto lane_of = [](const Value& a, int k) -> Real { return a[k]; };
 auto set_lane = [](Value& a, int k, Real x) { a[k] = x; };
+auto least = [](Wide a) -> double { return __builtin_reduce_min(a); };
+auto largest = [](Wide a) -> double { return __builtin_reduce_max(a); };
 auto bits_of = [](auto a) -> int {
     typedef bool Bits __attribute__((ext_vector_type(WIDTH)));
     const Bits bits = __builtin_convertvector(a, Bits);

@@ -126,6 +126,7 @@ DATA = {
     "near_count": (int, "unit", ""),
     "near_box": (STATE, "pack 4*voxel lane", "bounds of the terrain cells that a near voxel may touch, as box"),
     "overflow": (int, "unit", "1: more pairs than capacity"),
+    "hull": (STATE, "unit 4*mobile", "boxes of mobile voxels around all lanes"),
     "pair_bit": (int, "unit word", "candidate matrix, a bit per pair"),
     "grid_head": (int, "unit slot", "first entry of a hash slot, or -1"),
     "grid_next": (int, "unit entry", "next entry of the same slot, or -1"),

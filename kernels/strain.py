@@ -9,12 +9,33 @@ import functools
 import warp as wp
 
 from warpvox.kernels import exact
-from warpvox.kernels.lanes import casts, inline, lane_ops
+from warpvox.kernels.lanes import casts, inline, lane_ops, native
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
 SOFT_LIMIT, SOFT_SHARE = 0.25, 0.8  # limit on the strain; share of half the excess by which each end moves
 RIGID_LIMIT, RIGID_SHARE = 0.03, 0.5
+
+# The first spring from ``begin`` on (of those of rigid sides: the first place in their list) that is at or beyond the
+# bound in some lane, or one past the last.
+NEXT_STRAINED = """
+    const int count = rigid ? wp::index(model.rigids, design) : wp::index(model.springs, design);
+    const int* listed = &wp::index(model.rigid_spring, design, 0);
+    const wp::vec_t<2, int>* spring_ends = &wp::index(model.spring_ends, design, 0);
+    const double* spring_rest = &wp::index(model.spring_rest, design, 0);
+    const auto disp = values(data.disp);
+    const auto span = values(data.span);
+    for (int n = begin; n < count; ++n) {
+        const int s = rigid ? listed[n] : n;
+        const unsigned a = 2 * spring_ends[s][0], b = 2 * spring_ends[s][1];
+        const Value ex = span[2 * s] + (disp[b] - disp[a]), ey = span[2 * s + 1] + (disp[b + 1] - disp[a + 1]);
+        const Value square = ex * ex + ey * ey;
+        const Real rest = static_cast<Real>(spring_rest[s]);
+        const Real longest = rest * (Real(1) + bound), shortest = rest * (Real(1) - bound);
+        if (bits_of((square >= longest * longest) | (square <= shortest * shortest))) return n;
+    }
+    return count;
+"""
 
 
 @functools.cache
@@ -32,7 +53,7 @@ def limit(precision: str, width: int):
         ops.splat,
         ops.root,
     )
-    at_most, upper, lower = ops.at_most, ops.upper, ops.lower
+    upper, lower = ops.upper, ops.lower
     load_state, store_state, widen = wide.load, wide.store, casts(precision, width).widen
 
     @inline
@@ -41,16 +62,10 @@ def limit(precision: str, width: int):
         shift = load(data.disp, pack, b, lane) - load(data.disp, pack, a, lane)
         return load(data.span, pack, row, lane) + shift
 
-    @inline
-    def is_strained(model: types.Model, data: types.Data, design: int, pack: int, s: int, lane: int, bound: real):
-        """Whether a spring is beyond the bound in any lane."""
-        a, b = 2 * model.spring_ends[design, s][0], 2 * model.spring_ends[design, s][1]
-        ex = across(data, pack, 2 * s, a, b, lane)
-        ey = across(data, pack, 2 * s + 1, a + 1, b + 1, lane)
-        square = mul(ex, ex) + mul(ey, ey)
-        longest = real(model.spring_rest[design, s]) * (real(1.0) + bound)
-        shortest = real(model.spring_rest[design, s]) * (real(1.0) - bound)
-        return (at_most(splat(longest * longest), square) | at_most(square, splat(shortest * shortest))) != 0
+    @wp.func_native(native(precision, width) + NEXT_STRAINED)
+    def next_strained(
+        model: types.Model, data: types.Data, design: int, pack: int, lane: int, begin: int, rigid: int, bound: real
+    ) -> int: ...
 
     @inline
     def correction(
@@ -102,17 +117,18 @@ def limit(precision: str, width: int):
     @inline
     def all_springs(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         found = int(0)
-        for s in range(model.springs[design]):
-            if is_strained(model, data, design, pack, s, lane, real(SOFT_LIMIT)):
-                if found == 0:
-                    collect(model, data, design, pack, lane, True)
-                    found = 1
-                dx, dy = correction(model, data, design, pack, s, lane, real(SOFT_LIMIT), real(SOFT_SHARE))
-                ends = model.spring_ends[design, s]
-                if model.fixed[design, ends[0]] == 0:
-                    shift(data, data.force, pack, ends[0], lane, dx, dy)
-                if model.fixed[design, ends[1]] == 0:
-                    shift(data, data.force, pack, ends[1], lane, -dx, -dy)
+        s = next_strained(model, data, design, pack, lane, 0, 0, real(SOFT_LIMIT))
+        while s < model.springs[design]:
+            if found == 0:
+                collect(model, data, design, pack, lane, True)
+                found = 1
+            dx, dy = correction(model, data, design, pack, s, lane, real(SOFT_LIMIT), real(SOFT_SHARE))
+            ends = model.spring_ends[design, s]
+            if model.fixed[design, ends[0]] == 0:
+                shift(data, data.force, pack, ends[0], lane, dx, dy)
+            if model.fixed[design, ends[1]] == 0:
+                shift(data, data.force, pack, ends[1], lane, -dx, -dy)
+            s = next_strained(model, data, design, pack, lane, s + 1, 0, real(SOFT_LIMIT))
         if found == 1:
             for n in range(2 * model.actives[design]):
                 r = model.active[design, n]
@@ -122,20 +138,21 @@ def limit(precision: str, width: int):
     @inline
     def rigid_sides(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         found = int(0)
-        for n in range(model.rigids[design]):
+        n = next_strained(model, data, design, pack, lane, 0, 1, real(RIGID_LIMIT))
+        while n < model.rigids[design]:
             s = model.rigid_spring[design, n]
-            if is_strained(model, data, design, pack, s, lane, real(RIGID_LIMIT)):
-                if found == 0:
-                    collect(model, data, design, pack, lane, True)
-                    found = 1
-                dx, dy = correction(model, data, design, pack, s, lane, real(RIGID_LIMIT), real(RIGID_SHARE))
-                ends = model.spring_ends[design, s]
-                if model.fixed[design, ends[0]] == 0:
-                    shift(data, data.disp, pack, ends[0], lane, dx, dy)
-                    shift(data, data.force, pack, ends[0], lane, dx, dy)
-                if model.fixed[design, ends[1]] == 0:
-                    shift(data, data.disp, pack, ends[1], lane, -dx, -dy)
-                    shift(data, data.force, pack, ends[1], lane, -dx, -dy)
+            if found == 0:
+                collect(model, data, design, pack, lane, True)
+                found = 1
+            dx, dy = correction(model, data, design, pack, s, lane, real(RIGID_LIMIT), real(RIGID_SHARE))
+            ends = model.spring_ends[design, s]
+            if model.fixed[design, ends[0]] == 0:
+                shift(data, data.disp, pack, ends[0], lane, dx, dy)
+                shift(data, data.force, pack, ends[0], lane, dx, dy)
+            if model.fixed[design, ends[1]] == 0:
+                shift(data, data.disp, pack, ends[1], lane, -dx, -dy)
+                shift(data, data.force, pack, ends[1], lane, -dx, -dy)
+            n = next_strained(model, data, design, pack, lane, n + 1, 1, real(RIGID_LIMIT))
         if found == 1:
             collect(model, data, design, pack, lane, False)
 
