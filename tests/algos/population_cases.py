@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
-
 import numpy as np
-import yaml
 
 from warpvox.algos.arena import Arena
 from warpvox.algos.candidate import Candidate
-from warpvox.configs.schema import PpoConfig, TrainingConfig
+from warpvox.algos.presets import training_preset
+from warpvox.configs.schema import TrainingConfig
 from warpvox.design import sample_design
 
 LIMIT = 16  # control steps of an episode
 
 
-def settings(preset: str = "paper", ppo: dict | None = None, **changes: object) -> TrainingConfig:
-    """A preset of ``training`` with other values here and there."""
-    values = yaml.safe_load((files("warpvox.configs") / "training" / f"{preset}.yaml").read_text(encoding="utf-8"))
-    return TrainingConfig(**(values | changes | {"ppo": PpoConfig(**(values["ppo"] | (ppo or {})))}))
-
-
 def small(preset: str = "fast", **changes: object) -> TrainingConfig:
     """Few environments, short rollouts, small networks."""
     quick = {"steps": 4, "epochs": 2, "minibatches": 2, "hidden": [32]}
-    return settings(preset, quick, **({"envs": 4, "iterations": 6, "eval_interval": 2} | changes))
+    return training_preset(preset, quick, **({"envs": 4, "iterations": 6, "eval_interval": 2} | changes))
 
 
 def arena(task: str = "Walker-v0", dtype: str = "float32") -> Arena:

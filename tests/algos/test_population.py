@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +18,9 @@ from warpvox.algos.candidate import PROGRESS, Candidate, Outcome, candidate_seed
 from warpvox.algos.checkpoint import Controller, PolicySpec, build_actor
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.population import PopulationEvaluator
+from warpvox.algos.presets import training_preset
 from warpvox.algos.sequential import SequentialEvaluator
+from warpvox.configs.schema import MISSING
 from warpvox.errors import ConfigError, RunError
 
 TASKS = pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0"])
@@ -98,6 +102,34 @@ def test_progress_is_reported() -> None:
 
 def test_no_candidates_no_outcomes() -> None:
     assert outcomes([]) == []
+
+
+def test_the_example_of_the_documentation_runs(repository: Path, capsys: pytest.CaptureFixture) -> None:
+    (example,) = re.findall(
+        r"```python\n(.*?)```", (repository / "docs" / "evaluation.md").read_text("utf-8"), re.DOTALL
+    )
+    names: dict[str, Any] = {}
+    exec(compile(example, "docs/evaluation.md", "exec"), names)
+    assert [len(outcome.curve) for outcome in names["outcomes"]] == [2, 2, 2]
+
+
+@pytest.mark.parametrize(("name", "words"), [("papr", "Did you mean 'paper'"), ("slow", "one of")])
+def test_an_unknown_preset_is_one_clear_error(name: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        training_preset(name)
+    with pytest.raises(ConfigError, match="Did you mean 'iterations'"):
+        training_preset("paper", iteration=3)
+    with pytest.raises(ConfigError, match="Did you mean 'epochs'"):
+        training_preset("paper", {"epoch": 3})
+
+
+@pytest.mark.parametrize(("name", "samples"), [("paper", 512), ("fast", 2048)])
+def test_presets_spend_the_papers_control_steps(name: str, samples: int) -> None:
+    how = training_preset(name)
+    assert how.envs * how.ppo.steps == samples
+    assert how.iterations * samples == 512_000
+    values = dataclasses.asdict(how)
+    assert MISSING not in [*values.values(), *values["ppo"].values()]
 
 
 # ---------------------------------------------------------------------------------------------------- company

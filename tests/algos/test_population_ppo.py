@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 import pytest
 import torch
-from population_cases import arena, bodies, settings
+from population_cases import arena, bodies
 
 from warpvox.algos.population_adam import PopulationAdam, clip_gradients
 from warpvox.algos.population_training import PopulationTraining
+from warpvox.algos.presets import training_preset
 from warpvox.algos.runner import Runner, Schedule, adapt
 from warpvox.configs.schema import TrainingConfig
 
@@ -116,7 +117,7 @@ def make(task: str, dtype: str, how: TrainingConfig) -> tuple[PopulationTraining
 
 
 def test_sizes_differ_so_that_padding_is_tested() -> None:
-    training = PopulationTraining(arena(), bodies(len(SEEDS)), SEEDS, settings())
+    training = PopulationTraining(arena(), bodies(len(SEEDS)), SEEDS, training_preset("paper"))
     assert len(set(training.algorithm.actor.inputs)) > 1
     assert len(set(training.algorithm.actor.outputs)) > 1
 
@@ -127,7 +128,7 @@ def test_sizes_differ_so_that_padding_is_tested() -> None:
 def test_whole_trainings_equal_separate_stock_ones(preset: str, task: str) -> None:
     """From the first weights on: noise, episodes, orders, losses, schedules. In float64, and with short rollouts:
     contacts make what is rounding at first grow by an order of magnitude every few control steps."""
-    how = settings(preset, {"steps": 4}, envs=4)
+    how = training_preset(preset, {"steps": 4}, envs=4)
     training, stocks = make(task, "float64", how)
     assert max(differences(training, stocks).values()) == 0.0
     for _ in range(UPDATES):
@@ -141,7 +142,7 @@ def test_whole_trainings_equal_separate_stock_ones(preset: str, task: str) -> No
 @pytest.mark.parametrize("envs", [4, 16])
 def test_updates_with_the_papers_settings_equal_stock_ones_in_float32(envs: int) -> None:
     """Table 6, 512 samples an iteration: from equal transitions equal parameters."""
-    how = settings("paper", {"steps": 512 // envs}, envs=envs)
+    how = training_preset("paper", {"steps": 512 // envs}, envs=envs)
     training, stocks = make("Walker-v0", "float32", how)
     for _ in range(UPDATES):
         training._collect()
@@ -189,7 +190,9 @@ def test_gradients_are_clipped_for_each_design() -> None:
 
 
 def test_a_design_that_diverges_leaves_the_others_alone() -> None:
-    spoilt, sound = (PopulationTraining(arena(), bodies(3), SEEDS[:3], settings(envs=4)) for _ in range(2))
+    spoilt, sound = (
+        PopulationTraining(arena(), bodies(3), SEEDS[:3], training_preset("paper", envs=4)) for _ in range(2)
+    )
     for training in (spoilt, sound):
         training._collect()
     spoilt.algorithm.actor.weights[0].data[1, 0, 0] = float("nan")
@@ -203,7 +206,7 @@ def test_a_design_that_diverges_leaves_the_others_alone() -> None:
 
 @pytest.mark.parametrize("threads", [2, 3, 8])
 def test_learning_is_the_same_bit_for_bit_with_any_number_of_threads(threads: int) -> None:
-    one, many = (PopulationTraining(arena(), bodies(4), SEEDS, settings("fast", {"steps": 4})) for _ in range(2))
+    one, many = (PopulationTraining(arena(), bodies(4), SEEDS, training_preset("fast", {"steps": 4})) for _ in range(2))
     many.algorithm.threads = threads
     for training in (one, many):
         for _ in range(2):

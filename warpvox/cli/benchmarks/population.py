@@ -6,16 +6,14 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
 import torch
-import yaml
-from omegaconf import OmegaConf
 
 from warpvox.algos.arena import Arena
 from warpvox.algos.population_training import PopulationTraining
+from warpvox.algos.presets import training_preset
 from warpvox.algos.runner import Runner, Schedule, adapt
 from warpvox.cli.benchmarks.report import Report, middle, number
 from warpvox.configs.schema import TrainingConfig
@@ -56,7 +54,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     Raises:
         SimulationError: a design trained with others learns something else than alone.
     """
-    settings, options = _preset(config.population.training), config.population
+    settings, options = training_preset(config.population.training), config.population
     bodies = [sample_design(SHAPE, seed=config.seed + k) for k in range(options.designs)]
     seeds = list(range(options.designs))
     with report.status("checking that both learn the same"):
@@ -74,13 +72,6 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     with report.status("training one after another"):
         apart = _one_after_another(arena, bodies, seeds, settings, config.repeats)
     return _show(config, report, settings, together, apart, evaluation) | {"check_error": error}
-
-
-def _preset(name: str, **ppo: Any) -> TrainingConfig:
-    text = (files("warpvox.configs") / "training" / f"{name}.yaml").read_text(encoding="utf-8")
-    return OmegaConf.to_object(
-        OmegaConf.merge(OmegaConf.structured(TrainingConfig), yaml.safe_load(text), {"ppo": ppo})
-    )
 
 
 def _stock(arena: Arena, body: np.ndarray, seed: int, settings: TrainingConfig) -> Runner:
@@ -112,7 +103,7 @@ def _double() -> Iterator[None]:
 
 def _check(config: Any, bodies: Sequence[np.ndarray], seeds: Sequence[int], preset: str) -> float:
     """The largest difference of a parameter of the policies; raises SimulationError if it is too large."""
-    settings, worst = _preset(preset, steps=CHECK_STEPS), 0.0
+    settings, worst = training_preset(preset, {"steps": CHECK_STEPS}), 0.0
     arena = Arena(config.task, device=config.device, dtype="float64", threads=config.threads)
     with _double(), torch.random.fork_rng():
         training = PopulationTraining(arena, bodies, seeds, settings)
