@@ -19,7 +19,7 @@ from warpvox.rollout import Rollout
 from warpvox.usd import write_usd
 
 MEGABYTES, SECONDS = 45, 6  # for 64 environments and 500 frames
-SLACK = 2.0  # a shared machine may have half its speed
+SLACK = 2.0  # in CPU time: neighbours slow a core down, too
 
 
 def findings(path: Path) -> list[str]:
@@ -142,7 +142,7 @@ def test_wrong_requests_get_one_clear_line(rollouts, tmp_path: Path, name: str, 
 @pytest.mark.slow
 def test_many_environments_stay_small_and_quick(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
     rollout = rollouts(500, 64, designs=3)
-    start = time.perf_counter()
+    start = time.process_time()
     path = write_usd(rollout, tmp_path / "rollout.usdc")
-    assert time.perf_counter() - start < SECONDS * SLACK
+    assert time.process_time() - start < SECONDS * SLACK
     assert os.path.getsize(path) < MEGABYTES * 1e6

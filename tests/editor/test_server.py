@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import json
 import socket
+from urllib.parse import quote
 
 import numpy as np
 import pytest
@@ -114,7 +115,8 @@ def test_requests_have_a_form_and_a_size(server: EditorServer, body: bytes, head
 def test_other_methods_and_places_do_not_exist(server: EditorServer) -> None:
     assert request(server, "POST", f"/{server.token}/delete", b"{}")[0] == 404
     assert request(server, "GET", f"/{server.token}/save")[0] == 404
-    assert request(server, "GET", f"/{server.token}/rollout/7")[0] == 404
+    for number in ("7", "-1", "²", "1" * 5000):
+        assert request(server, "GET", f"/{server.token}/rollout/{quote(number)}")[0] == 404
     assert request(server, "GET", f"/{server.token}/../../etc/passwd")[0] == 404
     assert request(server, "PUT", f"/{server.token}/", b"{}")[0] == 501
     assert request(server, "OPTIONS", f"/{server.token}/save")[0] == 501

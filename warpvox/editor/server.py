@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hmac
 import json
+import re
 import secrets
 import threading
 from collections.abc import Callable
@@ -119,15 +120,14 @@ class EditorServer(ThreadingHTTPServer):
             raise ConfigError("Another rollout is being simulated: wait for its end.")
         try:
             rollout = try_out(_document(ask), *(ask.get(key) for key in ("agent", "seconds", "seed", "task")))
+            title = rollout.title if rollout.metadata["task"] else "world"
+            number = self._count = self._count + 1
+            kept = [*self.rollouts.items(), (number, page_of(rollout, title=title).encode())]
+            self.rollouts = dict(kept[-KEPT:])  # a new one: other threads may be looking into the old
         finally:
             self._busy.release()
-        title = rollout.title if rollout.metadata["task"] else "world"
-        self._count += 1
-        self.rollouts[self._count] = page_of(rollout, title=title).encode()
-        for old in [number for number in self.rollouts if number <= self._count - KEPT]:
-            del self.rollouts[old]
         total, steps = float(rollout.returns[-1, 0]), int(rollout.lengths[0])
-        return {"rollout": self._count, "message": f"return {total:.3f} in {steps} steps"}
+        return {"rollout": number, "message": f"return {total:.3f} in {steps} steps"}
 
 
 ACTIONS: dict[str, Callable[[EditorServer, dict[str, Any]], dict[str, Any]]] = {
@@ -172,10 +172,11 @@ class _Handler(BaseHTTPRequestHandler):
             number = path.removeprefix("rollout/")
             if path == "":
                 self._send(self.server.page.encode(), "text/html; charset=utf-8")
-            elif number.isdigit() and int(number) in self.server.rollouts:
-                self._send(self.server.rollouts[int(number)], "text/html; charset=utf-8")
-            else:
+                return
+            page = self.server.rollouts.get(int(number)) if re.fullmatch("[0-9]{1,9}", number) else None
+            if page is None:
                 raise _Refused(HTTPStatus.NOT_FOUND, "There is nothing here.")
+            self._send(page, "text/html; charset=utf-8")
         except _Refused as refusal:
             self._refuse(refusal)
 
