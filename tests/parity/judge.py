@@ -63,14 +63,31 @@ def ranks(values: np.ndarray) -> np.ndarray:
     return (np.searchsorted(ordered, values) + np.searchsorted(ordered, values, side="right") - 1) / 2
 
 
-def compare_returns(theirs: np.ndarray, ours: np.ndarray) -> str:
-    """Paired differences and rank correlation in words."""
-    gap = np.abs(ours - theirs)
+@dataclass(frozen=True)
+class Comparison:
+    """Returns of ours against theirs: mean of the paired differences and its standard error, the largest, ranks."""
+
+    runs: int
+    mean: float
+    error: float
+    largest: float
+    equal: int
+    rank: float
+
+    def __str__(self) -> str:
+        return (
+            f"returns of {self.runs} runs: mean difference {self.mean:.1e} (standard error {self.error:.1e}), "
+            f"largest {self.largest:.1e}, {self.equal} within {REWARD:.0e}; rank correlation {self.rank:.6f}"
+        )
+
+
+def compare(theirs: np.ndarray, ours: np.ndarray) -> Comparison:
+    """Paired differences and rank correlation."""
+    gap = ours - theirs
+    error = gap.std(ddof=1) / np.sqrt(len(gap))
     rank = np.corrcoef(ranks(theirs), ranks(ours))[0, 1]
-    return (
-        f"returns of {len(ours)} runs: mean difference {np.mean(ours - theirs):.1e}, largest {gap.max():.1e}, "
-        f"{(gap < REWARD).sum()} within {REWARD:.0e}; rank correlation {rank:.6f}"
-    )
+    near = int((np.abs(gap) < REWARD).sum())
+    return Comparison(len(gap), float(gap.mean()), float(error), float(np.abs(gap).max()), near, float(rank))
 
 
 def judge_returns(runs: list[Run]) -> None:
@@ -80,7 +97,7 @@ def judge_returns(runs: list[Run]) -> None:
         ours.append(replay(run).reward.sum())
         gap = ours[-1] - theirs[-1]
         print(f"{run}: {len(run.actions)} steps, return {theirs[-1]:.6f}, ours differs by {gap:.1e}", flush=True)
-    print(compare_returns(np.array(theirs), np.array(ours)))
+    print(compare(np.array(theirs), np.array(ours)))
 
 
 def main():

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from judge import compare_returns, judge, ranks
+from judge import compare, judge, ranks
 from replay import load_runs, position_error, replay
 
 from warpvox.envs.registry import task_ids
@@ -42,6 +42,7 @@ def test_the_recordings_hold_what_they_should():
 def test_returns_are_compared_by_pairs_and_by_rank():
     theirs = np.array([3.0, 1.0, 1.0, 2.0])
     assert ranks(theirs).tolist() == [3.0, 0.5, 0.5, 2.0]
-    assert "rank correlation 1.000000" in compare_returns(theirs, theirs * 2)
-    assert "mean difference 1.0e+00" in compare_returns(theirs, theirs + 1)
-    assert "rank correlation -1.000000" in compare_returns(theirs, -theirs)
+    assert compare(theirs, theirs * 2).rank == pytest.approx(1.0)
+    assert compare(theirs, -theirs).rank == pytest.approx(-1.0)
+    shifted = compare(theirs, theirs + np.array([1.0, 1.0, 1.0, 5.0]))
+    assert (shifted.mean, shifted.error, shifted.largest, shifted.equal) == (2.0, 1.0, 5.0, 0)

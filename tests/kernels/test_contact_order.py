@@ -1,0 +1,99 @@
+"""In float64 contacts are taken in the order of a descent through two box trees, here done the plain way."""
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+
+from warpvox.design import sample_design
+from warpvox.kernels import broadphase, contact
+from warpvox.order import order_arrays, tree_of
+from warpvox.sim import Simulation
+from warpvox.world import World
+
+SQUEEZE, NOISE = 0.7, 0.06
+
+
+def crowd(seed, lanes):
+    """Contacts of a robot pressed together with boxes and a bumpy ground, in ``lanes`` copies; what was noted."""
+    ground = np.full((2, 24), 5)
+    ground[0, ::3] = 0
+    world = World(24, 16)
+    world.add_from_array("ground", ground, 0, 0)
+    for n, (x, y) in enumerate([(1, 2), (8, 2), (2, 8), (5, 8)]):
+        world.add_from_array(f"box{n}", np.full((1 + n % 2, 2), 1 + n % 2), x, y)
+    world.add_from_array("robot", sample_design((5, 5), seed=seed), 3, 2)
+    sim = Simulation([world] * lanes, device="cpu", dtype="float64", lanes=lanes)
+    state, rng = sim.state(), np.random.default_rng(seed)
+    state["pos"] = state["pos"] * SQUEEZE + torch.tensor(rng.normal(0.0, NOISE, state["pos"].shape))
+    sim.set_state(state)
+    broadphase.launch(sim._state)
+    contact.launch(sim._state)
+    return sim, {name: sim._state.arrays[name].numpy()[0] for name in ("hits", "hit", "hit_rank", "pos", "node")}
+
+
+class Descent:
+    """Pairs of leaves whose boxes overlap, in the order in which the released simulator finds them."""
+
+    def __init__(self, design, pos):
+        self.node = order_arrays(design)["node"]
+        self.box, self.roots = [], {}
+        world = design.world
+        names = sorted(world.objects, key=lambda name: (not world.objects[name].is_robot, name))
+        for body in design.bodies + design.statics:
+            points = np.array(body.points)
+            if body in design.bodies:
+                points = pos[body.first_point : body.first_point + len(points)]
+            base, tree = len(self.box), tree_of(body)
+            for cell, pair in zip(tree.cells, tree.children, strict=True):
+                inner = [corner for child in pair or () for corner in self.box[base + child]]
+                mine = np.array(inner) if pair else points[body.corners[cell]]
+                self.box.append((mine.min(0), mine.max(0)))
+            self.roots[body.name] = len(self.box) - 1
+        self.roots = [self.roots[name] for name in names]
+
+    def area(self, n):
+        low, high = self.box[n]
+        return (high[0] - low[0]) * (high[1] - low[1])
+
+    def pairs(self):
+        for a, b in itertools.combinations_with_replacement(self.roots, 2):
+            yield from self.descend(a, b)
+
+    def descend(self, a, b):
+        (low_a, high_a), (low_b, high_b) = self.box[a], self.box[b]
+        if (low_a > high_b).any() or (low_b > high_a).any():
+            return
+        leaf_a, leaf_b = self.node[a, 0] < 0, self.node[b, 0] < 0
+        if leaf_a and leaf_b:
+            yield a, b
+        elif leaf_a or (not leaf_b and self.area(a) < self.area(b)):
+            for child in self.node[b, :2]:
+                yield from self.descend(a, int(child))
+        else:
+            for child in self.node[a, :2]:
+                yield from self.descend(int(child), b)
+
+
+@pytest.mark.parametrize("lanes", [1, 8])
+@pytest.mark.parametrize("seed", range(4))
+def test_contacts_are_taken_in_the_order_of_the_descent(seed, lanes):
+    sim, arrays = crowd(seed, lanes)
+    assert not sim.overflow.any()
+    for k, count in enumerate(arrays["hits"]):
+        hits = arrays["hit"][:count, k]
+        taken = [tuple(hits[rank, :3]) for rank in arrays["hit_rank"][:count, k]]
+        met = Descent(sim.designs[0], arrays["pos"][:, k].reshape(-1, 2)).pairs()
+        place = {pair: n for n, pair in enumerate(met)}
+        assert len(set(taken)) == count > 20
+        assert taken == sorted(taken, key=lambda hit, place=place: (place[hit[:2]], hit[2]))
+
+
+def test_a_contact_inside_one_object_is_met_from_both_sides():
+    _, arrays = crowd(0, 1)
+    owner = arrays["node"][:, 2]
+    hits = [tuple(hit) for hit in arrays["hit"][: arrays["hits"][0], 0]]
+    own = {hit for hit in hits if owner[hit[0]] == owner[hit[1]]}
+    assert own
+    assert {(b, a, (place + 4) % 8, point) for a, b, place, point in own} == own
