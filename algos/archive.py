@@ -329,9 +329,9 @@ class Archive:
             raise RunError(f"{self.path} has no candidate {number}; there are {self.count()}, from 0.")
         return found[0]
 
-    def best(self, count: int = 1, generation: int | None = None) -> list[Record]:
-        """The evaluated designs of highest fitness (of one generation), equal bodies once, ties to the earlier."""
-        where, values = ("AND generation = ?", (generation,)) if generation is not None else ("", ())
+    def best(self, count: int = 1, until: int | None = None) -> list[Record]:
+        """The designs of highest fitness (up to and including a generation), equal bodies once, ties to the earlier."""
+        where, values = ("AND generation <= ?", (until,)) if until is not None else ("", ())
         query = f"""WHERE id IN (
             SELECT id FROM (
                 SELECT id, fitness, ROW_NUMBER() OVER (PARTITION BY body ORDER BY fitness DESC, id) AS place

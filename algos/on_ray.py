@@ -58,7 +58,7 @@ class RayExecutor:
         make: builds the evaluator in a worker; must be picklable.
         workers: how many; None: one a GPU if they are given GPUs, else as many as there are CPUs for.
         address: of a running cluster (``auto`` or ``host:port``); None: start Ray on this machine.
-        cpus, gpus: what a worker takes.
+        cpus, gpus: what a worker takes; no number of GPUs: one if the cluster has any.
 
     Raises:
         ConfigError: Ray is not installed. RunError: there is no such cluster, or it has no room for one worker.
@@ -70,10 +70,12 @@ class RayExecutor:
         workers: int | None = None,
         address: str | None = None,
         cpus: int = 1,
-        gpus: float = 0.0,
+        gpus: float | None = 0.0,
     ) -> None:
         self._ray = _start(address, (workers or 1) * cpus)
         room = self._ray.cluster_resources()
+        if gpus is None:
+            gpus = 1 if room.get("GPU", 0) else 0
         if workers is None:
             workers = int(room.get("GPU", 0) // gpus if gpus else room.get("CPU", 0) // cpus)
         if workers < 1 or room.get("CPU", 0) < cpus or room.get("GPU", 0) < gpus:

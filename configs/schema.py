@@ -21,6 +21,7 @@ __all__ = [
     "GROUPS",
     "MISSING",
     "BenchConfig",
+    "CodesignConfig",
     "DemoConfig",
     "ExportConfig",
     "PhysicsConfig",
@@ -36,6 +37,7 @@ EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
 AGENTS = ("random", "sine", "zero")
 SHOW = ("auto", "on", "off")
 OBSERVATIONS = ("task", "voxel")
+ARCHIVE_EXPORTS = ("csv", "parquet", "npz", "json")
 AUTO = "auto"
 PPO = ("parallel", "evogym")
 
@@ -185,6 +187,38 @@ def _search_fields() -> list[tuple[str, Any, Any]]:
 
 SearchConfig = make_dataclass("SearchConfig", _search_fields(), namespace={"__module__": __name__})
 """Keys ``search.*``: the algorithm and its settings; ``warpvox.algos.search.settings_from`` sorts them out."""
+
+
+@dataclass
+class CodesignConfig:
+    """Keys of ``warpvox codesign``."""
+
+    task: str = key("Walker-v0", "task id; `warpvox tasks` lists them")
+    shape: list[int] = key([5, 5], "rows and columns of the bodies; the paper: [5,5], for Lifter-v0 [5,7]", low=1)
+    rules: str = key("evogym", "the benchmark as released (evogym) or as printed (paper)", choices=("evogym", "paper"))
+    reuse: bool = key(True, "a body that was evaluated before is not trained again")
+    batch: int | None = key(
+        None, "designs trained together; null: a whole generation (executor=ray: a worker's share of it)", low=1
+    )
+    seed: int = key(0, "governs everything random", low=0)
+    device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
+    dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
+    threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores (executor=ray: one)", low=1)
+    torch_threads: int = key(1, "threads of PyTorch; more than 1 slows small networks down", low=1)
+    executor: str = key("local", "where designs are trained: in this process, or on workers", choices=("local", "ray"))
+    address: str | None = key(None, "of a running Ray cluster: auto or host:port; null: Ray is started on this machine")
+    workers: int | None = key(None, "workers of executor=ray; null: one for each GPU, or what the CPUs allow", low=1)
+    top: int = key(5, "best designs that are shown and drawn for every generation", low=1)
+    export: list[str] = key(
+        [], "what to write of the archive at the end: csv, parquet, npz and json (designs)", choices=ARCHIVE_EXPORTS
+    )
+    resume: str | None = key(None, "go on with a search: latest or its folder")
+    report: str | None = key(None, "only make report and exports of a search again: latest or its folder")
+    name: str | None = key(None, "appended to the name of the run's folder")
+    output_dir: str = key("outputs", "folder that runs are written to")
+    physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the dynamics")
+    search: SearchConfig = key(SearchConfig, "search algorithm")
+    training: TrainingConfig = key(TrainingConfig, "how a design is trained and judged")
 
 
 @dataclass
@@ -360,11 +394,12 @@ COMMANDS: dict[str, type] = {
     "demo": DemoConfig,
     "play": PlayConfig,
     "export": ExportConfig,
+    "codesign": CodesignConfig,
     "bench": BenchConfig,
     "curves": CurvesConfig,
     "design": DesignConfig,
 }
 """Commands that take keys, and the dataclass of each."""
 
-GROUPS = ("physics", "ppo")
+GROUPS = ("physics", "ppo", "search", "training")
 """Keys that also take the name of a YAML file in the folder of the same name."""

@@ -20,6 +20,7 @@ __all__ = ["COMMANDS", "main"]
 
 COMMANDS = {
     "train": "train a controller for a body on a task",
+    "codesign": "search for a body and its controller at once",
     "play": "watch a trained controller or a simple agent, print returns, export what it did",
     "export": "write a run's rollout as USD, film, pictures or page",
     "curves": "draw the learning curves of runs as one picture",

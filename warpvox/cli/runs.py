@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -14,14 +14,17 @@ from typing import Any
 
 import yaml
 
+from warpvox.algos.archive import FILE as ARCHIVE
+from warpvox.algos.archive import Archive
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.files import write_text
 
-__all__ = ["Run", "find_run", "new_folder", "write_summary"]
+__all__ = ["Run", "find_codesign", "find_run", "new_folder", "write_summary"]
 
 CONFIG, SUMMARY = "config.yaml", "summary.json"
 STATE, BEST = "state.pt", "model_best.pt"
 TRAINING = ("train", "demo")
+CODESIGN = "codesign"
 STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 NAME = re.compile(r"[\w.+-]+")
 
@@ -60,39 +63,81 @@ class Run:
         return self.folder / f"model_{which}.pt"
 
 
-def find_run(text: str, output_dir: str) -> Run:
+def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, CODESIGN)) -> Run:
     """The run that ``text`` names: ``latest``, a folder, or a checkpoint file in one.
+
+    A design search stands for its best design; the folders ``designs/<id>`` in it are runs of their own.
+
+    Args:
+        commands: whose runs ``latest`` may be.
 
     Raises:
         RunError: no such folder, or one that is no run.
     """
-    path = _latest(Path(output_dir)) if text == "latest" else Path(text).expanduser()
+    path = _latest(Path(output_dir), commands) if text == "latest" else Path(text).expanduser()
     if not path.exists():
         raise RunError(f"There is no run at {path}: expected latest, the folder of a run or a checkpoint in it.")
     folder = path if path.is_dir() else path.parent
-    config = folder / CONFIG
-    if not config.is_file():
-        raise RunError(f"{folder} is not a run: it has no {CONFIG}. Runs are made by `warpvox train`.")
-    try:
-        content = yaml.safe_load(config.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, OSError, UnicodeDecodeError):
-        raise RunError(f"{config} cannot be read as YAML: is {folder} a run?") from None
-    if not isinstance(content, dict) or not {"task", "design", "ppo"} <= content.keys():
+    if (folder / ARCHIVE).is_file():
+        path = folder = _best_design(folder)
+    content = _read_config(folder, "train")
+    if not {"task", "design", "ppo"} <= content.keys():
         raise RunError(f"{folder} is not a run of `warpvox train`: its {CONFIG} names no task, design and ppo.")
     return Run(folder, content, path if path.is_file() else None)
 
 
-def _latest(root: Path) -> Path:
+def find_codesign(text: str, output_dir: str) -> Run:
+    """The design search that ``text`` names: ``latest`` or a folder.
+
+    Raises:
+        RunError: no such folder, or one that is no design search.
+    """
+    path = _latest(Path(output_dir), (CODESIGN,)) if text == "latest" else Path(text).expanduser()
+    if not path.exists():
+        raise RunError(f"There is no design search at {path}: expected latest or the folder of one.")
+    folder = path if path.is_dir() else path.parent
+    content = _read_config(folder, CODESIGN)
+    if not (folder / ARCHIVE).is_file() or not {"task", "search", "training"} <= content.keys():
+        raise RunError(f"{folder} is not a design search: it lacks {ARCHIVE}, or its {CONFIG} is that of another run.")
+    return Run(folder, content)
+
+
+def _best_design(folder: Path) -> Path:
+    with Archive.read(folder / ARCHIVE) as archive:
+        best = [record for record in archive.best() if record.policy is not None]
+    if not best:
+        raise RunError(f"The design search {folder} has no evaluated design yet.")
+    return (folder / best[0].policy).parent
+
+
+def _read_config(folder: Path, command: str) -> dict[str, Any]:
+    config = folder / CONFIG
+    if not config.is_file():
+        raise RunError(f"{folder} is not a run: it has no {CONFIG}. Runs are made by `warpvox {command}`.")
+    try:
+        content = yaml.safe_load(config.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, OSError, UnicodeDecodeError):
+        raise RunError(f"{config} cannot be read as YAML: is {folder} a run?") from None
+    return content if isinstance(content, dict) else {}
+
+
+def _latest(root: Path, commands: Sequence[str]) -> Path:
     folders = [
         folder
-        for command in TRAINING
+        for command in commands
         for folder in root.glob(f"{command}/*/*")
-        if (folder / CONFIG).is_file() and next(folder.glob("model_*.pt"), None) is not None
+        if (folder / CONFIG).is_file() and _has_begun(folder, command)
     ]
     if not folders:
-        raise RunError(f"There is no run in {root / TRAINING[0]} yet; `warpvox train` makes one.")
+        raise RunError(f"There is no run in {root / commands[0]} yet; `warpvox {commands[0]}` makes one.")
     # names begin with the date and time of the start; what started within one second differs by its first file
     return max(folders, key=lambda folder: (folder.name[:STAMP_LENGTH], (folder / CONFIG).stat().st_mtime_ns))
+
+
+def _has_begun(folder: Path, command: str) -> bool:
+    if command == CODESIGN:
+        return (folder / ARCHIVE).is_file()
+    return next(folder.glob("model_*.pt"), None) is not None
 
 
 @contextmanager
@@ -146,7 +191,7 @@ def _make(parent: Path, stamp: str, ending: str) -> Path:
 
 
 def _has_result(folder: Path) -> bool:
-    return any(file.suffix in (".pt", ".npz", ".json") for file in folder.iterdir())
+    return any(file.suffix in (".pt", ".npz", ".json", ".sqlite") for file in folder.iterdir())
 
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:

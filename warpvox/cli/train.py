@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,13 +16,13 @@ from warpvox import __version__
 from warpvox.cli import COMMANDS
 from warpvox.cli.config import expand, load, read_arguments, to_yaml
 from warpvox.cli.help import command_help
-from warpvox.cli.runs import CONFIG, STATE, check_name, find_run, new_folder, write_summary
+from warpvox.cli.runs import CONFIG, STATE, TRAINING, check_name, find_run, new_folder, write_summary
 from warpvox.cli.say import say
 from warpvox.configs.schema import TrainConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.files import write_text
 
-__all__ = ["Job", "describe", "run", "train"]
+__all__ = ["Job", "check_unchanged", "describe", "flat", "run", "train"]
 
 CHANGEABLE = (
     "max_iterations",
@@ -73,7 +73,7 @@ def describe(command: str, arguments: Any) -> bool:
     """Print the help or the configuration, if that is what was asked for."""
     if arguments.help:
         defaults = load(command, [], None)
-        print(command_help(command, COMMANDS[command], _flat(dataclasses.asdict(defaults))))
+        print(command_help(command, COMMANDS[command], flat(dataclasses.asdict(defaults))))
         return True
     if arguments.show:
         for overrides in expand(arguments, command):
@@ -82,11 +82,12 @@ def describe(command: str, arguments: Any) -> bool:
     return False
 
 
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat = {}
+def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested values by their dotted keys."""
+    found = {}
     for name, value in values.items():
-        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
-    return flat
+        found |= flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+    return found
 
 
 def _job(overrides: list[str], config_dir: Path | None) -> Job:
@@ -99,20 +100,25 @@ def _job(overrides: list[str], config_dir: Path | None) -> Job:
     check_name(config.name)
     if config.resume is None:
         return Job(config)
-    source = find_run(config.resume, config.output_dir)
+    source = find_run(config.resume, config.output_dir, TRAINING)
     config = load("train", overrides, config_dir, base=_known(source.config))
-    before, after = _flat(_known(source.config)), _flat(dataclasses.asdict(config))
-    changed = [key for key, value in after.items() if key in before and before[key] != value and key not in CHANGEABLE]
-    if changed:
-        key = changed[0]
-        raise ConfigError(
-            f"{key} cannot change when a run is resumed (it has {before[key]}, asked for {after[key]});"
-            f" what can: {listing(CHANGEABLE[:-2])}."
-        )
+    check_unchanged(_known(source.config), config, CHANGEABLE)
     checkpoint = source.checkpoint or source.folder / STATE
     if not checkpoint.is_file():
         raise RunError(f"The run {source.folder} cannot be resumed: it has no {STATE}.")
     return Job(dataclasses.replace(config, resume=None), source.folder, checkpoint)
+
+
+def check_unchanged(before: dict[str, Any], config: Any, changeable: Sequence[str]) -> None:
+    """Raise ConfigError if a resumed run is asked for something that would make it another one."""
+    old, new = flat(before), flat(dataclasses.asdict(config))
+    changed = [key for key, value in new.items() if key in old and old[key] != value and key not in changeable]
+    if changed:
+        key = changed[0]
+        raise ConfigError(
+            f"{key} cannot change when a run is resumed (it has {old[key]}, asked for {new[key]});"
+            f" what can: {listing(changeable[:-2])}."
+        )
 
 
 def _known(config: dict[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,263 @@
+"""Design searches from end to end, on trainings of a moment."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+from PIL import Image
+from rich.console import Console
+
+from warpvox.algos.archive import FILE, Archive, Finished
+from warpvox.algos.candidate import Candidate, Outcome
+from warpvox.algos.checkpoint import load_controller
+from warpvox.cli.bodies import body_rows
+from warpvox.cli.codesign_watch import Results, Watch
+from warpvox.cli.config import load
+from warpvox.design import example_design, load_design, sample_design
+from warpvox.sketch import cell_colour
+
+TINY = (
+    "shape=[3,3] search.population=5 search.max_evaluations=8 search.survivor_rate=0.3 training.envs=8"
+    " training.iterations=2 training.eval_interval=2 training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1"
+    " device=cpu threads=1"
+).split()
+
+ROUNDING = 1e-6
+"""Of returns in float64: a policy in a batch rounds its float32 products otherwise than alone."""
+
+
+def digest(folder: Path) -> str:
+    with Archive.read(folder / FILE) as archive:
+        return archive.digest()
+
+
+def summary(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text())
+
+
+@pytest.fixture
+def search(warpvox: Callable) -> Callable[..., Path]:
+    """Make a small search; returns its folder."""
+
+    def call(*words: str, code: int = 0) -> Path:
+        before = set(Path("outputs").glob("codesign/*/*"))
+        keys = [word.split("=")[0] for word in words]
+        outcome = warpvox("codesign", *(word for word in TINY if word.split("=")[0] not in keys), *words)
+        assert outcome.code == code, outcome.err
+        (folder,) = set(Path("outputs").glob("codesign/*/*")) - before
+        return folder
+
+    return call
+
+
+def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) -> None:
+    folder = search("seed=3", "name=first", "export=[csv,npz]", "top=2", "dtype=float64")
+    assert folder.parent == Path("outputs/codesign/Walker-v0")
+    assert folder.name.endswith("_first")
+    names = {file.name for file in folder.iterdir()}
+    assert names == {
+        "config.yaml", "summary.json", "report.html", "archive.sqlite", "archive.sqlite.lock", "designs", "generations",
+        "designs.csv", "structures",
+    }  # fmt: skip
+    figures = summary(folder)
+    with Archive.read(folder / FILE) as archive:
+        records, best = archive.records(), archive.best()[0]
+        assert (figures["status"], figures["evaluations"]) == ("done", 8)
+        assert len(records) == 8
+        assert (figures["best_fitness"], figures["best_design"]) == (best.fitness, best.id)
+        assert figures["steps"] == sum(record.steps for record in records) == 8 * 2 * 4 * 8
+        for record in records:
+            assert record.fitness == max(value for _, value in record.curve)
+            stored = yaml.safe_load((folder / "designs" / str(record.id) / "config.yaml").read_text())
+            assert stored["design"] == record.candidate.body.tolist()
+            load_controller(folder / record.policy)
+        pictures = sorted((folder / "generations").iterdir())
+        assert [file.name for file in pictures] == [f"{row['generation']:03}.png" for row in archive.generations()]
+    assert {Image.open(file).format for file in pictures} == {"PNG"}
+    assert len(list(csv.DictReader((folder / "designs.csv").open()))) == 8
+    assert len(list((folder / "structures").rglob("*.npz"))) == 8
+    # played on the same task without exploration, the best design does what it was judged by
+    assert warpvox("play", "run=latest", "num_envs=1", "export=[]", "device=cpu").code == 0
+    (played,) = Path("outputs/play/Walker-v0").iterdir()
+    assert summary(played)["mean_return"] == pytest.approx(best.fitness, abs=ROUNDING)
+    other = next(record for record in records if record.id != best.id)
+    assert warpvox("play", f"run={folder}/designs/{other.id}", "num_envs=1", "export=[]", "name=b").code == 0
+    (played,) = Path("outputs/play/Walker-v0").glob("*_b")
+    assert summary(played)["mean_return"] == pytest.approx(other.fitness, abs=ROUNDING)
+
+
+def test_the_same_seed_gives_the_same_search_and_a_sweep_makes_several(search: Callable, warpvox: Callable) -> None:
+    one = digest(search("seed=1", "search.max_evaluations=5"))
+    keys = ("seed", "search.max_evaluations")
+    words = [word for word in TINY if word.split("=")[0] not in keys] + ["search.max_evaluations=5"]
+    assert warpvox("codesign", *words, "--multirun", "seed=1,2").code == 0
+    folders = sorted(Path("outputs/codesign/Walker-v0").iterdir())
+    assert len(folders) == 3
+    found = [digest(folder) for folder in folders]
+    assert found.count(one) == 2
+
+
+def test_an_interrupt_saves_and_the_search_goes_on_to_the_same(
+    search: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = search()
+    shown = Watch.progress
+
+    def interrupt(self: Watch, batch: object, event: dict) -> None:
+        shown(self, batch, event)
+        if self.archive.count() > 5 and event["iteration"] == 1:
+            signal.raise_signal(signal.SIGTERM)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Watch, "progress", interrupt)
+        parts = search(code=130)
+    assert summary(parts)["status"] == "interrupted"
+    assert digest(parts) != digest(whole)
+    saved = list((parts / "training").iterdir())
+    assert len(saved) == 1
+    outcome = warpvox("codesign", "resume=latest", "top=1")
+    assert outcome.code == 0, outcome.err
+    assert digest(parts) == digest(whole)
+    assert summary(parts)["status"] == "done"
+    assert len(list((parts / "generations").iterdir())) == len(list((whole / "generations").iterdir()))
+    # done is done
+    assert warpvox("codesign", f"resume={parts}").code == 0
+    assert digest(parts) == digest(whole)
+
+
+def test_resuming_refuses_what_would_be_another_search(search: Callable, warpvox: Callable) -> None:
+    folder = search("search.max_evaluations=5")
+    before = digest(folder)
+    for word, phrase in {
+        "seed=5": "seed cannot change",
+        "search.max_evaluations=9": "search.max_evaluations cannot change",
+        "training.ppo.gamma=0.5": "training.ppo.gamma cannot change",
+        "search=random": "search.algorithm cannot change",
+    }.items():
+        outcome = warpvox("codesign", "resume=latest", word)
+        assert outcome.code == 2
+        assert phrase in outcome.err
+    config = folder / "config.yaml"
+    config.write_text(config.read_text().replace("reuse: true", "reuse: false"))
+    outcome = warpvox("codesign", "resume=latest")
+    assert (outcome.code, digest(folder)) == (2, before)
+    assert "another value of 'reuse'" in outcome.err
+    assert warpvox("train", f"resume={folder}").code == 2
+    (folder / FILE).write_bytes(b"something else")
+    for words in (["codesign", "resume=latest"], ["codesign", "report=latest"], ["play"]):
+        outcome = warpvox(*words)
+        assert outcome.code == 2
+        assert "damaged or no SQLite file" in outcome.err
+
+
+def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
+    folder = search("search.max_evaluations=5")
+    page = (folder / "report.html").read_text()
+    (folder / "report.html").unlink()
+    (folder / "generations" / "000.png").unlink()
+    outcome = warpvox("codesign", "report=latest", "export=[json,csv]")
+    assert outcome.code == 0, outcome.err
+    assert (folder / "report.html").read_text() == page
+    assert (folder / "generations" / "000.png").is_file()
+    files = list((folder / "structures").rglob("*.json"))
+    assert len(files) == 5
+    for file in files:
+        assert load_design(file).shape == (3, 3)
+
+
+def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None:
+    config = load("codesign", ["search.max_evaluations=4", "top=2"])
+    console = Console(force_terminal=True, color_system="truecolor", width=120, file=io.StringIO())
+    bodies = [example_design("walker"), sample_design((5, 5), 0)]
+    with Archive.create(tmp_path / FILE, {}) as archive, Watch(Results(tmp_path, archive, config), 4, console) as watch:
+        asked = [Candidate(k, body) for k, body in enumerate(bodies)]
+        archive.propose(asked, 0)
+        watch.proposed(0, asked, 2)
+        for iteration in (1, 5):
+            event = {"iteration": iteration, "iterations": 10, "steps": 100 * iteration}
+            watch.progress(asked, event | {"best": [1.25, math.nan], "training": [True, True]})
+        assert watch.done == 2 * 5 / 10
+        console.file.truncate(0)
+        archive.finish([Finished(0, Outcome(2.5)), Finished(1, Outcome(0.5))])
+        watch.finished(archive.records())
+        watch.told(0, fresh=True)
+    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", console.file.getvalue())
+    assert "generation 0 done: 2/4 designs  best 2.500  mean 1.500  best so far 2.500" in text
+    rows = body_rows(bodies, ["2.500 #0", "0.500 #1"], console)
+    assert rows.plain.splitlines()[-1].split() == ["2.500", "#0", "0.500", "#1"]
+    painted = [str(span.style) for span in rows.spans]
+    assert painted == [
+        f"on rgb({','.join(map(str, cell_colour(int(cell))))})"
+        for line in range(5)
+        for body in bodies
+        for cell in body[line]
+        if cell
+    ]
+
+
+def test_presets_are_those_of_the_paper() -> None:
+    paper = load("codesign", ["search=paper"])
+    assert (paper.search.population, paper.search.max_evaluations, paper.shape) == (25, 250, [5, 5])
+    training = paper.training
+    assert training.iterations * training.envs * training.ppo.steps == 512_000
+    assert (training.iterations, training.eval_interval, training.rungs, training.inherit) == (1000, 50, [], False)
+    other = load("codesign", ["search=paper", "search.algorithm=random", "search.max_evaluations=750", "shape=[5,7]"])
+    assert (other.search.algorithm, other.search.max_evaluations, other.shape) == ("random", 750, [5, 7])
+    quick = load("codesign", ["search=quick"])
+    cost = quick.search.max_evaluations * quick.training.iterations * quick.training.envs * quick.training.ppo.steps
+    assert cost < 250 * 512_000 / 5
+
+
+# ------------------------------------------------------------------------------------------------------- slow
+
+
+def command(folder: Path, *words: str) -> subprocess.Popen:
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    line = [sys.executable, "-m", "warpvox", "codesign", *words]
+    return subprocess.Popen(line, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+
+
+@pytest.mark.slow
+def test_killed_three_times_the_real_search_is_the_undisturbed_one(tmp_path: Path, search: Callable) -> None:
+    words = [word for word in TINY if not word.startswith("training.iterations")]
+    words += ["training.iterations=40", "training.save_interval=5"]
+    whole = search("training.iterations=40", "training.save_interval=5")
+    place = tmp_path / "killed"
+    place.mkdir()
+    rng = random.Random(0)
+    for attempt in range(3):
+        process = command(place, *(words if attempt == 0 else ["resume=latest"]))
+        archives = []
+        while not archives and process.poll() is None:
+            archives = list(place.glob("outputs/codesign/*/*/training/*.pt"))
+            time.sleep(0.05)
+        time.sleep(rng.uniform(0.0, 3.0))
+        process.kill()
+        process.communicate()
+    (folder,) = place.glob("outputs/codesign/*/*")
+    process = command(place, "resume=latest")
+    out = process.communicate()[0]
+    assert process.returncode == 0, out
+    assert digest(folder) == digest(whole)
+
+
+@pytest.mark.slow
+def test_ray_finds_what_one_process_finds(search: Callable) -> None:
+    pytest.importorskip("ray", reason="Ray is not installed")
+    local = search("batch=2")
+    spread = search("batch=2", "executor=ray", "workers=2")
+    assert digest(spread) == digest(local)

@@ -1,0 +1,349 @@
+"""``warpvox codesign``: from a configuration to a folder with the designs that were tried, the best of them trained."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+
+from warpvox.algos.archive import FILE as ARCHIVE
+from warpvox.algos.archive import Archive
+from warpvox.algos.archive_files import export
+from warpvox.algos.candidate import Candidate
+from warpvox.algos.search import make_search, settings_from
+from warpvox.cli.config import expand, load, load_values, read_arguments, to_yaml
+from warpvox.cli.runs import CONFIG, SUMMARY, check_name, find_codesign, new_folder
+from warpvox.cli.say import say
+from warpvox.cli.train import check_unchanged, describe
+from warpvox.configs.schema import CodesignConfig
+from warpvox.errors import ConfigError, RunError
+from warpvox.files import write_text
+
+if TYPE_CHECKING:
+    from warpvox.algos.candidate import DesignEvaluator
+    from warpvox.algos.executors import Executor
+
+__all__ = ["Job", "codesign", "make_evaluator", "run"]
+
+CHANGEABLE = (
+    "executor",
+    "address",
+    "workers",
+    "device",
+    "threads",
+    "torch_threads",
+    "top",
+    "export",
+    "name",
+    "training.save_interval",
+    "resume",
+    "report",
+    "output_dir",
+)
+"""Keys that do not change what is found: they may differ when a search is resumed."""
+
+
+@dataclass
+class Job:
+    """One search to be made; ``folder`` of the one that it goes on with."""
+
+    config: CodesignConfig
+    folder: Path | None = None
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox codesign`` is asked for; all runs of a sweep are checked before the first begins."""
+    arguments = read_arguments(words)
+    if describe("codesign", arguments):
+        return
+    runs = expand(arguments, "codesign")
+    configs = [load("codesign", overrides, arguments.config_dir) for overrides in runs]
+    console = Console()
+    if any(config.report is not None for config in configs):
+        for config in configs:
+            write_again(config, console)
+        return
+    jobs = [_job(*pair, arguments.config_dir) for pair in zip(configs, runs, strict=True)]
+    for job in jobs:  # a mistake in the last of a hundred runs should not show after a day
+        check(job.config)
+    for number, job in enumerate(jobs):
+        if len(jobs) > 1:
+            console.rule(f"run {number + 1} of {len(jobs)}: {' '.join(runs[number])}")
+        codesign(job, console)
+
+
+def _job(config: CodesignConfig, overrides: list[str], config_dir: Path | None) -> Job:
+    """With ``resume`` on top of the configuration of the search that it goes on with.
+
+    Raises:
+        ConfigError, RunError: what is wrong with it.
+    """
+    check_name(config.name)
+    if config.resume is None:
+        return Job(config)
+    source = find_codesign(config.resume, config.output_dir)
+    config = load("codesign", overrides, config_dir, base=source.config)
+    check_unchanged(source.config, config, CHANGEABLE)
+    return Job(dataclasses.replace(config, resume=None), source.folder)
+
+
+def check(config: CodesignConfig) -> None:
+    """Find mistakes before anything is made.
+
+    Raises:
+        WarpvoxError: a task, shape, setting, device or library that does not exist or does not go with the others.
+    """
+    from warpvox.algos.sequential import SequentialEvaluator
+    from warpvox.cli.build import physics_of
+    from warpvox.envs.registry import get_task
+    from warpvox.envs.worlds import task_world
+    from warpvox.sim import resolve_device
+
+    if len(config.shape) != 2:
+        raise ConfigError(f"shape must be [rows,columns], such as [5,5]; got {config.shape}.")
+    task_world(get_task(config.task), np.full(config.shape, 3, np.int8))
+    make_search(settings_from(config.search), tuple(config.shape), config.seed)
+    physics_of(config)
+    if config.training.method == "sequential":
+        SequentialEvaluator(None, config.training)
+    if config.executor == "local":
+        resolve_device(config.device)
+        for key in ("address", "workers"):
+            if getattr(config, key) is not None:
+                raise ConfigError(f"{key} goes with executor=ray.")
+
+
+def resolve(config: CodesignConfig) -> CodesignConfig:
+    """A copy with what its names stand for: constants and, where it is this machine's, the device."""
+    from warpvox.cli.build import physics_of
+    from warpvox.sim import resolve_device
+
+    constants = dataclasses.asdict(physics_of(config))
+    preset = constants.pop("name")
+    # designs on workers run on the devices of the workers
+    device = resolve_device(config.device) if config.executor == "local" else config.device
+    return dataclasses.replace(config, physics=type(config.physics)(preset=preset, **constants), device=device)
+
+
+# ---------------------------------------------------------------------------------------------------- a search
+
+
+def codesign(job: Job, console: Console) -> Path:
+    """Make a search, or go on with one; returns its folder.
+
+    Raises:
+        WarpvoxError: something asked for is not valid, or an evaluation has failed; what was finished is kept.
+        KeyboardInterrupt: interrupted; the state has been saved.
+    """
+    with console.status("loading"):
+        from warpvox.algos.loop import Loop
+        from warpvox.algos.policies import Policies
+        from warpvox.cli.build import prepare, shown
+        from warpvox.cli.codesign_watch import Results, Watch
+
+        config = resolve(job.config)
+        prepare(config.torch_threads, config.seed)
+        executor = make_executor(config)
+        config = dataclasses.replace(config, batch=_batch(config, executor))
+    try:
+        with _folder(job, config) as folder, _archive(folder, config) as archive:
+            settings = settings_from(config.search)
+            results = Results(folder, archive, config)
+            watch = Watch(results, settings.max_evaluations, console)
+            loop = Loop(
+                make_search(settings, tuple(config.shape), config.seed),
+                executor,
+                archive,
+                seed=config.seed,
+                policies=Policies(folder, config.training.ppo, functools.partial(design_config, config)),
+                checkpoints=folder / "training",
+                batch=config.batch,
+                reuse=config.reuse,
+                inherit=config.training.inherit,
+                listener=watch,
+            )
+            done = f", {archive.trained()} of {settings.max_evaluations} designs done" if job.folder else ""
+            say(console, f"{results.search} on {config.task}, {_where(config, executor)}{done}")
+            say(console, f"run folder: {shown(folder)}")
+            _search(loop, watch, config, console)
+    finally:
+        executor.close()
+    return folder
+
+
+def _search(loop: Any, watch: Any, config: CodesignConfig, console: Console) -> None:
+    """Run the loop with a live display, and sum up however it ends."""
+    status = "failed"
+    try:
+        with watch:
+            loop.run()
+        status = "done"
+    except KeyboardInterrupt:
+        status = "interrupted"
+        raise
+    finally:
+        summary = watch.results.write(status)
+        if status == "done":
+            write_exports(watch.archive, watch.results.folder, config.export, console)
+        conclude(console, summary, watch.results.folder)
+
+
+@contextmanager
+def _folder(job: Job, config: CodesignConfig) -> Iterator[Path]:
+    if job.folder is None:
+        with new_folder(config.output_dir, "codesign", config.task, config.name, to_yaml(config)) as folder:
+            yield folder
+    else:
+        write_text(job.folder / CONFIG, to_yaml(config))
+        yield job.folder
+
+
+def _archive(folder: Path, config: CodesignConfig) -> Archive:
+    """The archive in ``folder``, made if there is none.
+
+    Raises:
+        RunError: it was made with other settings.
+    """
+    settings = {name: value for name, value in dataclasses.asdict(config).items() if name not in CHANGEABLE}
+    settings["training"].pop("save_interval")
+    settings = json.loads(json.dumps(settings))
+    path = folder / ARCHIVE
+    if not path.is_file():
+        return Archive.create(path, settings)
+    archive = Archive.open(path)
+    known = archive.settings
+    if known != settings:
+        archive.close()
+        other = next(name for name in {**settings, **known} if known.get(name) != settings.get(name))
+        raise RunError(f"{path} was made with another value of '{other}' than {folder / CONFIG} has.")
+    return archive
+
+
+def design_config(config: CodesignConfig, candidate: Candidate) -> str:
+    """The text of ``config.yaml`` beside the policy of a design: that of a training which ``warpvox play`` can show."""
+    training = config.training
+    values = {
+        "task": config.task,
+        "design": candidate.body.tolist(),
+        "rules": config.rules,
+        "num_envs": training.envs,
+        "max_iterations": training.iterations,
+        "eval_interval": training.eval_interval,
+        "eval_envs": training.eval_envs,
+        "seed": config.seed,
+        "device": config.device,
+        "dtype": config.dtype,
+        "threads": config.threads,
+        "torch_threads": config.torch_threads,
+        "output_dir": config.output_dir,
+        "physics": dataclasses.asdict(config.physics),
+        "ppo": dataclasses.asdict(training.ppo),
+    }
+    return to_yaml(load_values("train", values))
+
+
+# -------------------------------------------------------------------------------------------------- evaluation
+
+
+def make_evaluator(config: CodesignConfig) -> DesignEvaluator:
+    """The evaluator of a configuration; called in the process that evaluates."""
+    from warpvox.algos.arena import Arena
+    from warpvox.algos.population import PopulationEvaluator
+    from warpvox.algos.sequential import SequentialEvaluator
+    from warpvox.cli.build import physics_of, prepare
+    from warpvox.sim import resolve_device
+
+    prepare(config.torch_threads, config.seed)
+    device = resolve_device(config.device)
+    arena = Arena(config.task, config.rules, physics_of(config), device, config.dtype, config.threads)
+    kinds = {"population": PopulationEvaluator, "sequential": SequentialEvaluator}
+    return kinds[config.training.method](arena, config.training, config.seed)
+
+
+def make_executor(config: CodesignConfig) -> Executor:
+    """Where the configuration wants designs to be trained.
+
+    Raises:
+        ConfigError, RunError: Ray is missing or cannot be reached.
+    """
+    if config.executor == "local":
+        from warpvox.algos.executors import LocalExecutor
+
+        return LocalExecutor(make_evaluator(config))
+    from warpvox.algos.on_ray import RayExecutor
+
+    threads = config.threads or 1
+    make = functools.partial(make_evaluator, dataclasses.replace(config, threads=threads))
+    return RayExecutor(make, config.workers, config.address, threads, gpus=0 if config.device == "cpu" else None)
+
+
+def _batch(config: CodesignConfig, executor: Executor) -> int | None:
+    """How many designs are trained together; see the key ``batch``."""
+    if config.batch is not None:
+        return config.batch
+    if config.training.method == "sequential":
+        return 1
+    return -(-config.search.population // executor.size) if config.executor == "ray" else None
+
+
+def _where(config: CodesignConfig, executor: Executor) -> str:
+    if config.executor == "local":
+        return f"rules {config.rules}, on {config.device}"
+    return f"rules {config.rules}, on {executor.size} workers of Ray"
+
+
+# ------------------------------------------------------------------------------------------------------- after
+
+
+def write_exports(archive: Archive, folder: Path, formats: list[str], console: Console) -> None:
+    """Write the archive in other formats and say where."""
+    from warpvox.cli.build import shown
+
+    for name in dict.fromkeys(formats):
+        say(console, shown(export(archive, folder, name)))
+
+
+def write_again(config: CodesignConfig, console: Console) -> None:
+    """Make report, pictures and exports of a search again, also while it is running.
+
+    Raises:
+        RunError: no such search.
+    """
+    from warpvox.cli.build import shown
+    from warpvox.cli.codesign_watch import Results
+
+    source = find_codesign(config.report, config.output_dir)
+    stored = load_values("codesign", source.config)
+    with Archive.read(source.folder / ARCHIVE) as archive:
+        results = Results(source.folder, archive, dataclasses.replace(stored, top=config.top))
+        for row in archive.generations():
+            results.draw(row["generation"])
+        summary = source.folder / SUMMARY
+        known = json.loads(summary.read_text(encoding="utf-8")) if summary.is_file() else {"status": "running"}
+        say(console, shown(results.report(known)))
+        write_exports(archive, source.folder, config.export, console)
+
+
+def conclude(console: Console, summary: dict[str, Any], folder: Path) -> None:
+    """Say how the search has ended and what one can do next."""
+    from warpvox.algos.report import FILE as REPORT
+    from warpvox.cli.build import shown
+
+    words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[summary["status"]]
+    text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps"
+    if summary["best_design"] is not None:
+        text += f"; best fitness {summary['best_fitness']:.3f} (design {summary['best_design']})"
+    say(console, text)
+    if summary["best_design"] is not None:
+        say(console, f"report: {(folder / REPORT).resolve().as_uri()}")
+        say(console, f"look at the best: warpvox play run={shown(folder)}")
+    if summary["status"] != "done":
+        say(console, f"go on: warpvox codesign resume={shown(folder)}")

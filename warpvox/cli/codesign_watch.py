@@ -1,0 +1,265 @@
+"""What a design search shows while it runs, and the pictures and figures it leaves in its folder."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.text import Text
+
+from warpvox import __version__
+from warpvox.algos.archive import Archive, Record
+from warpvox.algos.candidate import Candidate
+from warpvox.algos.loop import Listener
+from warpvox.algos.report import FILE as REPORT
+from warpvox.algos.report import write_report
+from warpvox.cli.bodies import body_rows
+from warpvox.cli.runs import SUMMARY, write_summary
+from warpvox.cli.say import say
+from warpvox.sketch import write_bodies
+
+__all__ = ["Results", "Watch"]
+
+QUIET_SECONDS = 30.0
+"""Without a terminal, seconds between lines."""
+NAMES = {
+    "ga": "genetic algorithm",
+    "bo": "Bayesian optimisation",
+    "cppn_neat": "CPPN-NEAT",
+    "map_elites": "MAP-Elites",
+    "random": "random search",
+}
+
+
+class Results:
+    """Keeps ``generations/<n>.png``, ``report.html`` and ``summary.json`` up to date.
+
+    Args:
+        config: of the search.
+        top: designs in a picture.
+    """
+
+    def __init__(self, folder: Path, archive: Archive, config: Any) -> None:
+        self.folder, self.archive, self.config = folder, archive, config
+        self.search = NAMES.get(config.search.algorithm, config.search.algorithm)
+        self._began, self._before = time.monotonic(), self._elapsed_before()
+
+    def _elapsed_before(self) -> float:
+        try:
+            return float(json.loads((self.folder / SUMMARY).read_text(encoding="utf-8"))["elapsed_seconds"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return 0.0
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds that the search has run, those before a resume included."""
+        return self._before + time.monotonic() - self._began
+
+    def draw(self, generation: int) -> Path:
+        """The best designs up to and including a generation as PNG; one that is there already stays."""
+        path = self.folder / "generations" / f"{generation:03}.png"
+        best = self.archive.best(self.config.top, until=generation)
+        if path.is_file() or not best:
+            return path
+        captions = [
+            (f"{record.fitness:.3f}", f"#{record.id}  generation {record.candidate.generation}") for record in best
+        ]
+        title = f"{self.config.task} · {self.search} · best designs after generation {generation}"
+        return write_bodies(path, [record.candidate.body for record in best], captions, title)
+
+    def write(self, status: str) -> dict[str, Any]:
+        """Write report and summary; returns the summary."""
+        rows = self.archive.generations()
+        best = self.archive.best()
+        steps = sum(row["steps"] or 0 for row in rows)
+        summary = {
+            "command": "codesign",
+            "task": self.config.task,
+            "search": self.config.search.algorithm,
+            "status": status,
+            "version": __version__,
+            "evaluations": self.archive.trained(),
+            "generations": sum(row["evaluated"] == row["designs"] for row in rows),
+            "steps": steps,
+            "best_fitness": best[0].fitness if best else None,
+            "best_design": best[0].id if best else None,
+            "elapsed_seconds": round(self.elapsed, 3),
+            "steps_per_second": round(steps / self.elapsed, 1) if steps else None,
+        }
+        write_summary(self.folder, summary)
+        self.report(summary)
+        return summary
+
+    def report(self, summary: Mapping[str, Any]) -> Path:
+        """Write the report alone."""
+        facts = {
+            "task": self.config.task,
+            "search": self.search,
+            "status": str(summary.get("status", "unknown")),
+            "time": duration(float(summary.get("elapsed_seconds", 0.0))),
+            "seed": str(self.config.seed),
+            "version": __version__,
+        }
+        return write_report(self.archive, self.folder / REPORT, facts)
+
+
+class Watch(Listener):
+    """Shows the search: a live block on a terminal, else a line now and then; keeps the results up to date.
+
+    A context manager. Args:
+        total: evaluations that the search may spend.
+    """
+
+    def __init__(self, results: Results, total: int, console: Console) -> None:
+        self.results, self.total, self.console = results, total, console
+        self.archive = results.archive
+        self._work: dict[int, _Training] = {}
+        self._began = self._printed = time.monotonic()
+        self._start = self.archive.trained()
+        self._spent = 0  # control steps of trainings that have ended since the beginning
+        self._generation = 0
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.fields[figures]}"),
+            console=console,
+        )
+        self._line = self._progress.add_task("", total=total, completed=self._start, figures="")
+        self._live = Live(console=console, refresh_per_second=4, transient=True) if console.is_terminal else None
+
+    def __enter__(self) -> Watch:
+        if self._live is not None:
+            self._live.start()
+            self._show()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    # ------------------------------------------------------------------------------------------ what happens
+
+    def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
+        """See :class:`warpvox.algos.loop.Listener`."""
+        self._generation, self._work = generation, {}
+        if self._live is None:
+            reused = f", {total - len(waiting)} known" if total > len(waiting) else ""
+            say(self.console, f"generation {generation}: {len(waiting)} designs to train{reused}")
+        self._show()
+
+    def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
+        """See :class:`warpvox.algos.loop.Listener`."""
+        training = self._work.setdefault(batch[0].id, _Training(len(batch), event["steps"]))
+        training.event = event
+        now = time.monotonic()
+        if self._live is None and now - self._printed >= QUIET_SECONDS:
+            self._printed = now
+            say(self.console, f"  {self._inside()}  {self._figures()}")
+        self._show()
+
+    def finished(self, records: Sequence[Record]) -> None:
+        """See :class:`warpvox.algos.loop.Listener`."""
+        for record in records:
+            training = self._work.pop(record.id, None)
+            if training is not None:
+                self._spent += training.steps
+        self._show()
+
+    def told(self, generation: int, fresh: bool) -> None:
+        """See :class:`warpvox.algos.loop.Listener`."""
+        self.results.draw(generation)
+        if not fresh:
+            return
+        self.results.write("running")
+        row = self.archive.generations()[generation]
+        say(
+            self.console,
+            f"generation {generation} done: {self.archive.trained()}/{self.total} designs  best {row['best']:.3f}"
+            f"  mean {row['mean']:.3f}  best so far {self.archive.best()[0].fitness:.3f}  {self._figures()}",
+        )
+        if self._live is None:
+            self.console.print(self._bodies())
+        self._show()
+
+    # ------------------------------------------------------------------------------------------ what is shown
+
+    @property
+    def done(self) -> float:
+        """Designs trained, those under way in part."""
+        return self.archive.trained() + sum(training.share * training.designs for training in self._work.values())
+
+    @property
+    def steps_per_second(self) -> float:
+        """Control steps of training per second since the beginning."""
+        spent = self._spent + sum(training.steps for training in self._work.values())
+        return spent / max(time.monotonic() - self._began, 1e-9)
+
+    def _figures(self) -> str:
+        return f"{self.steps_per_second:,.0f} steps/s  left {self._left()}"
+
+    def _left(self) -> str:
+        done = self.done - self._start
+        if done <= 0:
+            return "-"
+        return duration((time.monotonic() - self._began) / done * max(self.total - self.done, 0))
+
+    def _inside(self) -> str:
+        """The trainings under way in words."""
+        events = [training.event for training in self._work.values()]
+        if not events:
+            return "starting"
+        going = sum(sum(event["training"]) for event in events)
+        best = max((value for event in events for value in event["best"] if math.isfinite(value)), default=math.nan)
+        iteration = "/".join(str(min(event[name] for event in events)) for name in ("iteration", "iterations"))
+        return f"iteration {iteration}, {going} in training, best of them {_figure(best)}"
+
+    def _show(self) -> None:
+        if self._live is None:
+            return
+        best = self.archive.best()
+        figures = f"{self.archive.trained()}/{self.total}  best {_figure(best[0].fitness if best else math.nan)}  "
+        rows = [row for row in self.archive.generations() if row["evaluated"]]
+        figures += f"mean {_figure(rows[-1]['mean'] if rows else math.nan)}  {self._figures()}"
+        self._progress.update(
+            self._line, completed=self.done, description=f"generation {self._generation}", figures=figures
+        )
+        parts = [self._progress, Text(f"  {self._inside()}", "dim")]
+        self._live.update(Group(*parts, *([Text(), self._bodies()] if best else [])))
+
+    def _bodies(self) -> Text:
+        best = self.archive.best(self.results.config.top)
+        captions = [f"{record.fitness:.3f} #{record.id}" for record in best]
+        return body_rows([record.candidate.body for record in best], captions, self.console)
+
+
+class _Training:
+    """A batch under way; ``before``: steps that it had already spent when it was resumed."""
+
+    def __init__(self, designs: int, first: int) -> None:
+        self.designs, self.event = designs, {}
+        self.first = first
+
+    @property
+    def share(self) -> float:
+        return self.event["iteration"] / self.event["iterations"]
+
+    @property
+    def steps(self) -> int:
+        return self.event["steps"] - self.first
+
+
+def duration(seconds: float) -> str:
+    """Hours, minutes and seconds."""
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"
+
+
+def _figure(value: float) -> str:
+    return f"{value:.3f}" if math.isfinite(value) else "-"
