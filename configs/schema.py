@@ -361,7 +361,7 @@ class BenchConfig:
     scaling: ScalingConfig = key(ScalingConfig, "suite=scaling")
     learning: LearningConfig = key(LearningConfig, "suite=learning")
     searches: SearchesConfig = key(SearchesConfig, "suite=search")
-    seconds: float = key(440.0, "suite=gpu begins no part after so many", above=0)
+    seconds: float = key(400.0, "suite=gpu begins no part after so many", above=0)
     population: GenerationConfig = key(GenerationConfig, "suite=population")
     document: str | None = key(None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)")
     name: str | None = key(None, "appended to the name of the result's folder")

@@ -144,6 +144,13 @@ def test_scaling_leaves_out_what_does_not_fit(warpvox: Callable, monkeypatch: py
     assert [row["num_envs"] for row in results("scaling")[1]["envs"]][-1] < 4096
 
 
+def test_scaling_leaves_out_what_takes_too_long(warpvox: Callable) -> None:
+    words = ["scaling.sizes=[2]", "scaling.envs=[8]", "columns=[step]", "limit=1e-9"]
+    outcome = warpvox("bench", "suite=scaling", *TINY, *words)
+    assert outcome.code == 0, outcome.err
+    assert "8 (over 1e-09 s a repetition)" in outcome.out.replace("\n", " ")
+
+
 def test_learning_has_a_curve(warpvox: Callable) -> None:
     words = "learning.ppo=[parallel] learning.seeds=1 learning.stop_return=-100".split()
     outcome = warpvox("bench", "suite=learning", *TINY, *words)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from warpvox.cli.benchmarks import gpu_checks
@@ -39,6 +39,8 @@ class Size:
 
 LARGE = Size((1, 1024, 4096, 16384, 65536), 16384, (5, 15, 25, 35), 1024)
 SMALL = Size((1, 8), 8, (3,), 8)
+LEARNING_SECONDS = 60.0
+"""What the last part may take of the eight minutes."""
 
 
 def run(config: Any, report: Report) -> dict[str, Any]:
@@ -172,6 +174,7 @@ def _bodies(config: Any, report: Report, size: Size) -> list[dict[str, Any]]:
 
 
 def _learning(config: Any, report: Report) -> dict[str, Any]:
+    config = replace(config, learning=replace(config.learning, seconds=min(config.learning.seconds, LEARNING_SECONDS)))
     found = learn(config, one_body(config), config.learning.ppo[0], config.seed)
     took = f"{found['seconds']:.1f} s" if found["seconds"] is not None else "not reached"
     report.note(

@@ -83,6 +83,7 @@ def _summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "reached": len(done),
         "seconds": middle([row["seconds"] for row in done]) if done else None,
+        "cpu_seconds": middle([row["cpu_seconds"] for row in done]) if done else None,
         "steps": middle([row["steps"] for row in done]) if done else None,
         "best_return": max(row["best_return"] for row in runs),
     }
@@ -111,12 +112,22 @@ def _show(config: Any, report: Report, figures: dict[str, Any], theirs: float | 
                 f"{figure['reached']} of {len(runs)}",
                 number(figure["seconds"]),
                 f"{number(min(done))} to {number(max(done))}" if done else "-",
+                number(figure["cpu_seconds"]),
                 number(figure["steps"]),
                 number(figure["best_return"]),
                 number(figure["steps"] / theirs if theirs and figure["steps"] else None),
             ]
         )
-    headings = ["", f"reached {goal:g}", "seconds", "from, to", "control steps", "best return", "reference, seconds"]
+    headings = [
+        "",
+        f"reached {goal:g}",
+        "seconds",
+        "from, to",
+        "CPU seconds",
+        "control steps",
+        "best return",
+        "reference",
+    ]
     report.table(
         f"{config.task}, {config.threads} threads, {config.device}: time to a return of {goal:g}", headings, rows
     )

@@ -109,7 +109,9 @@ def scale_envs(config: Any, report: Report) -> list[dict[str, Any]]:
             with report.status(f"{count:,} environments"):
                 subject = Subject(config, config.task, body, count)
                 error = against_scalar(subject.env, config.seed)
-                subject.settle()
+                if not subject.settle():
+                    left_out.append(f"{count:,} (over {config.limit:g} s a repetition)")
+                    continue
                 rates = measure(subject, config.columns, config.repeats)
         except MemoryError:
             left_out.append(f"{count:,} (memory)")
@@ -194,4 +196,5 @@ def _draw(figure: Any, config: Any, figures: dict[str, Any]) -> None:
     for axes in (left, right):
         axes.set(xscale="log", yscale="log", ylabel=f"control steps per {unit(config.device)}")
         axes.grid(which="both", alpha=0.3)
-        axes.legend()
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend()

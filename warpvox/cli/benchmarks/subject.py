@@ -56,17 +56,12 @@ class Subject:
         share = torch.rand(shape, generator=self._random, dtype=self.env.dtype, device=self.device)
         return ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * share
 
-    def settle(self) -> None:
-        """Load the kernels, and cut ``steps`` so that a repetition keeps to the limit.
-
-        Raises:
-            SimulationError: not even a few steps do.
-        """
+    def settle(self) -> bool:
+        """Load the kernels, and cut ``steps`` so that a repetition keeps to the limit; False if it cannot."""
         self.timed("step", LOADING)
         seconds = self.num_envs / self.timed("step", 1)
-        if LEAST_STEPS * seconds > self.limit:
-            raise SimulationError(f"a control step takes {seconds:.1f} s")
         self.steps = max(LEAST_STEPS, min(self.steps, int(self.limit / seconds)))
+        return LEAST_STEPS * seconds <= self.limit
 
     def timed(self, column: str, steps: int | None = None) -> float:
         """Control steps of all environments per second, over one repetition of a column."""
