@@ -317,7 +317,7 @@ def test_search_compares_with_random_search(warpvox: Callable) -> None:
 def test_search_wants_names_of_searches(warpvox: Callable) -> None:
     outcome = warpvox("bench", "suite=search", "searches.names=[gaa]")
     assert outcome.code == 2
-    assert "searches.names must be of bo, " in outcome.err
+    assert "search must be one of bo, " in outcome.err
     assert "Did you mean 'ga'?" in outcome.err
 
 

@@ -20,8 +20,7 @@ from warpvox.algos.search import (
     make_search,
     settings_from,
 )
-from warpvox.configs.keys import check_values
-from warpvox.configs.schema import SearchConfig
+from warpvox.cli.config import load
 from warpvox.errors import ConfigError
 
 
@@ -41,18 +40,22 @@ def test_the_yaml_file_says_every_setting_and_its_default(repository: Path, algo
 
 
 def test_every_yaml_file_makes_a_search(repository: Path) -> None:
-    files = sorted((repository / "configs" / "search").glob("*.yaml"))
-    assert len(files) >= len(ALGORITHMS)
-    for file in files:
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
-        content = content.get("search", content)  # a preset sets keys of other groups, too
-        if content["algorithm"] == "custom":
-            content["make"] = "warpvox.algos.search.random_search:RandomSearch"
-        config = SearchConfig(**content)
-        check_values(config, "search.")
-        assert settings_from(config) == settings_from(content)
-        if content["algorithm"] != "map_elites" or find_spec("ribs") is not None:
-            make_search(settings_from(content), (5, 7), seed=1)
+    names = sorted(file.stem for file in (repository / "configs" / "search").glob("*.yaml"))
+    assert set(ALGORITHMS) < set(names)
+    for name in names:
+        own = ["search.make=warpvox.algos.search.random_search:RandomSearch"] if name == "custom" else []
+        settings = settings_from(load("codesign", [f"search={name}", *own]).search)
+        if settings.algorithm != "map_elites" or find_spec("ribs") is not None:
+            make_search(settings, (5, 7), seed=1)
+
+
+def test_search_paper_is_tables_2_3_and_6() -> None:
+    config = load("codesign", ["search=paper"])
+    assert settings_from(config.search) == GaSettings(population=25, max_evaluations=250)
+    assert tuple(config.shape) == (5, 5)
+    assert config.training == load("codesign", ["training=paper"]).training
+    assert config.training.iterations == 1000
+    assert config.training.envs * config.training.ppo.steps * config.training.iterations == 512_000
 
 
 @pytest.mark.parametrize("algorithm", OURS)

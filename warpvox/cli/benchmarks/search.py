@@ -8,17 +8,15 @@ algorithms are compared pair by pair.
 from __future__ import annotations
 
 import time
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
-import yaml
 
-from warpvox.algos.search import make_search, settings_from
+from warpvox.algos.search import SearchSettings, make_search, settings_from
 from warpvox.algos.search.synthetic import SyntheticFitness, best_of
 from warpvox.cli.benchmarks.report import Report, number
-from warpvox.configs.schema import SearchConfig
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.cli.config import load
+from warpvox.errors import ConfigError
 
 __all__ = ["chance", "run"]
 
@@ -62,13 +60,9 @@ def chance(differences: np.ndarray, seed: int) -> float:
     return float((1 + np.count_nonzero(reached)) / (1 + FLIPS))
 
 
-def _settings(name: str, evaluations: int) -> Any:
-    folder = files("warpvox.configs") / "search"
-    known = sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".yaml"))
-    if name not in known:
-        raise ConfigError(f"searches.names must be of {listing(known)}; got '{name}'.{did_you_mean(name, known)}")
-    values = yaml.safe_load((folder / f"{name}.yaml").read_text(encoding="utf-8"))
-    return settings_from(SearchConfig(**{**values, "max_evaluations": evaluations}))
+def _settings(name: str, evaluations: int) -> SearchSettings:
+    """As ``warpvox codesign search=NAME`` has them."""
+    return settings_from(load("codesign", [f"search={name}", f"search.max_evaluations={evaluations}"]).search)
 
 
 def _shape(shape: list[int]) -> tuple[int, int]:
