@@ -25,6 +25,7 @@ ORDER = (
     "observations",
     "codesign",
     "search",
+    "evaluation",
     "physics",
     "performance",
     "formats",
