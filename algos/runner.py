@@ -18,6 +18,7 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 from rsl_rl.runners import OnPolicyRunner
 
 from warpvox.algos.checkpoint import Controller, PolicySpec, load_checkpoint, save_checkpoint, spec_dict
+from warpvox.algos.distributed import ALONE, Team
 from warpvox.algos.evaluate import Evaluator
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.metrics import Metrics
@@ -73,6 +74,8 @@ class Runner(OnPolicyRunner):
         folder: of the run; must exist.
         evaluator: says how good the policy is without exploration; None: no evaluations.
         report: called after every iteration with its row of ``metrics.csv``.
+        team: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
+            and reports; its ``evaluator`` and ``report`` are the only ones that are used.
     """
 
     def __init__(
@@ -83,7 +86,9 @@ class Runner(OnPolicyRunner):
         folder: Path | None = None,
         evaluator: Evaluator | None = None,
         report: Callable[[Mapping[str, float]], None] | None = None,
+        team: Team = ALONE,
     ) -> None:
+        self.team = team
         super().__init__(env, rsl_rl_config(ppo, schedule.total), log_dir=None, device=str(env.device))
         self.ppo, self.schedule, self.folder = ppo, schedule, folder
         self.evaluator, self.report = evaluator, report
@@ -99,10 +104,23 @@ class Runner(OnPolicyRunner):
         self.best_return, self.best_iteration, self.last_return = -math.inf, 0, math.nan
         self._metrics: Metrics | None = None
 
+    def _configure_multi_gpu(self) -> None:
+        """What rsl-rl would read from the environment and insist on having GPUs for."""
+        team = self.team
+        self.gpu_world_size, self.gpu_global_rank, self.gpu_local_rank = team.size, team.rank, team.local_rank
+        self.is_distributed = team.size > 1
+        places = {"global_rank": team.rank, "local_rank": team.local_rank, "world_size": team.size}
+        self.cfg["multi_gpu"] = places if self.is_distributed else None
+
+    @property
+    def steps_per_iteration(self) -> int:
+        """Control steps of all environments of all processes in an iteration."""
+        return self.ppo.steps * self.env.num_envs * self.team.size
+
     @property
     def steps(self) -> int:
         """Control steps of all environments so far."""
-        return self.current_learning_iteration * self.ppo.steps * self.env.num_envs
+        return self.current_learning_iteration * self.steps_per_iteration
 
     @property
     def controller(self) -> Controller:
@@ -135,14 +153,16 @@ class Runner(OnPolicyRunner):
         if init_at_random_ep_len and self.current_learning_iteration == 0:
             lengths = torch.randint(int(self.env.max_episode_length), (self.env.num_envs,))
             self.env.episode_length_buf = lengths.to(self.env.device)
-        if self.folder is not None:
+        if self.folder is not None and self.team.leads:
             self._metrics = Metrics(self.folder, self.current_learning_iteration)
         self.alg.train_mode()
+        if self.is_distributed:
+            self.alg.broadcast_parameters()
         try:
             with deferred_interrupts() as interrupted:
                 while self.current_learning_iteration < end:
                     self._iterate(end)
-                    if interrupted:
+                    if self.team.any(bool(interrupted)):
                         self.save_all()
                         raise KeyboardInterrupt
                     if self._reached():
@@ -170,7 +190,7 @@ class Runner(OnPolicyRunner):
         row = self._row(losses, seconds, evaluated)
         if self._metrics is not None:
             self._metrics.write(row, _means(logs))
-        if self.report is not None:
+        if self.report is not None and self.team.leads:
             self.report(row)
         if done % self.schedule.save == 0 and done != end:
             self.save_all()
@@ -201,19 +221,23 @@ class Runner(OnPolicyRunner):
 
     def _evaluate(self) -> float:
         """The mean return of a deterministic evaluation; keeps the policy if it is the best so far."""
-        if self.evaluator is None:
-            return math.nan
-        self.alg.eval_mode()
-        self.last_return = self.evaluator(self.controller).mean_return
-        self.alg.train_mode()
+        value = math.nan
+        if self.team.leads and self.evaluator is not None:
+            self.alg.eval_mode()
+            value = self.evaluator(self.controller).mean_return
+            self.alg.train_mode()
+        value = self.team.leaders(value)
+        if math.isnan(value):  # there is no evaluator
+            return value
+        self.last_return = value
         if self.last_return > self.best_return:
             self.best_return, self.best_iteration = self.last_return, self.current_learning_iteration
-            if self.folder is not None:
+            if self.folder is not None and self.team.leads:
                 save_checkpoint(self.folder / BEST, self._policy_content())
         return self.last_return
 
     def _row(self, losses: dict[str, float], seconds: float, evaluated: float) -> dict[str, float]:
-        episodes = self.env.pop_episodes()
+        episodes = self._episodes()
         return {
             "iteration": self.current_learning_iteration,
             "steps": self.steps,
@@ -227,9 +251,19 @@ class Runner(OnPolicyRunner):
             "entropy": losses["entropy"],
             "learning_rate": self.alg.learning_rate,
             "action_std": self.alg.get_policy().output_std.mean().item(),
-            "steps_per_second": self.ppo.steps * self.env.num_envs / seconds,
+            "steps_per_second": self.steps_per_iteration / seconds,
             "elapsed": self.elapsed,
         }
+
+    def _episodes(self) -> dict[str, float]:
+        """Number, mean return and length of the episodes that have ended in all processes."""
+        own = self.env.pop_episodes()
+        count = own["episodes"]
+        sums = [count, *(count * own[name] if count else 0.0 for name in ("return", "length"))]
+        count, total, length = self.team.sums(sums) if self.is_distributed else (count, *sums[1:])
+        if not count:
+            return {"episodes": 0, "return": math.nan, "length": math.nan}
+        return {"episodes": int(count), "return": total / count, "length": length / count}
 
     def summary(self) -> dict[str, Any]:
         """The run in figures, for ``summary.json``."""
@@ -259,10 +293,14 @@ class Runner(OnPolicyRunner):
         save_checkpoint(Path(path), self._policy_content() | {"infos": infos})
 
     def save_all(self) -> None:
-        """Write ``model_<iteration>.pt`` and ``state.pt`` to the run's folder, if there is one."""
+        """Write ``model_<iteration>.pt`` and ``state.pt`` to the run's folder, if there is one.
+
+        Every process has a state of its own, see :meth:`state_file`.
+        """
         if self.folder is None:
             return
-        self.save(str(self.folder / f"model_{self.current_learning_iteration}.pt"))
+        if self.team.leads:
+            self.save(str(self.folder / f"model_{self.current_learning_iteration}.pt"))
         random_state = {"cpu": torch.get_rng_state()}
         if torch.device(self.device).type == "cuda":
             random_state["cuda"] = torch.cuda.get_rng_state(self.device)
@@ -272,8 +310,13 @@ class Runner(OnPolicyRunner):
             "elapsed": self.elapsed,
             "best_return": self.best_return,
             "best_iteration": self.best_iteration,
+            "processes": self.team.size,
         }
-        save_checkpoint(self.folder / STATE, self._policy_content() | own)
+        save_checkpoint(self.state_file(self.folder / STATE), self._policy_content() | own)
+
+    def state_file(self, path: Path) -> Path:
+        """The state of this process beside that of the first one, which is at ``path``."""
+        return path if self.team.leads else path.with_name(f"{path.stem}_{self.team.rank}{path.suffix}")
 
     def resume(self, path: Path) -> None:
         """Go on from a checkpoint file.
@@ -282,9 +325,14 @@ class Runner(OnPolicyRunner):
         restores the networks, the optimiser and the schedule, with new episodes.
 
         Raises:
-            RunError: not a checkpoint, or one of another network, task or number of environments.
+            RunError: not a checkpoint, or one of another network, task or number of environments or processes.
         """
         content = load_checkpoint(path, self.device)
+        processes = content.get("processes", 1)
+        if "env" in content and processes != self.team.size:
+            raise RunError(f"{path} was made by {processes} process(es) and can only go on with as many.")
+        if "env" in content:
+            content = load_checkpoint(self.state_file(path), self.device)
         if content["policy"] != spec_dict(self.spec):
             raise RunError(f"{path} holds another kind of policy: {content['policy']}, not {spec_dict(self.spec)}.")
         self.alg.load(content, None, True)

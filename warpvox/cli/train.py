@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -21,6 +22,9 @@ from warpvox.cli.say import say
 from warpvox.configs.schema import TrainConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.files import write_text
+
+if TYPE_CHECKING:
+    from warpvox.algos.distributed import Team
 
 __all__ = ["Job", "check_unchanged", "describe", "flat", "run", "train"]
 
@@ -135,37 +139,62 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         KeyboardInterrupt: interrupted; the state has been saved.
     """
     with console.status("loading"):
+        from warpvox.algos.distributed import join_team
         from warpvox.algos.evaluate import evaluator
         from warpvox.algos.runner import Runner, Schedule, adapt
         from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes
 
-        prepare(job.config.torch_threads, job.config.seed)
-        config = resolve(job.config)
+        team = join_team(job.config.device)
+        console.quiet = console.quiet or not team.leads
+        prepare(job.config.torch_threads, team.seed(job.config.seed))
+        config = resolve(share(job.config, team))
         designs = load_bodies(config.design, config.seed)
     with console.status("preparing the simulation (the first time on a machine its kernels are compiled)"):
         schedule = Schedule(config.max_iterations, config.save_interval, config.eval_interval, config.stop_return)
-        env = adapt(make_env(config, config.num_envs, auto_reset=True), config.ppo)
+        env = adapt(make_env(config, config.num_envs, auto_reset=True, seed=team.seed(config.seed)), config.ppo)
         lanes = training_lanes(config, config.device)
-        judge = evaluator(make_env(config, config.eval_envs * len(designs), auto_reset=False, lanes=lanes))
-        runner = Runner(env, config.ppo, schedule, evaluator=judge)
+        judge = None
+        if team.leads:
+            judge = evaluator(make_env(config, config.eval_envs * len(designs), auto_reset=False, lanes=lanes))
+        runner = Runner(env, config.ppo, schedule, evaluator=judge, team=team)
         if job.checkpoint is not None:
             runner.resume(job.checkpoint)
             runner.check_schedule()
-    with _folder(job, config, command) as folder:
+    if team.size > 1:
+        config = dataclasses.replace(config, num_envs=job.config.num_envs, device=config.device.split(":")[0])
+    with _folder(job, config, command, team) as folder:
         runner.folder = folder
         _announce(console, config, runner, folder)
         _learn(runner, console, folder, command)
     return folder
 
 
+def share(config: TrainConfig, team: Team) -> TrainConfig:
+    """What a process of a team has to do of a training: its share of the environments, its own device and threads.
+
+    Raises:
+        ConfigError: the environments cannot be shared out evenly.
+    """
+    if team.size == 1:
+        return config
+    if config.num_envs % team.size:
+        raise ConfigError(f"num_envs={config.num_envs} cannot be shared out evenly to {team.size} processes.")
+    threads = config.threads or max(1, (os.cpu_count() or 1) // team.local_size)
+    return dataclasses.replace(config, num_envs=config.num_envs // team.size, device=team.device, threads=threads)
+
+
 @contextmanager
-def _folder(job: Job, config: TrainConfig, command: str) -> Iterator[Path]:
-    """The folder of a new run, or that of the one which is resumed."""
-    if job.folder is None:
+def _folder(job: Job, config: TrainConfig, command: str, team: Team) -> Iterator[Path]:
+    """The folder of a new run, or that of the one which is resumed; made by the first process."""
+    if not team.leads:
+        yield Path(team.leaders(None))
+    elif job.folder is None:
         with new_folder(config.output_dir, command, config.task, config.name, to_yaml(config)) as folder:
+            team.leaders(str(folder))
             yield folder
     else:
         write_text(job.folder / CONFIG, to_yaml(config))
+        team.leaders(str(job.folder))
         yield job.folder
 
 
@@ -174,7 +203,8 @@ def _announce(console: Console, config: TrainConfig, runner: Any, folder: Path) 
 
     done = runner.current_learning_iteration
     verb = f"resuming after iteration {done}" if done else "training"
-    text = f"{verb}: {config.task}, {config.num_envs} environments on {config.device}, rules {config.rules}"
+    where = config.device if runner.team.size == 1 else f"{runner.team.size} processes, {config.device}"
+    text = f"{verb}: {config.task}, {config.num_envs} environments on {where}, rules {config.rules}"
     say(console, f"{text}\nrun folder: {shown(folder)}")
 
 
@@ -195,7 +225,7 @@ def _learn(runner: Any, console: Console, folder: Path, command: str) -> None:
         raise
     finally:
         seconds = time.perf_counter() - began
-        if runner.current_learning_iteration:
+        if runner.current_learning_iteration and runner.team.leads:
             summary = {
                 "command": command,
                 "task": runner.env.cfg["task"],

@@ -1,0 +1,98 @@
+"""One training on several processes, started by ``torchrun``: each has its own environments, all share the policy."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.distributed as dist
+
+from warpvox.errors import ConfigError, DeviceError
+
+__all__ = ["ALONE", "Team", "join_team", "started_by_torchrun"]
+
+
+@dataclass(frozen=True)
+class Team:
+    """The processes of a training and this one's place among them; of one process all methods are trivial.
+
+    ``rank`` of ``size`` processes in all, ``local_rank`` of ``local_size`` on this machine; ``device`` of what the
+    processes tell each other.
+    """
+
+    rank: int = 0
+    size: int = 1
+    local_rank: int = 0
+    local_size: int = 1
+    device: str = "cpu"
+
+    @property
+    def leads(self) -> bool:
+        """Whether this process writes files, evaluates and talks."""
+        return self.rank == 0
+
+    def seed(self, seed: int) -> int:
+        """This process's own of a training's seed; the first process has the seed itself."""
+        if self.leads:
+            return seed
+        return int(np.random.SeedSequence([seed, self.rank]).generate_state(1, np.uint32)[0])
+
+    def sums(self, values: Sequence[float]) -> list[float]:
+        """Sums over the processes, of each of some numbers."""
+        if self.size == 1:
+            return list(values)
+        # NCCL has float64, some other devices have not; here it is CUDA or the CPU
+        total = torch.tensor(values, dtype=torch.float64, device=self.device)
+        dist.all_reduce(total)
+        return total.tolist()
+
+    def any(self, flag: bool) -> bool:
+        """Whether the flag is set in any process."""
+        return bool(self.sums([float(flag)])[0])
+
+    def leaders(self, value: object) -> object:
+        """What the leading process has for ``value``."""
+        if self.size == 1:
+            return value
+        box = [value]
+        dist.broadcast_object_list(box, src=0, device=torch.device(self.device))
+        return box[0]
+
+
+ALONE = Team()
+
+
+def started_by_torchrun() -> bool:
+    """Whether this is one of several processes that ``torchrun`` has started."""
+    return int(os.environ.get("WORLD_SIZE", "1")) > 1
+
+
+def join_team(device: str) -> Team:
+    """Meet the other processes; a team of one where ``torchrun`` has started none.
+
+    Args:
+        device: ``cuda`` and ``auto`` become this process's own GPU; the processes talk by NCCL then, else by gloo.
+
+    Raises:
+        DeviceError: there are fewer GPUs than processes. ConfigError: a single GPU is named for all.
+    """
+    if not started_by_torchrun():
+        return ALONE
+    names = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE")
+    rank, size, local_rank, local_size = (int(os.environ[name]) for name in names)
+    if device.startswith("cuda:"):
+        raise ConfigError(f"Under torchrun every process takes a GPU of its own: device=cuda, not {device}.")
+    own = "cpu"
+    if device == "cuda" or (device == "auto" and torch.cuda.is_available()):
+        if local_size > torch.cuda.device_count():
+            raise DeviceError(
+                f"{local_size} processes need as many GPUs; this machine has {torch.cuda.device_count()}."
+            )
+        own = f"cuda:{local_rank}"
+        torch.cuda.set_device(local_rank)
+    if not dist.is_initialized():
+        dist.init_process_group("gloo" if own == "cpu" else "nccl", rank=rank, world_size=size)
+    return Team(rank, size, local_rank, local_size, own)
