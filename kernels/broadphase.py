@@ -25,22 +25,30 @@ TORN = 5.0  # a voxel wider than this has exploded: its environment is lost, and
 FAR = 1.0e6  # a coordinate beyond this is not on any lattice (also stops NaN before it becomes an int)
 
 
+ENCLOSE = """
+    const auto pos = wides(data.pos);
+    const auto box = wides(data.box);
+    const wp::vec_t<4, int> c = wp::index(model.corner, design, v);
+    for (int axis = 0; axis < 2; ++axis) {
+        Wide low = pos[2 * c[0] + axis], high = low;
+        for (int k = 1; k < 4; ++k) {
+            const Wide p = pos[2 * c[k] + axis];
+            low = p < low ? p : low;
+            high = p > high ? p : high;
+        }
+        box[4 * v + 2 * axis] = low;
+        box[4 * v + 2 * axis + 1] = high;
+    }
+"""
+
+
 @functools.cache
 def voxel_box(precision: str, width: int):
     """Function: axis-aligned bounds of a voxel, into ``box``."""
-    ops, types = lane_ops("float64", width), structs(precision)
-    load, store, lower, upper = ops.load, ops.store, ops.lower, ops.upper
+    types = structs(precision)
 
-    @inline
-    def enclose(model: types.Model, data: types.Data, design: int, pack: int, lane: int, v: int):
-        c = model.corner[design, v]
-        for axis in range(int(2)):
-            p0 = load(data.pos, pack, 2 * c[0] + axis, lane)
-            p1 = load(data.pos, pack, 2 * c[1] + axis, lane)
-            p2 = load(data.pos, pack, 2 * c[2] + axis, lane)
-            p3 = load(data.pos, pack, 2 * c[3] + axis, lane)
-            store(data.box, pack, 4 * v + 2 * axis, lane, lower(lower(p0, p1), lower(p2, p3)))
-            store(data.box, pack, 4 * v + 2 * axis + 1, lane, upper(upper(p0, p1), upper(p2, p3)))
+    @wp.func_native(native("float64", width) + ENCLOSE)
+    def enclose(model: types.Model, data: types.Data, design: int, pack: int, lane: int, v: int): ...
 
     return enclose
 

@@ -30,7 +30,14 @@ const auto pos = wides(data.pos);
 const auto vel = wides(data.vel);
 const auto move = wides(data.move);
 
-// Hooke force k (l - l_eq) of every spring on its first end.
+// Hooke force k (l - l_eq) of every spring on its first end; at the start l is its length there and l - l_eq = -pull.
+auto stretch_at_start = [&]() {
+    for (int s = 0; s < springs; ++s) {
+        const Value force = -pull[s] * spring_k[s] / rest[s];
+        tension[2 * s] = force * span[2 * s];
+        tension[2 * s + 1] = force * span[2 * s + 1];
+    }
+};
 auto stretch_springs = [&]() {
     for (int s = 0; s < springs; ++s) {
         const unsigned a = 2 * spring_ends[s][0], b = 2 * spring_ends[s][1];
@@ -92,28 +99,36 @@ auto finish = [&](unsigned r, double free) {
 
 for (int n = 0; n < actives; ++n) {
     const unsigned r = active[n];
-    const Value velocity = narrow(vel[r]);
-    start_vel[r] = velocity;
-    stage_vel[r] = velocity;
-    disp[r] = velocity * Real(0);
-    sum_bend[r] = velocity * Real(0);
-    sum_vel[r] = velocity * Real(0);
+    start_vel[r] = stage_vel[r] = narrow(vel[r]);
+    disp[r] = stage_vel[r] * Real(0);
     if (r % 2) height[r / 2] = narrow(pos[r]);
 }
 for (int stage = 0; stage < 4; ++stage) {
-    const Real weight = stage == 1 || stage == 2 ? 2 : 1, bend = stage < 3 ? 1 : 0;
     const Real ahead = stage < 2 ? Real(dt) * Real(0.5) : Real(dt);
-    stretch_springs();
+    if (stage == 0) {
+        stretch_at_start();
+    } else {
+        stretch_springs();
+    }
     for (int n = 0; n < actives; n += 2) {
         const unsigned x = active[n];
         Value force[2];
         point_force(x, force[0], force[1]);
         for (unsigned axis = 0; axis < 2; ++axis) {
             const unsigned r = x + axis;
-            sum_bend[r] = sum_bend[r] + force[axis] * bend;
-            sum_vel[r] = sum_vel[r] + force[axis] * weight;
+            const Value a = force[axis];
+            if (stage == 0) {
+                sum_bend[r] = a;
+                sum_vel[r] = a;
+            } else if (stage < 3) {
+                sum_bend[r] = sum_bend[r] + a;
+                sum_vel[r] = sum_vel[r] + a * Real(2);
+            } else {
+                sum_vel[r] = sum_vel[r] + a;
+                continue;
+            }
             disp[r] = stage_vel[r] * ahead;
-            stage_vel[r] = start_vel[r] + force[axis] * ahead;
+            stage_vel[r] = start_vel[r] + a * ahead;
         }
     }
 }

@@ -217,6 +217,11 @@ def kernels(precision: str):
             return wp.min(best, at - y)
         return best
 
+    @wp.func
+    def edge(window: int, reach: int, side: int):
+        """Where a window begins (side -1) or ends (1), from the centre of mass, in voxels."""
+        return wp.float64(window - reach) + wp.float64(side) * wp.float64(0.5)
+
     @wp.kernel(enable_backward=False, module="unique")
     def scans(
         model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
@@ -229,7 +234,7 @@ def kernels(precision: str):
         ``still`` are static points in voxels sorted by lattice column, ``column`` where each column starts;
         ``moving`` lists points of bodies (ends with -1). In voxels until the last line, as released.
         """
-        env, window = wp.tid()
+        env = wp.tid()
         pack, k = env_pack[env], env_lane[env]
         design = model.pack_design[pack]
         span = ranges[design, o]
@@ -239,23 +244,29 @@ def kernels(precision: str):
             y += data.pos[pack, 2 * p + 1, k] / VOXEL
         n = wp.float64(span[1] - span[0])
         x, y = x / n, y / n
-        left = x + (wp.float64(window - reach) - wp.float64(0.5))
-        right = x + (wp.float64(window - reach) + wp.float64(0.5))
-        best = sight
         last = column.shape[1] - 2
-        if left < wp.float64(last + 1) and right > wp.float64(-1.0):
-            begin = wp.clamp(int(wp.floor(left)), 0, last)
-            stop = wp.clamp(int(wp.floor(right)) + 1, 0, last)
-            for i in range(column[design, begin], column[design, stop + 1]):
-                if still[design, i][0] > left and still[design, i][0] < right:
-                    best = seen(still[design, i][1], y, best, up)
+        for window in range(2 * reach + 1):
+            left, right = x + edge(window, reach, -1), x + edge(window, reach, 1)
+            best = sight
+            if left < wp.float64(last + 1) and right > wp.float64(-1.0):
+                begin = wp.clamp(int(wp.floor(left)), 0, last)
+                stop = wp.clamp(int(wp.floor(right)) + 1, 0, last)
+                for i in range(column[design, begin], column[design, stop + 1]):
+                    if still[design, i][0] > left and still[design, i][0] < right:
+                        best = seen(still[design, i][1], y, best, up)
+            out[env, window] = best
         for i in range(moving.shape[1]):
             p = moving[design, i]
             if p >= 0:
                 px = data.pos[pack, 2 * p, k] / VOXEL
-                if px > left and px < right:
-                    best = seen(data.pos[pack, 2 * p + 1, k] / VOXEL, y, best, up)
-        out[env, window] = best * VOXEL
+                if wp.abs(px - x) < wp.float64(reach + 1):
+                    # Rounding may put it into a neighbour of the window that its distance says.
+                    about = int(wp.floor(px - x + wp.float64(0.5))) + reach
+                    for window in range(wp.max(about - 1, 0), wp.min(about + 1, 2 * reach) + 1):
+                        if px > x + edge(window, reach, -1) and px < x + edge(window, reach, 1):
+                            out[env, window] = seen(data.pos[pack, 2 * p + 1, k] / VOXEL, y, out[env, window], up)
+        for window in range(2 * reach + 1):
+            out[env, window] = out[env, window] * VOXEL
 
     named = {"centres": centres, "orientations": orientations, "points": points, "scans": scans}
     return named | {"extents": extents, "hulls": hulls}

@@ -23,7 +23,7 @@ __all__ = ["MARGIN", "State", "choose_lanes", "group", "lanes_for", "layout"]
 # Lane widths offered on the CPU; the narrowest that holds a design's environments is taken.
 WIDTHS = (1, 8, 16, 32)
 CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
-MARGIN = 0.02  # width added to boxes when candidates are collected, a fifth of a voxel
+MARGIN = 0.04  # width added to boxes when candidates are collected, two fifths of a voxel
 HITS, HITS_PER_VOXEL = 64, 12  # capacity for contacts that are put in order, in float64
 PAIRS_PER_VOXEL = 24  # capacity of the candidate list for bodies that go through the hashed grid
 

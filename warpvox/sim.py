@@ -418,7 +418,9 @@ class Simulation:
         shape = (self.num_envs, 2 * reach + 1)
         inputs = [self._moving(name), reach, SIGHT, up]
         tables = self._scans[listed]
-        found = self._sense(("scans", *inputs, listed), "scans", shape, [shape], torch.float64, *inputs, *tables)
+        found = self._sense(
+            ("scans", *inputs, listed), "scans", self.num_envs, [shape], torch.float64, *inputs, *tables
+        )
         return found[0].clone()
 
     # ---------------------------------------------------------------- state io
