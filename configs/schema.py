@@ -285,6 +285,7 @@ SUITES = {
     "population": "designs trained at once, against one after another",
     "kernels": "times of the stages, memory, compilation",
     "precision": "float32 against float64",
+    "pictures": "films, USD and the page of an episode",
     "search": "search algorithms on a made-up fitness, against random search",
     "gpu": "checks and figures of a CUDA device in one go",
 }
@@ -356,6 +357,7 @@ class BenchConfig:
     torch_threads: int = key(1, "threads of PyTorch", low=1)
     seed: int = key(0, "of the random actions", low=0)
     designs: int = key(50, "random bodies of suite=precision", low=2)
+    frames: int = key(500, "control steps of the episode of suite=pictures", low=1)
     compile: bool = key(True, "suite=kernels compiles all kernels of a control step once more and times that")
     peer: PeerConfig = key(PeerConfig, "the reference")
     scaling: ScalingConfig = key(ScalingConfig, "suite=scaling")

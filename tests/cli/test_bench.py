@@ -301,6 +301,16 @@ def test_figures_keep_what_matters(value: float | None, text: str) -> None:
 # ----------------------------------------------------------------------------------------------------- gpu
 
 
+def test_pictures_have_sizes_and_rates(warpvox: Callable) -> None:
+    outcome = warpvox("bench", *TINY, "suite=pictures", "frames=4")
+    assert outcome.code == 0, outcome.err
+    _, figures = results("pictures")
+    assert figures["frames"] == 5
+    assert figures["environments"] == 8
+    assert all(figures[name] > 0 for name in ("film_per_second", "usd_mb", "usd_seconds", "page_mb"))
+    assert figures["page_per_second"] is None or figures["page_per_second"] > 0
+
+
 def test_search_compares_with_random_search(warpvox: Callable) -> None:
     words = "searches.names=[ga,cppn_neat] searches.seeds=5 searches.evaluations=120 searches.shape=[4,5]".split()
     outcome = warpvox("bench", "suite=search", *words)

@@ -21,7 +21,6 @@ from warpvox.painter import Canvas
 from warpvox.player import write_html
 from warpvox.rollout import Rollout
 
-SLACK = 2.0  # a shared machine may have half its speed
 SAME = 16  # mean difference of two painters' pictures of one robot, of 255: their edges differ, nothing else
 
 
@@ -271,16 +270,3 @@ def test_the_page_shows_what_the_pictures_show(
     assert difference.mean() < SAME
     wrong = np.abs(np.asarray(ours, float) - np.asarray(theirs, float)[:, ::-1]).mean()
     assert wrong > 2 * difference.mean()  # the measure would notice a mirrored robot
-
-
-@pytest.mark.slow
-def test_sixty_pictures_a_second(show: Callable, rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
-    page = show("paused", write_html(rollouts(500, 64), tmp_path / "page.html"))
-    spent = page.evaluate(
-        "(() => { const before = performance.now();"
-        "const g = document.getElementById('stage').getContext('2d');"
-        # reading a pixel waits until everything has been painted
-        "for (let k = 0; k < 60; k++) { player.time = 8 * k; player.draw(); g.getImageData(0, 0, 1, 1); }"
-        "return performance.now() - before; })()"
-    )
-    assert spent < 1000 * SLACK

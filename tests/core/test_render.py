@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -19,8 +18,6 @@ from warpvox.painter import camera_path
 from warpvox.palette import LEVELS, RAMPS, colour_index, palette
 from warpvox.rollout import Rollout
 from warpvox.types import Cell
-
-ENOUGH = 100  # pictures at 640 x 360 in a second of CPU time, whatever else the machine does
 
 
 def count_near(picture: np.ndarray, colours: np.ndarray, within: int = 8) -> int:
@@ -189,13 +186,3 @@ def test_wrong_requests_get_one_clear_line(rollouts, tmp_path: Path, call, words
     with pytest.raises(RolloutError, match=words):
         call(rollouts(5, 2), tmp_path / "film.gif")
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.slow
-def test_drawing_is_fast(rollouts: Callable[..., Rollout]) -> None:
-    film = render.Film(rollouts(300, 1))
-    film.image(0)
-    start = time.process_time()
-    for frame in range(300):
-        film.array(frame)
-    assert 300 / (time.process_time() - start) > ENOUGH

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,8 +17,7 @@ from warpvox.palette import colour_index
 from warpvox.rollout import Rollout
 from warpvox.usd import write_usd
 
-MEGABYTES, SECONDS = 45, 6  # for 64 environments and 500 frames
-SLACK = 2.0  # in CPU time: neighbours slow a core down, too
+MEGABYTES = 45  # for 64 environments and 500 frames
 
 
 def findings(path: Path) -> list[str]:
@@ -140,9 +138,7 @@ def test_wrong_requests_get_one_clear_line(rollouts, tmp_path: Path, name: str, 
 
 
 @pytest.mark.slow
-def test_many_environments_stay_small_and_quick(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
+def test_many_environments_stay_small(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
     rollout = rollouts(500, 64, designs=3)
-    start = time.process_time()
     path = write_usd(rollout, tmp_path / "rollout.usdc")
-    assert time.process_time() - start < SECONDS * SLACK
     assert os.path.getsize(path) < MEGABYTES * 1e6
