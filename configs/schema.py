@@ -287,6 +287,8 @@ SUITES = {
     "precision": "float32 against float64",
     "pictures": "films, USD and the page of an episode",
     "search": "search algorithms on a made-up fitness, against random search",
+    "options": "inheritance and early stopping against the plain genetic algorithm, at equal control steps",
+    "soak": "a training or design search watched for an hour: memory, open files, speed",
     "gpu": "checks and figures of a CUDA device in one go",
 }
 """What ``warpvox bench`` measures."""
@@ -331,6 +333,26 @@ class SearchesConfig:
 
 
 @dataclass
+class OptionsConfig:
+    """Keys ``options.*``: what the suite of that name spends."""
+
+    seeds: int = key(3, "runs of each option", low=1)
+    steps: int = key(5_000_000, "control steps of a run", low=1)
+    population: int = key(12, "designs of a generation", low=2)
+    iterations: int = key(60, "training iterations of a design", low=4)
+
+
+@dataclass
+class SoakConfig:
+    """Keys ``soak.*``: what the suite of that name watches."""
+
+    command: str = key("train", "train or codesign", choices=("train", "codesign"))
+    seconds: float = key(3600.0, "how long", above=0)
+    interval: float = key(5.0, "seconds between two looks", above=0)
+    overrides: list[str] = key([], "more keys for the command, each in quotes: ['num_envs=64','ppo=evogym']")
+
+
+@dataclass
 class GenerationConfig:
     """Keys ``population.*``: a generation of a design search."""
 
@@ -363,6 +385,8 @@ class BenchConfig:
     scaling: ScalingConfig = key(ScalingConfig, "suite=scaling")
     learning: LearningConfig = key(LearningConfig, "suite=learning")
     searches: SearchesConfig = key(SearchesConfig, "suite=search")
+    options: OptionsConfig = key(OptionsConfig, "suite=options")
+    soak: SoakConfig = key(SoakConfig, "suite=soak")
     seconds: float = key(400.0, "suite=gpu begins no part after so many", above=0)
     population: GenerationConfig = key(GenerationConfig, "suite=population")
     document: str | None = key(None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 
 import numpy as np
@@ -33,10 +34,12 @@ def last_generation(settings: GaSettings) -> int:
     The paper limits evaluations rather than generations (section D.1), and survivors cost none.
     """
     left = settings.max_evaluations - settings.population
-    last = 1
-    while sum(settings.population - survivors_of(settings, n, last) for n in range(1, last + 1)) < left:
-        last += 1
-    return last
+
+    def evaluations(last: int) -> int:
+        return sum(settings.population - survivors_of(settings, n, last) for n in range(1, last + 1))
+
+    # more generations never need fewer evaluations, and each needs one at least
+    return 1 + bisect_left(range(1, max(left, 1)), left, key=evaluations)
 
 
 class GeneticSearch(BaseSearch):

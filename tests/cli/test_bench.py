@@ -331,6 +331,25 @@ def test_search_wants_names_of_searches(warpvox: Callable) -> None:
     assert "Did you mean 'ga'?" in outcome.err
 
 
+def test_options_spend_the_same(warpvox: Callable) -> None:
+    words = "options.seeds=1 options.steps=50000 options.population=3 options.iterations=4".split()
+    outcome = warpvox("bench", "suite=options", *words)
+    assert outcome.code == 0, outcome.err
+    _, figures = results("options")
+    options = figures["options"]
+    assert list(options) == ["plain", "inherit=true", "rungs=[0.25,0.5]", "both"]
+    assert [figure["designs"] for figure in options.values()] == [6, 6, 12, 12]
+    starts = {figure["curves"][0][0][1] for figure in options.values() if figure["designs"] == 6}
+    assert len(starts) == 1  # the same bodies, trained the same, before anyone has a parent
+    assert "beats plain" in outcome.out
+
+
+def test_options_need_a_second_generation(warpvox: Callable) -> None:
+    outcome = warpvox("bench", "suite=options", "options.steps=1000000")
+    assert outcome.code == 2
+    assert "trains 8 designs of 60 iterations, which is not more than one generation" in outcome.err
+
+
 GPU = "bench suite=gpu device=cpu design=mini repeats=1 steps=2 columns=[step] compile=false".split()
 
 

@@ -35,7 +35,7 @@ def test_survivors_at_250_evaluations() -> None:
     assert [survivors_of(settings, n, last) for n in range(1, last + 1)] == [14, 13, 12, 11, 10, 9, 7, 6, 5, 4, 3, 2, 2]
 
 
-@pytest.mark.parametrize("evaluations", [10, 25, 26, 250, 500, 750])
+@pytest.mark.parametrize("evaluations", [10, 25, 26, 250, 500, 750, 100_000])
 def test_the_last_generation_is_the_first_that_uses_up_the_evaluations(evaluations: int) -> None:
     settings = GaSettings(max_evaluations=evaluations)
     last = last_generation(settings)
