@@ -11,6 +11,7 @@ import torch
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
+from warpvox.algos.population_model import PopulationModel
 from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError
@@ -22,7 +23,11 @@ __all__ = ["Controller", "PolicySpec", "load_checkpoint", "load_controller", "re
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """What it takes to rebuild a policy before its weights are loaded."""
+    """What it takes to rebuild a policy before its weights are loaded.
+
+    ``width``: of a policy that was trained side by side with others, the columns of its
+    :class:`warpvox.algos.population_model.PopulationModel`; None: it was trained alone.
+    """
 
     num_obs: int
     num_actions: int
@@ -30,6 +35,7 @@ class PolicySpec:
     activation: str
     normalize_obs: bool
     action_scale: float
+    width: int | None = None
 
 
 class Controller:
@@ -42,13 +48,21 @@ class Controller:
 
     def __init__(self, actor: MLPModel, spec: PolicySpec) -> None:
         self.actor, self.spec = actor, spec
+        self._stack: PopulationModel | None = None
 
     @torch.no_grad()
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
         """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
         group = TensorDict({OBS_GROUP: obs.float()}, batch_size=[len(obs)])
-        actions = ACTION_CENTER + self.spec.action_scale * self.actor(group)
+        network = self.actor if self.spec.width is None else self._side_by_side(len(obs))
+        actions = ACTION_CENTER + self.spec.action_scale * network(group)[:, : self.spec.num_actions]
         return actions.clamp(ACTION_LOW, ACTION_HIGH)
+
+    def _side_by_side(self, rows: int) -> PopulationModel:
+        """The network once for every row: it then rounds as it did when the policy was judged."""
+        if self._stack is None or self._stack.num_designs != rows:
+            self._stack = PopulationModel([self.actor] * rows, self.spec.width).to(next(self.actor.parameters()).device)
+        return self._stack
 
     def check(self, env: VoxelVecEnv) -> None:
         """Raise RunError unless ``env`` has this policy's sizes."""

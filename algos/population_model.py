@@ -11,7 +11,7 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch import nn
 
-__all__ = ["WIDTH", "PopulationModel"]
+__all__ = ["WIDTH", "PopulationModel", "width_for"]
 
 WIDTH = 32
 """Outputs are padded to a multiple of this many columns.
@@ -21,6 +21,11 @@ come out the same bit for bit whatever the others are: matrix products and loops
 done in another way.
 """
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
+
+
+def width_for(cells: int) -> int:
+    """Columns for the actions of bodies with so many cells: those of the largest body of a grid, see :data:`WIDTH`."""
+    return -(-cells // WIDTH) * WIDTH
 
 
 class PopulationModel(nn.Module):

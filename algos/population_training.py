@@ -14,7 +14,7 @@ from tensordict import TensorDict
 
 from warpvox.algos.arena import Arena
 from warpvox.algos.evaluate import evaluate
-from warpvox.algos.population_model import WIDTH, PopulationModel
+from warpvox.algos.population_model import PopulationModel, width_for
 from warpvox.algos.population_ppo import PopulationPPO
 from warpvox.algos.population_random import Streams
 from warpvox.algos.ppo import PPO, rsl_rl_config
@@ -26,7 +26,7 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["Networks", "PopulationTraining", "fresh_networks"]
 
-VALUE_WIDTH = 8  # columns of the value function's last layer, of which one counts (see WIDTH)
+VALUE_WIDTH = 8  # columns of the value function's last layer, of which one counts, as in width_for
 
 
 @dataclass
@@ -94,9 +94,8 @@ class PopulationTraining:
         self._judge = self.arena.make(self.bodies, settings.eval_envs, self.seeds, auto_reset=False)
 
     def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
-        # The widest body of this grid, not of this batch: see WIDTH.
-        cells = max(body.size for body in self.bodies)
-        width = -(-cells // WIDTH) * WIDTH
+        # of the widest body of this grid, not of this batch
+        width = width_for(max(body.size for body in self.bodies))
         device = str(self.env.device)
         actor = PopulationModel([network.actor for network in networks], width).to(device)
         critic = PopulationModel([network.critic for network in networks], VALUE_WIDTH).to(device)

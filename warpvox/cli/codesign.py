@@ -26,6 +26,7 @@ from warpvox.cli.train import check_unchanged, describe
 from warpvox.configs.schema import CodesignConfig
 from warpvox.errors import ConfigError, RunError
 from warpvox.files import write_text
+from warpvox.layout import lanes_for
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import DesignEvaluator
@@ -163,7 +164,12 @@ def codesign(job: Job, console: Console) -> Path:
                 executor,
                 archive,
                 seed=config.seed,
-                policies=Policies(folder, config.training.ppo, functools.partial(design_config, config)),
+                policies=Policies(
+                    folder,
+                    config.training.ppo,
+                    functools.partial(design_config, config),
+                    side_by_side=config.training.method == "population",
+                ),
                 checkpoints=folder / "training",
                 batch=config.batch,
                 reuse=config.reuse,
@@ -242,6 +248,8 @@ def design_config(config: CodesignConfig, candidate: Candidate) -> str:
         "device": config.device,
         "dtype": config.dtype,
         "threads": config.threads,
+        # those of the evaluation that found the fitness, so that playing finds it again
+        "lanes": lanes_for(training.eval_envs),
         "torch_threads": config.torch_threads,
         "output_dir": config.output_dir,
         "physics": dataclasses.asdict(config.physics),
