@@ -10,12 +10,13 @@ speed does not matter.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import math
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
@@ -25,12 +26,15 @@ from typing import Any
 import numpy as np
 
 from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
-from warpvox.errors import RunError
+from warpvox.errors import RunError, StorageError
+from warpvox.files import atomic_path
 
-__all__ = ["FILE", "Archive", "Finished", "Record"]
+__all__ = ["BACKUP", "FILE", "Archive", "Finished", "Record"]
 
 FILE = "archive.sqlite"
 """The name of the archive in a run's folder."""
+BACKUP = "archive.backup.sqlite"
+"""The archive as it was after the last whole generation."""
 
 APPLICATION = 0x77766F78
 """SQLite's application id of our files: "wvox"."""
@@ -52,7 +56,7 @@ CREATE TABLE candidates (
     seed INTEGER NOT NULL,                    -- of its training
     fitness REAL,                             -- best deterministic return; NULL until it is evaluated
     steps INTEGER,                            -- control steps spent on it
-    stopped INTEGER,                          -- 1: training ended early for want of promise
+    stopped INTEGER,                          -- 1: training ended early; 2: diverged before its first evaluation
     reused INTEGER REFERENCES candidates(id), -- the candidate with the same body whose evaluation this is
     policy TEXT,                              -- file of the policy, relative to the archive
     policy_sha256 TEXT,                       -- of its tensors
@@ -80,6 +84,8 @@ CREATE VIEW generations AS
            MIN(fitness) AS worst, SUM(steps) AS steps
     FROM candidates GROUP BY generation;
 """
+DIVERGED = 2
+"""In the column ``stopped``: there was no evaluation, and the fitness is the worst of all others until then."""
 NAMES = ("experiment", "candidates", "parents", "curves", "generations")
 
 
@@ -89,7 +95,8 @@ class Record:
 
     ``fitness`` and what follows are None until then; ``reused`` is the id of the candidate with an equal body whose
     evaluation this is; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time of the batch
-    that it was evaluated in.
+    that it was evaluated in. ``diverged``: its learning gave no evaluation; when its generation is whole, its
+    fitness is set to the worst of all others so far (:meth:`Archive.settle`).
     """
 
     candidate: Candidate
@@ -102,6 +109,12 @@ class Record:
     policy_sha256: str | None = None
     seconds: float | None = None
     curve: list[tuple[int, float]] = field(default_factory=list)
+    diverged: bool = False
+
+    @property
+    def finished(self) -> bool:
+        """It is not waiting any more."""
+        return self.stopped is not None
 
     @property
     def id(self) -> int:
@@ -146,20 +159,24 @@ class Archive:
             raise RunError(f"{path} exists already: an archive is never overwritten.")
         lock = _take(path)
         try:
-            db = _connect(path, "rwc")
-            with _transaction(db):
-                for statement in TABLES.split(";\n"):
-                    if statement.strip():
-                        db.execute(statement)
-                rows = {"settings": dict(settings), "created_at": _now()}
-                db.executemany("INSERT INTO experiment VALUES (?, ?)", [(k, json.dumps(v)) for k, v in rows.items()])
-                # inside the transaction: a file with our mark has all tables
-                db.execute(f"PRAGMA application_id = {APPLICATION}")
-                db.execute(f"PRAGMA user_version = {VERSION}")
-        except sqlite3.Error as error:
+            with atomic_path(path, make_folders=False) as temporary:  # a killed process leaves no empty archive
+                cls._fill(temporary, settings)
+            return cls(path, _connect(path, "rw"), lock)
+        except (sqlite3.Error, StorageError) as error:
             lock.close()
-            raise RunError(f"The archive {path} cannot be written: {error}.") from None
-        return cls(path, db, lock)
+            raise _unwritable(path, error) from None
+
+    @staticmethod
+    def _fill(path: Path, settings: Mapping[str, Any]) -> None:
+        with closing(_connect(path, "rwc")) as db, _transaction(db):
+            for statement in TABLES.split(";\n"):
+                if statement.strip():
+                    db.execute(statement)
+            rows = {"settings": dict(settings), "created_at": _now()}
+            db.executemany("INSERT INTO experiment VALUES (?, ?)", [(k, json.dumps(v)) for k, v in rows.items()])
+            # inside the transaction: a file with our mark has all tables
+            db.execute(f"PRAGMA application_id = {APPLICATION}")
+            db.execute(f"PRAGMA user_version = {VERSION}")
 
     @classmethod
     def open(cls, path: Path) -> Archive:
@@ -249,12 +266,13 @@ class Archive:
 
     def _finish(self, db: sqlite3.Connection, result: Finished, seconds: float) -> None:
         outcome = result.outcome
-        if not all(math.isfinite(value) for value in (outcome.fitness, *(value for _, value in outcome.curve))):
+        known = [] if outcome.diverged else [outcome.fitness]
+        if not all(math.isfinite(value) for value in (*known, *(value for _, value in outcome.curve))):
             raise RunError(f"The evaluation of candidate {result.id} gave no finite number: {outcome.fitness}.")
         values = (
-            float(outcome.fitness),
+            None if outcome.diverged else float(outcome.fitness),
             int(outcome.steps),
-            int(outcome.stopped),
+            DIVERGED if outcome.diverged else int(outcome.stopped),
             result.reused,
             result.policy,
             result.policy_sha256,
@@ -264,7 +282,7 @@ class Archive:
         )
         changed = db.execute(
             "UPDATE candidates SET fitness=?, steps=?, stopped=?, reused=?, policy=?, policy_sha256=?, finished_at=?,"
-            " seconds=? WHERE id=? AND fitness IS NULL",
+            " seconds=? WHERE id=? AND finished_at IS NULL",
             values,
         ).rowcount
         if changed != 1:
@@ -280,7 +298,40 @@ class Archive:
             with _transaction(self._db):
                 yield self._db
         except sqlite3.Error as error:
-            raise RunError(f"The archive {self.path} cannot be written: {error}.") from None
+            raise _unwritable(self.path, error) from None
+
+    def settle(self, generation: int) -> None:
+        """Give the diverged designs of a whole generation a fitness: the worst of all others until then.
+
+        Searches need a finite number (a Gaussian process cannot learn from -inf), and one that follows from the
+        archive alone, in whatever order the designs were trained.
+
+        Raises:
+            RunError: there is no other to compare with, or the file cannot be written.
+        """
+        with self._writing() as db:
+            query = "SELECT MIN(fitness) FROM candidates WHERE generation <= ? AND stopped < ?"
+            worst = db.execute(query, (generation, DIVERGED)).fetchone()[0]
+            where = "generation = ? AND stopped = ? AND fitness IS NULL"
+            changed = db.execute(
+                f"UPDATE candidates SET fitness = ? WHERE {where}", (worst, generation, DIVERGED)
+            ).rowcount
+            if changed and worst is None:
+                raise RunError(f"No design has a fitness yet that those of generation {generation} could be given.")
+
+    def back_up(self) -> Path:
+        """Write a copy beside the archive, whole or not at all; returns its path.
+
+        Raises:
+            StorageError, RunError: it cannot be written.
+        """
+        path = self.path.with_name(BACKUP)
+        try:
+            with atomic_path(path, make_folders=False) as temporary, closing(sqlite3.connect(temporary)) as copy:
+                self._db.backup(copy)
+        except sqlite3.Error as error:
+            raise _unwritable(path, error) from None
+        return path
 
     # ------------------------------------------------------------------------------------------ reading
 
@@ -295,7 +346,17 @@ class Archive:
         return self._experiment("created_at")
 
     def _experiment(self, key: str) -> Any:
-        return json.loads(self._db.execute("SELECT value FROM experiment WHERE key=?", (key,)).fetchone()[0])
+        with self._reading():
+            return json.loads(self._db.execute("SELECT value FROM experiment WHERE key=?", (key,)).fetchone()[0])
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """What cannot be in an archive that we have written is damage, which SQLite's own check does not see."""
+        try:
+            yield
+        except (sqlite3.Error, ValueError, TypeError) as error:
+            reason = f"is damaged ({error})"
+            raise RunError(f"{self.path} {reason}.{_remedy(self.path, reason)}") from None
 
     def count(self) -> int:
         """Candidates so far, evaluated or not."""
@@ -303,7 +364,7 @@ class Archive:
 
     def trained(self) -> int:
         """Designs that were trained: evaluations that are not those of an equal body."""
-        query = "SELECT COUNT(*) FROM candidates WHERE fitness IS NOT NULL AND reused IS NULL"
+        query = "SELECT COUNT(*) FROM candidates WHERE finished_at IS NOT NULL AND reused IS NULL"
         return self._db.execute(query).fetchone()[0]
 
     def generations(self) -> list[dict[str, Any]]:
@@ -330,12 +391,15 @@ class Archive:
         return found[0]
 
     def best(self, count: int = 1, until: int | None = None) -> list[Record]:
-        """The designs of highest fitness (up to and including a generation), equal bodies once, ties to the earlier."""
+        """The designs of highest fitness (up to and including a generation), equal bodies once, ties to the earlier.
+
+        Those whose learning diverged before there was an evaluation are not among them.
+        """
         where, values = ("AND generation <= ?", (until,)) if until is not None else ("", ())
         query = f"""WHERE id IN (
             SELECT id FROM (
                 SELECT id, fitness, ROW_NUMBER() OVER (PARTITION BY body ORDER BY fitness DESC, id) AS place
-                FROM candidates WHERE fitness IS NOT NULL {where})
+                FROM candidates WHERE fitness IS NOT NULL AND stopped < {DIVERGED} {where})
             WHERE place = 1 ORDER BY fitness DESC, id LIMIT ?)"""
         return sorted(self._records(query, *values, count), key=lambda record: (-record.fitness, record.id))
 
@@ -351,7 +415,7 @@ class Archive:
         ids = f"SELECT id FROM candidates {where}"
         parents, curves = {}, {}
         # one transaction, so that a writer cannot change the tables between the queries
-        with _transaction(self._db, "DEFERRED"):
+        with self._reading(), _transaction(self._db, "DEFERRED"):
             for child, parent in self._db.execute(
                 f"SELECT child, parent FROM parents WHERE child IN ({ids}) ORDER BY child, position", values
             ):
@@ -366,21 +430,8 @@ class Archive:
                 f" seconds FROM candidates {where} ORDER BY id",
                 values,
             ).fetchall()
-        return [
-            Record(
-                Candidate(row[0], body_of(row[2]), tuple(parents.get(row[0], ())), row[3], row[1]),
-                seed=row[4],
-                fitness=row[5],
-                steps=row[6],
-                stopped=None if row[7] is None else bool(row[7]),
-                reused=row[8],
-                policy=row[9],
-                policy_sha256=row[10],
-                seconds=row[11],
-                curve=curves.get(row[0], []),
-            )
-            for row in rows
-        ]
+        with self._reading():
+            return [_record(row, parents.get(row[0], ()), curves.get(row[0], [])) for row in rows]
 
     def digest(self) -> str:
         """SHA-256 of everything but dates and durations: equal for equal experiments."""
@@ -391,6 +442,22 @@ class Archive:
             row += [record.fitness, record.steps, record.stopped, record.reused, record.policy]
             total.update(json.dumps([*row, record.policy_sha256, record.curve]).encode())
         return total.hexdigest()
+
+
+def _record(row: Sequence[Any], parents: Sequence[int], curve: list[tuple[int, float]]) -> Record:
+    return Record(
+        Candidate(row[0], body_of(row[2]), tuple(parents), row[3], row[1]),
+        seed=row[4],
+        fitness=row[5],
+        steps=row[6],
+        stopped=None if row[7] is None else bool(row[7]),
+        reused=row[8],
+        policy=row[9],
+        policy_sha256=row[10],
+        seconds=row[11],
+        curve=curve,
+        diverged=row[7] == DIVERGED,
+    )
 
 
 def body_text(body: np.ndarray) -> str:
@@ -439,8 +506,18 @@ def _take(path: Path) -> sqlite3.Connection:
             db.close()
         if "locked" in str(error):
             raise RunError(f"Another process is writing {path}; there can be one at a time.") from None
-        raise RunError(f"The archive {path} cannot be written: {error}.") from None
+        raise _unwritable(path, error) from None
     return db
+
+
+def _unwritable(path: Path, error: Exception) -> RunError:
+    """What to say when the archive cannot be written. What it held before it still holds."""
+    reason = str(error).rstrip(".")
+    if not path.parent.is_dir():
+        reason = "its folder has vanished; was it removed or renamed, or its disk detached?"
+    elif "full" in reason or getattr(error, "errno", None) == errno.ENOSPC:
+        reason = "database or disk is full; free some space, then go on with resume="
+    return RunError(f"The archive {path} cannot be written: {reason}.")
 
 
 def _check_exists(path: Path) -> None:
@@ -466,8 +543,19 @@ def _checked(path: Path) -> sqlite3.Connection:
     if reason is not None:
         if db is not None:
             db.close()
-        raise RunError(f"{path} {reason}.")
+        raise RunError(f"{path} {reason}.{_remedy(path, reason)}")
     return db
+
+
+def _remedy(path: Path, reason: str) -> str:
+    """How to go on from the copy, if there is one and the archive is damaged."""
+    backup = path.with_name(BACKUP)
+    if "damaged" not in reason or path == backup or not backup.is_file():
+        return ""
+    return (
+        f" {backup.name} beside it holds all generations that were whole: copy it over {path.name} (and remove"
+        f" {path.name}-journal, if there is one), then resume; the result is the same."
+    )
 
 
 def _objection(db: sqlite3.Connection, application: int, version: int) -> str | None:

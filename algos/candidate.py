@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -51,9 +52,10 @@ class Candidate:
 class Outcome:
     """What became of a candidate.
 
-    ``fitness`` is the best deterministic return (paper section C.1); ``curve`` the evaluations behind it as
-    (control steps, return); ``steps`` the control steps spent; ``policy`` what a stock rsl-rl actor of this body
-    loads, on the CPU; ``stopped`` says that training ended early for want of promise.
+    ``fitness`` is the best deterministic return (paper section C.1), -inf if learning diverged before the first
+    evaluation; ``curve`` the evaluations behind it as (control steps, return); ``steps`` the control steps spent;
+    ``policy`` what a stock rsl-rl actor of this body loads, on the CPU; ``stopped`` says that training ended early, for
+    want of promise or because learning diverged.
     """
 
     fitness: float
@@ -61,6 +63,11 @@ class Outcome:
     steps: int = 0
     policy: dict[str, Any] | None = None
     stopped: bool = False
+
+    @property
+    def diverged(self) -> bool:
+        """Learning diverged before there was any evaluation: there is no fitness."""
+        return self.fitness == -math.inf
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import pickle
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -75,9 +76,16 @@ class Controller:
 
 
 def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
-    """Write tensors, numbers, texts, lists and dictionaries of them to ``path``, atomically."""
-    with atomic_path(path) as temporary:
-        torch.save(content, temporary)
+    """Write tensors, numbers, texts, lists and dictionaries of them to ``path``, atomically.
+
+    Raises:
+        StorageError: the disk will not have it, or the folder, which must exist, is gone.
+    """
+    # By way of memory: of a full disk torch's own writer says neither what has happened nor where.
+    whole = io.BytesIO()
+    torch.save(content, whole)
+    with atomic_path(path, make_folders=False) as temporary:
+        temporary.write_bytes(whole.getbuffer())
 
 
 def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:

@@ -6,20 +6,29 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import NoReturn
 
-__all__ = ["Interrupt", "deferred_interrupts"]
+__all__ = ["Interrupt", "Terminated", "deferred_interrupts", "terminable"]
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
+class Terminated(KeyboardInterrupt):
+    """A request to end (SIGTERM, as schedulers of clusters send it before they kill): treated as Ctrl-C is."""
+
+
 class Interrupt:
-    """True once Ctrl-C (or a termination request) has arrived."""
+    """True once Ctrl-C or a request to end has arrived."""
 
     def __init__(self) -> None:
-        self.requested = False
+        self.number: int | None = None
 
     def __bool__(self) -> bool:
-        return self.requested
+        return self.number is not None
+
+    def stop(self) -> NoReturn:
+        """Raise KeyboardInterrupt, or Terminated where it was a request to end."""
+        raise Terminated if self.number == signal.SIGTERM else KeyboardInterrupt
 
 
 @contextmanager
@@ -29,18 +38,36 @@ def deferred_interrupts() -> Iterator[Interrupt]:
     Outside the main thread signals do not arrive and the flag stays False.
     """
     interrupt = Interrupt()
-    if threading.current_thread() is not threading.main_thread():
-        yield interrupt
-        return
 
     def on_signal(number: int, frame: object) -> None:
-        if interrupt.requested:
-            raise KeyboardInterrupt
-        interrupt.requested = True
+        again = bool(interrupt)
+        interrupt.number = number
+        if again:
+            interrupt.stop()
 
-    before = {number: signal.signal(number, on_signal) for number in SIGNALS}
-    try:
+    with _handling(SIGNALS, on_signal):
         yield interrupt
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """Within the block a request to end raises Terminated, so that nothing is left half done; as Ctrl-C does anyway."""
+
+    def on_signal(number: int, frame: object) -> None:
+        raise Terminated
+
+    with _handling((signal.SIGTERM,), on_signal):
+        yield
+
+
+@contextmanager
+def _handling(numbers: tuple[int, ...], handler: object) -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, previous in before.items():
+            signal.signal(number, previous)

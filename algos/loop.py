@@ -7,6 +7,7 @@ was told before, and what had not been evaluated is evaluated.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +19,7 @@ from warpvox.algos.archive import Archive, Finished, Record, body_text
 from warpvox.algos.candidate import Candidate, Outcome, Parent, Search
 from warpvox.algos.executors import Batch, Executor, batches
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
-from warpvox.errors import RunError
+from warpvox.errors import DivergenceError, RunError
 
 __all__ = ["Listener", "Loop", "PolicyStore"]
 
@@ -92,7 +93,8 @@ class Loop:
 
         Raises:
             KeyboardInterrupt: interrupted; all that was finished is in the archive.
-            RunError: the archive is not one of this search, or an evaluation has failed.
+            RunError: the archive is not one of this search or cannot be written, an evaluation has failed, or the
+                learning of a whole generation has diverged (DivergenceError).
         """
         with deferred_interrupts() as interrupt:
             self._replay()
@@ -106,11 +108,12 @@ class Loop:
                     self.archive.propose(asked, self.seed)
                 self._evaluate(asked, interrupt)
                 self.search.tell([record.fitness for record in self.archive.records(self.generation)])
+                self.archive.back_up()
                 self.listener.told(self.generation, fresh=True)
                 self.generation += 1
                 self._clear()
                 if interrupt:
-                    raise KeyboardInterrupt
+                    interrupt.stop()
 
     def _replay(self) -> None:
         """Tell the search again what it was told before."""
@@ -134,7 +137,7 @@ class Loop:
 
     def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> None:
         """Evaluate what is still waiting."""
-        done = {record.id for record in self.archive.records(self.generation) if record.fitness is not None}
+        done = {record.id for record in self.archive.records(self.generation) if record.finished}
         originals = self._originals(asked)
         # batches are cut before what is done is left out: a resumed generation trains the same designs together
         work = batches([item for item in asked if item.id not in originals], self.batch, self.checkpoints)
@@ -147,7 +150,19 @@ class Loop:
             if candidate.id in originals and candidate.id not in done
         ]
         self.archive.finish(copies)
+        self._settle()
         self.listener.finished([self.archive.record(copy.id) for copy in copies])
+
+    def _settle(self) -> None:
+        """Rank what has diverged below all others; where nothing else is left, the settings are to blame."""
+        records = self.archive.records(self.generation)
+        if all(record.diverged for record in records) and (len(records) > 1 or not self.archive.best()):
+            raise DivergenceError(
+                f"The learning of all {len(records)} designs of generation {self.generation} diverged before their"
+                " first evaluation: its settings do not suit the task. Begin a new search with a lower"
+                " training.ppo.learning_rate."
+            )
+        self.archive.settle(self.generation)
 
     def _originals(self, asked: Sequence[Candidate]) -> dict[int, int]:
         """The candidates whose body was proposed before, with the id of the first that had it."""
@@ -167,14 +182,14 @@ class Loop:
     def _copy(self, candidate: Candidate, original: int) -> Finished:
         record = self.archive.record(original)
         # nothing was spent: the sum of all steps is what the experiment has cost
-        outcome = Outcome(record.fitness, steps=0, stopped=record.stopped)
+        outcome = Outcome(-math.inf if record.diverged else record.fitness, steps=0, stopped=record.stopped)
         return Finished(candidate.id, outcome, record.policy, record.policy_sha256, reused=original)
 
     def _train(self, work: Sequence[Batch], interrupt: Interrupt) -> None:
         def report(place: int, event: dict[str, Any]) -> None:
             self.listener.progress(work[place].candidates, event)
             if interrupt:
-                raise KeyboardInterrupt
+                interrupt.stop()
 
         began = time.perf_counter()
         for place, outcomes in self.executor.run(work, self._parents(work), report):
@@ -189,7 +204,7 @@ class Loop:
                 batch.checkpoint.unlink(missing_ok=True)
             self.listener.finished([self.archive.record(result.id) for result in results])
             if interrupt:
-                raise KeyboardInterrupt
+                interrupt.stop()
 
     def _clear(self) -> None:
         """Remove what was saved of trainings that are over; a killed process may have had no time for it."""

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import math
+import os
+import socket
+import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from warpvox.files import write_text
+from warpvox.errors import RunError
+from warpvox.files import write_text, writing
 
-__all__ = ["COLUMNS", "Metrics", "read_metrics"]
+__all__ = ["COLUMNS", "Events", "Metrics", "read_metrics"]
 
 COLUMNS = (
     "iteration",  # iterations complete
@@ -47,48 +53,105 @@ TAGS = {
 class Metrics:
     """Writes one row an iteration; rows that a resumed run will write again are dropped first.
 
+    Every row is with the system before the next iteration begins, in ``metrics.csv`` and in the TensorBoard events.
+
     Args:
         folder: of the run; must exist.
         iteration: iterations complete when writing begins.
+
+    Raises:
+        StorageError: the folder cannot be written; so do all methods.
     """
 
     def __init__(self, folder: Path, iteration: int = 0) -> None:
-        # the import takes a second or two
-        from torch.utils.tensorboard import SummaryWriter
-
         self.path = folder / FILE
         kept = [row for row in read_metrics(folder) if row["iteration"] <= iteration]
-        write_text(self.path, "".join([_line(COLUMNS), *(_line(_cells(row)) for row in kept)]))
-        self._writer = SummaryWriter(str(folder), purge_step=iteration + 1, flush_secs=10)
+        text = "".join([_line(COLUMNS), *(_line(_cells(row)) for row in kept)])
+        write_text(self.path, text, make_folders=False)
+        self._events = Events(folder, purge_step=iteration + 1)
 
     def write(self, row: Mapping[str, float], log: Mapping[str, float] | None = None) -> None:
         """Append a row (keys of :data:`COLUMNS`); ``log`` goes to TensorBoard only, under its own tags."""
-        with self.path.open("a", encoding="utf-8", newline="") as file:
+        with writing(self.path), self.path.open("a", encoding="utf-8", newline="") as file:
             file.write(_line(_cells(row)))
-        for name, tag in TAGS.items():
-            if _known(row.get(name)):
-                self._writer.add_scalar(tag, row[name], row["iteration"])
-        for tag, value in (log or {}).items():
-            self._writer.add_scalar(tag, value, row["iteration"])
+        known = {tag: row[name] for name, tag in TAGS.items() if _known(row.get(name))}
+        self._events.write(known | dict(log or {}), int(row["iteration"]))
 
     def close(self) -> None:
-        """Flush everything to disk."""
-        self._writer.close()
+        """Close the files."""
+        self._events.close()
+
+
+class Events:
+    """TensorBoard's file of scalars, written in the thread that calls.
+
+    TensorBoard's own writer has a thread, which on a full disk would die with a traceback, and take with it what had
+    not been written.
+
+    Args:
+        purge_step: what other files of the folder say of this step and later ones no longer holds.
+    """
+
+    def __init__(self, folder: Path, purge_step: int) -> None:
+        # the import takes half a second
+        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+        from tensorboard.compat.proto.summary_pb2 import Summary
+        from tensorboard.summary.writer.record_writer import RecordWriter
+
+        self._event, self._summary = Event, Summary
+        name = f"events.out.tfevents.{time.time_ns() // 10**9:010}.{socket.gethostname()}.{os.getpid()}"
+        self.path = next(path for k in itertools.count() if not (path := folder / f"{name}.{k}").exists())
+        with writing(self.path):
+            # without a buffer: what cannot be written would be tried again, and complained of, at the end of Python
+            self._file = self.path.open("wb", buffering=0)
+        self._buffer = io.BytesIO()
+        self._records = RecordWriter(self._buffer)
+        self._add(file_version="brain.Event:2", step=purge_step)
+        self._add(session_log=SessionLog(status=SessionLog.START), step=purge_step)
+
+    def write(self, scalars: Mapping[str, float], step: int) -> None:
+        """Add values by their tags."""
+        values = [self._summary.Value(tag=tag, simple_value=value) for tag, value in scalars.items()]
+        self._add(summary=self._summary(value=values), step=step)
+
+    def _add(self, **content: Any) -> None:
+        self._buffer.seek(0)
+        self._buffer.truncate()
+        self._records.write(self._event(wall_time=time.time(), **content).SerializeToString())
+        left = self._buffer.getbuffer()
+        with left, writing(self.path):
+            done = 0
+            while done < len(left):
+                done += self._file.write(left[done:])
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
 
 
 def read_metrics(folder: Path) -> list[dict[str, float]]:
     """The rows of a run's ``metrics.csv``, empty cells as NaN; no rows if there is no such file.
 
     A last line that was cut short by a crash is left out.
+
+    Raises:
+        RunError: the file holds something else.
     """
     path = folder / FILE
     if not path.is_file():
         return []
     rows = []
-    for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
-        if None in row or None in row.values():
-            continue
-        rows.append({name: float(text) if text else math.nan for name, text in row.items()})
+    try:
+        for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
+            if None in row or None in row.values():
+                continue
+            rows.append({name: float(text) if text else math.nan for name, text in row.items()})
+    except (ValueError, csv.Error) as error:
+        raise RunError(
+            f"{path} is damaged ({error}); move it away, and a run that is resumed will begin a new one."
+        ) from None
+    if rows and not set(COLUMNS) <= rows[0].keys():
+        raise RunError(f"{path} lacks columns of a training; move it away, and the run will begin a new one.")
     return rows
 
 

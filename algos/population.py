@@ -18,8 +18,18 @@ from warpvox.algos.population_training import Networks, PopulationTraining
 from warpvox.configs.schema import TrainingConfig
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError
+from warpvox.files import writing
+from warpvox.memory import enough_memory
 
-__all__ = ["PopulationEvaluator", "bequeath", "best_parent", "describe"]
+__all__ = [
+    "PopulationEvaluator",
+    "bequeath",
+    "best_parent",
+    "describe",
+    "less_memory",
+    "read_evaluation",
+    "save_evaluation",
+]
 
 Report = Callable[[dict[str, Any]], None]
 
@@ -29,7 +39,7 @@ class PopulationEvaluator:
     """Trains all candidates side by side; fitness is the best of their deterministic evaluations.
 
     With ``settings.rungs`` the least promising candidates leave the batch early, the survivors going on as they
-    would have anyway. A candidate whose learning diverges leaves it too, with the fitness it had reached.
+    would have anyway. A candidate whose learning diverges leaves it too, with the fitness it had reached (-inf: none).
 
     Attributes:
         arena: where they are trained.
@@ -51,12 +61,22 @@ class PopulationEvaluator:
         """See :class:`warpvox.algos.candidate.DesignEvaluator`.
 
         Raises:
-            RunError: the checkpoint is another's, a policy does not fit, or a candidate has diverged before its
-                first evaluation.
+            RunError: the checkpoint is another's, or a policy does not fit.
+            StorageError: the checkpoint cannot be written. DeviceError: memory has run out.
             KeyboardInterrupt: interrupted; the checkpoint has been written.
         """
         if not candidates:
             return []
+        with enough_memory(less_memory(self.settings, len(candidates))):
+            return self._evaluate(candidates, parents, report, checkpoint)
+
+    def _evaluate(
+        self,
+        candidates: Sequence[Candidate],
+        parents: Mapping[int, Parent],
+        report: Report | None,
+        checkpoint: Path | None,
+    ) -> list[Outcome]:
         generation = _Generation(self, candidates, parents)
         if checkpoint is not None and checkpoint.exists():
             generation.restore(checkpoint)
@@ -70,7 +90,7 @@ class PopulationEvaluator:
                 if checkpoint is not None and (due or stop):
                     generation.save(checkpoint)
                 if stop:
-                    raise KeyboardInterrupt
+                    interrupted.stop()
         return generation.outcomes
 
 
@@ -122,23 +142,17 @@ class _Generation:
                 self._halve()
 
     def _drop_diverged(self) -> None:
-        healthy = self.training.algorithm.healthy().tolist()
-        if all(healthy):
-            return
-        for k, well in zip(self.active, healthy, strict=True):
-            if not well and not self.outcomes[k].curve:
-                raise RunError(
-                    f"The training of candidate {self.candidates[k].id} diverged in iteration {self.iteration},"
-                    " before its first evaluation; try a lower training.ppo.learning_rate."
-                )
-        self._keep([place for place, well in enumerate(healthy) if well])
+        self._keep([place for place, well in enumerate(self.training.algorithm.healthy().tolist()) if well])
 
     def _evaluate(self) -> None:
-        for place, (k, value) in enumerate(zip(self.active, self.training.evaluate().tolist(), strict=True)):
+        values = self.training.evaluate().tolist()
+        for place, (k, value) in enumerate(zip(self.active, values, strict=True)):
             outcome = self.outcomes[k]
-            outcome.curve.append((outcome.steps, value))
+            if math.isfinite(value):
+                outcome.curve.append((outcome.steps, value))
             if value > outcome.fitness:
                 outcome.fitness, outcome.policy = value, self.training.policy(place)
+        self._keep([place for place, value in enumerate(values) if math.isfinite(value)])
 
     def _halve(self) -> None:
         """Stop the least promising; of equals, those that were proposed last."""
@@ -168,12 +182,10 @@ class _Generation:
     def save(self, path: Path) -> None:
         outcomes = [dataclasses.asdict(outcome) for outcome in self.outcomes]
         content = {"about": self.about, "active": self.active, "outcomes": outcomes, "training": self.training.state()}
-        save_checkpoint(path, content)
+        save_evaluation(path, content)
 
     def restore(self, path: Path) -> None:
-        content = read_tensors(path)
-        if content.get("about") != self.about:
-            raise RunError(f"{path} is the checkpoint of other candidates or settings; remove it to begin anew.")
+        content = read_evaluation(path, self.about)
         self.outcomes = [
             Outcome(**outcome | {"curve": [tuple(point) for point in outcome["curve"]]})
             for outcome in content["outcomes"]
@@ -197,6 +209,40 @@ def describe(arena: Arena, settings: TrainingConfig, seed: int, candidates: Sequ
         "seed": seed,
         "candidates": [[candidate.id, candidate.body.tolist(), list(candidate.parents)] for candidate in candidates],
     }
+
+
+def save_evaluation(path: Path, content: dict[str, Any]) -> None:
+    """Write the checkpoint of an evaluation.
+
+    Raises:
+        StorageError: the disk will not have it, or the run's folder, in which that of ``path`` lies, has vanished.
+    """
+    with writing(path):
+        path.parent.mkdir(exist_ok=True)
+    save_checkpoint(path, content)
+
+
+def read_evaluation(path: Path, about: dict[str, Any]) -> dict[str, Any]:
+    """Read the checkpoint of an evaluation.
+
+    Raises:
+        RunError: it is damaged, or that of an evaluation which ``about`` (:func:`describe`) does not describe.
+    """
+    try:
+        content = read_tensors(path)
+    except RunError as error:
+        raise RunError(
+            f"{str(error).rstrip('.')}. Remove it: these designs are then trained from the beginning, to the same end."
+        ) from None
+    if content.get("about") != about:
+        raise RunError(f"{path} is the checkpoint of other candidates or settings; remove it to begin anew.")
+    return content
+
+
+def less_memory(settings: TrainingConfig, count: int) -> str:
+    """What to do if the training of ``count`` designs takes too much memory."""
+    fewer = f"batch={-(-count // 2)} trains {-(-count // 2)} designs at once instead of {count}; " if count > 1 else ""
+    return f"Take less at once: {fewer}training.envs is {settings.envs}, training.ppo.steps {settings.ppo.steps}."
 
 
 def best_parent(candidate: Candidate, parents: Mapping[int, Parent]) -> Parent | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -22,6 +23,7 @@ from warpvox.algos.runner import adapt
 from warpvox.configs.schema import PpoConfig, TrainingConfig
 from warpvox.design import Design
 from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.errors import ActionError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["Networks", "PopulationTraining", "fresh_networks"]
@@ -133,19 +135,30 @@ class PopulationTraining:
         algorithm, env = self.algorithm, self.env
         obs = env.get_observations()
         for _ in range(self.ppo.steps):
-            obs, rewards, dones, extras = env.step(algorithm.act(obs)[:, : env.num_actions])
+            actions = algorithm.act(obs)[:, : env.num_actions]
+            try:
+                obs, rewards, dones, extras = env.step(actions)
+            except ActionError:
+                # A design has diverged. The others go on; what its update learns from shows it to be unhealthy.
+                obs, rewards, dones, extras = env.step(actions.nan_to_num(0.0, 0.0, 0.0))
             algorithm.process_env_step(obs, rewards, dones, extras)
         algorithm.compute_returns(obs)
 
     def evaluate(self) -> torch.Tensor:
-        """float64 ``[designs]``: the mean return of deterministic episodes, the same ones every time."""
+        """float64 ``[designs]``: the mean return of deterministic episodes, the same ones every time.
+
+        NaN for a design whose policy gives actions that are no numbers; the others do not notice.
+        """
         actor, actions = self.algorithm.actor, self._judge.num_actions
 
         def policy(obs: torch.Tensor) -> torch.Tensor:
             means = actor.run(actor.latent(obs.to(actor.mask))).flatten(0, 1)[:, :actions]
+            wild.logical_or_(means.isnan().view(self.num_designs, -1).any(1))
+            means = means.nan_to_num(0.0, math.inf, -math.inf)
             return (ACTION_CENTER + self.ppo.action_scale * means).clamp(ACTION_LOW, ACTION_HIGH)
 
-        return evaluate(self._judge, policy, seed=self.seeds).fitness
+        wild = torch.zeros(self.num_designs, dtype=torch.bool, device=self.algorithm.device)
+        return evaluate(self._judge, policy, seed=self.seeds).fitness.masked_fill(wild.cpu(), math.nan)
 
     def policy(self, design: int) -> dict[str, torch.Tensor]:
         """The state of a stock actor that does what the design's policy does now."""

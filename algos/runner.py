@@ -25,13 +25,15 @@ from warpvox.algos.metrics import Metrics
 from warpvox.algos.ppo import rsl_rl_config
 from warpvox.configs.schema import PpoConfig
 from warpvox.envs.rsl_rl import RslRlVecEnv
-from warpvox.errors import ActionError, RunError
+from warpvox.errors import ActionError, DivergenceError, RunError
+from warpvox.files import check_folder
+from warpvox.memory import enough_memory
 
 __all__ = ["BEST", "STATE", "Runner", "Schedule", "adapt"]
 
 BEST = "model_best.pt"
 STATE = "state.pt"
-"""Everything that learning depends on; only the newest is kept."""
+"""Everything that learning depends on, from before the first iteration on; only the newest is kept."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class Runner(OnPolicyRunner):
 
     ``current_learning_iteration`` counts complete iterations. With ``folder`` the run leaves there
     ``model_<iteration>.pt``, ``model_best.pt`` (best evaluation), ``state.pt`` (for :meth:`resume`),
-    ``metrics.csv`` and TensorBoard events; without, nothing.
+    ``metrics.csv`` and TensorBoard events; without, nothing. ``saved_iteration`` is that of the newest ``state.pt``.
 
     Args:
         env: see :func:`adapt`.
@@ -100,7 +102,7 @@ class Runner(OnPolicyRunner):
             normalize_obs=ppo.normalize_obs,
             action_scale=ppo.action_scale,
         )
-        self.elapsed = 0.0
+        self.elapsed, self.saved_iteration = 0.0, None
         self.best_return, self.best_iteration, self.last_return = -math.inf, 0, math.nan
         self._metrics: Metrics | None = None
 
@@ -135,11 +137,19 @@ class Runner(OnPolicyRunner):
         The first interrupt waits for the end of the iteration, saves, and then raises KeyboardInterrupt.
 
         Raises:
-            RunError: learning has diverged, or there is nothing left to do.
+            RunError: learning has diverged (DivergenceError), or there is nothing left to do.
+            StorageError: the folder cannot be written any more. DeviceError: memory has run out. In both cases what was
+                saved last is whole, and learning goes on from there as if nothing had happened.
         """
         self.check_schedule()
         left = self.schedule.total - self.current_learning_iteration
-        self.learn(left, init_at_random_ep_len=self.ppo.random_start)
+        with enough_memory(self.less_memory()):
+            self.learn(left, init_at_random_ep_len=self.ppo.random_start)
+
+    def less_memory(self) -> str:
+        """What to do if learning takes too much memory."""
+        count = self.env.num_envs
+        return f"Train with fewer environments (num_envs={max(1, count // 2)} instead of {count}) or a lower ppo.steps."
 
     def check_schedule(self) -> None:
         """Raise RunError if there is nothing left to do."""
@@ -150,6 +160,8 @@ class Runner(OnPolicyRunner):
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Learn for so many iterations; random lengths apply to the very first one only."""
         end = self.current_learning_iteration + num_learning_iterations
+        if self.current_learning_iteration == 0:
+            self.save_state()  # a run can be resumed whenever it is killed
         if init_at_random_ep_len and self.current_learning_iteration == 0:
             lengths = torch.randint(int(self.env.max_episode_length), (self.env.num_envs,))
             self.env.episode_length_buf = lengths.to(self.env.device)
@@ -164,7 +176,7 @@ class Runner(OnPolicyRunner):
                     self._iterate(end)
                     if self.team.any(bool(interrupted)):
                         self.save_all()
-                        raise KeyboardInterrupt
+                        interrupted.stop()
                     if self._reached():
                         break
             self.save_all()
@@ -215,16 +227,20 @@ class Runner(OnPolicyRunner):
             if not math.isfinite(value):
                 raise self._diverged(f"the {name} loss is {value}")
 
-    def _diverged(self, reason: str) -> RunError:
+    def _diverged(self, reason: str) -> DivergenceError:
         where = self.current_learning_iteration + 1
-        return RunError(f"Learning diverged in iteration {where} ({reason}); try a lower ppo.learning_rate.")
+        return DivergenceError(f"Learning diverged in iteration {where} ({reason}); try a lower ppo.learning_rate.")
 
     def _evaluate(self) -> float:
         """The mean return of a deterministic evaluation; keeps the policy if it is the best so far."""
         value = math.nan
         if self.team.leads and self.evaluator is not None:
             self.alg.eval_mode()
-            value = self.evaluator(self.controller).mean_return
+            try:
+                value = self.evaluator(self.controller).mean_return
+            except ActionError as error:
+                self.current_learning_iteration -= 1  # it is not complete
+                raise self._diverged(str(error)) from error
             self.alg.train_mode()
         value = self.team.leaders(value)
         if math.isnan(value):  # there is no evaluator
@@ -296,11 +312,24 @@ class Runner(OnPolicyRunner):
         """Write ``model_<iteration>.pt`` and ``state.pt`` to the run's folder, if there is one.
 
         Every process has a state of its own, see :meth:`state_file`.
+
+        Raises:
+            StorageError: the folder cannot be written any more, or has vanished.
         """
-        if self.folder is None:
-            return
-        if self.team.leads:
+        if self.folder is not None and self.team.leads:
+            check_folder(self.folder)
             self.save(str(self.folder / f"model_{self.current_learning_iteration}.pt"))
+        self.save_state()
+
+    def save_state(self) -> None:
+        """Write ``state.pt`` to the run's folder, if there is one."""
+        if self.folder is not None:
+            check_folder(self.folder)
+            save_checkpoint(self.state_file(self.folder / STATE), self.state())
+        self.saved_iteration = self.current_learning_iteration
+
+    def state(self) -> dict[str, Any]:
+        """Everything that learning depends on: what :meth:`set_state` takes back."""
         random_state = {"cpu": torch.get_rng_state()}
         if torch.device(self.device).type == "cuda":
             random_state["cuda"] = torch.cuda.get_rng_state(self.device)
@@ -312,7 +341,7 @@ class Runner(OnPolicyRunner):
             "best_iteration": self.best_iteration,
             "processes": self.team.size,
         }
-        save_checkpoint(self.state_file(self.folder / STATE), self._policy_content() | own)
+        return self._policy_content() | own
 
     def state_file(self, path: Path) -> Path:
         """The state of this process beside that of the first one, which is at ``path``."""
@@ -335,8 +364,12 @@ class Runner(OnPolicyRunner):
             content = load_checkpoint(self.state_file(path), self.device)
         if content["policy"] != spec_dict(self.spec):
             raise RunError(f"{path} holds another kind of policy: {content['policy']}, not {spec_dict(self.spec)}.")
+        self.set_state(content)
+
+    def set_state(self, content: dict[str, Any]) -> None:
+        """Go on from :meth:`state`, or with new episodes from what :meth:`save` has written."""
         self.alg.load(content, None, True)
-        self.current_learning_iteration = content["iter"]
+        self.current_learning_iteration = self.saved_iteration = content["iter"]
         self.last_return = content["eval_return"]
         if "env" not in content:
             return

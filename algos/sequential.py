@@ -13,13 +13,21 @@ import torch
 
 from warpvox.algos.arena import Arena
 from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
-from warpvox.algos.checkpoint import Controller, read_tensors, save_checkpoint
+from warpvox.algos.checkpoint import Controller
 from warpvox.algos.evaluate import Evaluation, evaluator
-from warpvox.algos.population import bequeath, best_parent, describe
+from warpvox.algos.population import (
+    bequeath,
+    best_parent,
+    describe,
+    less_memory,
+    read_evaluation,
+    save_evaluation,
+)
 from warpvox.algos.population_training import Networks
 from warpvox.algos.runner import Runner, Schedule, adapt
 from warpvox.configs.schema import TrainingConfig
-from warpvox.errors import ConfigError, RunError
+from warpvox.errors import ConfigError, DivergenceError
+from warpvox.memory import enough_memory
 
 __all__ = ["SequentialEvaluator"]
 
@@ -47,33 +55,24 @@ class SequentialEvaluator:
         report: Callable[[dict[str, Any]], None] | None = None,
         checkpoint: Path | None = None,
     ) -> list[Outcome]:
-        """See :class:`warpvox.algos.candidate.DesignEvaluator`; the checkpoint holds the outcomes so far.
+        """See :class:`warpvox.algos.candidate.DesignEvaluator`.
 
         Raises:
-            RunError: the checkpoint is another's, or learning has diverged.
+            RunError: the checkpoint is another's. StorageError: it cannot be written. DeviceError: memory has run out.
+            KeyboardInterrupt: interrupted; the checkpoint has been written.
         """
-        about = describe(self.arena, self.settings, self.seed, candidates)
-        outcomes = self._restore(checkpoint, about)
-        for candidate in candidates[len(outcomes) :]:
-            outcomes.append(self._train(candidate, best_parent(candidate, parents)))
-            if checkpoint is not None:
-                content = {"about": about, "outcomes": [dataclasses.asdict(outcome) for outcome in outcomes]}
-                save_checkpoint(checkpoint, content)
+        done = _Done(describe(self.arena, self.settings, self.seed, candidates), checkpoint)
+        for candidate in candidates[len(done.outcomes) :]:
+            with enough_memory(less_memory(self.settings, 1)):
+                outcome = self._train(candidate, best_parent(candidate, parents), done)
+            done.add(outcome)
             if report is not None:
-                report(self._progress(outcomes, len(candidates)))
-        return outcomes
+                report(self._progress(done.outcomes, len(candidates)))
+        return done.outcomes
 
-    def _restore(self, checkpoint: Path | None, about: dict[str, Any]) -> list[Outcome]:
-        if checkpoint is None or not checkpoint.exists():
-            return []
-        content = read_tensors(checkpoint)
-        if content.get("about") != about:
-            raise RunError(f"{checkpoint} is the checkpoint of other candidates or settings; remove it to begin anew.")
-        return [Outcome(**one | {"curve": [tuple(point) for point in one["curve"]]}) for one in content["outcomes"]]
-
-    def _train(self, candidate: Candidate, parent: Parent | None) -> Outcome:
+    def _train(self, candidate: Candidate, parent: Parent | None, done: _Done) -> Outcome:
         settings, seed = self.settings, candidate_seed(self.seed, candidate.id)
-        outcome = Outcome(-math.inf)
+        outcome = done.outcome or Outcome(-math.inf)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             env = adapt(self.arena.make([candidate.body], settings.envs, [seed], auto_reset=True), settings.ppo)
@@ -82,20 +81,28 @@ class SequentialEvaluator:
             def evaluate(policy: Controller) -> Evaluation:
                 result = judge(policy)
                 value = float(result.fitness[0])
-                done = (runner.current_learning_iteration) * settings.ppo.steps * settings.envs
-                outcome.curve.append((done, value))
+                outcome.curve.append((runner.steps, value))
                 if value > outcome.fitness:
                     state = policy.actor.state_dict()
                     outcome.fitness = value
                     outcome.policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
                 return result
 
-            schedule = Schedule(settings.iterations, settings.iterations, settings.eval_interval)
-            runner = Runner(env, settings.ppo, schedule, evaluator=evaluate)
-            if settings.inherit and parent is not None:
+            schedule = Schedule(settings.iterations, settings.save_interval, settings.eval_interval)
+            runner = _Runner(env, settings.ppo, schedule, evaluator=evaluate)
+            runner.keep = lambda: done.save(outcome, runner.state())
+            runner.less_memory = lambda: less_memory(settings, 1)
+            if done.training is not None:
+                runner.set_state(done.training)
+            elif settings.inherit and parent is not None:
                 networks = Networks(runner.alg.actor, runner.alg.critic, torch.empty(0))
                 bequeath(self.arena, parent, env.env, 0, networks)
-            runner.run()
+            try:
+                if runner.current_learning_iteration < settings.iterations:
+                    runner.run()
+            except DivergenceError:  # it leaves with what it had, as one of many would
+                outcome.stopped = True
+                runner.current_learning_iteration += 1
         outcome.steps = runner.steps
         return outcome
 
@@ -105,6 +112,52 @@ class SequentialEvaluator:
             "iteration": len(outcomes) * self.settings.iterations // count,
             "iterations": self.settings.iterations,
             "steps": sum(outcome.steps for outcome in outcomes),
-            "best": [outcome.fitness for outcome in outcomes] + [math.nan] * left,
+            "best": [math.nan if one.diverged else one.fitness for one in outcomes] + [math.nan] * left,
             "training": [False] * len(outcomes) + [True] * left,
         }
+
+
+class _Runner(Runner):
+    """A training that is saved beside the outcomes of the designs before it."""
+
+    keep: Callable[[], None]
+
+    def save_state(self) -> None:
+        """Before the first iteration there is nothing to keep: it would be the same again."""
+        if self.current_learning_iteration > 0:
+            self.keep()
+
+
+class _Done:
+    """What has become of the candidates so far, and the training under way; in a file where one is named."""
+
+    def __init__(self, about: dict[str, Any], file: Path | None) -> None:
+        self.about, self.file = about, file
+        self.outcomes: list[Outcome] = []
+        self.outcome: Outcome | None = None
+        self.training: dict[str, Any] | None = None
+        if file is not None and file.exists():
+            content = read_evaluation(file, about)
+            self.outcomes = [_outcome(values) for values in content["outcomes"]]
+            if content["training"] is not None:
+                self.outcome, self.training = _outcome(content["outcome"]), content["training"]
+
+    def add(self, outcome: Outcome) -> None:
+        """A candidate is done."""
+        self.outcomes.append(outcome)
+        self.outcome = self.training = None
+        self.save(None, None)
+
+    def save(self, outcome: Outcome | None, training: dict[str, Any] | None) -> None:
+        """Write the file: what is done, the training under way (:meth:`Runner.state`) and its outcome so far."""
+        if self.file is None:
+            return
+        outcomes = [dataclasses.asdict(one) for one in self.outcomes]
+        current = outcome and dataclasses.asdict(outcome)
+        save_evaluation(
+            self.file, {"about": self.about, "outcomes": outcomes, "outcome": current, "training": training}
+        )
+
+
+def _outcome(values: dict[str, Any]) -> Outcome:
+    return Outcome(**values | {"curve": [tuple(point) for point in values["curve"]]})

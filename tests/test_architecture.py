@@ -17,6 +17,7 @@ LAYERS = (
     (
         "warpvox.errors",
         "warpvox.files",
+        "warpvox.memory",
         "warpvox.types",
         "warpvox.examples",
         "warpvox.window",
@@ -48,6 +49,7 @@ LAYERS = (
 CORE = (
     "warpvox.errors",
     "warpvox.files",
+    "warpvox.memory",
     "warpvox.types",
     "warpvox.examples",
     "warpvox.design",

@@ -19,10 +19,12 @@ __all__ = [
     "DesignError",
     "DeviceError",
     "DisplayError",
+    "DivergenceError",
     "RolloutError",
     "RunError",
     "SearchError",
     "SimulationError",
+    "StorageError",
     "TaskError",
     "WarpvoxError",
     "WorldError",
@@ -59,12 +61,31 @@ class RunError(WarpvoxError, ValueError):
     """A folder that is not a run of warpvox, or a run that lacks what was asked for."""
 
 
+class DivergenceError(RunError):
+    """Learning has left the finite numbers; its settings, mostly the learning rate, do not suit the task."""
+
+
 class RolloutError(WarpvoxError, ValueError):
     """A recorded rollout that cannot be read, written or exported."""
 
 
 class DeviceError(WarpvoxError, RuntimeError):
     """A compute device that does not exist on this machine or cannot be used."""
+
+
+class StorageError(WarpvoxError, OSError):
+    """A disk that is full, read-only or gone, or a folder that vanished while it was written to.
+
+    ``errno`` and ``strerror`` are those of the system's own error.
+    """
+
+    def __init__(self, message: str, cause: OSError | None = None) -> None:
+        super().__init__(message)
+        if cause is not None:
+            self.errno, self.strerror = cause.errno, cause.strerror
+
+    def __str__(self) -> str:
+        return str(self.args[0])  # OSError's own form would hide the sentence behind a number
 
 
 class DisplayError(WarpvoxError, RuntimeError):

@@ -1,49 +1,181 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and what to say when the disk will not have them.
+
+A file is written beside its final name, flushed to the disk and then renamed, so that a crash of the process, of the
+machine or of the disk's space leaves either the old file or the new one. What a killed process has left beside it bears
+:data:`MARK` in its name and is removed by :func:`sweep`.
+"""
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["atomic_path", "write_bytes", "write_text"]
+from warpvox.errors import RunError, StorageError
+
+__all__ = [
+    "MARK",
+    "atomic_path",
+    "check_folder",
+    "check_writable",
+    "claimed",
+    "complaint",
+    "sweep",
+    "write_bytes",
+    "write_text",
+    "writing",
+]
+
+MARK = ".part-"
+"""How the names of files begin that are being written."""
+
+ADVICE = {
+    errno.ENOSPC: "no space is left on its disk; free some, or use a folder on another disk",
+    errno.EDQUOT: "your quota on its disk is used up; free some space, or use a folder on another disk",
+    errno.EFBIG: "it would be larger than files may be there; raise the limit (ulimit -f), or use another disk",
+    errno.EROFS: "its disk is read-only; use a folder that can be written to",
+    errno.EACCES: "permission is denied; use a folder that you may write to",
+    errno.EPERM: "the system does not permit it; use a folder that you may write to",
+    errno.ENOENT: "its folder is gone; was it removed or renamed, or its disk detached?",
+    errno.ENOTDIR: "a file stands where its folder should be; move that file away, or use another folder",
+    errno.EIO: "the disk has failed (input/output error); use another disk",
+}
+"""What may be wrong with a disk, and what to do about it."""
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_path(path: str | os.PathLike[str], make_folders: bool = True) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; rename it to ``path`` when the block ends without an error.
 
-    Missing parent folders are made. If the block raises (an interrupt included), the temporary file is
-    removed and whatever stood at ``path`` before stays as it was. The temporary name keeps the suffix of
-    ``path``, because some writers choose their format by it.
+    If the block raises (an interrupt included), the temporary file is removed and whatever stood at ``path`` before
+    stays as it was. The temporary name keeps the suffix of ``path``, because some writers choose their format by it.
+
+    Args:
+        make_folders: make missing parent folders; False: they should be there, and it is an error if they have gone.
+
+    Raises:
+        StorageError: the disk is full, read-only or gone.
     """
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        # mkstemp makes files private (0600); a result file should get the permissions any new file gets.
-        temporary.chmod(0o666 & ~_umask())
-        os.replace(temporary, target)
-    except BaseException:
-        with suppress(FileNotFoundError):
-            temporary.unlink()
-        raise
+    with writing(target):
+        if make_folders:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f"{MARK}{target.stem}-", suffix=target.suffix, dir=target.parent)
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            yield temporary
+            # mkstemp makes files private (0600); a result file should get the permissions any new file gets.
+            temporary.chmod(0o666 & ~_umask())
+            # Without this a power failure may keep the new name and lose what was written under it.
+            _flush(temporary)
+            os.replace(temporary, target)
+            _flush(target.parent)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink()
+            raise
 
 
-def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write ``data`` to ``path`` atomically."""
-    with atomic_path(path) as temporary:
+def write_bytes(path: str | os.PathLike[str], data: bytes, make_folders: bool = True) -> None:
+    """Write ``data`` to ``path`` atomically; see :func:`atomic_path`."""
+    with atomic_path(path, make_folders) as temporary:
         temporary.write_bytes(data)
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write ``text`` (UTF-8) to ``path`` atomically."""
-    write_bytes(path, text.encode("utf-8"))
+def write_text(path: str | os.PathLike[str], text: str, make_folders: bool = True) -> None:
+    """Write ``text`` (UTF-8) to ``path`` atomically; see :func:`atomic_path`."""
+    write_bytes(path, text.encode("utf-8"), make_folders)
+
+
+# ----------------------------------------------------------------------------------------------- what can go wrong
+
+
+@contextmanager
+def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Raise what goes wrong with the disk within the block as a StorageError that names ``path``."""
+    try:
+        yield
+    except StorageError:
+        raise
+    except OSError as error:
+        raise StorageError(f"{path} cannot be written: {complaint(error)}.", error) from error
+
+
+def complaint(error: OSError) -> str:
+    """What the system complains of, and what to do about it, as the end of a sentence."""
+    return ADVICE.get(error.errno) or error.strerror or str(error) or type(error).__name__
+
+
+def check_folder(folder: Path) -> None:
+    """Raise StorageError if a folder that was there has vanished: nothing should be written into a new one."""
+    if not folder.is_dir():
+        raise StorageError(f"The folder {folder} has vanished: was it removed or renamed, or its disk detached?")
+
+
+def check_writable(folder: str | os.PathLike[str]) -> None:
+    """Raise StorageError if ``folder``, which need not be there yet, clearly cannot be written to."""
+    place = Path(folder).absolute()
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        raise StorageError(f"{folder} cannot be written: {place} is a file, not a folder.")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise StorageError(f"{folder} cannot be written: {place} is read-only; choose another folder.")
+
+
+# --------------------------------------------------------------------------------------------- one writer at a time
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """No other process holds the same claim on ``folder`` within the block; the system ends it with the process.
+
+    Raises:
+        RunError: another process does.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows has no such lock on folders
+        yield
+        return
+    with writing(folder):
+        handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise RunError(f"Another process is writing to {folder}; there can be one at a time.") from None
+    except OSError:
+        pass  # a network's disk without locks: the claim cannot be made, which is no reason not to work
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
+def sweep(folder: Path) -> None:
+    """Remove what killed processes have left half written in ``folder`` and below; nobody else may be writing there."""
+    for file in folder.rglob(f"{MARK}*"):
+        with suppress(OSError):
+            file.unlink()
+
+
+def _flush(path: Path) -> None:
+    """Have the disk hold what was written to a file, or the names in a folder."""
+    if os.name == "nt" and path.is_dir():  # Windows cannot, and need not
+        return
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some network disks have no such thing
+            raise
+    finally:
+        os.close(handle)
 
 
 def _umask() -> int:

@@ -66,12 +66,13 @@ def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
     if not done:
         return {"evaluations": "0"}
     trained = [record for record in done if record.reused is None]
+    diverged = sum(record.diverged for record in trained)
     return {
-        "best fitness": f"{best[0].fitness:.3f}",
+        "best fitness": f"{best[0].fitness:.3f}" if best else "-",
         "evaluations": f"{len(trained)}"
         + (f" (+{len(done) - len(trained)} reused)" if len(trained) < len(done) else ""),
         "control steps": f"{sum(record.steps for record in done):,}",
-    }
+    } | ({"diverged": str(diverged)} if diverged else {})
 
 
 def _fact(name: str, value: str) -> str:
@@ -85,7 +86,8 @@ def _progress(archive: Archive, done: Sequence[Record]) -> str:
     for number, record in enumerate(trained, start=1):
         dots.append((number, record.fitness))
         best.append((number, max(record.fitness, best[-1][1] if best else record.fitness)))
-        notes.append(f"design {record.id}, generation {record.candidate.generation}: {record.fitness:.3f}")
+        fate = "diverged, counts as " if record.diverged else ""
+        notes.append(f"design {record.id}, generation {record.candidate.generation}: {fate}{record.fitness:.3f}")
     ends: dict[int, int] = {}
     for number, record in enumerate(trained, start=1):
         ends[record.candidate.generation] = number
@@ -123,6 +125,8 @@ def _row(record: Record) -> str:
     state = "waiting" if record.fitness is None else ""
     if record.reused is not None:
         state = f"same body as #{record.reused}"
+    elif record.diverged:
+        state = "diverged"
     elif record.stopped:
         state = "stopped early"
     cells = (

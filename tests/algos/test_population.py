@@ -238,6 +238,55 @@ def test_the_checkpoint_of_others_is_refused(tmp_path: Path, evaluator: type) ->
             evaluator(arena(), settings, seed).evaluate(part, {}, None, file)
 
 
+@pytest.mark.parametrize("iteration", range(1, 7))
+def test_one_by_one_a_killed_training_goes_on_within_a_design(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, iteration: int
+) -> None:
+    """The second design of two is killed after so many of its 6 iterations, saved every 2."""
+    from warpvox.algos.runner import Runner
+
+    file, found, how = tmp_path / "training" / "state.pt", candidates(2), small(save_interval=2)
+    whole = SequentialEvaluator(arena(), how, 0).evaluate(found, {})
+    iterate, count = Runner._iterate, []
+
+    def counted(runner: Runner, end: int) -> None:
+        iterate(runner, end)
+        count.append(runner.current_learning_iteration)
+        if len(count) == 6 + iteration:
+            raise Killed
+
+    monkeypatch.setattr(Runner, "_iterate", counted)
+    with pytest.raises(Killed):
+        SequentialEvaluator(arena(), how, 0).evaluate(found, {}, None, file)
+    torch.manual_seed(iteration)  # whatever happens between
+    count.clear()
+    for ours, theirs in zip(SequentialEvaluator(arena(), how, 0).evaluate(found, {}, None, file), whole, strict=True):
+        assert_equal(ours, theirs)
+    saved = {1: 0, 2: 2, 3: 2, 4: 4, 5: 4, 6: 4}[iteration]
+    assert count == list(range(saved + 1, 7))  # and nothing is done twice but what was not saved
+
+
+def test_one_by_one_an_interrupt_is_saved_within_a_design(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.algos.runner import Runner
+
+    file, found, how = tmp_path / "state.pt", candidates(1), small(save_interval=100)
+    whole = SequentialEvaluator(arena(), how, 0).evaluate(found, {})
+    iterate, count = Runner._iterate, []
+
+    def interrupted(runner: Runner, end: int) -> None:
+        iterate(runner, end)
+        count.append(runner.current_learning_iteration)
+        if len(count) == 3:
+            signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(Runner, "_iterate", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        SequentialEvaluator(arena(), how, 0).evaluate(found, {}, None, file)
+    (resumed,) = SequentialEvaluator(arena(), how, 0).evaluate(found, {}, None, file)
+    assert_equal(resumed, whole[0])
+    assert count == [1, 2, 3, 4, 5, 6]
+
+
 def test_designs_that_were_done_are_not_trained_again_one_by_one(tmp_path: Path) -> None:
     file, found, how = tmp_path / "state.pt", candidates(3), small(iterations=2)
     whole = SequentialEvaluator(arena(), how, 0).evaluate(found, {})
@@ -309,11 +358,41 @@ def test_a_diverged_design_leaves_with_what_it_had(monkeypatch: pytest.MonkeyPat
         assert_equal(results[k], whole[k])
 
 
-def test_divergence_before_the_first_evaluation_is_one_clear_error() -> None:
-    with pytest.raises(RunError, match=r"candidate 0 diverged in iteration 1.*learning_rate"):
-        how = small(iterations=2)
-        how.ppo.learning_rate, how.ppo.schedule = 1e38, "fixed"
-        PopulationEvaluator(arena(), how, 0).evaluate(candidates(1), {})
+@pytest.mark.parametrize("size", [math.nan, 1e37])
+@pytest.mark.parametrize("before", [1, 2], ids=["before any evaluation", "in the first"])
+def test_divergence_before_the_first_evaluation_is_a_fitness_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, before: int, size: float
+) -> None:
+    """Weights that are no numbers, or finite but so large that actions are none; the others do not notice."""
+    from warpvox.algos.population_training import PopulationTraining
+
+    found, whole = candidates(3), outcomes(candidates(3))
+    iterate = PopulationTraining.iterate
+
+    def spoil(training: PopulationTraining) -> None:
+        iterate(training)
+        if training.iteration == before:
+            for weights in training.algorithm.actor.weights:
+                signs = 1 - 2 * (torch.arange(weights[1].numel()) % 2).view_as(weights[1])
+                weights.data[1] = size * signs
+
+    monkeypatch.setattr(PopulationTraining, "iterate", spoil)
+    events: list[dict[str, Any]] = []
+    results = PopulationEvaluator(arena(), small(), 0).evaluate(found, {}, events.append)
+    assert [outcome.diverged for outcome in results] == [False, True, False]
+    assert (results[1].curve, results[1].policy, results[1].stopped) == ([], None, True)
+    assert results[1].steps in (before * 16, (before + 1) * 16)
+    assert math.isnan(events[-1]["best"][1])
+    for k in (0, 2):
+        assert_equal(results[k], whole[k])
+
+
+@pytest.mark.parametrize("evaluator", [PopulationEvaluator, SequentialEvaluator])
+def test_a_learning_rate_that_is_much_too_high_ends_no_evaluation(evaluator: type) -> None:
+    how = small(iterations=4)
+    how.ppo.learning_rate, how.ppo.schedule = 1e30, "fixed"
+    results = evaluator(arena(), how, 0).evaluate(candidates(2), {})
+    assert [(outcome.diverged, outcome.stopped, outcome.steps) for outcome in results] == [(True, True, 16)] * 2
 
 
 def test_episodes_are_as_long_as_the_arena_says() -> None:

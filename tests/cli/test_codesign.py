@@ -70,8 +70,8 @@ def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) 
     assert folder.name.endswith("_first")
     names = {file.name for file in folder.iterdir()}
     assert names == {
-        "config.yaml", "summary.json", "report.html", "archive.sqlite", "archive.sqlite.lock", "designs", "generations",
-        "designs.csv", "structures",
+        "config.yaml", "summary.json", "report.html", "archive.sqlite", "archive.sqlite.lock", "archive.backup.sqlite",
+        "designs", "generations", "designs.csv", "structures",
     }  # fmt: skip
     figures = summary(folder)
     with Archive.read(folder / FILE) as archive:
@@ -124,8 +124,9 @@ def test_the_same_seed_gives_the_same_search_and_a_sweep_makes_several(search: C
     assert found.count(one) == 2
 
 
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupt_saves_and_the_search_goes_on_to_the_same(
-    search: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
+    search: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch, number: int, code: int
 ) -> None:
     whole = search()
     shown = Watch.progress
@@ -133,11 +134,11 @@ def test_an_interrupt_saves_and_the_search_goes_on_to_the_same(
     def interrupt(self: Watch, batch: object, event: dict) -> None:
         shown(self, batch, event)
         if self.archive.count() > 5 and event["iteration"] == 1:
-            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
         patch.setattr(Watch, "progress", interrupt)
-        parts = search(code=130)
+        parts = search(code=code)
     assert summary(parts)["status"] == "interrupted"
     assert digest(parts) != digest(whole)
     saved = list((parts / "training").iterdir())

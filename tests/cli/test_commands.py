@@ -87,8 +87,9 @@ def test_resuming_refuses_what_would_be_another_run(train: Callable, warpvox: Ca
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
 
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupt_saves_and_the_run_goes_on(
-    train: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
+    train: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch, number: int, code: int
 ) -> None:
     from warpvox.cli.progress import TrainingProgress
 
@@ -98,15 +99,16 @@ def test_an_interrupt_saves_and_the_run_goes_on(
     def interrupt(self: TrainingProgress, row: Mapping[str, float]) -> None:
         shown(self, row)
         if row["iteration"] == 2:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
         patch.setattr(TrainingProgress, "__call__", interrupt)
         words = whole_words(whole)
         outcome = warpvox("train", *words)
-    assert outcome.code == 130
+    assert outcome.code == code
     assert "interrupted, state saved" in outcome.out
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     (parts,) = set(Path("outputs/train/Walker-v0").iterdir()) - {whole}
     assert summary(parts)["status"] == "interrupted"
     assert warpvox("train", f"resume={parts}").code == 0

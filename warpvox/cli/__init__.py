@@ -3,18 +3,23 @@
 Each command lives in a module of its own with a function ``run``, imported when it is asked for, so that help
 and mistakes are answered at once. This package is the only place that imports Hydra.
 
-Exit codes: 0 done, 2 bad usage or bad input (one line on stderr), 130 interrupted.
+Exit codes: 0 done, 2 bad usage, bad input or a machine that will not (one line on stderr), 130 interrupted by Ctrl-C,
+143 asked to end (SIGTERM).
 """
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 
 import warpvox
+from warpvox.algos.interrupt import Terminated, terminable
 from warpvox.errors import ConfigError, WarpvoxError, did_you_mean
+from warpvox.files import complaint
+from warpvox.memory import enough_memory
 
 __all__ = ["COMMANDS", "main"]
 
@@ -30,7 +35,9 @@ COMMANDS = {
     "tasks": "list the tasks, or show one in detail",
     "info": "versions, devices, kernel cache",
 }
-DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
+DONE, BAD_INPUT, INTERRUPTED, TERMINATED = 0, 2, 130, 143
+OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
+"""Errors of the system that are no defect of ours, wherever they appear: in a log, a cache, a library's own file."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -41,16 +48,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        return _dispatch(arguments)
+        with terminable(), enough_memory("Ask for less at once, such as a smaller num_envs."):
+            code = _dispatch(arguments)
+            sys.stdout.flush()  # here a full disk can still be told of
+            return code
     except WarpvoxError as error:
         return _complain(error)
+    except Terminated:
+        print("warpvox: asked to end (SIGTERM)", file=sys.stderr)
+        return TERMINATED
     except KeyboardInterrupt:
         print("warpvox: interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader (`warpvox tasks | head`) has seen enough; keep Python from complaining at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # The reader (`warpvox tasks | head`) has seen enough.
+        _silence()
         return DONE
+    except OSError as error:
+        if error.errno not in OF_DISKS:
+            raise
+        _silence()
+        return _complain(f"{error.filename or 'The output'} cannot be written: {complaint(error)}.")
 
 
 def _dispatch(arguments: list[str]) -> int:
@@ -81,6 +99,11 @@ def _help() -> str:
     )
 
 
-def _complain(error: WarpvoxError) -> int:
+def _silence() -> None:
+    """Keep Python from writing what is left in its buffers, which cannot be written, and complaining at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _complain(error: WarpvoxError | str) -> int:
     print("warpvox: " + " ".join(str(error).split()), file=sys.stderr)
     return BAD_INPUT

@@ -18,6 +18,7 @@ from warpvox.cli.runs import check_name, new_folder, write_summary
 from warpvox.cli.say import say
 from warpvox.cli.train import describe
 from warpvox.errors import SimulationError, listing
+from warpvox.files import check_writable
 
 __all__ = ["run"]
 
@@ -41,6 +42,7 @@ def measure(config: Any, console: Console) -> Path:
         WarpvoxError: something asked for does not exist, or a result is wrong.
     """
     check_name(config.name)
+    check_writable(config.output_dir)
     with console.status("preparing"):
         from warpvox.cli.benchmarks.machine import machine, machine_line
         from warpvox.cli.benchmarks.report import Document, Report

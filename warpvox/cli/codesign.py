@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,12 +20,12 @@ from warpvox.algos.archive_files import export
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search import make_search, settings_from
 from warpvox.cli.config import expand, load, load_values, read_arguments, to_yaml
-from warpvox.cli.runs import CONFIG, SUMMARY, check_name, find_codesign, new_folder
+from warpvox.cli.runs import CONFIG, SUMMARY, check_name, find_codesign, going_on, new_folder
 from warpvox.cli.say import say
 from warpvox.cli.train import check_unchanged, describe
 from warpvox.configs.schema import CodesignConfig
-from warpvox.errors import ConfigError, RunError
-from warpvox.files import write_text
+from warpvox.errors import ConfigError, RunError, StorageError
+from warpvox.files import check_writable
 from warpvox.layout import lanes_for
 
 if TYPE_CHECKING:
@@ -89,8 +89,10 @@ def _job(config: CodesignConfig, overrides: list[str], config_dir: Path | None) 
     """
     check_name(config.name)
     if config.resume is None:
+        check_writable(config.output_dir)
         return Job(config)
     source = find_codesign(config.resume, config.output_dir)
+    check_writable(source.folder)
     config = load("codesign", overrides, config_dir, base=source.config)
     check_unchanged(source.config, config, CHANGEABLE)
     return Job(dataclasses.replace(config, resume=None), source.folder)
@@ -187,19 +189,20 @@ def codesign(job: Job, console: Console) -> Path:
 
 def _search(loop: Any, watch: Any, config: CodesignConfig, console: Console) -> None:
     """Run the loop with a live display, and sum up however it ends."""
-    status = "failed"
     try:
         with watch:
             loop.run()
-        status = "done"
     except KeyboardInterrupt:
-        status = "interrupted"
+        conclude(console, watch.results.write("interrupted"), watch.results.folder)
         raise
-    finally:
-        summary = watch.results.write(status)
-        if status == "done":
-            write_exports(watch.archive, watch.results.folder, config.export, console)
-        conclude(console, summary, watch.results.folder)
+    except BaseException:
+        # a search that has failed may have failed because nothing can be written; that is what should be told
+        with suppress(StorageError, RunError):
+            conclude(console, watch.results.write("failed"), watch.results.folder)
+        raise
+    summary = watch.results.write("done")
+    write_exports(watch.archive, watch.results.folder, config.export, console)
+    conclude(console, summary, watch.results.folder)
 
 
 @contextmanager
@@ -208,8 +211,8 @@ def _folder(job: Job, config: CodesignConfig) -> Iterator[Path]:
         with new_folder(config.output_dir, "codesign", config.task, config.name, to_yaml(config)) as folder:
             yield folder
     else:
-        write_text(job.folder / CONFIG, to_yaml(config))
-        yield job.folder
+        with going_on(job.folder, to_yaml(config)) as folder:
+            yield folder
 
 
 def _archive(folder: Path, config: CodesignConfig) -> Archive:

@@ -182,7 +182,8 @@ class Watch(Listener):
         say(
             self.console,
             f"generation {generation} done: {self.archive.trained()}/{self.total} designs  best {row['best']:.3f}"
-            f"  mean {row['mean']:.3f}  best so far {self.archive.best()[0].fitness:.3f}  {self._figures()}",
+            f"  mean {row['mean']:.3f}  best so far {self.archive.best()[0].fitness:.3f}{self._diverged(generation)}"
+            f"  {self._figures()}",
         )
         if self._live is None:
             self.console.print(self._bodies())
@@ -204,6 +205,11 @@ class Watch(Listener):
     def _figures(self) -> str:
         return f"{self.steps_per_second:,.0f} steps/s  left {self._left()}"
 
+    def _diverged(self, generation: int) -> str:
+        """How many designs' learning gave nothing to judge."""
+        count = sum(record.diverged for record in self.archive.records(generation))
+        return f"  {count} diverged" if count else ""
+
     def _left(self) -> str:
         done = self.done - self._start
         if done <= 0:
@@ -218,7 +224,13 @@ class Watch(Listener):
         going = sum(sum(event["training"]) for event in events)
         best = max((value for event in events for value in event["best"] if math.isfinite(value)), default=math.nan)
         iteration = "/".join(str(min(event[name] for event in events)) for name in ("iteration", "iterations"))
-        return f"iteration {iteration}, {going} in training, best of them {_figure(best)}"
+        lost = sum(
+            math.isnan(value) and not training
+            for event in events
+            for value, training in zip(event["best"], event["training"], strict=True)
+        )
+        diverged = f", {lost} diverged" if lost else ""
+        return f"iteration {iteration}, {going} in training{diverged}, best of them {_figure(best)}"
 
     def _show(self) -> None:
         if self._live is None:

@@ -12,6 +12,7 @@ from warpvox.cli.exports import check_formats, check_size
 from warpvox.cli.play import play_run, write_results
 from warpvox.cli.runs import check_name
 from warpvox.cli.train import describe
+from warpvox.files import check_writable
 
 __all__ = ["run"]
 
@@ -29,6 +30,7 @@ def _export(config: Any, console: Console) -> None:
     formats = check_formats(config.format, "format")
     check_size(config.size)
     check_name(config.name)
+    check_writable(config.output_dir)
     if config.rollout is None:
         rollout, source = play_run(config, console)
     else:

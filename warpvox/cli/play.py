@@ -29,6 +29,7 @@ from warpvox.cli.train import describe
 from warpvox.cli.watch import wants_window, watch
 from warpvox.configs.schema import PlayConfig
 from warpvox.errors import ConfigError
+from warpvox.files import check_writable
 
 if TYPE_CHECKING:
     from warpvox.rollout import Rollout
@@ -63,6 +64,7 @@ def play(config: PlayConfig, console: Console) -> Path:
     formats = check_formats(formats, "export") if formats else []
     size = check_size(config.size)
     check_name(config.name)
+    check_writable(config.output_dir)
     if config.agent is None:
         rollout, source = play_run(config, console)
     else:

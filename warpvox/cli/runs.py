@@ -17,9 +17,9 @@ import yaml
 from warpvox.algos.archive import FILE as ARCHIVE
 from warpvox.algos.archive import Archive
 from warpvox.errors import ConfigError, RunError, listing
-from warpvox.files import write_text
+from warpvox.files import MARK, claimed, sweep, write_text
 
-__all__ = ["Run", "find_codesign", "find_run", "new_folder", "write_summary"]
+__all__ = ["Run", "find_codesign", "find_run", "going_on", "new_folder", "write_config", "write_summary"]
 
 CONFIG, SUMMARY = "config.yaml", "summary.json"
 STATE, BEST = "state.pt", "model_best.pt"
@@ -27,6 +27,8 @@ TRAINING = ("train", "demo")
 CODESIGN = "codesign"
 STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 NAME = re.compile(r"[\w.+-]+")
+END = "...\n"
+"""The last line of a run's configuration, YAML's own mark of an end: what lacks it has been cut short."""
 
 
 @dataclass(frozen=True)
@@ -63,18 +65,19 @@ class Run:
         return self.folder / f"model_{which}.pt"
 
 
-def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, CODESIGN)) -> Run:
+def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, CODESIGN), resume: bool = False) -> Run:
     """The run that ``text`` names: ``latest``, a folder, or a checkpoint file in one.
 
     A design search stands for its best design; the folders ``designs/<id>`` in it are runs of their own.
 
     Args:
         commands: whose runs ``latest`` may be.
+        resume: ``latest`` may be a run that was stopped before it had a checkpoint to play.
 
     Raises:
         RunError: no such folder, or one that is no run.
     """
-    path = _latest(Path(output_dir), commands) if text == "latest" else Path(text).expanduser()
+    path = _latest(Path(output_dir), commands, resume) if text == "latest" else Path(text).expanduser()
     if not path.exists():
         raise RunError(f"There is no run at {path}: expected latest, the folder of a run or a checkpoint in it.")
     folder = path if path.is_dir() else path.parent
@@ -97,8 +100,10 @@ def find_codesign(text: str, output_dir: str) -> Run:
         raise RunError(f"There is no design search at {path}: expected latest or the folder of one.")
     folder = path if path.is_dir() else path.parent
     content = _read_config(folder, CODESIGN)
-    if not (folder / ARCHIVE).is_file() or not {"task", "search", "training"} <= content.keys():
-        raise RunError(f"{folder} is not a design search: it lacks {ARCHIVE}, or its {CONFIG} is that of another run.")
+    if not {"task", "search", "training"} <= content.keys():
+        raise RunError(f"{folder} is not a design search: its {CONFIG} is that of another run.")
+    if not (folder / ARCHIVE).is_file():
+        raise RunError(f"{folder} has no {ARCHIVE}: the search was stopped before its first design; start it again.")
     return Run(folder, content)
 
 
@@ -110,23 +115,51 @@ def _best_design(folder: Path) -> Path:
     return (folder / best[0].policy).parent
 
 
+def write_config(folder: Path, text: str) -> None:
+    """Write ``config.yaml``."""
+    write_text(folder / CONFIG, text + END, make_folders=False)
+
+
 def _read_config(folder: Path, command: str) -> dict[str, Any]:
     config = folder / CONFIG
     if not config.is_file():
         raise RunError(f"{folder} is not a run: it has no {CONFIG}. Runs are made by `warpvox {command}`.")
     try:
-        content = yaml.safe_load(config.read_text(encoding="utf-8"))
+        text = config.read_text(encoding="utf-8")
+        content = yaml.safe_load(text)
     except (yaml.YAMLError, OSError, UnicodeDecodeError):
         raise RunError(f"{config} cannot be read as YAML: is {folder} a run?") from None
-    return content if isinstance(content, dict) else {}
+    if not isinstance(content, dict):
+        return {}
+    missing = [] if text.endswith(END) else _missing(content, command)
+    if missing:
+        # it would be taken for the default, and the run for another one
+        raise RunError(
+            f"{config} has been cut short: it lacks {listing(missing, 3)} and its last line, {END.strip()}. Restore it"
+            " from a copy; if it is whole, but of an older version, add that line."
+        )
+    return content
 
 
-def _latest(root: Path, commands: Sequence[str]) -> Path:
+def _missing(content: dict[str, Any], command: str) -> list[str]:
+    """Keys of a command that a configuration lacks, those of another kind of run aside."""
+    from warpvox.cli.help import flat_keys
+    from warpvox.configs.schema import COMMANDS
+
+    def known(values: Any, names: list[str]) -> bool:
+        return not names or (isinstance(values, dict) and names[0] in values and known(values[names[0]], names[1:]))
+
+    if not {"task", "seed"} <= content.keys():
+        return []
+    return [key for key, _ in flat_keys(COMMANDS[command]) if not known(content, key.split("."))]
+
+
+def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
     folders = [
         folder
         for command in commands
         for folder in root.glob(f"{command}/*/*")
-        if (folder / CONFIG).is_file() and _has_begun(folder, command)
+        if (folder / CONFIG).is_file() and _has_begun(folder, command, resume)
     ]
     if not folders:
         raise RunError(f"There is no run in {root / commands[0]} yet; `warpvox {commands[0]}` makes one.")
@@ -134,9 +167,11 @@ def _latest(root: Path, commands: Sequence[str]) -> Path:
     return max(folders, key=lambda folder: (folder.name[:STAMP_LENGTH], (folder / CONFIG).stat().st_mtime_ns))
 
 
-def _has_begun(folder: Path, command: str) -> bool:
+def _has_begun(folder: Path, command: str, resume: bool) -> bool:
     if command == CODESIGN:
         return (folder / ARCHIVE).is_file()
+    if resume and (folder / STATE).is_file():
+        return True
     return next(folder.glob("model_*.pt"), None) is not None
 
 
@@ -145,7 +180,7 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
     """Make a run's folder with its ``config.yaml``; gone again if the block fails before any result.
 
     Raises:
-        ConfigError: a name that no folder can have. RunError: the folder cannot be written.
+        ConfigError: a name that no folder can have. RunError, StorageError: the folder cannot be written.
     """
     check_name(name)
     stamp = datetime.now().strftime(STAMP)
@@ -156,12 +191,13 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
     parent = Path(output_dir) / command / task
     made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
     folder = _make(parent, stamp, f"_{name}" if name else "")
-    write_text(folder / CONFIG, config)
     try:
-        yield folder
+        with claimed(folder):
+            write_config(folder, config)
+            yield folder
     except BaseException:
-        if not _has_result(folder):
-            shutil.rmtree(folder)
+        if folder.is_dir() and not _has_result(folder):
+            shutil.rmtree(folder, ignore_errors=True)
             for empty in made:
                 if empty.is_dir() and not any(empty.iterdir()):
                     empty.rmdir()
@@ -191,9 +227,24 @@ def _make(parent: Path, stamp: str, ending: str) -> Path:
 
 
 def _has_result(folder: Path) -> bool:
-    return any(file.suffix in (".pt", ".npz", ".json", ".sqlite") for file in folder.iterdir())
+    kept = (".pt", ".npz", ".json", ".sqlite")
+    # the state before the first iteration holds nothing that the configuration does not
+    return any(file.suffix in kept and not file.name.startswith((MARK, "state")) for file in folder.iterdir())
+
+
+@contextmanager
+def going_on(folder: Path, config: str) -> Iterator[Path]:
+    """The folder of a run that is resumed: ours alone, rid of what a killed process has left half written.
+
+    Raises:
+        RunError: another process is writing to it. StorageError: it cannot be written.
+    """
+    with claimed(folder):
+        sweep(folder)
+        write_config(folder, config)
+        yield folder
 
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
     """Write ``summary.json``."""
-    write_text(folder / SUMMARY, json.dumps(content, indent=2) + "\n")
+    write_text(folder / SUMMARY, json.dumps(content, indent=2) + "\n", make_folders=False)

@@ -19,11 +19,11 @@ def start_warp() -> None:
     wp.config.log_level = wp.LOG_WARNING
     sys.stderr.flush()
     try:
-        kept = os.dup(2)
-    except OSError:  # no stderr to keep clean
+        caught, kept = tempfile.TemporaryFile(), os.dup(2)  # noqa: SIM115  (closed below)
+    except OSError:  # no stderr to keep clean, or no room to keep it
         wp.init()
         return
-    with tempfile.TemporaryFile() as caught:
+    with caught:
         os.dup2(caught.fileno(), 2)
         try:
             wp.init()

@@ -105,10 +105,7 @@ def _print_all(console: Console) -> None:
 def _write_gallery(keys: dict[str, Any], console: Console) -> None:
     from warpvox.cli.gallery import write_gallery
 
-    try:
-        path = write_gallery(keys["gallery"], keys["design"])
-    except OSError as error:
-        raise ConfigError(f"The gallery {keys['gallery']} cannot be written: {error.strerror}.") from None
+    path = write_gallery(keys["gallery"], keys["design"])
     say(console, f"gallery: {path}")
 
 
@@ -162,10 +159,7 @@ def _print_task(name: str, keys: dict[str, Any], console: Console) -> None:
     _print_observation(task, keys["design"], points, console)
     print_world(world, console)
     if keys["picture"] is not None:
-        try:
-            path = write_world_png(world, keys["picture"])
-        except OSError as error:
-            raise ConfigError(f"The picture {keys['picture']} cannot be written: {error.strerror}.") from None
+        path = write_world_png(world, keys["picture"])
         say(console, f"\npicture: {path}")
 
 

@@ -6,7 +6,7 @@ import dataclasses
 import os
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,11 +17,12 @@ from warpvox import __version__
 from warpvox.cli import COMMANDS
 from warpvox.cli.config import expand, load, read_arguments, to_yaml
 from warpvox.cli.help import command_help
-from warpvox.cli.runs import CONFIG, STATE, TRAINING, check_name, find_run, new_folder, write_summary
+from warpvox.cli.runs import STATE, TRAINING, Run, check_name, find_run, going_on, new_folder, write_summary
 from warpvox.cli.say import say
 from warpvox.configs.schema import TrainConfig
-from warpvox.errors import ConfigError, RunError, listing
-from warpvox.files import write_text
+from warpvox.errors import ConfigError, RunError, StorageError, listing
+from warpvox.files import check_writable
+from warpvox.memory import enough_memory
 
 if TYPE_CHECKING:
     from warpvox.algos.distributed import Team
@@ -103,14 +104,48 @@ def _job(overrides: list[str], config_dir: Path | None) -> Job:
     config = load("train", overrides, config_dir)
     check_name(config.name)
     if config.resume is None:
+        check_writable(config.output_dir)
         return Job(config)
-    source = find_run(config.resume, config.output_dir, TRAINING)
+    source = find_run(config.resume, config.output_dir, TRAINING, resume=True)
+    check_writable(source.folder)
     config = load("train", overrides, config_dir, base=_known(source.config))
     check_unchanged(_known(source.config), config, CHANGEABLE)
     checkpoint = source.checkpoint or source.folder / STATE
     if not checkpoint.is_file():
-        raise RunError(f"The run {source.folder} cannot be resumed: it has no {STATE}.")
+        raise RunError(
+            f"The run {source.folder} cannot be resumed: it has no {STATE}. If it was stopped before its first"
+            " iteration, start it again."
+        )
+    _check_readable(source, checkpoint)
     return Job(dataclasses.replace(config, resume=None), source.folder, checkpoint)
+
+
+def _check_readable(source: Run, checkpoint: Path) -> None:
+    """Raise RunError, with the newest checkpoint that will do instead, if one is damaged."""
+    from warpvox.algos.checkpoint import load_checkpoint
+    from warpvox.cli.build import shown
+
+    try:
+        load_checkpoint(checkpoint)
+    except RunError as error:
+        for number in reversed(source.iterations):
+            other = source.folder / f"model_{number}.pt"
+            if other != checkpoint and _is_readable(other):
+                raise RunError(
+                    f"{str(error).rstrip('.')}. The newest checkpoint that can be read is that of iteration {number};"
+                    f" go on from there, with new episodes: warpvox train resume={shown(other)}"
+                ) from None
+        raise RunError(f"{str(error).rstrip('.')}, and there is no other checkpoint: start the run again.") from None
+
+
+def _is_readable(checkpoint: Path) -> bool:
+    from warpvox.algos.checkpoint import load_checkpoint
+
+    try:
+        load_checkpoint(checkpoint)
+    except RunError:
+        return False
+    return True
 
 
 def check_unchanged(before: dict[str, Any], config: Any, changeable: Sequence[str]) -> None:
@@ -149,7 +184,9 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         prepare(job.config.torch_threads, team.seed(job.config.seed))
         config = resolve(share(job.config, team))
         designs = load_bodies(config.design, config.seed)
-    with console.status("preparing the simulation (the first time on a machine its kernels are compiled)"):
+    advice = f"Train with fewer environments: num_envs={max(1, config.num_envs // 2)} instead of {config.num_envs}."
+    preparing = console.status("preparing the simulation (the first time on a machine its kernels are compiled)")
+    with preparing, enough_memory(advice):
         schedule = Schedule(config.max_iterations, config.save_interval, config.eval_interval, config.stop_return)
         env = adapt(make_env(config, config.num_envs, auto_reset=True, seed=team.seed(config.seed)), config.ppo)
         lanes = training_lanes(config, config.device)
@@ -193,9 +230,9 @@ def _folder(job: Job, config: TrainConfig, command: str, team: Team) -> Iterator
             team.leaders(str(folder))
             yield folder
     else:
-        write_text(job.folder / CONFIG, to_yaml(config))
-        team.leaders(str(job.folder))
-        yield job.folder
+        with going_on(job.folder, to_yaml(config)) as folder:
+            team.leaders(str(folder))
+            yield folder
 
 
 def _announce(console: Console, config: TrainConfig, runner: Any, folder: Path) -> None:
@@ -233,7 +270,9 @@ def _learn(runner: Any, console: Console, folder: Path, command: str) -> None:
                 "version": __version__,
             }
             summary |= runner.summary() | {"steps_per_second": round((runner.steps - started_at) / seconds, 1)}
-            write_summary(folder, summary)
+            # a run that has failed may have failed because nothing can be written; that is what should be told
+            with suppress(StorageError) if status == "failed" else nullcontext():
+                write_summary(folder, summary)
             _conclude(console, runner, summary, seconds, folder)
 
 
@@ -242,12 +281,15 @@ def _conclude(console: Console, runner: Any, summary: dict[str, Any], seconds: f
     from warpvox.cli.build import shown
 
     command, status, best = summary["command"], summary["status"], summary["best_return"]
+    done, saved = runner.current_learning_iteration, runner.saved_iteration
     words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
+    if status != "done" and saved != done:
+        words = f"{status}, the state of iteration {saved} is kept,"
     text = f"{words} after {runner.steps:,} control steps in {seconds:.0f} s"
     if best is not None:
         text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
     say(console, text)
     if status == "done" and command == "train":
         say(console, f"look at it: warpvox play run={shown(folder)} export=[gif,html]")
-    if status != "done":
+    if status != "done" and (folder / STATE).is_file():
         say(console, f"go on: warpvox train resume={shown(folder)}")

@@ -1,0 +1,50 @@
+"""What to say when memory runs out, on a GPU or in the machine."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from warpvox.errors import DeviceError
+
+__all__ = ["enough_memory", "shortage"]
+
+SIGNS = re.compile(
+    r"out of memory"  # torch and CUDA
+    r"|failed to allocate"  # Warp
+    r"|can't allocate memory|not enough memory"  # torch on the CPU
+    r"|unable to allocate"  # numpy
+    r"|cuda_error_out_of_memory|cublas_status_alloc_failed",
+    re.IGNORECASE,
+)
+"""By which an error of a library is known to be about memory; they have no common class."""
+BYTES = re.compile(r"(?:allocate|allocate:|tried to allocate)\D{0,40}?(\d+)\s+bytes", re.IGNORECASE)
+SENTENCE = re.compile(r"(?<=[.!])\s+(?=[A-Z])")
+
+
+def shortage(error: BaseException) -> str | None:
+    """What an error says of memory that could not be had, in a sentence's words; None if it is about something else."""
+    if not isinstance(error, (MemoryError, RuntimeError)):
+        return None
+    text = " ".join(str(error).split())
+    if not isinstance(error, MemoryError) and not SIGNS.search(text):
+        return None
+    asked = BYTES.search(text)
+    if asked:
+        where = re.search(r"'((?:cuda|cpu)[:\d]*)'", text)
+        size = int(asked[1]) / 2**30
+        return f"{size:.3g} GiB more could not be had{f' on {where[1]}' if where else ''}"
+    return ". ".join(part.rstrip(".") for part in SENTENCE.split(text)[:2])[:200] or "memory is used up"
+
+
+@contextmanager
+def enough_memory(advice: str) -> Iterator[None]:
+    """Raise what says that memory has run out within the block as a DeviceError with ``advice``, a sentence."""
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        reason = None if isinstance(error, DeviceError) else shortage(error)
+        if reason is None:
+            raise
+        raise DeviceError(f"Memory has run out ({reason}). {advice}") from error
