@@ -260,6 +260,8 @@ class Runner(OnPolicyRunner):
             "episodes": episodes["episodes"],
             "return_mean": episodes["return"],
             "length_mean": episodes["length"],
+            "unstable": episodes["unstable"],
+            "diverged": episodes["diverged"],
             "eval_return": evaluated,
             "best_return": self.best_return,
             "value_loss": losses["value"],
@@ -272,14 +274,16 @@ class Runner(OnPolicyRunner):
         }
 
     def _episodes(self) -> dict[str, float]:
-        """Number, mean return and length of the episodes that have ended in all processes."""
+        """Number, mean return and length of the episodes that have ended in all processes; how many were stopped."""
         own = self.env.pop_episodes()
         count = own["episodes"]
         sums = [count, *(count * own[name] if count else 0.0 for name in ("return", "length"))]
-        count, total, length = self.team.sums(sums) if self.is_distributed else (count, *sums[1:])
+        sums += [own["unstable"], own["diverged"]]
+        count, total, length, unstable, diverged = self.team.sums(sums) if self.is_distributed else sums
+        stopped = {"unstable": int(unstable), "diverged": int(diverged)}
         if not count:
-            return {"episodes": 0, "return": math.nan, "length": math.nan}
-        return {"episodes": int(count), "return": total / count, "length": length / count}
+            return {"episodes": 0, "return": math.nan, "length": math.nan} | stopped
+        return {"episodes": int(count), "return": total / count, "length": length / count} | stopped
 
     def summary(self) -> dict[str, Any]:
         """The run in figures, for ``summary.json``."""

@@ -180,7 +180,8 @@ class VoxelEnv(gymnasium.Env):
 
         Returns:
             Observation, reward, terminated, truncated (always False here), and a dictionary with ``unstable``
-            and ``reward_terms``, what each term has added to the reward.
+            (the step was stopped), ``diverged`` (because of bad numbers, not by self-folding) and ``reward_terms``,
+            what each term has added to the reward.
 
         Raises:
             ActionError: wrong shape, or entries that are not finite.
@@ -190,13 +191,15 @@ class VoxelEnv(gymnasium.Env):
             expected = list(self.action_space.shape)
             raise ActionError(f"An action must have the shape {expected}, got {list(action.shape)}.")
         if self._ended is not None:
-            return self._ended.copy(), 0.0, True, False, {"unstable": False, "reward_terms": {}}
+            return self._ended.copy(), 0.0, True, False, {"unstable": False, "diverged": False, "reward_terms": {}}
         obs, terms, terminated, unstable = self._vec.step_one(action[None])
         obs = obs.cpu().numpy()
         if terminated:
             self._ended = obs.copy()
         self._show()
-        return obs, sum(terms.values()), terminated, False, {"unstable": unstable, "reward_terms": terms}
+        diverged = unstable and bool(self.sim.diverged)
+        info = {"unstable": unstable, "diverged": diverged, "reward_terms": terms}
+        return obs, sum(terms.values()), terminated, False, info
 
     def render(self) -> np.ndarray | None:
         """The present state, uint8 ``[height, width, 3]``, in the mode ``rgb_array``.

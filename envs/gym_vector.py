@@ -24,7 +24,7 @@ class VoxelGymVectorEnv(VectorEnv):
     Observations ``[num_envs, num_obs]``, rewards float64 and flags ``[num_envs]`` are numpy arrays. An environment
     that ends is reset in the same step (``AutoresetMode.SAME_STEP``): ``infos["final_obs"]`` and
     ``infos["final_info"]`` hold what ended, where ``infos["_final_obs"]`` is True. Where an environment goes on,
-    ``unstable`` and ``reward_terms`` are in ``infos`` itself, as they are for a single environment.
+    ``unstable``, ``diverged`` and ``reward_terms`` are in ``infos`` itself, as they are for a single environment.
 
     Args:
         task: id, ``module:NAME`` or specification.
@@ -117,7 +117,7 @@ class VoxelGymVectorEnv(VectorEnv):
         """
         obs, reward, terminated, truncated, info = self.vec.step(np.asarray(actions))
         terms = {name: value.cpu().numpy() for name, value in info["reward_terms"].items()}
-        details = {"unstable": info["unstable"].cpu().numpy(), "reward_terms": terms}
+        details = {name: info[name].cpu().numpy() for name in ("unstable", "diverged")} | {"reward_terms": terms}
         done = info["episode"]["done"].cpu().numpy()
         infos = {} if done.all() else _masked(details, ~done)
         if done.any():

@@ -18,6 +18,8 @@ ACTION_CENTER = 1.1
 """The middle of the range of actions: what a policy's output of 0 means."""
 ACTION_SCALE = 0.5
 """Half of that range: outputs of -1 and 1 are its ends."""
+ENDS = ("unstable", "diverged")
+"""Ends by a step that was stopped, and those among them because of bad numbers."""
 OBS_GROUP = "policy"
 """rsl-rl's name for the one group of observations that there is."""
 
@@ -30,8 +32,8 @@ class RslRlVecEnv(VecEnv):
 
     ``extras`` of a step hold ``log`` (means of this step for TensorBoard) and, if time limits are to be
     bootstrapped, ``time_outs`` (bool ``[num_envs]``: ended by the time limit alone) with ``final_obs``
-    (TensorDict: the last observations of what ended). Episodes that the task stopped, self-folding included,
-    have been reset by the environment. All tensors are fresh.
+    (TensorDict: the last observations of what ended). Episodes that the task stopped, self-folding and bad numbers
+    included, have been reset by the environment. All tensors are fresh.
 
     Args:
         env: made with ``auto_reset=True``.
@@ -98,7 +100,7 @@ class RslRlVecEnv(VecEnv):
         obs, reward, terminated, truncated, info = self.env.step(ACTION_CENTER + self.action_scale * actions)
         self._obs = obs
         done = terminated | truncated
-        self._count(info["episode"], done)
+        self._count(info, done)
         extras: dict[str, Any] = {"log": self._log(info)}
         if self.bootstrap_time_limit:
             extras["time_outs"] = truncated & ~terminated
@@ -116,27 +118,29 @@ class RslRlVecEnv(VecEnv):
     @staticmethod
     def _log(info: dict[str, Any]) -> dict[str, torch.Tensor]:
         log = {f"Reward/{name}": values.mean() for name, values in info["reward_terms"].items()}
-        return log | {"Episode/unstable": info["unstable"].float().mean()}
+        return log | {f"Episode/{name}": info[name].float().mean() for name in ENDS}
 
     def _clear_episodes(self) -> None:
-        self._sums = torch.zeros(3, dtype=torch.float64, device=self.device)
+        self._sums = torch.zeros(3 + len(ENDS), dtype=torch.float64, device=self.device)
 
-    def _count(self, episode: dict[str, torch.Tensor], done: torch.Tensor) -> None:
-        whole = done & ~self._shortened
-        parts = (whole, episode["return"] * whole, episode["length"] * whole)
+    def _count(self, info: dict[str, Any], done: torch.Tensor) -> None:
+        episode, whole = info["episode"], done & ~self._shortened
+        parts = (whole, episode["return"] * whole, episode["length"] * whole, *(info[name] for name in ENDS))
         self._sums = self._sums + torch.stack([part.sum(dtype=torch.float64) for part in parts])
         self._shortened = self._shortened & ~done
 
     def pop_episodes(self) -> dict[str, float]:
         """How many ``episodes`` ended since the last call, their mean ``return`` and ``length`` (NaN: none).
 
-        Returns are the task's own, not scaled. Episodes that were shortened for a random start do not count.
+        Returns are the task's own, not scaled. Episodes that were shortened for a random start do not count, except
+        in ``unstable`` and ``diverged``: how many ended by a step that was stopped, and by bad numbers among them.
         """
-        count, total, length = self._sums.tolist()
+        count, total, length, *ends = self._sums.tolist()
         self._clear_episodes()
+        stopped = {name: int(number) for name, number in zip(ENDS, ends, strict=True)}
         if not count:
-            return {"episodes": 0, "return": float("nan"), "length": float("nan")}
-        return {"episodes": int(count), "return": total / count, "length": length / count}
+            return {"episodes": 0, "return": float("nan"), "length": float("nan")} | stopped
+        return {"episodes": int(count), "return": total / count, "length": length / count} | stopped
 
     def state(self) -> dict[str, Any]:
         """Everything that changes, as tensors: what :meth:`set_state` takes back."""
@@ -173,7 +177,8 @@ class RslRlVecEnv(VecEnv):
         self.env.set_state(state["env"])
         self._obs = state["obs"].to(self.device)
         self._shortened = state["shortened"].to(self.device)
-        self._sums = state["sums"].to(self.device)
+        self._clear_episodes()
+        self._sums[: len(state["sums"])] = state["sums"].to(self.device)
         if self.reward_norm is not None and state["reward_norm"] is not None:
             self.reward_norm.set_state(state["reward_norm"])
 

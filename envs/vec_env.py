@@ -261,7 +261,9 @@ class VoxelVecEnv:
               is that of the next episode's beginning where an episode has ended and been reset;
             - ``episode``: ``return`` and ``length`` of the episodes up to this step, and ``done``, the mask
               of those that this step has ended;
-            - ``unstable``: bool, the step was stopped by self-folding (the observation is that before it);
+            - ``unstable``: bool, the step was stopped, by self-folding or bad numbers (the observation is that
+              before it);
+            - ``diverged``: bool, those of them that bad numbers have stopped (see :attr:`Simulation.diverged`);
             - ``reward_terms``: what each term has added to the reward, by name.
 
             With ``auto_reset=False`` an ended environment keeps its state, observation and flags; its reward
@@ -279,6 +281,9 @@ class VoxelVecEnv:
         """The part of :meth:`step` that runs on the device, without waiting for it."""
         going = None if self.auto_reset else ~(self._terminated | self._truncated)
         obs, after, remembered, unstable, terms, terminated = self._advance(going)
+        diverged = self.sim.diverged & unstable
+        for term in self.spec.rewards:  # what bad numbers were before the step is no measure for a reward
+            terms[term.name] = terms[term.name].masked_fill(diverged, 0.0)
         reward = sum(terms.values())
         self.episode_length = self.episode_length + (1 if going is None else going)
         self._return = self._return + reward
@@ -294,6 +299,7 @@ class VoxelVecEnv:
                 "done": done,
             },
             "unstable": unstable,
+            "diverged": diverged,
             "reward_terms": terms,
         }
         if going is None:
@@ -327,7 +333,10 @@ class VoxelVecEnv:
         self.sim.take(actions)
         self._drawn = False
         obs, self._before, self._memory, unstable, terms, terminated = self._advance(None)
-        return obs[0], {name: value.item() for name, value in terms.items()}, terminated.item(), unstable.item()
+        stopped, values = unstable.item(), {name: value.item() for name, value in terms.items()}
+        if stopped and self.sim.diverged.item():
+            values |= {term.name: 0.0 for term in self.spec.rewards}
+        return obs[0], values, terminated.item(), stopped
 
     def _carried(self) -> dict[Any, torch.Tensor]:
         """What a step leaves for the next, besides the simulation's own state; the inverse of :meth:`_carry`."""

@@ -210,7 +210,7 @@ def meeting(precision: str):
                 normal = wp.vec3d(-uy / length, ux / length, depth)
                 ends = wp.vec2i(r_points[side], r_points[f])
                 mine, other = leaf(model, design, i), leaf(model, design, j)
-                remember(model, data, design, pack, k, unit, mine, other, c, p, ends, normal)
+                remember(model, data, design, pack, k, mine, other, c, p, ends, normal)
 
         return meet
 

@@ -217,10 +217,10 @@ def _scalar_ops(real):
         return wp.where(a <= b, 1, 0)
 
     @wp.func
-    def finite(a: real):
-        return wp.where(wp.isfinite(a), 1, 0)
+    def within(a: real, bound: real):
+        return wp.where(wp.abs(a) <= bound, 1, 0)
 
-    names = "splat load store mul div root lower upper grow largest at_most finite".split()
+    names = "splat load store mul div root lower upper grow largest at_most within".split()
     scope = locals()
     return {"value": real, "full": 1, **{name: scope[name] for name in names}}
 
@@ -285,10 +285,11 @@ def _vector_ops(real, width):
     @wp.func_native(mask_of("va <= vb", "a", "b"))
     def at_most(a: value, b: value) -> int: ...
 
-    @wp.func_native(mask_of("va - va == 0", "a"))
-    def finite(a: value) -> int: ...  # inf - inf and NaN - NaN are NaN, which equals nothing
+    # |a| <= bound, which NaN never is.
+    @wp.func_native(mask_of("(va <= vb) & (va >= -vb)", "a", "b"))
+    def within(a: value, b: value) -> int: ...
 
-    names = "splat load store mul div root lower upper grow largest at_most finite".split()
+    names = "splat load store mul div root lower upper grow largest at_most within".split()
     scope = locals()
     return {
         "value": value,

@@ -10,7 +10,7 @@ import functools
 import warp as wp
 
 from warpvox.kernels.lanes import inline, lane_ops
-from warpvox.kernels.state import structs
+from warpvox.kernels.state import OVERFLOW, structs
 
 real = wp.float64
 PATH = 40  # bits of a key for the path; below them 3 for way and corner, above them the pair of objects
@@ -22,10 +22,10 @@ def note():
     types = structs("float64")
 
     @inline
-    def add(data: types.Data, pack: int, k: int, unit: int, hit: wp.vec4i, ends: wp.vec2i, normal: wp.vec3d):
+    def add(data: types.Data, pack: int, k: int, hit: wp.vec4i, ends: wp.vec2i, normal: wp.vec3d):
         n = data.hits[pack, k]
         if n >= data.hit.shape[1]:
-            data.overflow[unit] = 1
+            data.status[pack, k] = data.status[pack, k] | OVERFLOW
             return
         data.hit[pack, n, k] = hit
         data.hit_ends[pack, n, k] = ends
@@ -34,14 +34,14 @@ def note():
 
     @inline
     def remember(
-        model: types.Model, data: types.Data, design: int, pack: int, k: int, unit: int,
-        m: int, r: int, c: int, p: int, ends: wp.vec2i, normal: wp.vec3d,
+        model: types.Model, data: types.Data, design: int, pack: int, k: int, m: int, r: int, c: int, p: int,
+        ends: wp.vec2i, normal: wp.vec3d,
     ):  # fmt: skip
         mine, other = model.node[design, m][2], model.node[design, r][2]
         if mine <= other:
-            add(data, pack, k, unit, wp.vec4i(m, r, c, p), ends, normal)
+            add(data, pack, k, wp.vec4i(m, r, c, p), ends, normal)
         if mine >= other:
-            add(data, pack, k, unit, wp.vec4i(r, m, 4 + c, p), ends, normal)
+            add(data, pack, k, wp.vec4i(r, m, 4 + c, p), ends, normal)
 
     return remember
 

@@ -4,21 +4,35 @@ import functools
 
 import warp as wp
 
+from warpvox.kernels.guard import diverged, restore
 from warpvox.kernels.lanes import inline, lane_ops
 from warpvox.kernels.launch import launch_stage
-from warpvox.kernels.state import NOT_FINITE, OVERFLOW, UNSTABLE, structs
+from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE, structs
 
 STALE = 1.0e9  # a drift that makes the next sub-step collect its candidates anew
 
 
 @functools.cache
 def save(precision: str, width: int):
-    """Stage, at the start of a control step: remember the state."""
+    """Stage, at the start of a control step: remember the state; bad numbers that were put there go home first."""
     ops, types = lane_ops("float64", width), structs(precision)
     load, store = ops.load, ops.store
+    mark, full = diverged(precision, width), ops.full
+
+    @inline
+    def go_home(model: types.Model, data: types.Data, design: int, pack: int, k: int):
+        for r in range(2 * model.points[design]):
+            data.pos[pack, r, k] = model.home[design, r]
+            data.vel[pack, r, k] = wp.float64(0.0)
+            data.true_vel[pack, r, k] = wp.float64(0.0)
 
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+        if mark(model, data, design, pack, lane) != int(full):
+            for k in range(lane, lane + int(width)):
+                if (data.status[pack, k] & DIVERGED) != 0:
+                    go_home(model, data, design, pack, k)
+                    data.drift[unit] = wp.float64(STALE)
         for n in range(2 * model.actives[design]):
             r = model.active[design, n]
             store(data.saved_pos, pack, r, lane, load(data.pos, pack, r, lane))
@@ -31,33 +45,19 @@ def save(precision: str, width: int):
 @functools.cache
 def settle(precision: str, width: int):
     """Stage, at the end of a control step: frozen and stopped environments go back to its start."""
-    ops, types = lane_ops("float64", width), structs(precision)
-    load, finite, full = ops.load, ops.finite, ops.full
-
-    @inline
-    def restore(model: types.Model, data: types.Data, design: int, pack: int, k: int):
-        for n in range(2 * model.actives[design]):
-            r = model.active[design, n]
-            data.pos[pack, r, k] = data.saved_pos[pack, r, k]
-            data.vel[pack, r, k] = data.saved_vel[pack, r, k]
-            data.true_vel[pack, r, k] = data.saved_true_vel[pack, r, k]
+    types = structs(precision)
+    mark, undo = diverged(precision, width), restore(precision)
 
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
-        sound = int(full)
-        for n in range(2 * model.actives[design]):
-            r = model.active[design, n]
-            sound = sound & finite(load(data.pos, pack, r, lane)) & finite(load(data.vel, pack, r, lane))
-        for k in range(int(width)):
-            e = lane + k
-            if ((sound >> k) & 1) == 0:
-                data.status[pack, e] = data.status[pack, e] | NOT_FINITE
+        mark(model, data, design, pack, lane)
+        for e in range(lane, lane + int(width)):
             if data.overflow[unit] == 1:
                 data.status[pack, e] = data.status[pack, e] | OVERFLOW
             if data.frozen[pack, e] == 1:
                 data.status[pack, e] = 0
-            if data.frozen[pack, e] == 1 or (data.status[pack, e] & (UNSTABLE | NOT_FINITE)) != 0:
-                restore(model, data, design, pack, e)
+            if data.frozen[pack, e] == 1 or (data.status[pack, e] & (UNSTABLE | DIVERGED)) != 0:
+                undo(model, data, design, pack, e)
                 data.drift[unit] = wp.float64(STALE)
             else:
                 data.time[pack, e] = data.time[pack, e] + 1

@@ -20,7 +20,7 @@ STATE = wp.float64
 # The sides of a voxel in clockwise order: side k runs from corner k to corner k + 1.
 TOP, RIGHT, BOTTOM, LEFT = (wp.constant(1 << k) for k in range(4))
 # How a control step of an environment ended (bits).
-UNSTABLE, NOT_FINITE, OVERFLOW = wp.constant(1), wp.constant(2), wp.constant(4)
+UNSTABLE, DIVERGED, OVERFLOW = wp.constant(1), wp.constant(2), wp.constant(4)
 
 MODEL = {
     "points": (int, "design", "points in use"),
@@ -113,7 +113,7 @@ DATA = {
     "action": (STATE, "pack action lane", "clipped actions"),
     "folds": (int, "pack robot lane", "overlapping pairs of distant voxels, both orders"),
     "frozen": (int, "pack lane", "1: keeps its state"),
-    "status": (int, "pack lane", "bits UNSTABLE, NOT_FINITE, OVERFLOW of the last control step"),
+    "status": (int, "pack lane", "bits UNSTABLE, DIVERGED, OVERFLOW of the last control step"),
     "time": (int, "pack lane", "complete control steps since the reset"),
     "drift": (STATE, "unit", "bound of every point's path since the candidates were collected"),
     "pairs": (
@@ -125,7 +125,7 @@ DATA = {
     "near": (int, "unit voxel", "voxels that may touch terrain"),
     "near_count": (int, "unit", ""),
     "near_box": (STATE, "pack 4*voxel lane", "bounds of the terrain cells that a near voxel may touch, as box"),
-    "overflow": (int, "unit", "1: more pairs than capacity"),
+    "overflow": (int, "unit", "1: more candidates than capacity"),
     "hull": (STATE, "unit 4*mobile", "boxes of mobile voxels around all lanes"),
     "pair_bit": (int, "unit word", "candidate matrix, a bit per pair"),
     "grid_head": (int, "unit slot", "first entry of a hash slot, or -1"),

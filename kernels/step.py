@@ -73,7 +73,10 @@ def action_kernel(precision: str) -> wp.Kernel:
         actions: wp.array2d(dtype=real), low: wp.float64, high: wp.float64,
     ):  # fmt: skip
         env, a = wp.tid()
-        data.action[env_pack[env], a, env_lane[env]] = wp.clamp(wp.float64(actions[env, a]), low, high)
+        goal = wp.float64(actions[env, a])
+        if wp.isfinite(goal):  # clamping would make a goal of NaN; as it is, it stops the environment
+            goal = wp.clamp(goal, low, high)
+        data.action[env_pack[env], a, env_lane[env]] = goal
 
     return place_actions
 

@@ -25,7 +25,10 @@ WIDTHS = (1, 8, 16, 32)
 CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
 MARGIN = 0.04  # width added to boxes when candidates are collected, two fifths of a voxel
 HITS, HITS_PER_VOXEL = 64, 12  # capacity for contacts that are put in order, in float64
-PAIRS_PER_VOXEL = 24  # capacity of the candidate list for bodies that go through the hashed grid
+PAIRS_PER_VOXEL = 24  # capacity of the candidate list of an environment that has one of its own
+# Lanes share a list. One that holds all pairs cannot be filled by an environment that has collapsed or exploded at the
+# cost of the others; up to so many surface voxels (33 MB a pack) it does.
+ALL_PAIRS = 2048
 
 
 @dataclass
@@ -89,7 +92,7 @@ def layout(designs: list[Design], index: list[int], physics: Physics, precision:
         pack_design += [design] * -(-len(members) // lanes)
     host, sizes = model_arrays(designs, precision == "float64")
     units = lanes // width
-    sizes |= _capacities(sizes["voxel"], sizes["mobile"]) | {
+    sizes |= _capacities(sizes["voxel"], sizes["mobile"], width) | {
         "hit": HITS + HITS_PER_VOXEL * sizes["mobile"] if precision == "float64" else 1,
         "pack": len(pack_design),
         "lane": lanes,
@@ -124,11 +127,12 @@ def layout(designs: list[Design], index: list[int], physics: Physics, precision:
     return state
 
 
-def _capacities(voxels: int, mobiles: int) -> dict[str, int]:
-    """Capacities of the broad phase for a number of surface voxels, and of those that are mobile."""
+def _capacities(voxels: int, mobiles: int, width: int) -> dict[str, int]:
+    """Capacities of the broad phase for a number of surface voxels, of those that are mobile, and of lanes."""
     gridded = mobiles if mobiles >= GRID_FROM else 0
+    every = voxels * (voxels - 1) // 2
     return {
-        "pair": min(voxels * (voxels - 1) // 2, PAIRS_PER_VOXEL * voxels),
+        "pair": every if width > 1 and voxels <= ALL_PAIRS else min(every, PAIRS_PER_VOXEL * voxels),
         "word": voxels * -(-voxels // 32),
         "entry": ENTRIES_PER_VOXEL * gridded,
         "slot": 1 << (2 * gridded).bit_length(),

@@ -17,7 +17,7 @@ from warpvox.kernels import reset as reset_stage
 from warpvox.kernels import sensing
 from warpvox.kernels import step as step_stage
 from warpvox.kernels.reset import STALE
-from warpvox.kernels.state import NOT_FINITE, OVERFLOW, UNSTABLE
+from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
 from warpvox.layout import choose_lanes, group, layout
 from warpvox.types import ACTION_HIGH, ACTION_LOW, SUBSTEPS, VOXEL, Physics
 from warpvox.world import World
@@ -25,7 +25,7 @@ from warpvox.world import World
 __all__ = ["STATE_FIELDS", "Simulation", "resolve_device"]
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
-_STOPPED, _OVERFLOW = int(UNSTABLE | NOT_FINITE), int(OVERFLOW)
+_STOPPED, _OVERFLOW = int(UNSTABLE | DIVERGED), int(OVERFLOW)
 SIGHT = 5.0  # voxels that floor and ceiling scans see (tasks.md)
 
 
@@ -235,8 +235,18 @@ class Simulation:
 
     @property
     def unstable(self) -> torch.Tensor:
-        """bool [num_envs]: the last step was stopped (self-folding or values that are not finite) and undone."""
+        """bool [num_envs]: the last step was stopped (self-folding or bad numbers) and undone."""
         return (self._of_environments("status") & _STOPPED) != 0
+
+    @property
+    def diverged(self) -> torch.Tensor:
+        """bool [num_envs]: the last step was stopped because of bad numbers; such an environment is unstable, too.
+
+        Bad are numbers that are not finite, speeds above 1e4 (units of inner time) and coordinates beyond 1e6; see
+        :mod:`warpvox.kernels.guard`. The step is undone. Had the step begun with bad numbers, which only
+        :meth:`set_state` can bring about, the environment stands at time 0 and at rest instead.
+        """
+        return (self._of_environments("status") & int(DIVERGED)) != 0
 
     @property
     def overflow(self) -> torch.Tensor:

@@ -13,7 +13,7 @@ class Puppet:
 
     Each environment is one design; design d has ``points[d]`` robot points. Other objects have four points.
     ``push`` (per object, ``[num_envs, 2]``) is added to all points in each step, ``turn`` to the robot's
-    angle; ``fold`` (bool ``[num_envs]``) makes the next steps unstable. Terrain is one point.
+    angle; ``fold`` (bool ``[num_envs]``) makes the next steps unstable; it never diverges. Terrain is one point.
     """
 
     device = "cpu"
@@ -39,6 +39,7 @@ class Puppet:
         self.turn = torch.zeros(self.num_envs, dtype=torch.float64)
         self.fold = torch.zeros(self.num_envs, dtype=torch.bool)
         self.unstable = self.fold.clone()
+        self.diverged = torch.zeros_like(self.fold)
         self.frozen = self.fold.clone()
         self.steps = 0
 

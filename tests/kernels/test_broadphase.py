@@ -86,13 +86,13 @@ def test_grid_and_brute_force_agree(sim, seed, spread):
 
 
 def test_too_many_candidates_set_the_overflow_flag():
-    sim = make()
+    sim = make(lanes=1)  # lanes that share a list have room for all pairs
     state = sim._state
     state.arrays["pos"].assign(np.full(state.arrays["pos"].shape, 3.0))  # everything in one place
-    sim.step(np.ones((LANES, sim.num_actions)))
+    sim.step(np.ones((1, sim.num_actions)))
     assert bool(sim.overflow.all())
     sim.reset()
-    sim.step(np.ones((LANES, sim.num_actions)))
+    sim.step(np.ones((1, sim.num_actions)))
     assert not bool(sim.overflow.any())
 
 

@@ -39,6 +39,7 @@ class TrainingProgress:
         self._start, self._began, self._printed = done, time.monotonic(), time.monotonic()
         self._exploring = math.nan
         self._last_eval = math.nan
+        self._diverged = 0
         self._bar = None
         if self.console.is_terminal:
             wide = self.console.width >= WIDE
@@ -70,6 +71,7 @@ class TrainingProgress:
         evaluated = math.isfinite(row["eval_return"])
         if evaluated:
             self._last_eval = row["eval_return"]
+        self._diverged += int(row["diverged"])
         figures = self._figures(row)
         if self._bar is not None:
             self._bar.update(self._line, completed=row["iteration"], figures=figures)
@@ -84,6 +86,8 @@ class TrainingProgress:
         return (
             f"{row['steps_per_second']:,.0f} steps/s  return {_figure(self._exploring)}"
             f"  eval {_figure(self._last_eval)}  best {_figure(row['best_return'])}"
+            + (f"  unstable {row['unstable']:.0f}" if row["unstable"] else "")
+            + (f"  diverged {self._diverged} in all" if self._diverged else "")
         )
 
     def _left(self, iteration: int, now: float) -> str:

@@ -12,14 +12,14 @@ import numpy as np
 from warpvox.errors import listing
 from warpvox.evogym.errors import ArgumentError
 from warpvox.kernels.reset import STALE
-from warpvox.kernels.state import NOT_FINITE, UNSTABLE
+from warpvox.kernels.state import DIVERGED, UNSTABLE
 from warpvox.sim import Simulation
 from warpvox.types import Cell
 from warpvox.world import World
 
 __all__ = ["Engine", "orientation"]
 
-_STOPPED = int(UNSTABLE) | int(NOT_FINITE)
+_STOPPED = int(UNSTABLE) | int(DIVERGED)
 _NEARLY_ONE, _TINY, _TWO_PI = 0.99999, 1e-7, 2 * 3.1415926  # as released
 _ANY_NUMBER = (-np.inf, np.inf)
 

@@ -1,0 +1,60 @@
+"""Bad numbers: which environments have diverged, looked for at the start and at the end of a control step.
+
+An environment that has diverged goes on being computed until the control step is over and is then undone. It disturbs
+no other: lanes meet in the candidates of contacts alone, whose list has room for all pairs where lanes share it.
+"""
+
+import functools
+
+import warp as wp
+
+from warpvox.kernels.lanes import inline, lane_ops
+from warpvox.kernels.state import DIVERGED, structs
+
+FASTEST = 1.0e4
+"""Speed of a point, in units of inner time, beyond which a simulation has diverged.
+
+At this speed a point crosses ten voxels between two looks at contacts: what follows is no simulation of anything. A
+fall without end reaches gravity / drag = 1100; benchmark tasks under random and alternating actions stay below 30.
+"""
+FARTHEST = 1.0e6
+"""Coordinate beyond which it has diverged: no lattice goes so far, so that contacts are not looked for there."""
+
+
+@functools.cache
+def diverged(precision: str, width: int):
+    """Function: set DIVERGED in the status of lanes that are not finite or beyond the bounds; the sound lanes."""
+    ops, types = lane_ops("float64", width), structs(precision)
+    load, within, splat, full = ops.load, ops.within, ops.splat, ops.full
+
+    @inline
+    def mark(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
+        sound = int(full)
+        far, fast = splat(wp.float64(FARTHEST)), splat(wp.float64(FASTEST))
+        for r in range(2 * model.points[design]):
+            sound = sound & within(load(data.pos, pack, r, lane), far)
+            sound = sound & within(load(data.vel, pack, r, lane), fast)
+            sound = sound & within(load(data.true_vel, pack, r, lane), fast)
+        if sound != int(full):
+            for k in range(int(width)):
+                if ((sound >> k) & 1) == 0:
+                    data.status[pack, lane + k] = data.status[pack, lane + k] | DIVERGED
+        return sound
+
+    return mark
+
+
+@functools.cache
+def restore(precision: str):
+    """Function: one lane goes back to the start of the control step."""
+    types = structs(precision)
+
+    @inline
+    def back(model: types.Model, data: types.Data, design: int, pack: int, k: int):
+        for n in range(2 * model.actives[design]):
+            r = model.active[design, n]
+            data.pos[pack, r, k] = data.saved_pos[pack, r, k]
+            data.vel[pack, r, k] = data.saved_vel[pack, r, k]
+            data.true_vel[pack, r, k] = data.saved_true_vel[pack, r, k]
+
+    return back
