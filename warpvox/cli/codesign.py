@@ -49,7 +49,10 @@ CHANGEABLE = (
     "report",
     "output_dir",
 )
-"""Keys that do not change what is found: they may differ when a search is resumed."""
+"""Keys that do not change what is found: they may differ when a search is resumed.
+
+But for rounding: another device, or other ``torch_threads`` with ``training.method=sequential`` (see ``train``).
+"""
 
 
 @dataclass

@@ -42,7 +42,10 @@ CHANGEABLE = (
     "resume",
     "output_dir",
 )
-"""Keys that may differ when a run is resumed: they do not change what is learned."""
+"""Keys that may differ when a run is resumed: they do not change what is learned.
+
+But for rounding: another device, or other ``torch_threads``, adds up the products of matrices in another order.
+"""
 
 
 @dataclass
