@@ -1,0 +1,92 @@
+"""The fixed rollout of every task is the pinned one, and the same in any other process on this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pins
+import pytest
+from rollouts import PRECISIONS, digest, digests
+
+from warpvox.envs.registry import task_ids
+
+PROGRAM = Path(__file__).with_name("rollouts.py")
+EACH = pytest.mark.parametrize("precision", PRECISIONS)
+here = cache(pins.this_platform)
+mine = cache(digest)
+
+
+def elsewhere(options: dict[str, object], environment: dict[str, str]) -> dict[str, dict[str, str]]:
+    """The digests as another process finds them."""
+    program = [sys.executable, str(PROGRAM), json.dumps(options)]
+    done = subprocess.run(program, env=os.environ | environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@EACH
+@pytest.mark.parametrize("task", task_ids())
+def test_a_rollout_is_the_pinned_one(task: str, precision: str) -> None:
+    found = mine(task, precision)
+    outcome = pins.verdict(found, precision, task, pins.load(), here())
+    if outcome == "unknown":
+        pytest.skip(f"nothing is pinned for {here()}; where the tests pass otherwise, record it: {pins.HOW}")
+    assert outcome == "same", f"{task} in {precision} gives {found} now; if that is meant: {pins.HOW}"
+
+
+def test_another_process_gives_the_same_bits() -> None:
+    """Begun anew, with other hashes, with two threads, and with a torch that uses no vector instructions."""
+    found = elsewhere({"threads": 2}, {"PYTHONHASHSEED": "1", "ATEN_CPU_CAPABILITY": "default"})
+    assert found == {name: {task: mine(task, name) for task in task_ids()} for name in PRECISIONS}
+
+
+WITHOUT_AVX_512 = """
+import json, runpy, sys, warp
+flags = [flag for flag in warp.config.cpu_compiler_flags.split() if flag != "-march=native"]
+warp.config.cpu_compiler_flags = " ".join(flags)
+sys.argv = {argv!r}
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+@pytest.mark.slow  # it compiles all kernels once more
+def test_the_instructions_of_the_cpu_do_not_matter() -> None:
+    program = WITHOUT_AVX_512.format(argv=[str(PROGRAM), "{}"])
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert found == {name: {task: mine(task, name) for task in task_ids()} for name in PRECISIONS}
+
+
+@pytest.mark.parametrize("lanes", [1, 32])
+@EACH
+@pytest.mark.parametrize("task", ["Walker-v0", "Carrier-v0", "Climber-v0", "Catcher-v0"])
+def test_the_width_of_lanes_does_not_matter(task: str, precision: str, lanes: int) -> None:
+    assert digest(task, precision, lanes=lanes) == mine(task, precision)
+
+
+def test_every_task_is_pinned_in_both_precisions() -> None:
+    for record in pins.load():
+        assert {name: sorted(found) for name, found in record["digests"].items()} == {
+            name: sorted(task_ids()) for name in PRECISIONS
+        }
+        single, double = (record["digests"][name] for name in PRECISIONS)
+        assert not [task for task in task_ids() if single[task] == double[task]]
+
+
+def test_only_a_platform_that_was_recorded_can_fail() -> None:
+    records = [{"platform": {"libm": "a"}, "digests": {"float32": {"Walker-v0": "1"}}}]
+    expected = {("1", "a"): "same", ("2", "a"): "changed", ("1", "b"): "same", ("2", "b"): "unknown"}
+    for (found, libm), outcome in expected.items():
+        assert pins.verdict(found, "float32", "Walker-v0", records, {"libm": libm}) == outcome
+
+
+def test_digests_tell_rollouts_apart() -> None:
+    assert digest("Walker-v0", "float64", max_episode_steps=19) != mine("Walker-v0", "float64")
+    assert digest("Catcher-v0", "float64", seed=12) != mine("Catcher-v0", "float64")
+    assert digests(["Walker-v0"])["float32"]["Walker-v0"] == mine("Walker-v0", "float32")
