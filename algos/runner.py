@@ -223,13 +223,21 @@ class Runner(OnPolicyRunner):
         return logs
 
     def _check(self, losses: dict[str, float]) -> None:
+        """Refuse what must neither be evaluated nor saved over what is good."""
         for name, value in losses.items():
             if not math.isfinite(value):
                 raise self._diverged(f"the {name} loss is {value}")
+        learned = [value for group in self.alg.optimizer.param_groups for value in group["params"]]
+        learned += self.alg.get_policy().buffers()
+        if not bool(torch.stack([torch.isfinite(value).all() for value in learned]).all()):
+            raise self._diverged("the networks have weights that are NaN or infinite")
 
     def _diverged(self, reason: str) -> DivergenceError:
         where = self.current_learning_iteration + 1
-        return DivergenceError(f"Learning diverged in iteration {where} ({reason}); try a lower ppo.learning_rate.")
+        return DivergenceError(
+            f"Learning diverged in iteration {where} ({reason}); checkpoints hold what was before."
+            " Try a new run with a lower ppo.learning_rate."
+        )
 
     def _evaluate(self) -> float:
         """The mean return of a deterministic evaluation; keeps the policy if it is the best so far."""

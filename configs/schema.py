@@ -138,6 +138,11 @@ class TrainConfig:
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
     lanes: int | None = key(None, "environments that a thread advances at once; null: chosen by size")
     cuda_graph: bool = key(False, "on CUDA launch each control step, rewards and resets included, as one graph")
+    nan_guard: str = key(
+        "on",
+        "bad numbers end an environment (on), and its last 64 steps are written to the run's folder dumps (dump)",
+        choices=("on", "dump"),
+    )
     torch_threads: int = key(1, "threads of PyTorch; more than 1 slows small networks and changes rounding", low=1)
     resume: str | None = key(None, "go on with a run: latest, its folder, or a checkpoint file in it")
     name: str | None = key(None, "appended to the name of the run's folder")
@@ -258,6 +263,7 @@ class PlayConfig(_RolloutConfig):
     design: Any = key(None, "with agent: body, as for train; null: walker")
     rules: str | None = key(None, "with agent: evogym or paper; null: evogym", choices=("evogym", "paper"))
     num_envs: int = key(4, "environments; a multiple of the number of designs", low=1)
+    rollout: str | None = key(None, "a rollout file to show as it is (a dump of nan_guard=dump, say), and nothing else")
     window: str = key("auto", "show the episode in a window: on, off, or auto, where there is a display", choices=SHOW)
     record: bool = key(True, "write the rollout, of which `warpvox export rollout=FILE` makes pictures later")
     export: list[str] | None = key(
@@ -289,6 +295,7 @@ SUITES = {
     "search": "search algorithms on a made-up fitness, against random search",
     "options": "inheritance and early stopping against the plain genetic algorithm, at equal control steps",
     "soak": "a training or design search watched for an hour: memory, open files, speed",
+    "stress": "all tasks under extreme actions with random bodies: what must never happen",
     "gpu": "checks and figures of a CUDA device in one go",
 }
 """What ``warpvox bench`` measures."""
@@ -353,6 +360,16 @@ class SoakConfig:
 
 
 @dataclass
+class StressConfig:
+    """Keys ``stress.*``: what the suite of that name does to every task."""
+
+    steps: int = key(1_000_000, "control steps of a task, of all environments together", low=1)
+    bodies: int = key(8, "random bodies, 32 environments each", low=1)
+    largest: int = key(5, "voxels of a side of a body at most", low=2)
+    depth: float = key(1.0, "voxels that a point may be inside terrain before the suite fails", above=0)
+
+
+@dataclass
 class GenerationConfig:
     """Keys ``population.*``: a generation of a design search."""
 
@@ -366,7 +383,7 @@ class BenchConfig:
 
     suite: str = key("peer", "; ".join(f"{name}: {text}" for name, text in SUITES.items()), choices=tuple(SUITES))
     task: str = key("Walker-v0", "task id")
-    tasks: list[str] = key([], "tasks of suite=tasks and suite=gpu; []: all")
+    tasks: list[str] = key([], "tasks of suite=tasks, suite=stress and suite=gpu; []: all")
     design: Any = key("walker", "body, as for train")
     num_envs: int = key(512, "environments stepped together", low=1)
     steps: int = key(40, "control steps of a timed repetition, fewer where they would take longer than limit", low=1)
@@ -387,6 +404,7 @@ class BenchConfig:
     searches: SearchesConfig = key(SearchesConfig, "suite=search")
     options: OptionsConfig = key(OptionsConfig, "suite=options")
     soak: SoakConfig = key(SoakConfig, "suite=soak")
+    stress: StressConfig = key(StressConfig, "suite=stress")
     seconds: float = key(400.0, "suite=gpu begins no part after so many", above=0)
     population: GenerationConfig = key(GenerationConfig, "suite=population")
     document: str | None = key(None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,6 +12,7 @@ import torch
 
 from warpvox.design import Design, load_design
 from warpvox.envs.draws import Draws
+from warpvox.envs.dumps import DivergenceDump, check_guard
 from warpvox.envs.graph import StepGraph, capture_on_cuda
 from warpvox.envs.layout import Layout
 from warpvox.envs.registry import get_task
@@ -46,6 +48,8 @@ def make_vec(
     max_episode_steps: int | None = None,
     obs: str = "task",
     cuda_graph: bool = False,
+    nan_guard: str = "on",
+    dump_folder: str | os.PathLike[str] = "dumps",
 ) -> VoxelVecEnv:
     """Make ``num_envs`` environments of a task, ready to be stepped.
 
@@ -70,12 +74,16 @@ def make_vec(
             observes; see :mod:`warpvox.envs.voxels`).
         cuda_graph: on CUDA launch a whole control step, from the physics to rewards and resets, as one graph (see
             :mod:`warpvox.envs.graph`). Without, the physics alone is one. Means nothing on the CPU.
+        nan_guard: ``on``: a simulation that diverges is ended and reset, which costs nothing and cannot be switched
+            off; ``dump``: its last 64 control steps are written to a rollout file besides (see
+            :class:`warpvox.envs.dumps.DivergenceDump`), which ``warpvox play rollout=FILE`` shows.
+        dump_folder: where these files go, 10 at most; made when there is one.
 
     Raises:
         TaskError: unknown task. DesignError: a body that is not valid. WorldError: a body that does not fit.
         ConfigError: a count or name out of range. DeviceError: no such device.
     """
-    spec = get_task(task).under(rules)
+    spec, guard = get_task(task).under(rules), check_guard(nan_guard)
     if max_episode_steps is not None:
         spec = replace(spec, max_episode_steps=_whole("max_episode_steps", max_episode_steps))
     bodies = _load_designs(spec, designs)
@@ -98,7 +106,10 @@ def make_vec(
         threads=threads,
         loose=spec.scattered,
     )
-    return VoxelVecEnv(spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs, cuda_graph=cuda_graph)
+    env = VoxelVecEnv(spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs, cuda_graph=cuda_graph)
+    if guard == "dump":
+        env.dump = DivergenceDump(env, dump_folder)
+    return env
 
 
 class VoxelVecEnv:
@@ -168,6 +179,7 @@ class VoxelVecEnv:
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
         # Looking at a mask to skip work is free on the CPU; elsewhere it would wait for the device.
         self._may_look = torch.device(sim.device).type == "cpu"
+        self.dump: DivergenceDump | None = None
         self._graph = StepGraph(self, capture_on_cuda(sim.device)) if cuda_graph and not self._may_look else None
         self._clear_episodes()
 
@@ -219,6 +231,8 @@ class VoxelVecEnv:
             raise ConfigError(f"{self.spec.id} remembers nothing: there is no {listing(memory)} to set.")
         self._clear_episodes()
         self._before = State(self.sim, self._memory).remember(self._needed_before)
+        if self.dump is not None:
+            self.dump.clear()
         return self._layout.observe(self._before), {}
 
     def _start_memory(self, mask: torch.Tensor | None, given: Mapping[str, Any] | None = None) -> None:
@@ -275,7 +289,12 @@ class VoxelVecEnv:
         """
         self.sim.take(actions)
         self._drawn = False
-        return self._whole_step() if self._graph is None else self._graph()
+        if self.dump is None:
+            return self._whole_step() if self._graph is None else self._graph()
+        self.dump.before(self.sim.actions)
+        result = self._whole_step() if self._graph is None else self._graph()
+        self.dump.after(result[1], result[4])
+        return result
 
     def _whole_step(self) -> StepResult:
         """The part of :meth:`step` that runs on the device, without waiting for it."""
@@ -422,6 +441,8 @@ class VoxelVecEnv:
         self._terminated = state["terminated"].to(self.device)
         self._truncated = state["truncated"].to(self.device)
         self._before = State(self.sim, self._memory).remember(self._needed_before)
+        if self.dump is not None:
+            self.dump.clear()
 
 
 def _check_seeds(seed: int | Sequence[int], designs: int) -> None:

@@ -41,7 +41,7 @@ from warpvox.files import atomic_path
 from warpvox.scene import Scene, SceneObject, check_scene, scene_from_json, scene_to_json, stretch
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 
-__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "record", "scenes_of"]
+__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "points_of", "record", "scenes_of"]
 
 FORMAT, VERSION = "warpvox-rollout", 1
 FRAME_SECONDS = 1 / 50
@@ -285,6 +285,12 @@ def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], n
 
 def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], np.ndarray]]:
     """The scenes of a simulation, one a distinct world, and a function that gives its points, float32 ``[E, P, 2]``."""
+    scenes, points = points_of(sim)
+    return scenes, lambda: points().cpu().numpy()
+
+
+def points_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
+    """:func:`scenes_of` with the points as a tensor on the simulation's device, which nothing waits for."""
     import torch
 
     names = [
@@ -317,12 +323,12 @@ def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], np.ndarray]]:
         < torch.tensor([len(source) for source in sources], device=sim.device)[sim.design_index][:, None]
     )
 
-    def gather() -> np.ndarray:
+    def points() -> Any:
         every = torch.cat([sim.object_positions(name) for name in names], dim=1)
-        points = torch.gather(every, 1, index[:, :, None].expand(-1, -1, 2)) * real[:, :, None]
-        return points.to(torch.float32).cpu().numpy()
+        found = torch.gather(every, 1, index[:, :, None].expand(-1, -1, 2)) * real[:, :, None]
+        return found.to(torch.float32)
 
-    return tuple(scenes), gather
+    return tuple(scenes), points
 
 
 def _agent(name: str, env: Any) -> Callable[[Any], Any]:

@@ -125,6 +125,11 @@ class Simulation:
             raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
         self._actions.copy_(actions)
 
+    @property
+    def actions(self) -> torch.Tensor:
+        """``[num_envs, num_actions]``: the actions taken last, as they were given."""
+        return self._actions.clone()
+
     def advance(self) -> None:
         """The second half of :meth:`step`; on CUDA it can be part of a graph that is being captured."""
         if self.device == "cpu" or torch.cuda.is_current_stream_capturing():

@@ -111,6 +111,37 @@ def test_divergence_is_one_clear_error() -> None:
         runner.run()
 
 
+@pytest.mark.parametrize("part", ["weights", "moments"])
+def test_weights_that_are_not_finite_are_never_saved(
+    tmp_path: Path, part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runner = make_runner(6, folder=tmp_path, save=1, evaluate=1)
+    learn = runner.alg.update
+
+    def update() -> dict[str, float]:
+        losses = learn()  # which stay finite: the last step of the optimiser has gone wrong
+        if runner.current_learning_iteration == 3:
+            policy = runner.alg.get_policy()
+            broken = next(policy.mlp.parameters()) if part == "weights" else next(iter(policy.buffers()))
+            broken.data.fill_(float("nan"))
+        return losses
+
+    monkeypatch.setattr(runner.alg, "update", update)
+    with pytest.raises(RunError, match=r"diverged in iteration 4 .*checkpoints hold what was before.*learning_rate"):
+        runner.run()
+    assert {path.name for path in tmp_path.glob("*.pt")} == {
+        "state.pt",
+        "model_best.pt",
+        "model_1.pt",
+        "model_2.pt",
+        "model_3.pt",
+    }
+    again = make_runner(6)
+    again.resume(tmp_path / "state.pt")
+    assert again.current_learning_iteration == 3
+    assert all(torch.isfinite(value).all() for value in weights(again).values())
+
+
 # ---------------------------------------------------------------------------------------------------- resume
 
 

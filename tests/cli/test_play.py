@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,9 @@ import pytest
 import yaml
 from PIL import Image
 
+from warpvox.algos.metrics import read_metrics
 from warpvox.cli.watch import watch
+from warpvox.envs.dumps import LIMIT
 from warpvox.envs.vec_env import make_vec
 from warpvox.rollout import Rollout, record
 
@@ -110,3 +113,36 @@ def test_the_window_shows_real_time_and_begins_anew(speed: float) -> None:
     again = [k for k in range(1, 200) if (shown[k] == first).all() and (shown[k - 1] != first).any()]
     assert again  # it began anew
     assert 2 <= count <= 11 * (len(again) + 1)  # and no frame is drawn twice in a row
+
+
+def test_training_writes_down_what_diverged_and_play_shows_it(warpvox: Callable, train: Callable) -> None:
+    # soft cells far beyond the stability of the integrator
+    stiff = ["design=[[3,2],[4,3]]", "physics.soft_main=1e12", "physics.soft_structural=1e12"]
+    folder = train(*stiff, "nan_guard=dump", "max_iterations=3")
+    rows = read_metrics(folder)
+    assert sum(row["diverged"] for row in rows) > 0
+    assert all(row["unstable"] >= row["diverged"] for row in rows)
+    assert all(np.isfinite(row["value_loss"]) for row in rows)
+    files = sorted((folder / "dumps").iterdir())
+    assert 0 < len(files) <= LIMIT
+    outcome = warpvox("play", f"rollout={files[0]}", "window=off")
+    assert outcome.code == 0, outcome.err
+    assert "diverged" in outcome.out
+    shown = only("play/Walker-v0/*")
+    assert {file.name for file in shown.iterdir()} == {"config.yaml", "summary.json", "rollout.html"}
+    assert json.loads((shown / "summary.json").read_text())["source"] == str(files[0])
+    outcome = warpvox("play", f"rollout={files[0]}", "agent=sine")
+    assert outcome.code == 2
+    assert "agent cannot be given with it" in outcome.err
+    outcome = warpvox("play", "rollout=nowhere.npz", "window=off")
+    assert outcome.code == 2
+    assert "no such file" in outcome.err
+
+
+def test_training_says_how_many_diverged_while_it_runs(warpvox: Callable) -> None:
+    stiff = ["design=[[3,2],[4,3]]", "physics.soft_main=1e12", "physics.soft_structural=1e12"]
+    small = "num_envs=8 threads=1 device=cpu ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 max_iterations=2".split()
+    outcome = warpvox("train", *stiff, *small)
+    assert outcome.code == 0, outcome.err
+    assert re.search(r"unstable \d+  diverged \d+ in all", outcome.out)
+    assert not list(Path("outputs").glob("train/*/*/dumps"))

@@ -28,7 +28,7 @@ from warpvox.cli.say import say
 from warpvox.cli.train import describe
 from warpvox.cli.watch import wants_window, watch
 from warpvox.configs.schema import PlayConfig
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, listing
 from warpvox.files import check_writable
 
 if TYPE_CHECKING:
@@ -65,7 +65,10 @@ def play(config: PlayConfig, console: Console) -> Path:
     size = check_size(config.size)
     check_name(config.name)
     check_writable(config.output_dir)
-    if config.agent is None:
+    if config.rollout is not None:
+        rollout, source = stored_rollout(config)
+        config = dataclasses.replace(config, run="", record=False)
+    elif config.agent is None:
         rollout, source = play_run(config, console)
     else:
         rollout, source = play_agent(config, console), f"agent {config.agent}"
@@ -96,6 +99,20 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
         rollout = record_run(source, env, controller, config.steps)
     say(console, f"run: {shown(source.folder)}")
     return rollout, str(source.checkpoint or source.folder)
+
+
+def stored_rollout(config: PlayConfig) -> tuple[Rollout, str]:
+    """The rollout of a file, and the file.
+
+    Raises:
+        ConfigError: an agent is asked for as well. RolloutError: no such file, or no rollout.
+    """
+    from warpvox.rollout import Rollout
+
+    given = [name for name in ("agent", *OF_AGENTS) if getattr(config, name) is not None]
+    if given:
+        raise ConfigError(f"rollout shows what was recorded: {listing(given)} cannot be given with it.")
+    return Rollout.load(config.rollout), config.rollout
 
 
 def play_agent(config: PlayConfig, console: Console) -> Rollout:
@@ -155,7 +172,10 @@ def print_returns(rollout: Rollout, console: Console) -> None:
     returns, lengths = rollout.returns[-1], rollout.lengths
     several = len(rollout.scenes) > 1
     agent = rollout.metadata.get("agent", "policy")
-    table = Table(title=f"{rollout.title}, {'deterministic' if agent == 'policy' else f'agent {agent}'}")
+    kind = "deterministic" if agent == "policy" else f"agent {agent}"
+    if rollout.metadata.get("diverged"):
+        kind = f"up to the step in which environment {rollout.metadata.get('environment')} diverged"
+    table = Table(title=f"{rollout.title}, {kind}")
     for heading in ("environment", *(["design"] if several else []), "return", "steps", "end"):
         table.add_column(heading, justify="left" if heading == "end" else "right")
     for env in range(min(rollout.num_envs, ROWS)):
@@ -173,4 +193,6 @@ def print_returns(rollout: Rollout, console: Console) -> None:
 def _end(rollout: Rollout, env: int) -> str:
     if not rollout.num_steps or not rollout.done[-1, env]:
         return "still going"
+    if rollout.metadata.get("diverged"):
+        return "diverged"
     return "task ended" if rollout.terminated[-1, env] else "time limit"

@@ -39,6 +39,7 @@ CHANGEABLE = (
     "threads",
     "torch_threads",
     "cuda_graph",
+    "nan_guard",
     "resume",
     "output_dir",
 )
@@ -191,7 +192,8 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
     preparing = console.status("preparing the simulation (the first time on a machine its kernels are compiled)")
     with preparing, enough_memory(advice):
         schedule = Schedule(config.max_iterations, config.save_interval, config.eval_interval, config.stop_return)
-        env = adapt(make_env(config, config.num_envs, auto_reset=True, seed=team.seed(config.seed)), config.ppo)
+        seed, guard = team.seed(config.seed), config.nan_guard
+        env = adapt(make_env(config, config.num_envs, auto_reset=True, seed=seed, nan_guard=guard), config.ppo)
         lanes = training_lanes(config, config.device)
         judge = None
         if team.leads:
@@ -204,6 +206,8 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         config = dataclasses.replace(config, num_envs=job.config.num_envs, device=config.device.split(":")[0])
     with _folder(job, config, command, team) as folder:
         runner.folder = folder
+        if env.env.dump is not None:
+            env.env.dump.folder = folder / ("dumps" if team.leads else f"dumps_{team.rank}")
         _announce(console, config, runner, folder)
         _learn(runner, console, folder, command)
     return folder

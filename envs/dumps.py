@@ -1,0 +1,155 @@
+"""What led to bad numbers: the last states of an environment that has diverged, as a rollout file."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from warpvox.errors import ConfigError, RolloutError, did_you_mean, listing
+from warpvox.rollout import Rollout, points_of
+from warpvox.types import ACTION_HIGH, ACTION_LOW
+
+if TYPE_CHECKING:
+    from warpvox.envs.vec_env import VoxelVecEnv
+
+__all__ = ["GUARDS", "LIMIT", "STEPS", "DivergenceDump", "check_guard"]
+
+GUARDS = ("on", "dump")
+"""Values of ``nan_guard``: bad numbers end their environment; and are written down besides."""
+STEPS = 64
+"""Control steps that a file holds at most."""
+LIMIT = 10
+"""Files that a folder holds at most, whatever wrote them."""
+PATTERN = "diverged_*.npz"
+
+
+class DivergenceDump:
+    """Keeps the last control steps of all environments, and writes those of one that diverges.
+
+    A file is a :class:`warpvox.rollout.Rollout` of one environment: positions before each of its last steps, at most
+    :data:`STEPS` and of the same episode, the actions taken and the rewards. The last step is the one that diverged; it
+    was undone, so that the last two entries of the positions are equal. The metadata say which environment it was and
+    in which step of its episode.
+
+    On the CPU it is written in the step in which it happens. On CUDA looking would wait for the device: it happens
+    every :data:`STEPS` steps, and of an environment that diverged twice meanwhile the first time is written.
+
+    Args:
+        env: the environments.
+        folder: where files go; made when there is one. May be changed later.
+    """
+
+    def __init__(self, env: VoxelVecEnv, folder: str | os.PathLike[str]) -> None:
+        self.env, self.folder = env, Path(folder)
+        self.pause = 1 if torch.device(env.sim.device).type == "cpu" else STEPS
+        self._scenes, self._points = points_of(env.sim)
+        self._room = STEPS + self.pause
+        self._open = True
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all steps: the next does not follow on them."""
+        self._count = 0
+        self._rings: dict[str, torch.Tensor] = {}
+        self._at = torch.full((self.env.num_envs,), -1, dtype=torch.long, device=self.env.device)
+        self._length = torch.zeros_like(self._at)
+
+    def before(self, actions: torch.Tensor) -> None:
+        """Note the state before a step, and the actions ``[num_envs, num_actions]`` that it will take."""
+        self._note("positions", self._points())
+        self._note("actions", actions)
+
+    def _note(self, name: str, values: torch.Tensor) -> None:
+        if name not in self._rings:
+            self._rings[name] = values.new_zeros((self._room, *values.shape))
+        self._rings[name][self._count % self._room] = values
+
+    def after(self, reward: torch.Tensor, info: dict[str, Any]) -> list[Path]:
+        """Note what the step has given; returns the files that were written."""
+        self._note("rewards", reward)
+        new = info["diverged"] & (self._at < 0)
+        self._at = torch.where(new, self._count, self._at)
+        self._length = torch.where(new, info["episode"]["length"].long(), self._length)
+        self._count += 1
+        if self._count % self.pause or not bool((self._at >= 0).any()):
+            return []
+        found = (self._at >= 0).nonzero()[:, 0].tolist()
+        written = [path for env in found if (path := self._write(env)) is not None]
+        self._at = torch.full_like(self._at, -1)
+        return written
+
+    def _write(self, env: int) -> Path | None:
+        """Write one environment; a disk that refuses costs the file, not the simulation, which a warning says once."""
+        taken = [int(number) for p in self.folder.glob(PATTERN) if (number := p.stem.split("_")[1]).isdigit()]
+        if not self._open or len(taken) >= LIMIT:
+            return None
+        path = self.folder / f"diverged_{max(taken, default=0) + 1:03}_env{env}.npz"
+        try:
+            return self.rollout(env).save(path)
+        except (OSError, RolloutError) as error:
+            self._open = False
+            warnings.warn(f"No more divergences are written: {path} failed: {error}", RuntimeWarning, stacklevel=2)
+            return None
+
+    def rollout(self, env: int) -> Rollout:
+        """What led to the divergence of an environment."""
+        at = int(self._at[env])
+        steps = min(int(self._length[env]), STEPS, at + 1)
+        places = [step % self._room for step in range(at + 1 - steps, at + 1)]
+        positions, actions, rewards = (
+            self._rings[name][places, env].double().cpu().numpy() for name in ("positions", "actions", "rewards")
+        )
+        shown = _finite_frames(positions)
+        spec, over = self.env.spec, np.zeros((steps, 1), bool)
+        over[-1] = True
+        return Rollout(
+            positions=np.concatenate([shown, shown[-1:]])[:, None],
+            design_index=np.zeros(1, np.int32),
+            scenes=(self._scenes[int(self.env.sim.design_index[env])],),
+            actions=np.where(np.isfinite(actions), actions, 1.0).clip(ACTION_LOW, ACTION_HIGH)[:, None],
+            rewards=rewards[:, None],
+            terminated=over,
+            truncated=np.zeros_like(over),
+            metadata={
+                "task": spec.id,
+                "rules": self.env.rules,
+                "physics": self.env.sim.physics.name,
+                "dtype": str(self.env.sim.dtype).removeprefix("torch."),
+                "agent": "policy",
+                "diverged": True,
+                "environment": env,
+                "episode_step": int(self._length[env]),
+                "actions_not_finite": int((~np.isfinite(actions)).sum()),
+                "states_not_finite": int((~np.isfinite(positions)).any((1, 2)).sum()),
+            },
+        )
+
+
+def _finite_frames(positions: np.ndarray) -> np.ndarray:
+    """Frames ``[frames, points, 2]``; in place of one that float32 cannot hold or that is not finite, that before."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        frames = positions.astype(np.float32)
+    good = np.isfinite(frames).all((1, 2))
+    if not good.any():
+        return np.zeros_like(frames)
+    last = np.maximum.accumulate(np.where(good, np.arange(len(frames)), -1))
+    return frames[np.where(last < 0, good.argmax(), last)]
+
+
+def check_guard(guard: str) -> str:
+    """``guard``, if it is one of :data:`GUARDS`.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    if guard not in GUARDS:
+        hint = did_you_mean(str(guard), GUARDS)
+        raise ConfigError(
+            f"nan_guard must be one of {listing(GUARDS)}, got {guard!r}.{hint} (Bad numbers are always caught.)"
+        )
+    return guard
