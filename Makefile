@@ -1,9 +1,13 @@
 # Everything a fresh machine needs: Python >= 3.10 with venv, and make.
-#   make demo   train a walker and write its rollout as USD, GIF and a page
-#   make test   run the default test suite
-#   make lint   check style (make format: repair it)
-#   make docs   build the documentation into site/ and check its links
-#   make clean  remove what builds leave behind (make distclean: .venv as well)
+#   make demo        train a walker and write its rollout as USD, GIF and a page
+#   make test        run the default test suite (make fast: without parity; make parity: these alone)
+#   make lint        check style (make format: repair it)
+#   make licences    check the licences of everything that is installed with warpvox
+#   make packaging   install the wheel into clean environments of all Pythons that are found
+#   make audit       ask the advisory database about the pinned versions (pip-audit)
+#   make lock        make constraints.txt and locks/ anew (UPGRADE=1: with the newest versions)
+#   make docs        build the documentation into site/ and check its links
+#   make clean       remove what builds leave behind (make distclean: .venv as well)
 # PYTHON=python3.12 make demo   chooses the interpreter that .venv is made from.
 
 PYTHON ?= python3
@@ -11,23 +15,33 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
+# Tools of the maintainers have an environment of their own: .venv cannot be made while the locks are out of date.
+TOOLS := build/tools
+UV := $(TOOLS)/bin/uv
+AUDIT := pip-audit==2.10.1
+COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10 --universal \
+  --no-annotate --custom-compile-command "make lock" pyproject.toml
+HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test lint format docs pictures clean distclean
+.PHONY: help install demo test fast parity lint format licences packaging audit lock docs pictures clean distclean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,7s/^# *//p' Makefile
+	@sed -n '2,11s/^# *//p' Makefile
 
 install: $(STAMP)
 
-# The stamp is written last: an interrupted installation is repeated, a finished one is not. torch comes first
-# because it is by far the largest download: if it fails, it fails early.
-$(STAMP): pyproject.toml constraints.txt
+# The stamp is written last: an interrupted installation is repeated, a finished one is not. Everything but torch has to
+# have a hash of locks/; which build of torch fits depends on the machine. The lock is complete, so that nothing is
+# resolved here (--no-deps), and `pip check` says so.
+$(STAMP): pyproject.toml constraints.txt locks/test.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
 	  { echo "warpvox needs Python >= 3.10; choose one with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(PIP) --no-deps --require-hashes -r locks/test.txt
 	$(PIP) -c constraints.txt torch
-	$(PIP) -c constraints.txt -e ".[dev,view]"
+	$(PIP) --no-deps --no-build-isolation -e .
+	$(BIN)/python -m pip check
 	@touch $@
 
 demo: $(STAMP)
@@ -35,6 +49,12 @@ demo: $(STAMP)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest
+
+fast: $(STAMP)
+	$(BIN)/python -m pytest -m "not slow and not gpu and not packaging and not parity"
+
+parity: $(STAMP)
+	$(BIN)/python -m pytest -m parity
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -44,8 +64,31 @@ format: $(STAMP)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+licences: $(STAMP)
+	$(BIN)/python -m pytest tests/supply/test_licences.py
+
+# WARPVOX_PACKAGING=full make packaging   installs torch everywhere, not only into the Python of .venv.
+packaging: $(STAMP)
+	$(BIN)/python -m pytest -m packaging -v -rs --durations=0
+
+# Strict: a package that cannot be looked up is a failure, not a clean bill.
+audit: $(UV)
+	$(UV) tool run --python $(TOOLS)/bin/python $(AUDIT) --strict --no-deps --disable-pip -r constraints.txt
+
+# One resolution for all Pythons and platforms; versions stay as they are unless UPGRADE is given.
+lock: $(UV)
+	$(COMPILE) $(if $(UPGRADE),--upgrade) --all-extras -o constraints.txt
+	$(HASHED) -o locks/run.txt
+	$(HASHED) --extra dev --extra view -o locks/test.txt
+	$(HASHED) --extra docs -o locks/docs.txt
+	$(HASHED) --all-extras -o locks/all.txt
+
+$(UV):
+	$(PYTHON) -m venv $(TOOLS)
+	$(TOOLS)/bin/python -m pip install --quiet --disable-pip-version-check uv==0.13.9
+
 docs: $(STAMP)
-	$(PIP) --quiet -c constraints.txt -e ".[docs]"
+	$(PIP) --quiet --no-deps --require-hashes -r locks/docs.txt
 	$(BIN)/python -m mkdocs build --strict
 
 # Makes the pictures of the documentation anew, of three runs of a walker; takes some minutes.

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from build_distributions import build, copy_sources
 from hypothesis import HealthCheck, settings
 
 # The same examples on every run, and no time limit for one: a shared machine may stall at any moment.
@@ -37,6 +38,22 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def repository() -> Path:
     """The root of the checkout."""
     return Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def source_copy(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the checkout to build distributions in, so that no build folder is left behind."""
+    return copy_sources(repository, tmp_path_factory.mktemp("checkout"))
+
+
+@pytest.fixture(scope="session")
+def wheel(source_copy: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build("wheel", source_copy, tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="session")
+def sdist(source_copy: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build("sdist", source_copy, tmp_path_factory.mktemp("sdist"))
 
 
 @pytest.fixture(scope="module")

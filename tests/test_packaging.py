@@ -8,10 +8,12 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
 import pytest
+from build_distributions import MAPPED, build
 
 import warpvox
 
@@ -20,8 +22,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-MAPPED = ("kernels", "envs", "algos", "configs")
-"""Top-level folders that are subpackages of warpvox."""
 DATA_SUFFIXES = {".yaml", ".cfg", ".html", ".js", ".css", ".h", ".typed"}
 HEAVY = (
     "torch",
@@ -80,27 +80,32 @@ def test_mapped_folders_refuse_a_second_import(repository: Path) -> None:
         assert f"import this package as warpvox.{folder}" in run.stderr
 
 
-@pytest.fixture(scope="module")
-def wheel(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A wheel built from a copy of the checkout, so that no build folder is left behind."""
-    pytest.importorskip("setuptools", minversion="77")
-    copy = tmp_path_factory.mktemp("checkout")
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(repository / name, copy / name)
-    for name in ("warpvox", *MAPPED):
-        shutil.copytree(repository / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-    code = "import sys; from setuptools import build_meta; build_meta.build_wheel(sys.argv[1])"
-    out = tmp_path_factory.mktemp("wheel")
-    run = subprocess.run([sys.executable, "-c", code, out], cwd=copy, capture_output=True, text=True)
-    assert run.returncode == 0, run.stderr
-    (built,) = out.glob("*.whl")
-    return built
-
-
 def test_the_wheel_holds_every_file_of_the_tree(repository: Path, wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         inside = {name for name in archive.namelist() if ".dist-info/" not in name}
     assert inside == shipped_files(repository)
+
+
+def contents(built: Path) -> dict[str, bytes]:
+    """The files of a wheel, those of its description included."""
+    with zipfile.ZipFile(built) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def test_the_source_distribution_builds_the_same_wheel(wheel: Path, sdist: Path, tmp_path: Path) -> None:
+    shutil.unpack_archive(sdist, tmp_path)
+    (unpacked,) = tmp_path.iterdir()
+    assert contents(build("wheel", unpacked, tmp_path / "out")) == contents(wheel)
+
+
+def test_the_source_distribution_holds_nothing_else(repository: Path, sdist: Path) -> None:
+    with tarfile.open(sdist) as archive:
+        inside = {name.partition("/")[2] for name in archive.getnames() if archive.getmember(name).isfile()}
+    described = {name for name in inside if name.startswith("warpvox.egg-info/")} | {"PKG-INFO", "setup.cfg"}
+    sources = {name for name in inside - described if installed_name(repository, repository / name) != name}
+    sources |= {name for name in inside - described if name.startswith("warpvox/")}
+    assert {installed_name(repository, repository / name) for name in sources} == shipped_files(repository)
+    assert inside - described - sources == {"pyproject.toml", "README.md", "LICENSE", "MANIFEST.in"}
 
 
 def test_the_wheel_works_without_the_checkout(wheel: Path, tmp_path: Path) -> None:

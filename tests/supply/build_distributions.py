@@ -1,0 +1,32 @@
+"""Builds the wheel and the source distribution as a package index would get them."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+MAPPED = ("kernels", "envs", "algos", "configs")
+"""Top-level folders that are subpackages of warpvox."""
+FOLDERS = ("warpvox", *MAPPED, "tests")
+
+
+def copy_sources(repository: Path, place: Path) -> Path:
+    """Everything of a checkout that a build may look at, tests included, since they must stay out."""
+    for path in repository.iterdir():
+        if path.name in FOLDERS:
+            shutil.copytree(path, place / path.name, ignore=shutil.ignore_patterns("__pycache__", "recordings"))
+        elif path.is_file() and not path.is_symlink():  # in a worktree, .git is a file
+            shutil.copy(path, place / path.name)
+    return place
+
+
+def build(kind: str, sources: Path, out: Path) -> Path:
+    """Builds ``wheel`` or ``sdist`` with the setuptools that is installed, and returns the file in ``out``."""
+    code = f"import sys; from setuptools import build_meta; build_meta.build_{kind}(sys.argv[1])"
+    out.mkdir(exist_ok=True)
+    run = subprocess.run([sys.executable, "-c", code, str(out)], cwd=sources, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    (built,) = out.iterdir()
+    return built
