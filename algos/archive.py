@@ -14,6 +14,7 @@ import errno
 import hashlib
 import json
 import math
+import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
@@ -563,6 +564,11 @@ def _objection(db: sqlite3.Connection, application: int, version: int) -> str | 
         return "is an SQLite file, but no archive of warpvox"
     if version > VERSION:
         return f"is an archive of version {version}; this warpvox reads up to {VERSION}: install a newer one"
+    # what is missing at the end SQLite takes for zeros, which may pass for an empty page
+    pages, size = (db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "page_size"))
+    held = os.stat(db.execute("PRAGMA database_list").fetchone()[2]).st_size
+    if held < pages * size:
+        return f"is damaged (cut short: {held} of {pages * size} bytes)"
     state = db.execute("PRAGMA quick_check").fetchone()[0]
     if state != "ok":
         return f"is damaged ({' '.join(state.split())})"

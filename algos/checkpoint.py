@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import pickle
+import struct
+import zipfile
+import zlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -97,12 +100,32 @@ def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
     if not path.is_file():
         raise RunError(f"There is no checkpoint file {path}.")
     try:
+        _check_sums(path)
         content = torch.load(path, map_location=device, weights_only=True)
-    except (RuntimeError, OSError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        struct.error,
+        OverflowError,
+        RuntimeError,
+        OSError,
+        EOFError,
+        ValueError,
+        KeyError,
+        pickle.UnpicklingError,
+    ) as error:
         raise RunError(f"{path} is not a readable checkpoint ({_first_line(error)}).") from None
     if not isinstance(content, dict):
         raise RunError(f"{path} is not a checkpoint of warpvox.")
     return content
+
+
+def _check_sums(path: Path) -> None:
+    """Raise BadZipFile if a part of a checkpoint is not what was written: torch itself does not look."""
+    with zipfile.ZipFile(path) as file:
+        damaged = file.testzip()
+    if damaged is not None:
+        raise zipfile.BadZipFile(f"{damaged} is damaged")
 
 
 def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:

@@ -172,13 +172,11 @@ class Runner(OnPolicyRunner):
             self.alg.broadcast_parameters()
         try:
             with deferred_interrupts() as interrupted:
-                while self.current_learning_iteration < end:
+                while self.current_learning_iteration < end and not self._reached():
                     self._iterate(end)
                     if self.team.any(bool(interrupted)):
                         self.save_all()
                         interrupted.stop()
-                    if self._reached():
-                        break
             self.save_all()
         finally:
             if self._metrics is not None:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from fractions import Fraction
 from pathlib import Path
 from weakref import WeakKeyDictionary
 
@@ -285,7 +289,7 @@ def write_mp4(
         RolloutError: as for write_gif; odd sizes; or imageio-ffmpeg is not installed.
     """
     try:
-        from imageio_ffmpeg import write_frames
+        from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:
         raise RolloutError(
             "MP4 needs imageio-ffmpeg, which is not installed: pip install 'warpvox[view]', or write a GIF."
@@ -295,16 +299,43 @@ def write_mp4(
         raise RolloutError(f"The width and the height of an MP4 must be even, got {width} x {height}.")
     film, frames = Film(rollout, envs, size, hud, voxels), _frames(rollout, envs, fps, start, stop, most=240)
     with atomic_path(path) as temporary:
-        writer = write_frames(str(temporary), (width, height), fps=fps, codec="libx264", quality=7, macro_block_size=2)
-        writer.send(None)
-        try:
+        options = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+        options += ["-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"]
+        options += ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", "15", str(temporary)]
+        with _encoder([get_ffmpeg_exe(), "-y", "-v", "error", *options], path) as write:
             for number, frame in enumerate(frames):
-                writer.send(film.array(frame))
+                write(film.array(frame).tobytes())
                 if on_frame:
                     on_frame(number + 1, len(frames))
-        finally:
-            writer.close()
     return Path(path)
+
+
+@contextmanager
+def _encoder(command: list[str], path: str | os.PathLike[str]) -> Iterator[Callable[[bytes], object]]:
+    """A process that takes pictures; what it has to say of its failure counts, or half a film would pass for a whole.
+
+    Raises:
+        RolloutError: it has failed, most likely for want of space.
+    """
+    with tempfile.TemporaryFile() as log:
+        # Ctrl-C is ours to deal with: the encoder is in a group of its own
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, start_new_session=True)
+        ended = False
+        try:
+            yield process.stdin.write
+        except BrokenPipeError:
+            ended = True  # before it had everything; why follows
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            with suppress(BrokenPipeError):
+                process.stdin.close()
+            code = process.wait()
+        if ended or code:
+            log.seek(0)
+            said = " ".join(log.read().decode(errors="replace").split())[-200:] or f"exit code {code}"
+            raise RolloutError(f"{path} cannot be written; is its disk full? The encoder says: {said}")
 
 
 # ---------------------------------------------------------------------------------------------------- helpers

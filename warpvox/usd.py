@@ -59,7 +59,7 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     Raises:
         RolloutError: another suffix, no such environment or a stride below 1.
     """
-    from pxr import Sdf, Usd, UsdGeom
+    from pxr import Sdf, Tf, Usd, UsdGeom
 
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
@@ -91,8 +91,13 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     _define_cameras(stage, rollout, chosen, places, frames)
     _define_lights(stage)
     with atomic_path(path) as temporary:
-        if not layer.Export(str(temporary)):
-            raise RolloutError(f"USD could not write {path}.")
+        try:
+            written = layer.Export(str(temporary))
+            reason = "no reason is given"
+        except Tf.ErrorException as error:
+            written, reason = False, str(error).rpartition("file: ")[2].split("'")[0]
+        if not written:
+            raise RolloutError(f"{path} cannot be written; is its disk full? USD says: {reason}.")
     return Path(path)
 
 

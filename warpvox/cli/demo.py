@@ -14,6 +14,7 @@ from warpvox.cli.say import say
 from warpvox.cli.train import Job, describe, train
 from warpvox.configs.schema import PlayConfig
 from warpvox.errors import ConfigError
+from warpvox.files import check_writable
 
 __all__ = ["run"]
 
@@ -29,6 +30,7 @@ def run(words: list[str]) -> None:
         if config.resume is not None:
             raise ConfigError("A demo starts anew; go on with it by `warpvox train resume=FOLDER`.")
         check_name(config.name)
+        check_writable(config.output_dir)
         formats = check_formats(config.export, "export") if config.export else []
         folder = train(Job(config), console, "demo")
         _show(folder, config.output_dir, formats, console)

@@ -16,10 +16,19 @@ import yaml
 
 from warpvox.algos.archive import FILE as ARCHIVE
 from warpvox.algos.archive import Archive
-from warpvox.errors import ConfigError, RunError, listing
-from warpvox.files import MARK, claimed, sweep, write_text
+from warpvox.errors import ConfigError, RunError, StorageError, listing
+from warpvox.files import MARK, claimed, complaint, sweep, write_text
 
-__all__ = ["Run", "find_codesign", "find_run", "going_on", "new_folder", "write_config", "write_summary"]
+__all__ = [
+    "Run",
+    "find_codesign",
+    "find_run",
+    "going_on",
+    "is_summed_up",
+    "new_folder",
+    "write_config",
+    "write_summary",
+]
 
 CONFIG, SUMMARY = "config.yaml", "summary.json"
 STATE, BEST = "state.pt", "model_best.pt"
@@ -221,7 +230,7 @@ def _make(parent: Path, stamp: str, ending: str) -> Path:
                 raise RunError(f"{parent} cannot be made: a file is in the way.") from None
             continue
         except OSError as error:
-            raise RunError(f"The folder {folder} cannot be made: {error.strerror}.") from None
+            raise StorageError(f"The folder {folder} cannot be made: {complaint(error)}.", error) from None
         return folder
     raise RunError(f"{parent} has too many runs of this second.")
 
@@ -243,6 +252,14 @@ def going_on(folder: Path, config: str) -> Iterator[Path]:
         sweep(folder)
         write_config(folder, config)
         yield folder
+
+
+def is_summed_up(folder: Path) -> bool:
+    """Whether the summary of a run says that it is done; a run that was killed in its last moment has none."""
+    try:
+        return json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["status"] == "done"
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
 
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:

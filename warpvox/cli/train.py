@@ -17,7 +17,17 @@ from warpvox import __version__
 from warpvox.cli import COMMANDS
 from warpvox.cli.config import expand, load, read_arguments, to_yaml
 from warpvox.cli.help import command_help
-from warpvox.cli.runs import STATE, TRAINING, Run, check_name, find_run, going_on, new_folder, write_summary
+from warpvox.cli.runs import (
+    STATE,
+    TRAINING,
+    Run,
+    check_name,
+    find_run,
+    going_on,
+    is_summed_up,
+    new_folder,
+    write_summary,
+)
 from warpvox.cli.say import say
 from warpvox.configs.schema import TrainConfig
 from warpvox.errors import ConfigError, RunError, StorageError, listing
@@ -201,7 +211,8 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         runner = Runner(env, config.ppo, schedule, evaluator=judge, team=team)
         if job.checkpoint is not None:
             runner.resume(job.checkpoint)
-            runner.check_schedule()
+            if is_summed_up(job.folder):
+                runner.check_schedule()
     if team.size > 1:
         config = dataclasses.replace(config, num_envs=job.config.num_envs, device=config.device.split(":")[0])
     with _folder(job, config, command, team) as folder:
@@ -262,7 +273,8 @@ def _learn(runner: Any, console: Console, folder: Path, command: str) -> None:
     runner.report = progress
     try:
         with progress:
-            runner.run()
+            if runner.current_learning_iteration < runner.schedule.total:
+                runner.run()
         status = "done"
     except KeyboardInterrupt:
         status = "interrupted"

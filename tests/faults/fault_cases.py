@@ -1,0 +1,200 @@
+"""What the tests of faults share: the commands, a process that may die, and what must be true of what it leaves."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+import yaml
+
+from warpvox.algos.archive import FILE, Archive
+from warpvox.algos.checkpoint import load_checkpoint
+from warpvox.algos.metrics import read_metrics
+from warpvox.algos.policies import policy_sha256
+from warpvox.files import MARK
+
+COUNT, KILL, TORN, FULL, BROKEN = range(5)
+"""What happens at the chosen change: nothing; killed before it; killed after half of it; from it on the disk is full;
+it alone fails with an input/output error. As in ``injector.c``."""
+
+TRAIN = (
+    "train design=mini num_envs=8 threads=1 device=cpu ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 max_iterations=3"
+    " eval_interval=2 save_interval=1"
+).split()
+CODESIGN = (
+    "codesign shape=[3,3] search.population=3 search.max_evaluations=5 search.survivor_rate=0.3 training.envs=8"
+    " training.iterations=2 training.eval_interval=2 training.save_interval=1 training.ppo.steps=4"
+    " training.ppo.hidden=[8] training.ppo.epochs=1 device=cpu threads=1 batch=2"
+).split()
+
+
+class Result(NamedTuple):
+    """How a command has ended: a negative code is the signal that killed it; count: changes of the disk."""
+
+    code: int
+    out: str
+    err: str
+    count: int | None = None
+
+
+class Victim:
+    """Runs commands of warpvox in processes that may die; see ``victim.py``."""
+
+    def __init__(self, process: subprocess.Popen) -> None:
+        self._process = process
+
+    def ask(self, message: Any) -> str:
+        self._process.stdin.write(json.dumps(message) + "\n")
+        self._process.stdin.flush()
+        line = self._process.stdout.readline()
+        assert line, "the victim itself has died"
+        return line
+
+    def __call__(
+        self,
+        folder: Path,
+        words: Sequence[str],
+        at: int = 0,
+        mode: int = COUNT,
+        seconds: float | None = None,
+        number: int = signal.SIGKILL,
+    ) -> Result:
+        """Run a command in ``folder`` with a fault at the ``at``-th change, or a signal after some seconds."""
+        folder.mkdir(parents=True, exist_ok=True)
+        request = {"folder": str(folder), "words": list(words), "at": at, "mode": mode}
+        answer = json.loads(self.ask(request | {"seconds": seconds, "signal": int(number)}))
+        return Result(**answer)
+
+
+# ------------------------------------------------------------------------------------------- what must be true
+
+
+def same(one: Any, other: Any) -> bool:
+    """Whether what checkpoints hold is equal bit for bit, times aside."""
+    if isinstance(one, torch.Tensor):
+        return one.dtype == other.dtype and torch.equal(one, other)
+    if isinstance(one, dict):
+        keys = one.keys() - {"elapsed"}
+        return keys == other.keys() - {"elapsed"} and all(same(one[key], other[key]) for key in keys)
+    if isinstance(one, (list, tuple)):
+        return len(one) == len(other) and all(map(same, one, other))
+    return one == other or (isinstance(one, float) and math.isnan(one) and math.isnan(other))
+
+
+def only(folder: Path, command: str) -> Path | None:
+    """The folder of the run in ``folder``, if there is one."""
+    found = list(folder.glob(f"outputs/{command}/*/*"))
+    assert len(found) <= 1
+    return found[0] if found else None
+
+
+def check_files(run: Path) -> None:
+    """Every file is whole: what a killed process was writing bears a name of its own."""
+    for file in run.rglob("*"):
+        if file.name.startswith(MARK) or not file.is_file():
+            continue
+        if file.suffix == ".json":
+            json.loads(file.read_text())
+        elif file.name == "config.yaml":
+            assert yaml.safe_load(file.read_text())["task"] == "Walker-v0"
+        elif file.name in ("state.pt", "model_best.pt"):
+            load_checkpoint(file)
+        elif file.suffix == ".png":
+            assert file.read_bytes().endswith(b"IEND\xaeB`\x82")
+        elif file.suffix == ".html":
+            assert file.read_text().rstrip().endswith("</html>")
+
+
+def check_models(run: Path, whole: Path) -> None:
+    """Every checkpoint of a training is the one that the undisturbed training has left."""
+    check_files(run)
+    for file in run.glob("model_?.pt"):
+        assert same(load_checkpoint(file), load_checkpoint(whole / file.name)), file
+    read_metrics(run)
+
+
+def check_training(run: Path, whole: Path) -> None:
+    """A training has come to the same end as the undisturbed one."""
+    check_models(run, whole)
+    for name in ("model_3.pt", "model_best.pt", "state.pt"):
+        assert same(load_checkpoint(run / name), load_checkpoint(whole / name)), name
+    rows = [
+        str([{key: value for key, value in row.items() if key not in ("elapsed", "steps_per_second")} for row in table])
+        for table in (read_metrics(run), read_metrics(whole))
+    ]
+    assert rows[0] == rows[1]
+    assert json.loads((run / "summary.json").read_text())["status"] == "done"
+    assert not list(run.rglob(f"{MARK}*"))
+
+
+def digest(run: Path) -> str:
+    with Archive.read(run / FILE) as archive:
+        return archive.digest()
+
+
+def check_archive(run: Path, whole: Path) -> None:
+    """What the archive of a search says is true: its policies are there and are those of the undisturbed search."""
+    check_files(run)
+    if not (run / FILE).is_file():
+        return
+    with Archive.read(run / FILE) as archive, Archive.read(whole / FILE) as other:
+        for record in archive.records():
+            twin = other.record(record.id)
+            assert record.candidate.body.tolist() == twin.candidate.body.tolist()
+            if record.finished:
+                assert (record.fitness, record.curve, record.policy_sha256) == (
+                    twin.fitness,
+                    twin.curve,
+                    twin.policy_sha256,
+                )
+                policy = load_checkpoint(run / record.policy)["actor_state_dict"]
+                assert policy_sha256(policy) == record.policy_sha256
+
+
+def check_search(run: Path, whole: Path) -> None:
+    """A search has come to the same end as the undisturbed one."""
+    check_archive(run, whole)
+    assert digest(run) == digest(whole)
+    assert json.loads((run / "summary.json").read_text())["status"] == "done"
+    assert not list((run / "training").glob("*"))
+    assert not list(run.rglob(f"{MARK}*"))
+    assert len(list(run.glob("generations/*.png"))) == len(list(whole.glob("generations/*.png")))
+
+
+WHEN_LEFT = {"train": check_models, "codesign": check_archive}
+WHEN_DONE = {"train": check_training, "codesign": check_search}
+COMMANDS = {"train": TRAIN, "codesign": CODESIGN}
+
+
+def check_complaint(result: Result) -> None:
+    """One line says what is wrong; nobody is shown a traceback."""
+    assert result.code == 2, result
+    assert result.err.startswith("warpvox: "), result.err
+    assert result.err.count("\n") == 1, result.err
+    assert "Traceback" not in result.out + result.err
+
+
+def has_begun(run: Path) -> bool:
+    """Whether there is something to resume."""
+    return (run / "state.pt").is_file() or (run / FILE).is_file()
+
+
+def resume(victim: Victim, folder: Path, command: str, whole: Path) -> None:
+    """Go on with the run in ``folder``, or begin anew where there was nothing to lose, and check the end."""
+    run = only(folder, command)
+    words = [command, f"resume={run}"] if run else COMMANDS[command]
+    result = victim(folder, words)
+    if run is not None and result.code == 2 and not has_begun(run):
+        check_complaint(result)
+        assert "not a run" in result.err or "start it again" in result.err
+        result = victim(folder / "again", COMMANDS[command])
+        run = only(folder / "again", command)
+    if "iterations already" not in result.err:  # it was killed when all was done
+        assert (result.code, result.err) == (0, ""), result
+    WHEN_DONE[command](run or only(folder, command), whole)

@@ -1,0 +1,146 @@
+"""Killed, or refused by the disk, at every moment: what is left is true, and goes on to the undisturbed end."""
+
+from __future__ import annotations
+
+import random
+import signal
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+from fault_cases import (
+    BROKEN,
+    COMMANDS,
+    FULL,
+    KILL,
+    TORN,
+    WHEN_DONE,
+    WHEN_LEFT,
+    Victim,
+    check_complaint,
+    has_begun,
+    only,
+    resume,
+)
+
+from warpvox.files import MARK
+
+MODES = pytest.mark.parametrize("mode", [KILL, TORN, FULL, BROKEN], ids=["killed", "torn", "full", "broken"])
+FEW = {"train": 2, "codesign": 1}
+MANY = {"train": 24, "codesign": 12}
+"""Moments of the default run and of the slow one; a training is killed at all of them."""
+ALL = 10_000
+
+
+@pytest.fixture(scope="session")
+def undisturbed(victim: Victim, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Path, int]]:
+    """By command: the folder of a run that nothing has happened to, and the number of its changes of the disk."""
+    known: dict[str, tuple[Path, int]] = {}
+
+    def call(command: str) -> tuple[Path, int]:
+        if command not in known:
+            folder = tmp_path_factory.mktemp(command)
+            result = victim(folder, COMMANDS[command])
+            assert result.code == 0, result
+            known[command] = only(folder, command), result.count
+        return known[command]
+
+    return call
+
+
+def spread(count: int, number: int, seed: int) -> list[int]:
+    """``number`` of the moments 1 to ``count``, one at random of each of as many equal parts, or all."""
+    rng = random.Random(seed)
+    if number >= count:
+        return list(range(1, count + 1))
+    return [1 + int((k + rng.random()) * count / number) for k in range(number)]
+
+
+def strike(victim: Victim, folder: Path, command: str, at: int, mode: int, whole: Path) -> None:
+    """One fault and what must follow from it."""
+    result = victim(folder, COMMANDS[command], at, mode)
+    run = only(folder, command)
+    if mode in (KILL, TORN):
+        assert result.code == -signal.SIGKILL, result
+    elif result.code != 0 or mode == FULL:
+        check_complaint(result)
+        assert "cannot be" in result.err
+        if mode == FULL:
+            assert "space" in result.err or "disk is full" in result.err
+        assert not list(folder.rglob(f"{MARK}*"))
+    if run is not None:
+        WHEN_LEFT[command](run, whole)
+    resume(victim, folder, command, whole)
+
+
+def strike_all(
+    victim: Victim, tmp_path: Path, undisturbed: Callable, command: str, mode: int, number: int
+) -> Sequence[int]:
+    whole, count = undisturbed(command)
+    moments = spread(count, number, seed=mode)
+    for at in moments:
+        strike(victim, tmp_path / str(at), command, at, mode, whole)
+    return moments
+
+
+@MODES
+@pytest.mark.parametrize("command", ["train", "codesign"])
+def test_at_some_moments(victim: Victim, tmp_path: Path, undisturbed: Callable, command: str, mode: int) -> None:
+    strike_all(victim, tmp_path, undisturbed, command, mode, FEW[command])
+
+
+@pytest.mark.slow
+@MODES
+@pytest.mark.parametrize("command", ["train", "codesign"])
+def test_at_many_moments(
+    victim: Victim, tmp_path: Path, undisturbed: Callable, command: str, mode: int, capsys: pytest.CaptureFixture
+) -> None:
+    moments = strike_all(
+        victim, tmp_path, undisturbed, command, mode, ALL if (command, mode) == ("train", KILL) else MANY[command]
+    )
+    with capsys.disabled():
+        print(f"\n{len(moments)} of {undisturbed(command)[1]} moments of {command}: nothing lost")
+
+
+def killed_again_and_again(
+    victim: Victim, folder: Path, command: str, whole: Path, kills: int, number: int, longest: float, seed: int
+) -> None:
+    """Signals at random times, each in the run that the one before has left; after one that is done comes another."""
+    rng = random.Random(seed)
+    done, place, words = 0, 0, COMMANDS[command]
+    while done < kills:
+        result = victim(folder / str(place), words, seconds=rng.uniform(0.05, longest), number=number)
+        run = only(folder / str(place), command)
+        if result.code == 0:
+            WHEN_DONE[command](run, whole)
+            place, words = place + 1, COMMANDS[command]
+            continue
+        done += 1
+        if number == signal.SIGKILL:
+            assert result.code == -number, result
+        else:
+            assert result.code == 128 + number, result
+            assert "Traceback" not in result.out + result.err
+            assert not list(folder.rglob(f"{MARK}*"))
+        if run is not None:
+            WHEN_LEFT[command](run, whole)
+        begun = run is not None and has_begun(run)
+        place, words = (place, [command, f"resume={run}"]) if begun else (place + 1, COMMANDS[command])
+    resume(victim, folder / str(place), command, whole)
+
+
+SIGNALS = pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+
+
+@SIGNALS
+def test_at_random_times(victim: Victim, tmp_path: Path, undisturbed: Callable, number: int) -> None:
+    killed_again_and_again(victim, tmp_path, "train", undisturbed("train")[0], 1, number, 1.0, seed=number)
+
+
+@pytest.mark.slow
+@SIGNALS
+@pytest.mark.parametrize(("command", "longest"), [("train", 1.5), ("codesign", 3.0)])
+def test_at_many_random_times(
+    victim: Victim, tmp_path: Path, undisturbed: Callable, command: str, longest: float, number: int
+) -> None:
+    killed_again_and_again(victim, tmp_path, command, undisturbed(command)[0], 20, number, longest, seed=number)
