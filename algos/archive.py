@@ -356,23 +356,26 @@ class Archive:
         try:
             yield
         except (sqlite3.Error, ValueError, TypeError) as error:
-            reason = f"is damaged ({error})"
+            reason = _trouble(error) or f"is damaged ({error})"
             raise RunError(f"{self.path} {reason}.{_remedy(self.path, reason)}") from None
 
     def count(self) -> int:
         """Candidates so far, evaluated or not."""
-        return self._db.execute("SELECT COUNT(*) FROM candidates").fetchone()[0]
+        with self._reading():
+            return self._db.execute("SELECT COUNT(*) FROM candidates").fetchone()[0]
 
     def trained(self) -> int:
         """Designs that were trained: evaluations that are not those of an equal body."""
         query = "SELECT COUNT(*) FROM candidates WHERE finished_at IS NOT NULL AND reused IS NULL"
-        return self._db.execute(query).fetchone()[0]
+        with self._reading():
+            return self._db.execute(query).fetchone()[0]
 
     def generations(self) -> list[dict[str, Any]]:
         """A row a generation: generation, designs, evaluated, best, mean, worst, steps."""
-        cursor = self._db.execute("SELECT * FROM generations ORDER BY generation")
-        names = [column[0] for column in cursor.description]
-        return [dict(zip(names, row, strict=True)) for row in cursor]
+        with self._reading():
+            cursor = self._db.execute("SELECT * FROM generations ORDER BY generation")
+            names = [column[0] for column in cursor.description]
+            return [dict(zip(names, row, strict=True)) for row in cursor]
 
     def records(self, generation: int | None = None) -> list[Record]:
         """All candidates, or those of a generation, by id."""
@@ -540,12 +543,22 @@ def _checked(path: Path) -> sqlite3.Connection:
         version = db.execute("PRAGMA user_version").fetchone()[0]
         reason = _objection(db, application, version)
     except sqlite3.Error as error:
-        reason = f"is damaged or no SQLite file ({error})"
+        reason = _trouble(error) or f"is damaged or no SQLite file ({error})"
     if reason is not None:
         if db is not None:
             db.close()
         raise RunError(f"{path} {reason}.{_remedy(path, reason)}")
     return db
+
+
+def _trouble(error: Exception) -> str | None:
+    """Why a whole archive cannot be read: what a killed process has left half written cannot be undone just now."""
+    text = str(error)
+    if isinstance(error, sqlite3.OperationalError) and any(
+        word in text for word in ("full", "I/O", "locked", "readonly")
+    ):
+        return f"cannot be read ({text}): its disk must have some room and be writable, then it is as it was"
+    return None
 
 
 def _remedy(path: Path, reason: str) -> str:

@@ -139,3 +139,21 @@ def test_no_cluster_and_no_ray_are_clear_errors(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ConfigError, match=r"warpvox\[ray\]"):
         on_ray.RayExecutor(ToyEvaluator)
+
+
+def test_when_the_last_node_is_lost_the_wait_for_another_has_an_end(
+    cluster: tuple, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(on_ray, "PATIENCE_SECONDS", 5.0)
+    where, nodes = cluster
+    executor = on_ray.RayExecutor(functools.partial(ToyEvaluator, 0.2), address=where.address)
+
+    class LosingAllNodes(Listener):
+        def progress(self, batch: Sequence[Candidate], event: dict) -> None:
+            while nodes:
+                where.remove_node(nodes.pop(), allow_graceful=False)
+
+    loop = make_loop(tmp_path / "run", executor=executor, listener=LosingAllNodes())
+    with pytest.raises(RunError, match="No worker has come up for 5 s"):
+        loop.run()
+    assert loop.archive.count() == POPULATION
