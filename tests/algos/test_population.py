@@ -358,30 +358,39 @@ def test_a_diverged_design_leaves_with_what_it_had(monkeypatch: pytest.MonkeyPat
         assert_equal(results[k], whole[k])
 
 
-@pytest.mark.parametrize("size", [math.nan, 1e37])
-@pytest.mark.parametrize("before", [1, 2], ids=["before any evaluation", "in the first"])
+@pytest.mark.parametrize("moment", ["collect", "update", "evaluate"])
 def test_divergence_before_the_first_evaluation_is_a_fitness_of_its_own(
-    monkeypatch: pytest.MonkeyPatch, before: int, size: float
+    monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
-    """Weights that are no numbers, or finite but so large that actions are none; the others do not notice."""
+    """A policy gives no numbers while it collects, after its update, or when it is judged; the others do not notice."""
     from warpvox.algos.population_training import PopulationTraining
 
     found, whole = candidates(3), outcomes(candidates(3))
-    iterate = PopulationTraining.iterate
+    iterate, evaluate_all = PopulationTraining.iterate, PopulationTraining.evaluate
 
     def spoil(training: PopulationTraining) -> None:
-        iterate(training)
-        if training.iteration == before:
-            for weights in training.algorithm.actor.weights:
-                signs = 1 - 2 * (torch.arange(weights[1].numel()) % 2).view_as(weights[1])
-                weights.data[1] = size * signs
+        if training.num_designs == 3:
+            training.algorithm.actor.weights[1].data[1] = math.nan
 
-    monkeypatch.setattr(PopulationTraining, "iterate", spoil)
+    def iterated(training: PopulationTraining) -> None:
+        if (moment, training.iteration) == ("collect", 1):
+            spoil(training)
+        iterate(training)
+        if (moment, training.iteration) == ("update", 1):
+            spoil(training)
+
+    def evaluated(training: PopulationTraining) -> torch.Tensor:
+        if moment == "evaluate":
+            spoil(training)
+        return evaluate_all(training)
+
+    monkeypatch.setattr(PopulationTraining, "iterate", iterated)
+    monkeypatch.setattr(PopulationTraining, "evaluate", evaluated)
     events: list[dict[str, Any]] = []
     results = PopulationEvaluator(arena(), small(), 0).evaluate(found, {}, events.append)
     assert [outcome.diverged for outcome in results] == [False, True, False]
     assert (results[1].curve, results[1].policy, results[1].stopped) == ([], None, True)
-    assert results[1].steps in (before * 16, (before + 1) * 16)
+    assert results[1].steps == (16 if moment == "update" else 32)
     assert math.isnan(events[-1]["best"][1])
     for k in (0, 2):
         assert_equal(results[k], whole[k])
