@@ -53,3 +53,30 @@ def test_results_that_were_being_written_are_gone_or_whole(
     left = {file.name for file in tmp_path.rglob("*") if file.is_file()}
     assert left == (set() if moment == "print_returns" else {"config.yaml", "rollout.npz"})
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_what_ends_before_its_first_checkpoint_can_be_resumed(
+    warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The state from before the first iteration is there, and the resumed run draws what the first one drew."""
+    from warpvox.cli.progress import TrainingProgress
+
+    words = [word for word in TRAIN if not word.startswith("save_interval")]
+    assert warpvox(*words, f"output_dir={tmp_path / 'whole' / 'outputs'}").code == 0
+
+    class Killed(BaseException):
+        pass
+
+    def kill(*_: Any) -> None:
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TrainingProgress, "__call__", kill)
+        patch.setattr("warpvox.cli.train.write_summary", lambda *_: None)
+        patch.setattr("warpvox.cli.runs._has_result", lambda folder: True)  # who is killed cleans nothing up
+        with pytest.raises(Killed):
+            warpvox(*words)
+    run = only(tmp_path, "train")
+    assert not list(run.glob("model_*.pt"))
+    assert warpvox("train", "resume=latest").code == 0
+    check_training(run, only(tmp_path / "whole", "train"))
