@@ -26,9 +26,12 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.algos.archive_check import check_numbers, check_row, check_schema, harden
 from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
+from warpvox.design import as_grid
 from warpvox.errors import RunError, StorageError
 from warpvox.files import atomic_path
+from warpvox.reading import parse_json
 
 __all__ = ["BACKUP", "FILE", "Archive", "Finished", "Record"]
 
@@ -87,7 +90,6 @@ CREATE VIEW generations AS
 """
 DIVERGED = 2
 """In the column ``stopped``: there was no evaluation, and the fitness is the worst of all others until then."""
-NAMES = ("experiment", "candidates", "parents", "curves", "generations")
 
 
 @dataclass(frozen=True)
@@ -339,7 +341,10 @@ class Archive:
     @property
     def settings(self) -> dict[str, Any]:
         """What :meth:`create` was given."""
-        return self._experiment("settings")
+        settings = self._experiment("settings")
+        if not isinstance(settings, dict):
+            raise RunError(f"{self.path} is damaged: its settings are {settings!r:.80}.")
+        return settings
 
     @property
     def created_at(self) -> str:
@@ -375,7 +380,9 @@ class Archive:
         with self._reading():
             cursor = self._db.execute("SELECT * FROM generations ORDER BY generation")
             names = [column[0] for column in cursor.description]
-            return [dict(zip(names, row, strict=True)) for row in cursor]
+            rows = [dict(zip(names, row, strict=True)) for row in cursor]
+            check_numbers(rows)
+        return rows
 
     def records(self, generation: int | None = None) -> list[Record]:
         """All candidates, or those of a generation, by id."""
@@ -449,6 +456,7 @@ class Archive:
 
 
 def _record(row: Sequence[Any], parents: Sequence[int], curve: list[tuple[int, float]]) -> Record:
+    check_row(row, parents, curve)
     return Record(
         Candidate(row[0], body_of(row[2]), tuple(parents), row[3], row[1]),
         seed=row[4],
@@ -471,7 +479,7 @@ def body_text(body: np.ndarray) -> str:
 
 def body_of(text: str) -> np.ndarray:
     """The body, int8 ``[rows, columns]``, of its text."""
-    return np.array(json.loads(text), dtype=np.int8)
+    return as_grid(parse_json(text))
 
 
 def _now() -> str:
@@ -539,6 +547,7 @@ def _checked(path: Path) -> sqlite3.Connection:
     try:
         # Writable also for reading: SQLite then undoes what a killed process has left half written.
         db = _connect(path, "rw")
+        harden(db)
         application = db.execute("PRAGMA application_id").fetchone()[0]
         version = db.execute("PRAGMA user_version").fetchone()[0]
         reason = _objection(db, application, version)
@@ -582,9 +591,8 @@ def _objection(db: sqlite3.Connection, application: int, version: int) -> str | 
     held = os.stat(db.execute("PRAGMA database_list").fetchone()[2]).st_size
     if held < pages * size:
         return f"is damaged (cut short: {held} of {pages * size} bytes)"
+    foreign = check_schema(db, TABLES)  # before anything that could run a part of it
+    if foreign is not None:
+        return foreign
     state = db.execute("PRAGMA quick_check").fetchone()[0]
-    if state != "ok":
-        return f"is damaged ({' '.join(state.split())})"
-    have = {name for (name,) in db.execute("SELECT name FROM sqlite_master")}
-    missing = [name for name in NAMES if name not in have]
-    return f"is damaged: it lacks the table {missing[0]}" if missing else None
+    return None if state == "ok" else f"is damaged ({' '.join(state.split())})"

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import io
+import math
 import pickle
+import re
 import struct
 import zipfile
 import zlib
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,7 @@ import torch
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
+from warpvox.algos.checkpoint_check import check_claims
 from warpvox.algos.population_model import PopulationModel
 from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -23,6 +27,9 @@ from warpvox.files import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["Controller", "PolicySpec", "load_checkpoint", "load_controller", "read_tensors", "save_checkpoint"]
+
+WIDEST = 1 << 16
+"""Observations, actions or units of a layer that a policy may have."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +107,7 @@ def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
     if not path.is_file():
         raise RunError(f"There is no checkpoint file {path}.")
     try:
+        check_claims(path)  # before anything is unpacked
         _check_sums(path)
         content = torch.load(path, map_location=device, weights_only=True)
     except (
@@ -107,11 +115,13 @@ def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
         zlib.error,
         struct.error,
         OverflowError,
-        RuntimeError,
+        RuntimeError,  # RecursionError, too
         OSError,
         EOFError,
         ValueError,
-        KeyError,
+        TypeError,
+        LookupError,
+        AttributeError,
         pickle.UnpicklingError,
     ) as error:
         raise RunError(f"{path} is not a readable checkpoint ({_first_line(error)}).") from None
@@ -149,11 +159,36 @@ def load_controller(path: Path, device: str = "cpu") -> Controller:
     content = load_checkpoint(path, device)
     try:
         spec = PolicySpec(**content["policy"])
+        check_spec(spec, content["actor_state_dict"])
         actor = build_actor(spec).to(device)
         actor.load_state_dict(content["actor_state_dict"])
-    except (TypeError, RuntimeError) as error:
+    except (TypeError, ValueError, RuntimeError) as error:
         raise RunError(f"{path} holds a policy of another kind ({_first_line(error)}).") from None
     return Controller(actor.eval(), spec)
+
+
+def check_spec(spec: PolicySpec, weights: object) -> None:
+    """Raise ValueError unless a network as ``spec`` describes it could have ``weights``, before it takes memory."""
+    sizes = [spec.num_obs, *(spec.hidden if isinstance(spec.hidden, list) else [None]), spec.num_actions]
+    if not all(type(size) is int and 0 < size <= WIDEST for size in sizes):
+        raise ValueError(f"sizes must be whole numbers from 1 to {WIDEST}, got {sizes!r:.100}")
+    if spec.width is not None and (type(spec.width) is not int or not spec.num_actions <= spec.width <= WIDEST):
+        raise ValueError(f"width must be a whole number from {spec.num_actions} to {WIDEST}, got {spec.width!r:.100}")
+    scale = spec.action_scale
+    if type(scale) not in (int, float) or not math.isfinite(scale):
+        raise ValueError(f"action_scale must be a finite number, got {scale!r:.100}")
+    if not isinstance(spec.activation, str) or type(spec.normalize_obs) is not bool:
+        raise ValueError(f"activation must be a name, got {spec.activation!r:.100}, and normalize_obs true or false")
+    if not isinstance(weights, dict) or not all(isinstance(value, torch.Tensor) for value in weights.values()):
+        raise ValueError("the weights are no tensors")
+    if not all(value.is_contiguous() for value in weights.values()):  # one number can pose as a million
+        raise ValueError("the weights are views of other tensors")
+    layers = [tensor.shape for name, tensor in weights.items() if re.fullmatch(r"mlp\.\d+\.weight", str(name))]
+    expected = [torch.Size((after, before)) for before, after in pairwise(sizes)]
+    if layers != expected:
+        raise ValueError(f"layers of {[list(s) for s in expected]!r:.100} do not have weights of {layers!r:.100}")
+    if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
+        raise ValueError("the weights are not finite numbers")
 
 
 def build_actor(spec: PolicySpec) -> MLPModel:

@@ -6,10 +6,8 @@ A.1 and C.1). This module checks, samples, loads and saves bodies; it needs nump
 
 from __future__ import annotations
 
-import json
 import os
 import re
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
@@ -19,6 +17,7 @@ import numpy as np
 from warpvox.errors import DesignError, did_you_mean, listing
 from warpvox.examples import EXAMPLES
 from warpvox.files import atomic_path, write_text
+from warpvox.reading import ArrayFile, Missing, Unreadable, parse_json, read_npy, read_text
 from warpvox.types import Cell
 
 __all__ = [
@@ -40,6 +39,13 @@ Design: TypeAlias = np.ndarray
 SAMPLING_WEIGHTS = (0.6, 0.2, 0.2, 0.2, 0.2)
 """EvoGym's relative weights of empty, rigid, soft, horizontal and vertical actuator cells (sum 1.4)."""
 
+LARGEST_GRID = 10_000_000
+"""Cells that an object of a world, or a world, may have, empty ones included."""
+LARGEST_BODY = 1 << 16
+"""Cells that a body may have, empty ones included (256 x 256)."""
+LARGEST_FILE = 4_000_000
+"""Bytes that a file of a design, its arrays together, or the text of one may have."""
+
 _MAX_DRAWS = 2_000_000
 _FILE_SUFFIXES = (".json", ".npz", ".npy")
 
@@ -50,10 +56,10 @@ def check_design(body: object) -> Design:
     Accepts an array or nested lists; floating-point entries are fine as long as they are whole numbers.
 
     Raises:
-        DesignError: not two-dimensional, empty, an unknown cell type (with its place), a fixed cell, more
-            than one piece, or no actuator.
+        DesignError: not two-dimensional, empty, too large (:data:`LARGEST_BODY`), an unknown cell type (with its
+            place), a fixed cell, more than one piece, or no actuator.
     """
-    grid = as_grid(body)
+    grid = as_grid(body, limit=LARGEST_BODY)
     if not grid.any():
         raise DesignError(f"The body ({_size(grid)}) is empty: it needs at least one cell that is not 0.")
     fixed = np.argwhere(grid == Cell.FIXED)
@@ -77,15 +83,24 @@ def check_design(body: object) -> Design:
     return grid
 
 
-def as_grid(cells: object, *, what: str = "body", error: type[Exception] = DesignError) -> np.ndarray:
+def as_grid(
+    cells: object, *, what: str = "body", error: type[Exception] = DesignError, limit: int = LARGEST_GRID
+) -> np.ndarray:
     """Return ``cells`` as a fresh int8 array ``[rows, columns]`` of known cell types, or raise ``error``.
 
     This is the part of the check that robots share with every other object of a world.
+
+    Args:
+        limit: cells at most.
     """
+    if isinstance(cells, list | tuple):
+        _check_rows(cells, what, error)
     try:
         raw = np.asarray(cells)
     except ValueError:  # numpy's word for nested lists of unequal length
         raise error(f"The {what} is ragged: every row must have the same number of cells.") from None
+    except Exception as reason:  # whatever an object that is no array says when it is asked for numbers
+        raise error(f"The {what} cannot be read as an array: {type(reason).__name__}: {reason}.") from None
     if raw.dtype.kind not in "iuf":
         kind = type(cells).__name__ if raw.ndim == 0 else raw.dtype
         raise error(f"The {what} must hold numbers (cell types 0 to {int(max(Cell))}), got {kind}.")
@@ -93,6 +108,8 @@ def as_grid(cells: object, *, what: str = "body", error: type[Exception] = Desig
         raise error(f"The {what} must have two dimensions [rows, columns], got shape {raw.shape}.")
     if raw.size == 0:
         raise error(f"The {what} has no cells: its shape is {raw.shape}.")
+    if raw.size > limit:
+        raise error(f"The {what} is too large: {_size(raw)} cells, and {limit:,} are the limit.")
     known = np.isin(raw, [int(cell) for cell in Cell])
     if not known.all():
         row, column = np.argwhere(~known)[0]
@@ -101,6 +118,19 @@ def as_grid(cells: object, *, what: str = "body", error: type[Exception] = Desig
             f" known are {_cell_names()}."
         )
     return raw.astype(np.int8)
+
+
+def _check_rows(rows: Sequence[object], what: str, error: type[Exception]) -> None:
+    """Raise ``error`` for rows with texts or further lists.
+
+    Before numpy makes an array of them: beside one long text it would take as much memory for every number.
+    """
+    for row in rows:
+        for cell in row if isinstance(row, list | tuple) else [row]:
+            if isinstance(cell, str | bytes):
+                raise error(f"The {what} must hold numbers (cell types 0 to {int(max(Cell))}), got {cell!r:.60}.")
+            if isinstance(cell, list | tuple):
+                raise error(f"The {what} must have two dimensions [rows, columns], got lists inside of its rows.")
 
 
 def is_connected(body: object) -> bool:
@@ -162,6 +192,8 @@ def sample_design(
         DesignError: a bad shape, seed or weights, or weights under which no valid body turns up.
     """
     rows, columns = _check_shape(shape)
+    if rows * columns > LARGEST_BODY:
+        raise DesignError(f"The shape {rows}x{columns} is too large: a body has at most {LARGEST_BODY:,} cells.")
     weights = _check_weights(SAMPLING_WEIGHTS if probabilities is None else probabilities)
     try:
         rng = np.random.default_rng(seed)
@@ -257,19 +289,17 @@ def save_design(path: str | os.PathLike[str], body: object) -> Path:
 
 
 def _read_file(path: Path) -> Design:
-    if not path.is_file():
-        raise DesignError(f"There is no design file '{path}'.")
     try:
         if path.suffix.lower() == ".json":
-            body = _parse_list(path.read_text(encoding="utf-8"), source=f"The design file '{path}'")
+            body = _parse_list(read_text(path, LARGEST_FILE), source=f"The design file '{path}'")
         elif path.suffix.lower() == ".npz":
             body = _read_npz(path)
         else:
-            body = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, DesignError):
-            raise
-        raise DesignError(f"The design file '{path}' cannot be read: {error}.") from error
+            body = read_npy(path, LARGEST_FILE)
+    except Missing:
+        raise DesignError(f"There is no design file '{path}'.") from None
+    except Unreadable as error:
+        raise DesignError(f"The design file '{path}' cannot be read: {error}.") from None
     try:
         return check_design(body)
     except DesignError as error:
@@ -277,18 +307,17 @@ def _read_file(path: Path) -> Design:
 
 
 def _read_npz(path: Path) -> np.ndarray:
-    with np.load(path, allow_pickle=False) as archive:
-        name = next((key for key in ("arr_0", "body", "structure") if key in archive), None)
+    with ArrayFile(path, LARGEST_FILE) as archive:
+        name = next((key for key in ("arr_0", "body", "structure") if key in archive.names), None)
         if name is None:
             raise DesignError(
-                f"The design file '{path}' has no array 'arr_0' or 'body'; it holds {listing(archive.files)}."
+                f"The design file '{path}' has no array 'arr_0' or 'body'; it holds {listing(archive.names)}."
             )
-        body = archive[name]
-        connections = archive["arr_1"] if name == "arr_0" and "arr_1" in archive else None
+        body = archive.read(name)
+        connections = archive.read("arr_1") if name == "arr_0" and "arr_1" in archive.names else None
     if connections is not None and body.ndim == 2 and connections.size:
         # A body alone means "all neighbours are connected"; dropping cuts silently would be another robot.
-        given = {tuple(sorted(pair)) for pair in np.asarray(connections, dtype=np.int64).T.tolist()}
-        cuts = {tuple(pair) for pair in full_connections(body).tolist()} - given
+        cuts = {tuple(pair) for pair in full_connections(body).tolist()} - _pairs(path, connections)
         if cuts:
             raise DesignError(
                 f"The design file '{path}' leaves {len(cuts)} pair(s) of neighbouring cells unconnected,"
@@ -297,11 +326,23 @@ def _read_npz(path: Path) -> np.ndarray:
     return body
 
 
+def _pairs(path: Path, connections: np.ndarray) -> set[tuple[int, ...]]:
+    """Connections ``[2, k]`` as a set of pairs a < b."""
+    if connections.ndim != 2 or connections.shape[0] != 2 or not np.isfinite(connections).all():
+        raise DesignError(
+            f"The design file '{path}' has connections 'arr_1' that are not pairs of cells [2, k]: got shape"
+            f" {connections.shape} of {connections.dtype}."
+        )
+    return {tuple(sorted(pair)) for pair in connections.T.tolist()}
+
+
 def _parse_list(text: str, source: str) -> object:
     try:
-        value = json.loads(text)
-    except (ValueError, RecursionError):
-        raise DesignError(f"{source} is not a nested list of cell types such as [[3,3],[4,4]].") from None
+        if len(text) > LARGEST_FILE:
+            raise Unreadable(f"it has {len(text):,} characters, and {LARGEST_FILE:,} are the limit")
+        value = parse_json(text)
+    except Unreadable as error:
+        raise DesignError(f"{source} is not a nested list of cell types such as [[3,3],[4,4]]: {error}.") from None
     if isinstance(value, dict):
         if "body" in value:
             return value["body"]
@@ -314,7 +355,7 @@ def _parse_list(text: str, source: str) -> object:
 def _parse_size(text: str) -> tuple[int, int]:
     if text == "random":
         return (5, 5)
-    match = re.fullmatch(r"random:(\d+)[xX](\d+)", text)
+    match = re.fullmatch(r"random:(\d{1,9})[xX](\d{1,9})", text)
     if match is None:
         raise DesignError(f"Cannot read the size in '{_shorten(text)}': expected random:ROWSxCOLUMNS, e.g. random:5x7.")
     return int(match[1]), int(match[2])
@@ -324,7 +365,7 @@ def _check_shape(shape: object) -> tuple[int, int]:
     try:
         rows, columns = (int(n) for n in shape)  # type: ignore[attr-defined]
         whole = (rows, columns) == tuple(shape)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         whole = False
     if not whole or rows < 1 or columns < 1:
         raise DesignError(f"The shape must be two whole numbers (rows, columns) >= 1, got {shape!r}.")

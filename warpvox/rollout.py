@@ -27,7 +27,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -38,6 +37,7 @@ import numpy as np
 
 from warpvox.errors import ConfigError, RolloutError, did_you_mean, listing
 from warpvox.files import atomic_path
+from warpvox.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.scene import Scene, SceneObject, check_scene, scene_from_json, scene_to_json, stretch
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 
@@ -46,6 +46,12 @@ __all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "points_of", "record", "scenes_
 FORMAT, VERSION = "warpvox-rollout", 1
 FRAME_SECONDS = 1 / 50
 """Nominal seconds of a control step (paper section A.2: 50 Hz)."""
+LARGEST = 1 << 32
+"""Bytes that the arrays of a file may have together (4 GiB)."""
+LARGEST_HEADER = 1 << 26
+"""Bytes of a file's header (64 MiB)."""
+MOST_SCENES = 1 << 16
+"""Scenes that a file may hold."""
 AGENTS = ("zero", "random", "sine")
 """Agents that need no training: all actuators at rest, uniformly random actions, a steady gait."""
 ARRAYS = {
@@ -194,10 +200,13 @@ class Rollout:
         """
         header, arrays = _read(Path(path))
         try:
+            if len(header["scenes"]) > MOST_SCENES:
+                raise ValueError(f"there are at most {MOST_SCENES} scenes")
             scenes = tuple(scene_from_json(scene) for scene in header["scenes"])
             metadata = dict(header["metadata"])
-        except (KeyError, TypeError, ValueError, OverflowError, AttributeError):
-            raise RolloutError(f"{path} is damaged: its header does not describe scenes.") from None
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+            reason = f"'{error.args[0]}' is missing" if isinstance(error, KeyError) else error
+            raise RolloutError(f"{path} is damaged: its header does not describe scenes ({reason}).") from None
         try:
             return cls(scenes=scenes, metadata=metadata, **arrays)
         except RolloutError as error:
@@ -359,23 +368,22 @@ def _agent(name: str, env: Any) -> Callable[[Any], Any]:
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Header and arrays of a file."""
-    if not path.is_file():
-        raise RolloutError(f"There is no rollout at {path}: no such file.")
-    if not zipfile.is_zipfile(path):
-        raise RolloutError(f"{path} is truncated or no rollout: expected a .npz file that warpvox has written.")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if "header" not in archive.files:
+        with ArrayFile(path, LARGEST) as archive:
+            if "header" not in archive.names:
                 raise RolloutError(f"{path} is no rollout: it is an archive without a header of warpvox.")
-            header = json.loads(np.asarray(archive["header"], np.uint8).tobytes().decode())
+            text = archive.read("header", LARGEST_HEADER)
+            if text.dtype != np.uint8:
+                raise RolloutError(f"{path} is damaged: its header is {text.dtype}, expected uint8.")
+            header = parse_json(text.tobytes().decode())
             _check_version(path, header)
-            arrays = {name: np.asarray(archive[name]) for name in ARRAYS}
-    except RolloutError:
-        raise
-    except KeyError as error:
-        raise RolloutError(f"{path} is damaged: {error.args[0]}.") from None
-    except Exception as error:  # a damaged archive makes zipfile, zlib and numpy raise nearly anything
-        raise RolloutError(f"{path} is damaged or no rollout: {str(error) or type(error).__name__}.") from None
+            arrays = {name: archive.read(name) for name in ARRAYS}
+    except Missing:
+        raise RolloutError(f"There is no rollout at {path}: no such file.") from None
+    except UnicodeDecodeError:
+        raise RolloutError(f"{path} is damaged: its header is no text.") from None
+    except Unreadable as error:
+        raise RolloutError(f"{path} is truncated, damaged or no rollout that warpvox has written: {error}.") from None
     for name, dtype in ARRAYS.items():
         if arrays[name].dtype != dtype:
             raise RolloutError(f"{path} is damaged: {name} is {arrays[name].dtype}, expected {np.dtype(dtype)}.")

@@ -9,10 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.design import LARGEST_GRID, as_grid
 from warpvox.errors import RolloutError
 from warpvox.types import VOXEL, Cell
 
 __all__ = ["Scene", "SceneObject", "check_scene", "scene_from_json", "scene_to_json", "stretch"]
+
+MOST_OBJECTS = 1000
+"""Objects that a scene may have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,25 +162,52 @@ def scene_from_json(scene: Mapping[str, Any]) -> Scene:
     Raises:
         KeyError, TypeError, ValueError, OverflowError: it is not one.
     """
+    if len(scene["objects"]) > MOST_OBJECTS:
+        raise ValueError(f"a scene has at most {MOST_OBJECTS} objects")
     objects = tuple(
         SceneObject(
-            name=str(obj["name"]),
-            grid=np.array(obj["grid"], np.int8),
-            x=int(obj["x"]),
-            y=int(obj["y"]),
-            first_point=int(obj["first_point"]),
-            num_points=int(obj["num_points"]),
-            corners=np.array(obj["corners"], np.int32).reshape(-1, 4),
+            name=_text(obj["name"]),
+            grid=as_grid(obj["grid"], what=f"grid of {obj['name']!r:.80}", error=ValueError),
+            x=_whole(obj["x"]),
+            y=_whole(obj["y"]),
+            first_point=_whole(obj["first_point"]),
+            num_points=_whole(obj["num_points"]),
+            corners=_corners(obj["corners"]),
         )
         for obj in scene["objects"]
     )
-    return Scene(int(scene["width"]), int(scene["height"]), objects)
+    return Scene(_whole(scene["width"]), _whole(scene["height"]), objects)
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str) or not value:
+        raise TypeError(f"expected a name, got {value!r:.80}")
+    return value
+
+
+def _whole(value: object) -> int:
+    # int() would take "7", 7.9 and True without a word
+    if type(value) is not int or not 0 <= value < 2**31:
+        raise TypeError(f"expected a whole number from 0 on, got {value!r:.80}")
+    return value
+
+
+def _corners(rows: object) -> np.ndarray:
+    if not isinstance(rows, list):
+        raise TypeError("expected a list of corners")
+    if not all(isinstance(row, list) and len(row) == 4 and all(type(n) is int for n in row) for row in rows):
+        raise TypeError("expected four points a cell")
+    return np.array(rows, np.int32).reshape(-1, 4)
 
 
 def check_scene(scene: Scene, number: int, points: int) -> None:
     """Raise RolloutError if parts of a scene do not fit together, or do not fit ``points`` points."""
     if not scene.moving:
         raise RolloutError(f"Scene {number} has nothing that moves.")
+    if scene.width * scene.height > LARGEST_GRID:
+        raise RolloutError(f"Scene {number} is {scene.width} x {scene.height}; {LARGEST_GRID:,} cells are the limit.")
+    if len({obj.name for obj in scene.objects}) < len(scene.objects):
+        raise RolloutError(f"Scene {number} has two objects of one name.")
     for obj in scene.objects:
         what = f"The object '{obj.name}' of scene {number}"
         if obj.grid.ndim != 2 or not np.isin(obj.grid, [int(cell) for cell in Cell]).all():

@@ -12,16 +12,21 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-from warpvox.design import as_grid, full_connections
+from warpvox.design import LARGEST_GRID, as_grid, full_connections
 from warpvox.errors import WorldError, did_you_mean, listing
 from warpvox.files import write_text
+from warpvox.reading import Missing, Unreadable, parse_json, read_text
 from warpvox.types import Cell
 
 __all__ = ["World", "WorldObject"]
+
+LARGEST_FILE = 16_000_000
+"""Bytes that a world file, or the text of one, may have."""
+MOST_OBJECTS = 1000
+"""Objects that a world file may hold."""
 
 _LETTERS = {
     Cell.EMPTY: ".",
@@ -64,7 +69,9 @@ class WorldObject:
             WorldError: bad name, cells, position or connections.
         """
         if not isinstance(name, str) or not name:
-            raise WorldError(f"An object needs a name (text that is not empty), got {name!r}.")
+            raise WorldError(f"An object needs a name (text that is not empty), got {name!r:.80}.")
+        if not _is_writable(name):
+            raise WorldError(f"The name {name!r:.80} holds half of a character (a lone surrogate).")
         grid = as_grid(structure, what=f"object '{name}'", error=WorldError)
         if not grid.any():
             raise WorldError(f"The object '{name}' has no cells: all of its {grid.size} entries are empty.")
@@ -131,6 +138,7 @@ class World:
         for value, what in ((width, "width"), (height, "height")):
             if not _is_whole(value) or value < 1:
                 raise WorldError(f"The {what} of a world must be a whole number >= 1, got {value!r}.")
+        _check_size(int(width), int(height))
         self.width = int(width)
         self.height = int(height)
         self.objects: dict[str, WorldObject] = {}
@@ -145,6 +153,7 @@ class World:
         """
         if obj.name in self.objects:
             raise WorldError(f"The world has an object '{obj.name}' already; names must differ.")
+        self._check_room(obj)
         self._check_free(obj)
         self.objects[obj.name] = obj
         self._grow(obj)
@@ -172,6 +181,7 @@ class World:
             WorldError: unknown object, negative position or an overlap; the object then stays where it was.
         """
         obj = self._find(name).moved(x, y)
+        self._check_room(obj)
         self._check_free(obj)
         self.objects[name] = obj
         self._grow(obj)
@@ -187,8 +197,9 @@ class World:
         trial = self.copy()
         for obj in objects:
             trial.add_object(obj)
-        self.objects = trial.objects
-        self.width, self.height = max(trial.width, width), max(trial.height, height)
+        width, height = max(trial.width, width), max(trial.height, height)
+        _check_size(width, height)
+        self.objects, self.width, self.height = trial.objects, width, height
 
     # ------------------------------------------------------------------ files
 
@@ -295,9 +306,29 @@ class World:
                     " lie on empty cells."
                 )
 
+    def _check_room(self, obj: WorldObject) -> None:
+        _check_size(max(self.width, obj.x + obj.width), max(self.height, obj.y + obj.height), f" with '{obj.name}'")
+
     def _grow(self, obj: WorldObject) -> None:
         self.width = max(self.width, obj.x + obj.width)
         self.height = max(self.height, obj.y + obj.height)
+
+
+def _check_size(width: int, height: int, why: str = "") -> None:
+    if width * height > LARGEST_GRID:
+        raise WorldError(
+            f"The world{why} would have {width} x {height} cells, and {LARGEST_GRID:,} are the limit: choose a smaller"
+            " grid or position."
+        )
+
+
+def _is_writable(text: str) -> bool:
+    """Whether files and pages can hold a text: JSON's escapes allow halves of characters."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _is_whole(value: object) -> bool:
@@ -314,7 +345,10 @@ def _check_position(name: str, x: object, y: object) -> tuple[int, int]:
 
 def _check_pairs(name: str, grid: np.ndarray, connections: object) -> np.ndarray:
     """Return EvoGym's ``[2, k]`` connections as unique int32 ``[k, 2]`` pairs a < b, or raise WorldError."""
-    raw = np.asarray(connections)
+    try:
+        raw = np.asarray(connections)
+    except ValueError:
+        raise WorldError(f"The connections of '{name}' are ragged: expected two rows of equal length.") from None
     if raw.size == 0:
         return np.zeros((0, 2), np.int32)
     if raw.ndim != 2 or raw.shape[0] != 2 or raw.dtype.kind not in "iuf":
@@ -349,15 +383,26 @@ def _parse_world(source: object) -> tuple[int, int, list[WorldObject]]:
         raise WorldError(f"{origin} is not a world: it lacks {listing(missing)}.")
     width, height, objects = data["grid_width"], data["grid_height"], data["objects"]
     if not _is_whole(width) or not _is_whole(height) or width < 1 or height < 1:
-        raise WorldError(f"{origin}: grid_width and grid_height must be whole numbers >= 1, got {width!r}, {height!r}.")
+        raise WorldError(
+            f"{origin}: grid_width and grid_height must be whole numbers >= 1, got {width!r:.80}, {height!r:.80}."
+        )
+    try:
+        _check_size(int(width), int(height))
+    except WorldError as error:
+        raise WorldError(f"{origin}: {error}") from None
     if not isinstance(objects, Mapping):
         raise WorldError(f"{origin}: 'objects' must map names to objects, got {type(objects).__name__}.")
-    parsed = []
+    if len(objects) > MOST_OBJECTS:
+        raise WorldError(f"{origin} has {len(objects)} objects, and {MOST_OBJECTS} are the limit.")
+    parsed, cells = [], 0
     for name, entry in objects.items():
         try:
             parsed.append(_object_from_json(name, entry, int(width), int(height)))
         except WorldError as error:
             raise WorldError(f"{origin}: {error}") from None
+        cells += parsed[-1].grid.size
+        if cells > 2 * LARGEST_GRID:
+            raise WorldError(f"{origin}: the boxes of its objects have more than {2 * LARGEST_GRID:,} cells together.")
     return int(width), int(height), parsed
 
 
@@ -369,30 +414,22 @@ def _load_json(source: object) -> tuple[Mapping[str, object], str]:
     elif isinstance(source, (str, os.PathLike)):
         origin = f"The world file '{source}'"
         try:
-            text = Path(source).read_text(encoding="utf-8")
-        except FileNotFoundError:
+            text = read_text(source, LARGEST_FILE)
+        except Missing:
             raise WorldError(f"There is no world file '{source}'.") from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise WorldError(f"{origin} cannot be read: {error}.") from error
+        except Unreadable as error:
+            raise WorldError(f"{origin} cannot be read: {error}.") from None
     else:
         raise WorldError(f"A world comes from a path, text or a dictionary, got {type(source).__name__}.")
+    if len(text) > LARGEST_FILE:
+        raise WorldError(f"{origin} has {len(text):,} characters, and {LARGEST_FILE:,} are the limit.")
     try:
-        data = json.loads(text, object_pairs_hook=_unique_pairs)
-    except (ValueError, RecursionError) as error:
-        raise WorldError(f"{origin} is not valid JSON: {error}.") from None
+        data = parse_json(text)
+    except Unreadable as error:
+        raise WorldError(f"{origin} cannot be read: {error}.") from None
     if not isinstance(data, Mapping):
         raise WorldError(f"{origin} must hold a JSON object, got {type(data).__name__}.")
     return data, origin
-
-
-def _unique_pairs(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    # json keeps the last of equal keys, which would drop an object without a word
-    result = dict(pairs)
-    if len(result) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"the name '{twice}' occurs twice")
-    return result
 
 
 def _object_from_json(name: str, entry: object, world_width: int, world_height: int) -> WorldObject:
@@ -418,7 +455,7 @@ def _object_from_json(name: str, entry: object, world_width: int, world_height: 
     x, y, width, height = _bounding_box(name, entry.get("box"), columns, rows)
     if x + width > world_width or y + height > world_height:
         raise WorldError(f"the box of '{name}' sticks out of the {world_width}x{world_height} grid.")
-    cells = np.zeros((height, width), object)
+    cells = np.zeros((height, width), np.int8)
     place = {}
     for index, column, row, cell in zip(indices, columns, rows, types, strict=True):
         place[index] = (y + height - 1 - row) * width + column - x
@@ -432,7 +469,7 @@ def _object_from_json(name: str, entry: object, world_width: int, world_height: 
             raise WorldError(f"the neighbors of index {index} of '{name}' are not a list of its indices.")
         pairs.extend((place[index], place[other]) for other in near)
     connections = np.array(pairs, np.int64).reshape(-1, 2).T
-    return WorldObject.from_array(name, cells.astype(np.int8), x, y, connections)
+    return WorldObject.from_array(name, cells, x, y, connections)
 
 
 def _bounding_box(name: str, box: object, columns: list[int], rows: list[int]) -> tuple[int, int, int, int]:

@@ -200,7 +200,7 @@ def test_files_that_are_no_archives_are_refused(tmp_path: Path) -> None:
         empty: "no archive of warpvox",
         other("foreign"): "no archive of warpvox",
         other("newer", APPLICATION, VERSION + 1): "install a newer one",
-        other("lacking", APPLICATION, VERSION): "lacks the table experiment",
+        other("lacking", APPLICATION, VERSION): "lacks the table",
         cut: "damaged",
     }.items():
         for way in (Archive.read, Archive.open):

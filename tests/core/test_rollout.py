@@ -145,7 +145,7 @@ def rewrite(path: Path, change: Callable[[dict, dict], None]) -> None:
         (lambda h, a: h.update(version="new"), "version 'new'"),
         (lambda h, a: h.pop("scenes"), "does not describe scenes"),
         (lambda h, a: h["scenes"][0]["objects"][0].pop("grid"), "does not describe scenes"),
-        (lambda h, a: h["scenes"][0]["objects"][0].update(grid=[[9]]), "not made of cells"),
+        (lambda h, a: h["scenes"][0]["objects"][0].update(grid=[[9]]), "unknown cell type"),
         (lambda h, a: h["scenes"][0]["objects"][0].update(grid=[[1], [1, 2]]), "does not describe scenes"),
         (lambda h, a: h["scenes"][0]["objects"][0].update(num_points=900), "but there are"),
         (lambda h, a: h["scenes"][0]["objects"][0].update(x=500), "sticks out"),

@@ -162,7 +162,7 @@ def test_files_are_not_replaced_unasked(tmp_path: Path) -> None:
         (b'{"body": [[9]]}', "unknown cell type"),
         (json.dumps({"body": [[3] * 40]}).encode(), "up to 32"),
         (b'{"objects": {}}', "lacks"),
-        (b" " * 4_000_001, "too large"),
+        (b" " * 4_000_001, "are the limit"),
     ],
 )
 def test_files_that_cannot_be_shown_are_refused(tmp_path: Path, content: bytes, words: str) -> None:

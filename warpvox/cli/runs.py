@@ -12,12 +12,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from warpvox.algos.archive import FILE as ARCHIVE
 from warpvox.algos.archive import Archive
+from warpvox.cli.stored import LARGEST_CONFIG, parse_yaml
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.files import MARK, claimed, complaint, sweep, write_text
+from warpvox.reading import Unreadable, read_text
 
 __all__ = [
     "Run",
@@ -134,10 +134,10 @@ def _read_config(folder: Path, command: str) -> dict[str, Any]:
     if not config.is_file():
         raise RunError(f"{folder} is not a run: it has no {CONFIG}. Runs are made by `warpvox {command}`.")
     try:
-        text = config.read_text(encoding="utf-8")
-        content = yaml.safe_load(text)
-    except (yaml.YAMLError, OSError, UnicodeDecodeError):
-        raise RunError(f"{config} cannot be read as YAML: is {folder} a run?") from None
+        text = read_text(config, LARGEST_CONFIG)
+        content = parse_yaml(text)
+    except Unreadable as error:
+        raise RunError(f"{config} cannot be read as YAML ({error}): is {folder} a run?") from None
     if not isinstance(content, dict):
         return {}
     missing = [] if text.endswith(END) else _missing(content, command)

@@ -18,6 +18,7 @@ import numpy as np
 from warpvox.design import Design, as_grid, check_design, count_pieces, full_connections
 from warpvox.errors import DesignError, WarpvoxError, WorldError, did_you_mean, listing
 from warpvox.files import write_text
+from warpvox.reading import Unreadable, parse_json, read_text
 from warpvox.types import Cell
 from warpvox.world import World, WorldObject
 
@@ -40,6 +41,8 @@ WORLD_SIZE = (400, 100)
 """Columns and rows that a world may have in the editor."""
 OBJECTS = 64
 LONGEST_FILE = 4_000_000
+LONGEST_NAME = 200
+"""Bytes of a file's name, so that the file system takes it with its suffix and a temporary one beside it."""
 FILE_NAME = re.compile(r"[A-Za-z0-9][\w.-]{0,63}")
 ROBOT = "robot"
 
@@ -141,7 +144,7 @@ def check_file_name(name: object) -> str:
         WorldError: a name that could lead out of the folder, or that no system takes.
     """
     stem = name.removesuffix(".json") if isinstance(name, str) else ""
-    if not FILE_NAME.fullmatch(stem):
+    if not FILE_NAME.fullmatch(stem) or len(stem.encode()) > LONGEST_NAME:
         raise WorldError(
             f"A name may hold letters, digits and . _ - and begins with one of the former; got {name!r:.80}."
         )
@@ -188,12 +191,10 @@ def read_file(path: Path) -> dict[str, Any]:
     if not path.is_file():
         near = did_you_mean(path.name, file_names(path.parent))
         raise WorldError(f"There is no file '{path.name}' in {path.parent}.{near}")
-    if path.stat().st_size > LONGEST_FILE:
-        raise WorldError(f"'{path.name}' is too large for the editor.")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        raise WorldError(f"'{path.name}' is not a JSON file.") from None
+        content = parse_json(read_text(path, LONGEST_FILE))
+    except Unreadable as error:
+        raise WorldError(f"'{path.name}' is not a JSON file that the editor can read: {error}.") from None
     if isinstance(content, dict) and "body" in content:
         body = as_grid(content["body"])
         if max(body.shape) > BODY_SIDE:

@@ -12,6 +12,7 @@ import hmac
 import json
 import re
 import secrets
+import sys
 import threading
 from collections.abc import Callable
 from http import HTTPStatus
@@ -23,6 +24,7 @@ from warpvox.editor.documents import check, check_file_name, document_of, file_n
 from warpvox.editor.page import editor_page
 from warpvox.editor.trials import try_out
 from warpvox.errors import ConfigError, DeviceError, WarpvoxError
+from warpvox.reading import parse_json
 
 __all__ = ["EditorServer"]
 
@@ -78,6 +80,11 @@ class EditorServer(ThreadingHTTPServer):
 
     def _read(self, name: object) -> dict[str, Any]:
         return read_file(self.folder / check_file_name(name))
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A tab that was closed is no error; what else goes wrong is ours, and is shown."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
 
     # ------------------------------------------------------------- what a page may ask for
 
@@ -212,13 +219,13 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get_content_type() != "application/json":
             raise _Refused(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "Expected JSON.")
         length = self.headers.get("Content-Length", "")
-        if not length.isdigit():
+        if not re.fullmatch("[0-9]+", length):
             raise _Refused(HTTPStatus.LENGTH_REQUIRED, "The request does not say how long it is.")
-        if int(length) > LARGEST:
+        if len(length) > 12 or int(length) > LARGEST:
             raise _Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"A request has {LARGEST} bytes at most.")
         try:
-            ask = json.loads(self.rfile.read(int(length)))
-        except (ValueError, RecursionError):
+            ask = parse_json(self.rfile.read(int(length)).decode("utf-8"))
+        except ValueError:  # no UTF-8, or Unreadable
             raise _Refused(HTTPStatus.BAD_REQUEST, "This is not JSON.") from None
         if not isinstance(ask, dict):
             raise _Refused(HTTPStatus.BAD_REQUEST, "Expected a JSON object.")

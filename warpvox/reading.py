@@ -1,0 +1,247 @@
+"""Files that somebody else has made, read with care: sizes are known before memory is taken, and no code is run.
+
+A reader has a limit in bytes. Text and JSON must fit it as they lie on disk; for numpy's ``.npy`` and ``.npz`` the
+headers are read first, and what they claim must be what the file holds, fit the limit, and consist of plain
+numbers. An ``.npz`` cannot hold more than :data:`INFLATION` times its own size, so that neither a false claim nor a
+bomb costs more memory than that.
+
+All that is wrong with a file is an :class:`Unreadable` with the reason, which the readers of designs, worlds and
+rollouts turn into errors of their own.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from warpvox.errors import did_you_mean, listing
+
+__all__ = ["ArrayFile", "Missing", "Unreadable", "parse_json", "read_bytes", "read_npy", "read_text"]
+
+INFLATION = 1032
+"""Bytes that a byte of the DEFLATE format can stand for at most."""
+LONGEST_HEADER = 4096
+"""Bytes of numpy's description of an array; those of plain numbers have 118."""
+CHUNK = 1 << 20
+"""Bytes that are read at once."""
+MOST_MEMBERS = 64
+"""Arrays in an ``.npz``."""
+
+_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+_HALF = re.compile(r"\\u[dD][89a-fA-F]")
+
+
+class Unreadable(ValueError):
+    """A file or text that is not what it should be; the text is the reason, without a full stop."""
+
+
+class Missing(Unreadable):
+    """A file that does not exist."""
+
+
+def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
+    """The content of a file of at most ``limit`` bytes.
+
+    Raises:
+        Unreadable: no such file, none that can be read, or a longer one.
+    """
+    with _opened(path, limit) as file:
+        return file.read(limit)
+
+
+def read_text(path: str | os.PathLike[str], limit: int) -> str:
+    """The text (UTF-8) of a file of at most ``limit`` bytes.
+
+    Raises:
+        Unreadable: as :func:`read_bytes`, or it is not UTF-8.
+    """
+    try:
+        return read_bytes(path, limit).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise Unreadable(f"it is not text in UTF-8 (byte {error.start})") from None
+
+
+def parse_json(text: str) -> Any:
+    """The value of a JSON text.
+
+    Stricter than :func:`json.loads`: NaN and Infinity are refused (JSON has none), and so are names that occur twice
+    in one object (the first would be dropped without a word) and halves of characters (no file or page can hold them).
+
+    Raises:
+        Unreadable: it is not JSON, or too deeply nested.
+    """
+    try:
+        value = json.loads(text, object_pairs_hook=_unique, parse_constant=_no_number)
+        if _HALF.search(text):
+            json.dumps(value, ensure_ascii=False).encode()
+    except RecursionError:
+        raise Unreadable("it is nested too deeply") from None
+    except UnicodeEncodeError:
+        raise Unreadable("it holds half of a character (a lone surrogate)") from None
+    except Unreadable:
+        raise
+    except ValueError as error:
+        raise Unreadable(f"it is not valid JSON: {error}") from None
+    return value
+
+
+def read_npy(path: str | os.PathLike[str], limit: int) -> np.ndarray:
+    """The array of an ``.npy`` file of plain numbers.
+
+    Raises:
+        Unreadable: no such file, no such array, or one of more than ``limit`` bytes.
+    """
+    with _opened(path, limit + LONGEST_HEADER) as file, _as_unreadable("no .npy file that can be read"):
+        return _read_array(file, os.fstat(file.fileno()).st_size, limit)
+
+
+class ArrayFile:
+    """An ``.npz`` archive of plain arrays; a context manager that closes it.
+
+    Args:
+        path: of the file.
+        limit: bytes that all arrays may have together.
+
+    Raises:
+        Unreadable: no such file, no such archive, or one whose arrays are larger than ``limit`` or than its own
+        size allows.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], limit: int) -> None:
+        self._limit = limit
+        self._file = _opened(path, limit + MOST_MEMBERS * 2 * LONGEST_HEADER)
+        try:
+            with _as_unreadable("no .npz archive that can be read"):
+                self._zip = zipfile.ZipFile(self._file)
+                self._members = _members(self._zip, os.fstat(self._file.fileno()).st_size, limit)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> ArrayFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._zip.close()
+        self._file.close()
+
+    @property
+    def names(self) -> list[str]:
+        """Of the arrays."""
+        return list(self._members)
+
+    def read(self, name: str, limit: int | None = None) -> np.ndarray:
+        """The array ``name``, of at most ``limit`` bytes (None: the limit of the archive).
+
+        Raises:
+            Unreadable: there is none, or it is damaged.
+        """
+        if name not in self._members:
+            raise Unreadable(
+                f"it has no array '{name}'; it holds {listing(self.names)}.{did_you_mean(name, self.names)}"
+            )
+        member = self._members[name]
+        with _as_unreadable(f"its array '{name}' is damaged"), self._zip.open(member) as file:
+            return _read_array(file, member.file_size, self._limit if limit is None else limit)
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        seen: set[str] = set()
+        twice = next(name for name, _ in pairs if name in seen or seen.add(name))
+        raise Unreadable(f"the name '{twice}' occurs twice")
+    return result
+
+
+def _no_number(word: str) -> None:
+    raise Unreadable(f"{word} is no number of JSON")
+
+
+def _opened(path: str | os.PathLike[str], limit: int) -> IO[bytes]:
+    """A regular file of at most ``limit`` bytes, open for reading."""
+    try:
+        if not Path(path).is_file():  # before it is opened: opening a pipe would wait for its writer
+            raise Missing("there is no such file")
+        file = open(path, "rb")  # noqa: SIM115 (the caller closes it)
+    except (OSError, ValueError) as error:
+        if isinstance(error, Unreadable):
+            raise
+        raise Unreadable(getattr(error, "strerror", None) or str(error)) from None
+    size = os.fstat(file.fileno()).st_size
+    if size > limit:
+        file.close()
+        raise Unreadable(f"it has {size:,} bytes, and {limit:,} are the limit")
+    return file
+
+
+@contextmanager
+def _as_unreadable(reason: str) -> Iterator[None]:
+    """Whatever goes wrong inside is the file's fault: zipfile, zlib and numpy raise nearly anything."""
+    try:
+        yield
+    except Unreadable:
+        raise
+    except MemoryError:
+        raise Unreadable("it does not fit into memory") from None
+    except Exception as error:
+        raise Unreadable(f"{reason} ({str(error).strip() or type(error).__name__:.200})") from None
+
+
+def _members(archive: zipfile.ZipFile, size: int, limit: int) -> dict[str, zipfile.ZipInfo]:
+    """The entries of an archive by the names of their arrays, if their claims can be true and fit."""
+    infos = archive.infolist()
+    if len(infos) > MOST_MEMBERS:
+        raise Unreadable(f"it holds {len(infos)} arrays, and {MOST_MEMBERS} are the limit")
+    members = {info.filename.removesuffix(".npy"): info for info in infos}
+    if len(members) < len(infos):
+        raise Unreadable("two of its arrays have one name")
+    for name, info in members.items():
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or info.flag_bits & 1:
+            raise Unreadable(f"its array '{name}' is packed in a way that numpy does not write")
+        if info.file_size > INFLATION * info.compress_size:
+            raise Unreadable(f"its array '{name}' claims {info.file_size:,} bytes, made of {info.compress_size:,}")
+    if sum(info.compress_size for info in infos) > size:  # entries that overlap, as in a bomb
+        raise Unreadable("its arrays claim more bytes than the file has")
+    total = sum(info.file_size for info in infos)
+    if total > limit + len(infos) * LONGEST_HEADER:
+        raise Unreadable(f"its arrays have {total:,} bytes, and {limit:,} are the limit")
+    return members
+
+
+def _read_array(file: IO[bytes], size: int, limit: int) -> np.ndarray:
+    """An array of plain numbers from a file of ``size`` bytes that holds nothing else."""
+    version = np.lib.format.read_magic(file)
+    if version not in _HEADERS:
+        raise Unreadable(f"version {version} of numpy's format is not read")
+    shape, by_columns, dtype = _HEADERS[version](file, max_header_size=LONGEST_HEADER)
+    if dtype.kind not in "biuf":
+        raise Unreadable(f"an array of {dtype} is not made of plain numbers")
+    if any(type(side) is not int or side < 0 for side in shape):
+        raise Unreadable(f"{shape} is no shape")
+    claimed, there = math.prod(shape) * dtype.itemsize, size - file.tell()
+    if claimed != there:
+        raise Unreadable(f"an array of shape {shape:} and type {dtype} has {claimed:,} bytes, but there are {there:,}")
+    if claimed > limit:
+        raise Unreadable(f"an array of shape {shape} has {claimed:,} bytes, and {limit:,} are the limit")
+    array = np.empty(math.prod(shape), dtype)
+    left = memoryview(array).cast("B") if claimed else b""
+    while left:
+        part = file.read(min(len(left), CHUNK))
+        if not part:
+            raise Unreadable("an array ends too early")
+        left[: len(part)] = part
+        left = left[len(part) :]
+    return array.reshape(shape[::-1]).T if by_columns else array.reshape(shape)
