@@ -551,7 +551,7 @@ def _checked(path: Path) -> sqlite3.Connection:
         application = db.execute("PRAGMA application_id").fetchone()[0]
         version = db.execute("PRAGMA user_version").fetchone()[0]
         reason = _objection(db, application, version)
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite repeats what is damaged, whatever bytes it has
         reason = _trouble(error) or f"is damaged or no SQLite file ({error})"
     if reason is not None:
         if db is not None:

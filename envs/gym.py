@@ -186,7 +186,10 @@ class VoxelEnv(gymnasium.Env):
         Raises:
             ActionError: wrong shape, or entries that are not finite.
         """
-        action = np.asarray(action, dtype=np.float64)
+        try:
+            action = np.asarray(action, dtype=np.float64)
+        except Exception as error:  # whatever an object that is no array says when it is asked for numbers
+            raise ActionError(f"An action must be an array of numbers: {str(error)[:200]}.") from None
         if action.shape != self.action_space.shape:
             expected = list(self.action_space.shape)
             raise ActionError(f"An action must have the shape {expected}, got {list(action.shape)}.")

@@ -69,7 +69,7 @@ def _task_of(text: str) -> TaskSpec:
         module = _import_file(source) if source.endswith(".py") else _import_module(source)
     except TaskError:
         raise
-    except Exception as error:  # whatever a user's module may raise
+    except (Exception, SystemExit) as error:  # whatever a user's module may raise
         raise TaskError(f"The task {text!r} cannot be imported: {type(error).__name__}: {error}") from error
     found = getattr(module, name, None)
     if not isinstance(found, TaskSpec):

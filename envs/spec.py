@@ -7,7 +7,7 @@ environment adds terms up, so that no task has code of its own.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from types import MappingProxyType
@@ -171,6 +171,10 @@ class TaskSpec:
         object.__setattr__(self, "partners", MappingProxyType(dict(self.partners)))
         if not isinstance(self.id, str) or not ID.fullmatch(self.id):
             raise TaskError(f"The id of a task may hold letters, digits and . _ + - only, got {self.id!r}.")
+        if isinstance(self.objects, WorldObject) or not isinstance(self.objects, Sequence):
+            raise TaskError(f"The objects of the task '{self.id}' must be a tuple, got {type(self.objects).__name__}.")
+        if not all(isinstance(obj, WorldObject) for obj in self.objects):
+            raise TaskError(f"The objects of the task '{self.id}' must be WorldObjects, got {self.objects!r:.80}.")
         if not self.observations or self.max_episode_steps < 1:
             raise TaskError(f"The task '{self.id}' needs an observation and at least one step an episode.")
         names = [term.name for term in (*self.rewards, *self.terminations)]
@@ -205,6 +209,6 @@ class TaskSpec:
         Raises:
             ConfigError: unknown rules.
         """
-        if rules not in RULES:
-            raise ConfigError(f"rules must be one of {listing(RULES)}, got {rules!r}.{did_you_mean(rules, RULES)}")
+        if not isinstance(rules, str) or rules not in RULES:
+            raise ConfigError(f"rules must be one of {listing(RULES)}, got {rules!r:.80}.{did_you_mean(rules, RULES)}")
         return replace(self, paper={}, **self.paper) if rules == "paper" else self

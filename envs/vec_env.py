@@ -146,9 +146,9 @@ class VoxelVecEnv:
         obs: str = "task",
         cuda_graph: bool = False,
     ) -> None:
-        if obs not in OBSERVATIONS:
+        if not isinstance(obs, str) or obs not in OBSERVATIONS:
             hint = did_you_mean(obs, OBSERVATIONS)
-            raise ConfigError(f"obs must be one of {listing(OBSERVATIONS)}, got {obs!r}.{hint}")
+            raise ConfigError(f"obs must be one of {listing(OBSERVATIONS)}, got {obs!r:.80}.{hint}")
         if obs == "voxel":
             spec = replace(spec, observations=voxel_observations(spec.observations, tuple(spec.robots), sim))
         self.spec, self.rules, self.sim, self.seed, self.auto_reset = spec, rules, sim, seed, auto_reset
@@ -446,8 +446,12 @@ class VoxelVecEnv:
 
 
 def _check_seeds(seed: int | Sequence[int], designs: int) -> None:
-    if isinstance(seed, Sequence) and len(seed) != designs:
+    several = isinstance(seed, Sequence) and not isinstance(seed, str | bytes)
+    if several and len(seed) != designs:
         raise ConfigError(f"seed must be one number, or one for each of the {designs} designs; got {len(seed)}.")
+    for one in seed if several else [seed]:
+        if not isinstance(one, int | np.integer) or isinstance(one, bool) or one < 0:
+            raise ConfigError(f"seed must be a whole number >= 0, got {one!r:.80}.")
 
 
 def _where(mask: torch.Tensor, new: torch.Tensor, old: torch.Tensor) -> torch.Tensor:
@@ -478,6 +482,8 @@ def _load_designs(spec: TaskSpec, designs: object) -> list[Design | dict[str, De
 def _load_connections(connections: Sequence[object] | None, count: int) -> Sequence[object]:
     if connections is None:
         return [None] * count
+    if not isinstance(connections, Sequence | np.ndarray):
+        raise ConfigError(f"connections must be a list with one entry a design, got {type(connections).__name__}.")
     if len(connections) != count:
         raise ConfigError(f"connections must have one entry a design ({count}), got {len(connections)}.")
     return connections
@@ -485,5 +491,5 @@ def _load_connections(connections: Sequence[object] | None, count: int) -> Seque
 
 def _whole(name: str, value: object) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise ConfigError(f"{name} must be a whole number >= 1, got {value!r}.")
+        raise ConfigError(f"{name} must be a whole number >= 1, got {value!r:.80}.")
     return int(value)

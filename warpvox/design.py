@@ -39,12 +39,15 @@ Design: TypeAlias = np.ndarray
 SAMPLING_WEIGHTS = (0.6, 0.2, 0.2, 0.2, 0.2)
 """EvoGym's relative weights of empty, rigid, soft, horizontal and vertical actuator cells (sum 1.4)."""
 
-LARGEST_GRID = 10_000_000
+LARGEST_GRID = 1_000_000
 """Cells that an object of a world, or a world, may have, empty ones included."""
 LARGEST_BODY = 1 << 16
 """Cells that a body may have, empty ones included (256 x 256)."""
 LARGEST_FILE = 4_000_000
 """Bytes that a file of a design, its arrays together, or the text of one may have."""
+
+LEAST_CHANCE = 1e-6
+"""Of a cell to be an actuator; below it hardly any body has one."""
 
 _MAX_DRAWS = 2_000_000
 _FILE_SUFFIXES = (".json", ".npz", ".npy")
@@ -374,17 +377,21 @@ def _check_shape(shape: object) -> tuple[int, int]:
 
 def _check_weights(weights: Sequence[float]) -> np.ndarray:
     """Return normalised weights [5] or raise DesignError."""
-    array = np.asarray(weights, dtype=float) if np.ndim(weights) == 1 else np.empty(0)
+    try:
+        array = np.asarray(weights, dtype=float)
+    except Exception:  # whatever an object that is no array says when it is asked for numbers
+        array = np.empty(0)
     if array.shape != (5,):
         raise DesignError(
-            f"The probabilities must be five weights (empty, rigid, soft, horizontal, vertical), got {weights!r}."
+            f"The probabilities must be five weights (empty, rigid, soft, horizontal, vertical), got {weights!r:.200}."
         )
-    if not np.isfinite(array).all() or (array < 0).any() or array[Cell.H_ACT] + array[Cell.V_ACT] <= 0:
+    total = array.sum()
+    if not np.isfinite(total) or (array < 0).any() or (array[Cell.H_ACT] + array[Cell.V_ACT]) / total < LEAST_CHANCE:
         raise DesignError(
             "The probabilities must be finite, not negative, and leave a chance for an actuator (the last"
             f" two), got {tuple(float(w) for w in array)}."
         )
-    return array / array.sum()
+    return array / total
 
 
 def _may_be_connected(body: np.ndarray) -> bool:

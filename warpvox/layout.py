@@ -71,13 +71,13 @@ def lanes_for(environments: int) -> int:
 
 def choose_lanes(index: list[int], lanes: int | None, device: str) -> int:
     if device != "cpu":
-        if lanes not in (None, CUDA_LANES):
+        if lanes is not None and (type(lanes) is not int or lanes != CUDA_LANES):
             raise SimulationError(f"lanes must be {CUDA_LANES} or None on CUDA, got {lanes!r}.")
         return CUDA_LANES
     if lanes is None:
         return lanes_for(int(np.bincount(index).max()))
-    if lanes not in WIDTHS:
-        raise SimulationError(f"lanes must be one of {listing(WIDTHS)}, got {lanes!r}.")
+    if type(lanes) is not int or lanes not in WIDTHS:
+        raise SimulationError(f"lanes must be one of {listing(WIDTHS)}, got {lanes!r:.80}.")
     return lanes
 
 

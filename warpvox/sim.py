@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -24,6 +25,17 @@ from warpvox.world import World
 
 __all__ = ["STATE_FIELDS", "Simulation", "resolve_device"]
 
+NUMBERS = {
+    torch.float32,
+    torch.float64,
+    torch.float16,
+    torch.bfloat16,
+    torch.int64,
+    torch.int32,
+    torch.int16,
+    torch.int8,
+}
+"""Types that actions may have."""
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 _STOPPED, _OVERFLOW = int(UNSTABLE | DIVERGED), int(OVERFLOW)
 SIGHT = 5.0  # voxels that floor and ceiling scans see (tasks.md)
@@ -61,10 +73,12 @@ class Simulation:
         loose: Sequence[str] = (),
         action_range: tuple[float, float] = (ACTION_LOW, ACTION_HIGH),
     ):
-        if not worlds or not all(isinstance(world, World) for world in worlds):
+        if not isinstance(worlds, Sequence) or not worlds or not all(isinstance(world, World) for world in worlds):
             raise SimulationError(f"Simulation needs a list of one World or more, got {worlds!r:.80}.")
-        if dtype not in DTYPES:
-            raise SimulationError(f"dtype must be 'float32' or 'float64', got {dtype!r}.")
+        if not isinstance(dtype, str) or dtype not in DTYPES:
+            raise SimulationError(f"dtype must be 'float32' or 'float64', got {dtype!r:.80}.")
+        _check_names(loose)
+        low, high = _check_range(action_range)
         self.device = resolve_device(device)
         self.physics = physics if isinstance(physics, Physics) else Physics.preset(physics)
         self.dtype = DTYPES[dtype]
@@ -86,7 +100,7 @@ class Simulation:
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
         self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
         self._slot = self._env[0] * self._state.lanes + self._env[1]
-        self._action_range = action_range
+        self._action_range = low, high
         self._actions = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
         self._action_array = wp.from_torch(self._actions)
         self._graph = None
@@ -114,11 +128,18 @@ class Simulation:
 
     def take(self, actions) -> None:
         """The first half of :meth:`step`: check the actions and keep them for :meth:`advance`."""
-        actions = torch.as_tensor(actions)
+        try:
+            actions = torch.as_tensor(actions)
+        except Exception as error:  # whatever an object that is no array says when it is asked for numbers
+            raise ActionError(f"Actions must be a tensor or array of numbers: {str(error)[:200]}.") from None
         if tuple(actions.shape) != tuple(self._actions.shape):
             expected = list(self._actions.shape)
             raise ActionError(
                 f"Actions must have the shape {expected} [num_envs, num_actions], got {list(actions.shape)}."
+            )
+        if actions.dtype not in NUMBERS or actions.layout is not torch.strided or actions.device.type == "meta":
+            raise ActionError(
+                f"Actions must be plain numbers, got {actions.dtype}, {actions.layout} on {actions.device.type}."
             )
         if actions.device.type == "cpu" and not bool(torch.isfinite(actions).all()):
             bad = int((~torch.isfinite(actions)).nonzero()[0, 0])
@@ -484,14 +505,14 @@ def resolve_device(device: str) -> str:
     Raises:
         DeviceError: no such device here.
     """
-    name = str(device)
+    name = str(device)[:80]
     if name == "auto":
         return "cuda:0" if torch.cuda.is_available() and wp.is_cuda_available() else "cpu"
     if name == "cpu":
         return name
     kind, _, number = name.partition(":")
-    if kind != "cuda" or not (number.isdigit() or number == ""):
-        raise DeviceError(f"Unknown device {device!r}; valid are 'auto', 'cpu', 'cuda' and 'cuda:<index>'.")
+    if kind != "cuda" or not re.fullmatch("[0-9]{0,4}", number):
+        raise DeviceError(f"Unknown device {name!r}; valid are 'auto', 'cpu', 'cuda' and 'cuda:<index>'.")
     found = torch.cuda.device_count() if torch.cuda.is_available() and wp.is_cuda_available() else 0
     if int(number or 0) >= found:
         have = f"this machine has {found} CUDA device(s)" if found else "no CUDA device was found"
@@ -506,9 +527,24 @@ def _torch(array: wp.array) -> torch.Tensor:
 def _check_threads(threads: int | None) -> int:
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not isinstance(threads, int) or threads < 1:
-        raise SimulationError(f"threads must be a whole number >= 1 or None, got {threads!r}.")
+    if type(threads) is not int or threads < 1:
+        raise SimulationError(f"threads must be a whole number >= 1 or None, got {threads!r:.80}.")
     return threads
+
+
+def _check_names(loose: Sequence[str]) -> None:
+    if not isinstance(loose, Sequence) or isinstance(loose, str) or not all(isinstance(name, str) for name in loose):
+        raise SimulationError(f"loose must be a list of names of objects, got {loose!r:.80}.")
+
+
+def _check_range(action_range: tuple[float, float]) -> tuple[float, float]:
+    try:
+        low, high = (float(bound) for bound in action_range)
+    except (TypeError, ValueError, OverflowError):
+        low, high = 1.0, 0.0
+    if not low <= high:  # NaN, too
+        raise SimulationError(f"action_range must be two numbers low <= high, got {action_range!r:.80}.")
+    return low, high
 
 
 def _loose_points(sim: Simulation, names: Sequence[str]) -> tuple[torch.Tensor, ...]:

@@ -79,9 +79,9 @@ class Physics:
         Raises:
             ConfigError: unknown preset or constant, or a value out of range.
         """
-        if name not in _PRESETS:
+        if not isinstance(name, str) or name not in _PRESETS:
             hint = did_you_mean(name, _PRESETS)
-            raise ConfigError(f"Unknown physics preset {name!r}; there are {listing(_PRESETS)}.{hint}")
+            raise ConfigError(f"Unknown physics preset {name!r:.80}; there are {listing(_PRESETS)}.{hint}")
         known = [field.name for field in fields(Physics) if field.name != "name"]
         for key in changes:
             if key not in known:

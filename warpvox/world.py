@@ -281,7 +281,7 @@ class World:
     # ------------------------------------------------------------------ inner
 
     def _find(self, name: str) -> WorldObject:
-        if name not in self.objects:
+        if not isinstance(name, str) or name not in self.objects:
             raise WorldError(
                 f"The world has no object '{name}'.{did_you_mean(name, self.objects)} It has {listing(self.objects)}."
             )

@@ -77,7 +77,7 @@ def test_a_damaged_rollout_is_refused(warpvox: Callable) -> None:
     Path("cut.npz").write_bytes(b"PK\x03\x04 cut short")
     outcome = warpvox("export", "rollout=cut.npz", "format=png")
     assert outcome.code == 2
-    assert "cut.npz is truncated or no rollout" in outcome.err
+    assert "cut.npz is truncated, damaged or no rollout" in outcome.err
     assert not Path("outputs").exists()
 
 

@@ -125,7 +125,7 @@ def load(command: str, overrides: list[str], config_dir: Path | None = None, bas
         if base is not None:
             config = _over_base(command, base, config, parsed)
         result = OmegaConf.to_object(config)
-    except (HydraException, OmegaConfBaseException, yaml.YAMLError) as error:
+    except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
         raise ConfigError(_one_line(error)) from None
     check_values(result)
     return result
@@ -142,7 +142,7 @@ def load_values(command: str, values: dict[str, Any]) -> Any:
     try:
         known = {name: value for name, value in values.items() if name in names}
         result = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), known))
-    except OmegaConfBaseException as error:
+    except (OmegaConfBaseException, OverflowError) as error:
         raise ConfigError(f"The stored configuration is not valid: {_one_line(error)}") from None
     check_values(result)
     return result
@@ -193,8 +193,10 @@ def _parse(arguments: Arguments, command: str) -> list[Override]:
     for text in arguments.overrides:
         try:
             override = OverridesParser.create().parse_override(text)
-        except HydraException:
-            raise ConfigError(f"'{text}' is not KEY=VALUE, or its value has unbalanced brackets or quotes.") from None
+        except (HydraException, ValueError, RecursionError):  # numbers of thousands of digits, brackets without end
+            raise ConfigError(
+                f"'{text:.200}' is not KEY=VALUE, or its value has unbalanced brackets or quotes."
+            ) from None
         key = override.key_or_group
         if override.is_delete() or override.is_add() or override.is_force_add():
             raise ConfigError(f"'{text}': keys cannot be added or removed; write {key}=VALUE.")
@@ -224,7 +226,7 @@ def _check_override(override: Override, schema: type, config_dir: Path | None) -
         return
     try:
         OmegaConf.update(OmegaConf.structured(schema), key, value)
-    except OmegaConfBaseException as error:
+    except (OmegaConfBaseException, OverflowError) as error:
         kind = dict(flat_keys(schema))[key].type
         words = next((text for name, text in TYPES.items() if name in str(kind)), f"{kind}")
         optional = " or null" if "None" in str(kind) else ""

@@ -5,7 +5,7 @@ Lengths are in simulator units here (0.1 a voxel); :class:`warpvox.evogym.EvoSim
 
 from __future__ import annotations
 
-from pathlib import Path
+import errno
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,8 @@ import numpy as np
 from warpvox.errors import DisplayError, SimulationError, WorldError
 from warpvox.evogym.errors import ArgumentError
 from warpvox.evogym.picture import paint
-from warpvox.world import World, WorldObject
+from warpvox.reading import Missing, Unreadable, read_text
+from warpvox.world import LARGEST_FILE, World, WorldObject
 
 if TYPE_CHECKING:
     from warpvox.evogym.engine import Engine
@@ -84,12 +85,19 @@ class Sim:
         Raises:
             FileNotFoundError: no such file. Otherwise as :meth:`read_object_from_array`.
         """
-        words = Path(file_name).read_text(encoding="utf-8").split()
+        try:
+            words = read_text(file_name, LARGEST_FILE).split()
+        except Missing:
+            raise FileNotFoundError(errno.ENOENT, "There is no file", str(file_name)) from None
+        except Unreadable as error:
+            raise WorldError(f"The file '{file_name}' cannot be read: {error}.") from None
         try:
             columns, rows, *rest = (int(word) for word in words)
+            if min(columns, rows) < 1 or len(rest) < rows * columns:
+                raise ValueError
             grid = np.array(rest[: rows * columns]).reshape(rows, columns)
             pairs = np.array(rest[rows * columns :], int).reshape(-1, 2).T
-        except ValueError:
+        except (ValueError, OverflowError):
             raise WorldError(
                 f"The file '{file_name}' must hold columns, rows, as many cells, and pairs of indices of cells."
             ) from None
