@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from warpvox.errors import RunError
+from warpvox.errors import RunError, listing
 from warpvox.files import write_text, writing
 
 __all__ = ["COLUMNS", "Events", "Metrics", "read_metrics"]
@@ -36,6 +36,8 @@ COLUMNS = (
     "steps_per_second",  # of this iteration, learning included, evaluation not
     "elapsed",  # seconds of all iterations and evaluations so far
 )
+NEEDED = ("iteration", "steps", "eval_return", "elapsed")
+"""Columns that something is made of; others may be missing from a file that an earlier version has written."""
 FILE = "metrics.csv"
 
 TAGS = {
@@ -152,8 +154,9 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
         raise RunError(
             f"{path} is damaged ({error}); move it away, and a run that is resumed will begin a new one."
         ) from None
-    if rows and not set(COLUMNS) <= rows[0].keys():
-        raise RunError(f"{path} lacks columns of a training; move it away, and the run will begin a new one.")
+    if rows and not set(NEEDED) <= rows[0].keys():
+        missing = listing([name for name in NEEDED if name not in rows[0]])
+        raise RunError(f"{path} has no column {missing}; move it away, and the run will begin a new one.")
     return rows
 
 

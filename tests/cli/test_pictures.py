@@ -13,6 +13,7 @@ from warpvox.cli.curves import _curve, _mean
 from warpvox.cli.gallery import COLUMNS, TILE, draw_gallery
 from warpvox.cli.runs import Run
 from warpvox.envs.registry import task_ids
+from warpvox.errors import RunError
 from warpvox.palette import LEVELS, palette
 from warpvox.types import Cell
 
@@ -25,6 +26,14 @@ def make_run(folder: Path, rows: list[tuple[int, float | None]]) -> Run:
     (folder / "metrics.csv").write_text(HEAD + "\n".join(lines) + "\n")
     (folder / "config.yaml").write_text("task: Walker-v0\ndesign: walker\nppo: {}\n")
     return Run(folder, {"task": "Walker-v0"})
+
+
+def test_metrics_without_a_column_are_refused(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "a", [(10, 1.0)])
+    table = run.folder / "metrics.csv"
+    table.write_text(table.read_text().replace("elapsed", "lapsed"))
+    with pytest.raises(RunError, match=r"metrics\.csv has no column elapsed; move it away"):
+        _curve(run, "steps")
 
 
 def test_curves_hold_the_evaluations(tmp_path: Path) -> None:
