@@ -1,4 +1,4 @@
-"""What all tests share: hypothesis settings, the rule for tests that need a GPU, a browser."""
+"""What all tests share: hypothesis settings, the rule for tests that need a GPU, a command line, a browser."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from build_distributions import build, copy_sources
@@ -32,6 +32,37 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     if not torch.cuda.is_available():
         for item in marked:
             item.add_marker(pytest.mark.skip(reason="no CUDA device"))
+
+
+class Outcome(NamedTuple):
+    """What a command left: exit code and both streams."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def warpvox(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture) -> Callable[..., Outcome]:
+    """``warpvox("train", "seed=1")`` in an empty folder."""
+    import torch
+
+    from warpvox.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+    # a reference that someone has made on this machine is none of the tests' business
+    monkeypatch.setattr("warpvox.cli.benchmarks.reference.reference_folder", lambda: tmp_path / "no_reference")
+    threads = torch.get_num_threads()
+
+    def call(*words: str) -> Outcome:
+        capfd.readouterr()
+        code = main(words)
+        torch.set_num_threads(threads)
+        streams = capfd.readouterr()
+        return Outcome(code, streams.out, streams.err)
+
+    return call
 
 
 @pytest.fixture(scope="session")

@@ -6,31 +6,11 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import torch
-from fault_cases import CODESIGN, TRAIN, Result, Victim
-
-from warpvox.cli import main
-
-
-@pytest.fixture
-def warpvox(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture) -> Callable[..., Result]:
-    """``warpvox("train", "seed=1")`` in this process and an empty folder."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "100")
-    threads = torch.get_num_threads()
-
-    def call(*words: str) -> Result:
-        capfd.readouterr()
-        code = main(words)
-        torch.set_num_threads(threads)
-        streams = capfd.readouterr()
-        return Result(code, streams.out, streams.err)
-
-    return call
+from fault_cases import CODESIGN, TRAIN, Victim
 
 
 @pytest.fixture(scope="session")
