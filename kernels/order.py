@@ -151,7 +151,9 @@ def push():
         if slip < real(0.0):
             slip, tx, ty = -slip, -tx, -ty
         size = wp.sqrt(fx * fx + fy * fy)
-        rub = wp.tanh(slip / (law.friction * size))
+        rub = real(0.0)
+        if slip != real(0.0):  # without friction or stiffness the quotient would be 0/0
+            rub = wp.tanh(slip / (law.friction * size))
         sx = -(law.friction_multiplier * tx) * law.friction * size * rub
         sy = -(law.friction_multiplier * ty) * law.friction * size * rub
         add(out, pack, k, p, sx, sy)
