@@ -11,7 +11,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-__all__ = ["HashSet", "Tree", "no_order", "order_arrays", "tree_of"]
+from warpvox.errors import SimulationError
+
+__all__ = ["DEEPEST", "HashSet", "Tree", "no_order", "order_arrays", "tree_of"]
+
+DEEPEST = 40
+"""Levels of two trees together that the path of a descent holds (``PATH`` of ``kernels/order.py``)."""
+MOST_OBJECTS = 1024  # whose pairs fit into the 20 bits above the path
 
 # Bucket counts of the library's hash tables, each the first of its prime list that at least doubles the last.
 BUCKETS = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753)
@@ -88,6 +94,14 @@ class Tree:
         middle = [b + count[pair[0]] if pair else b for b, pair in zip(begin, self.children, strict=True)]
         return begin, middle
 
+    def depth(self) -> int:
+        """Levels below the root."""
+        level = [0] * len(self.cells)
+        for node in reversed(range(len(self.cells))):
+            for child in self.children[node] or ():
+                level[child] = level[node] + 1
+        return max(level, default=0)
+
 
 def tree_of(body) -> Tree:
     """The tree of a mesh (:class:`warpvox.compile.Body`)."""
@@ -163,14 +177,21 @@ def _merge(tree: Tree, near: list[HashSet]) -> None:
 
 
 def order_arrays(design) -> dict[str, np.ndarray]:
-    """The Model's arrays about trees for a :class:`warpvox.compile.Design`: nodes of bodies, then of terrain."""
+    """The Model's arrays about trees for a :class:`warpvox.compile.Design`: nodes of bodies, then of terrain.
+
+    Raises:
+        SimulationError: the world has more objects, or objects of deeper trees, than a contact's place in the order
+            can tell apart.
+    """
     world = design.world
+    trees = {body.name: tree_of(body) for body in design.bodies + design.statics}
+    _check_places(design, trees)
     ordered = sorted(world.objects.values(), key=lambda o: (not o.is_robot, o.name))
     place = {o.name: n for n, o in enumerate(ordered)}
     rows, areas, leaf, moving = [], [], [], 0
     cell_leaf = np.zeros(world.width * world.height, dtype=np.int32)
     for body in design.bodies + design.statics:
-        tree, base = tree_of(body), len(rows)
+        tree, base = trees[body.name], len(rows)
         rank, middle = tree.ranks()
         leaves = {}
         for n, (cell, pair, box) in enumerate(zip(tree.cells, tree.children, tree.boxes, strict=True)):
@@ -198,6 +219,23 @@ def order_arrays(design) -> dict[str, np.ndarray]:
         leaf=np.array(leaf, dtype=np.int32),
         cell_leaf=cell_leaf,
     )
+
+
+def _check_places(design, trees: dict[str, Tree]) -> None:
+    remedy = "dtype='float32' does not keep this order and has no such limit."
+    if len(trees) > MOST_OBJECTS:
+        raise SimulationError(
+            f"float64 keeps the released order of contacts for up to {MOST_OBJECTS} objects; this world has"
+            f" {len(trees)}. {remedy}"
+        )
+    depth = {name: tree.depth() for name, tree in trees.items()}
+    body = max((b.name for b in design.bodies), key=depth.__getitem__)  # one of the two objects of a contact can move
+    other = max(depth, key=depth.__getitem__)
+    if depth[body] + depth[other] > DEEPEST:
+        raise SimulationError(
+            f"float64 keeps the released order of contacts for box trees of up to {DEEPEST} levels together; those of"
+            f" {body!r:.80} ({depth[body]}) and {other!r:.80} ({depth[other]}) are deeper. {remedy}"
+        )
 
 
 def no_order() -> dict[str, np.ndarray]:

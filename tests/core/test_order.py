@@ -1,11 +1,15 @@
 """The trees that say in which order contacts are met."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from warpvox import order
 from warpvox.compile import compile_world
 from warpvox.design import sample_design
+from warpvox.errors import SimulationError
+from warpvox.kernels.order import PATH
 from warpvox.order import BUCKETS, HashSet, order_arrays, tree_of
 from warpvox.types import Physics
 from warpvox.world import World
@@ -117,3 +121,32 @@ def test_nodes_of_bodies_come_before_those_of_terrain():
     assert arrays["leaf"].max() < count <= arrays["cell_leaf"].max()
     assert (nodes[arrays["leaf"][0], 2], arrays["objects"]) == (0, 3)  # the robot comes first
     assert set(arrays["cell_leaf"][20:]) == {0}  # nothing above the ground
+
+
+def test_trees_deeper_than_a_path_are_refused(monkeypatch):
+    assert order.DEEPEST == PATH
+    design = compiled(3)
+    depth = {body.name: tree_of(body).depth() for body in design.bodies + design.statics}
+    most = max(depth["robot"], depth["box"]) + max(depth.values())
+    monkeypatch.setattr(order, "DEEPEST", most)
+    order_arrays(design)
+    monkeypatch.setattr(order, "DEEPEST", most - 1)
+    with pytest.raises(SimulationError, match=r"'robot'.*float32"):
+        order_arrays(design)
+
+
+def test_more_objects_than_a_key_tells_apart_are_refused(monkeypatch):
+    monkeypatch.setattr(order, "MOST_OBJECTS", 3)
+    order_arrays(compiled(3))
+    monkeypatch.setattr(order, "MOST_OBJECTS", 2)
+    with pytest.raises(SimulationError, match="up to 2 objects; this world has 3"):
+        order_arrays(compiled(3))
+
+
+def test_the_depth_of_a_tree_is_that_of_its_deepest_leaf():
+    tree = tree_of(compiled(5).bodies[0])
+
+    def below(node):
+        return 1 + max(map(below, tree.children[node])) if tree.children[node] else 0
+
+    assert tree.depth() == below(len(tree.cells) - 1)
