@@ -43,8 +43,11 @@ PPO = ("parallel", "evogym")
 
 
 CONSTANTS = {
+    "dt": "inner time of a sub-step, 1e-8 to 0.01; the default constants are stable up to about 1.3e-4",
+    "substeps": "sub-steps of a control step, 1 to 10000",
+    "point_mass": "mass of every point, 0.001 to 1e6",
     "gravity": "acceleration downward, in simulator units",
-    "drag": "share of its velocity that a point loses per unit of time",
+    "drag": "force against a point's velocity, per velocity",
     "contact_stiffness": "force per depth of penetration",
     "contact_depth": "length added to the depth of penetration",
     "contact_damping": "force per velocity of approach",
@@ -53,6 +56,10 @@ CONSTANTS = {
     "floor_stiffness": "force per depth below y = 0",
     "floor_friction": "friction of the floor at y = 0",
     "actuation_rate": "share of the way to its goal that a length goes in a sub-step",
+    "strain_limit": "strain of any spring from which its ends are moved, 0.001 to 0.99",
+    "strain_share": "share of half the excess by which each end moves, 0 (no limit) to 1",
+    "rigid_strain_limit": "the same limit for the sides of rigid voxels",
+    "rigid_strain_share": "the same share for the sides of rigid voxels",
     "rigid_main": "stiffness of the sides of rigid voxels",
     "rigid_structural": "stiffness of the diagonals of rigid voxels",
     "soft_main": "stiffness of the sides of soft voxels",
@@ -71,9 +78,8 @@ def _physics_fields() -> list[tuple[str, Any, Any]]:
     for constant in dataclasses.fields(Physics):
         if constant.name == "name":
             continue
-        is_text = isinstance(constant.default, str)
         meaning = CONSTANTS.get(constant.name, constant.name.replace("_", " ")) + "; null: the preset's"
-        fields.append((constant.name, (str if is_text else float) | None, key(None, meaning)))
+        fields.append((constant.name, type(constant.default) | None, key(None, meaning)))
     return fields
 
 

@@ -61,7 +61,7 @@ auto point_force = [&](unsigned x, Value& fx, Value& fy) {
         }
     }
     fx = fx + stage_vel[x] * -model.drag + contact[x];
-    fy = fy + stage_vel[y] * -model.drag + -model.gravity + contact[y];
+    fy = fy + stage_vel[y] * -model.drag + -model.weight + contact[y];
     if (any_below(place[y])) stand(fx, fy, stage_vel[x], place[y]);
 };
 
@@ -81,7 +81,7 @@ for (int stage = 0; stage < 4; ++stage) {
         point_force(x, force[0], force[1]);
         for (unsigned axis = 0; axis < 2; ++axis) {
             const unsigned r = x + axis;
-            const Value path = stage_vel[r] * dt, gain = force[axis] * dt;
+            const Value path = stage_vel[r] * dt, gain = force[axis] * model.inverse_mass * dt;
             sum_path[r] = sum_path[r] + path * weight;
             sum_vel[r] = sum_vel[r] + gain * weight;
             place[r] = pos[r] + path * ahead;

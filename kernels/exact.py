@@ -13,8 +13,6 @@ from warpvox.kernels.lanes import inline, lane_ops
 from warpvox.kernels.state import structs
 
 real = wp.float64
-SOFT_LIMIT, SOFT_SHARE = 0.25, 0.8  # limit on the strain; share of half the excess by which each end moves
-RIGID_LIMIT, RIGID_SHARE = 0.03, 0.5
 
 
 @functools.cache
@@ -87,7 +85,7 @@ def limit(width: int):
         found = int(0)
         zero = splat(real(0.0))
         for s in range(model.springs[design]):
-            dx, dy, strained = correction(model, data, design, pack, s, lane, real(SOFT_LIMIT), real(SOFT_SHARE))
+            dx, dy, strained = correction(model, data, design, pack, s, lane, model.strain_limit, model.strain_share)
             if strained == 0:
                 dx, dy = zero, zero
             found = found | strained
@@ -104,9 +102,10 @@ def limit(width: int):
     @inline
     def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: real):
         all_springs(model, data, design, pack, lane)
+        bound, share = model.rigid_strain_limit, model.rigid_strain_share
         for n in range(model.rigids[design]):
             s = model.rigid_spring[design, n]
-            dx, dy, strained = correction(model, data, design, pack, s, lane, real(RIGID_LIMIT), real(RIGID_SHARE))
+            dx, dy, strained = correction(model, data, design, pack, s, lane, bound, share)
             if strained != 0:
                 move(model, data, design, pack, model.spring_ends[design, s][0], lane, -dx, -dy)
                 move(model, data, design, pack, model.spring_ends[design, s][1], lane, dx, dy)

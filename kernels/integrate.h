@@ -72,7 +72,7 @@ auto stand = [&](Value& fx, Value& fy, const Value& vx, const Value& y) {
 auto point_force = [&](unsigned x, Value& fx, Value& fy) {
     const unsigned y = x + 1, p = x / 2;
     fx = contact[x] - stage_vel[x] * model.drag;
-    fy = contact[y] - stage_vel[y] * model.drag - model.gravity;
+    fy = contact[y] - stage_vel[y] * model.drag - model.weight;
     const Value above = height[p] + disp[y];
     if (any_below(above)) stand(fx, fy, stage_vel[x], above);
     for (int n = link_start[p]; n < link_start[p + 1]; ++n) {
@@ -116,7 +116,7 @@ for (int stage = 0; stage < 4; ++stage) {
         point_force(x, force[0], force[1]);
         for (unsigned axis = 0; axis < 2; ++axis) {
             const unsigned r = x + axis;
-            const Value a = force[axis];
+            const Value a = force[axis] * model.inverse_mass;
             if (stage == 0) {
                 sum_bend[r] = a;
                 sum_vel[r] = a;

@@ -75,9 +75,10 @@ MODEL = {
     "terrain_box": (STATE, "design cell 4", "left, right, bottom, top of the cell"),
 }
 
-CONSTANTS = {"gravity": REAL, "drag": REAL} | dict.fromkeys(
-    ("actuation_rate", "friction", "floor_stiffness", "floor_friction", "margin"), STATE
-)
+# Of these, ``weight`` is the force of gravity on a point and ``inverse_mass`` turns a force into an acceleration.
+CONSTANTS = dict.fromkeys(
+    ("weight", "inverse_mass", "drag", "strain_limit", "strain_share", "rigid_strain_limit", "rigid_strain_share"), REAL
+) | dict.fromkeys(("actuation_rate", "friction", "floor_stiffness", "floor_friction", "margin"), STATE)
 # A struct of its own: the contact function is too large to be inlined and is called with as little as it needs.
 CONTACT = dict.fromkeys(("stiffness", "depth", "damping", "friction", "friction_multiplier"), STATE)
 

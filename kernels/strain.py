@@ -1,7 +1,8 @@
 """Strain limiting (paper section A.4): moves points, leaves velocities alone.
 
-First pass: all springs from one snapshot, beyond 25 % of the rest length. Second pass: the sides of rigid voxels
-one after another, in place, beyond 3 %. Both work on displacements, after the integration.
+First pass: all springs from one snapshot, beyond ``strain_limit`` (25 % of the rest length). Second pass: the sides of
+rigid voxels one after another, in place, beyond ``rigid_strain_limit`` (3 %). Each end of a spring moves by the pass's
+share of half the excess. Both passes work on displacements, after the integration.
 """
 
 import functools
@@ -12,9 +13,6 @@ from warpvox.kernels import exact
 from warpvox.kernels.lanes import casts, inline, lane_ops, native
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
-
-SOFT_LIMIT, SOFT_SHARE = 0.25, 0.8  # limit on the strain; share of half the excess by which each end moves
-RIGID_LIMIT, RIGID_SHARE = 0.03, 0.5
 
 # The first spring from ``begin`` on (of those of rigid sides: the first place in their list) that is at or beyond the
 # bound in some lane, or one past the last.
@@ -117,18 +115,18 @@ def limit(precision: str, width: int):
     @inline
     def all_springs(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         found = int(0)
-        s = next_strained(model, data, design, pack, lane, 0, 0, real(SOFT_LIMIT))
+        s = next_strained(model, data, design, pack, lane, 0, 0, model.strain_limit)
         while s < model.springs[design]:
             if found == 0:
                 collect(model, data, design, pack, lane, True)
                 found = 1
-            dx, dy = correction(model, data, design, pack, s, lane, real(SOFT_LIMIT), real(SOFT_SHARE))
+            dx, dy = correction(model, data, design, pack, s, lane, model.strain_limit, model.strain_share)
             ends = model.spring_ends[design, s]
             if model.fixed[design, ends[0]] == 0:
                 shift(data, data.force, pack, ends[0], lane, dx, dy)
             if model.fixed[design, ends[1]] == 0:
                 shift(data, data.force, pack, ends[1], lane, -dx, -dy)
-            s = next_strained(model, data, design, pack, lane, s + 1, 0, real(SOFT_LIMIT))
+            s = next_strained(model, data, design, pack, lane, s + 1, 0, model.strain_limit)
         if found == 1:
             for n in range(2 * model.actives[design]):
                 r = model.active[design, n]
@@ -138,13 +136,13 @@ def limit(precision: str, width: int):
     @inline
     def rigid_sides(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
         found = int(0)
-        n = next_strained(model, data, design, pack, lane, 0, 1, real(RIGID_LIMIT))
+        n = next_strained(model, data, design, pack, lane, 0, 1, model.rigid_strain_limit)
         while n < model.rigids[design]:
             s = model.rigid_spring[design, n]
             if found == 0:
                 collect(model, data, design, pack, lane, True)
                 found = 1
-            dx, dy = correction(model, data, design, pack, s, lane, real(RIGID_LIMIT), real(RIGID_SHARE))
+            dx, dy = correction(model, data, design, pack, s, lane, model.rigid_strain_limit, model.rigid_strain_share)
             ends = model.spring_ends[design, s]
             if model.fixed[design, ends[0]] == 0:
                 shift(data, data.disp, pack, ends[0], lane, dx, dy)
@@ -152,7 +150,7 @@ def limit(precision: str, width: int):
             if model.fixed[design, ends[1]] == 0:
                 shift(data, data.disp, pack, ends[1], lane, -dx, -dy)
                 shift(data, data.force, pack, ends[1], lane, -dx, -dy)
-            n = next_strained(model, data, design, pack, lane, n + 1, 1, real(RIGID_LIMIT))
+            n = next_strained(model, data, design, pack, lane, n + 1, 1, model.rigid_strain_limit)
         if found == 1:
             collect(model, data, design, pack, lane, False)
 

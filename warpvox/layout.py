@@ -15,7 +15,7 @@ from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, REAL, allocate, structs
-from warpvox.types import DT, Physics
+from warpvox.types import Physics
 from warpvox.world import World
 
 __all__ = ["MARGIN", "State", "choose_lanes", "group", "lanes_for", "layout"]
@@ -107,7 +107,7 @@ def layout(designs: list[Design], index: list[int], physics: Physics, precision:
             model[name].assign(values.astype(precision) if MODEL[name][0] is REAL else values)
     types = structs(precision)
     state = State(
-        precision, device, width, lanes, units, len(pack_design), len(index), DT, sizes,
+        precision, device, width, lanes, units, len(pack_design), len(index), physics.dt, sizes,
         types.Model(), types.Data(), model | data,
         wp.array(env_pack, dtype=int, device=device), wp.array(env_lane, dtype=int, device=device),
     )  # fmt: skip

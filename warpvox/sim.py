@@ -20,7 +20,7 @@ from warpvox.kernels import step as step_stage
 from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
 from warpvox.layout import choose_lanes, group, layout
-from warpvox.types import ACTION_HIGH, ACTION_LOW, SUBSTEPS, VOXEL, Physics
+from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, Physics
 from warpvox.world import World
 
 __all__ = ["STATE_FIELDS", "Simulation", "resolve_device"]
@@ -56,7 +56,8 @@ class Simulation:
         action_range: to what actions are clipped.
 
     Positions are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step lasts
-    30 x 1e-4). Tensors that methods return are fresh; they never alias the simulator's buffers.
+    ``physics.substeps * physics.dt``, 30 x 1e-4). Tensors that methods return are fresh; they never alias the
+    simulator's buffers.
 
     Raises:
         SimulationError, DeviceError, ConfigError: what was asked for cannot be built.
@@ -175,7 +176,8 @@ class Simulation:
         packs = self._state.packs
         count = min(self.threads, packs) if self.device == "cpu" else 1
         cuts = [packs * k // count for k in range(count + 1)]
-        return [step_stage.record(self._state, SUBSTEPS, begin, end - begin) for begin, end in itertools.pairwise(cuts)]
+        substeps = self.physics.substeps
+        return [step_stage.record(self._state, substeps, begin, end - begin) for begin, end in itertools.pairwise(cuts)]
 
     def _replay(self) -> None:
         """The control step as a CUDA graph, captured on first use; arrays never move afterwards."""

@@ -13,9 +13,10 @@ __all__ = ["ACTION_HIGH", "ACTION_LOW", "DT", "SUBSTEPS", "VOXEL", "Cell", "Phys
 VOXEL = 0.1
 """Side of a voxel in simulator units."""
 SUBSTEPS = 30
-"""Sub-steps of a control step (paper section A.2)."""
+"""Sub-steps of a control step (paper section A.2), the default of ``Physics.substeps``."""
 DT = 1.0e-4
-"""Inner time of a sub-step. Gravity and stiffness belong to this clock, not to the nominal 1500 Hz."""
+"""Inner time of a sub-step, the default of ``Physics.dt``. Gravity and stiffness belong to this clock, not to the
+nominal 1500 Hz."""
 ACTION_LOW, ACTION_HIGH = 0.6, 1.6
 """Bounds of an action: the goal length of an actuator's sides in units of their rest length."""
 
@@ -35,13 +36,19 @@ class Cell(IntEnum):
 class Physics:
     """The constants of the dynamics; the defaults are those of EvoGym's release 2.2.5 (preset ``evogym``).
 
-    Lengths are in simulator units (0.1 a voxel), time in inner units (1e-4 a sub-step), every point has mass 1.
-    The presets and how they differ: paper Table 1 and ``docs/physics.md``.
+    Lengths are in simulator units (0.1 a voxel), time in inner units (``dt`` a sub-step, ``substeps`` of them a control
+    step). The presets and how they differ: paper Table 1 and ``docs/physics.md``.
+
+    Raises:
+        ConfigError: a value of the wrong type or out of its range.
     """
 
     name: str = "evogym"
-    gravity: float = 110.0
-    drag: float = 0.1
+    dt: float = DT
+    substeps: int = SUBSTEPS
+    point_mass: float = 1.0  # of every point
+    gravity: float = 110.0  # acceleration
+    drag: float = 0.1  # force per velocity
     contact_stiffness: float = 2.1e6
     contact_depth: float = 5.0e-3  # added to the depth of penetration
     contact_damping: float = 140.0
@@ -50,6 +57,10 @@ class Physics:
     floor_stiffness: float = 1.4e7  # of the implicit floor at y = 0
     floor_friction: float = 10.0
     actuation_rate: float = 6.0e-3  # share of the way to its goal that a spring's rest length goes in a sub-step
+    strain_limit: float = 0.25  # of any spring; beyond it, each end moves by strain_share of half the excess
+    strain_share: float = 0.8
+    rigid_strain_limit: float = 0.03  # the same for the sides of rigid voxels
+    rigid_strain_share: float = 0.5
     rigid_main: float = 3e8 / 3.5
     rigid_structural: float = 3e8 / 7
     soft_main: float = 3e8 / 6
@@ -64,8 +75,18 @@ class Physics:
             if field.name == "shared_edge":
                 if value not in ("last", "stiffest"):
                     raise ConfigError(f"physics.shared_edge must be 'last' or 'stiffest', got {value!r}.")
-            elif field.name != "name" and not (_is_number(value) and value >= 0):
-                raise ConfigError(f"physics.{field.name} must be a finite number >= 0, got {value!r}.")
+            elif field.name != "name":
+                _check_constant(field.name, value)
+
+    @property
+    def weight(self) -> float:
+        """Force of gravity on a point."""
+        return self.gravity * self.point_mass
+
+    @property
+    def inverse_mass(self) -> float:
+        """Acceleration of a point per force."""
+        return 1.0 / self.point_mass
 
     @staticmethod
     def presets() -> tuple[str, ...]:
@@ -95,6 +116,27 @@ class Physics:
         if cell in (Cell.H_ACT, Cell.V_ACT):
             return self.actuator_main, self.actuator_structural
         return self.rigid_main, self.rigid_structural
+
+
+_RANGES = {
+    "dt": (1e-8, 1e-2),
+    "substeps": (1, 10_000),
+    "point_mass": (1e-3, 1e6),
+    "strain_limit": (1e-3, 0.99),
+    "strain_share": (0.0, 1.0),
+    "rigid_strain_limit": (1e-3, 0.99),
+    "rigid_strain_share": (0.0, 1.0),
+}
+"""Least and greatest values; constants that are not here may be anything from 0 on."""
+
+
+def _check_constant(name: str, value: object) -> None:
+    kind = "an integer" if name == "substeps" else "a finite number"
+    low, high = _RANGES.get(name, (0.0, math.inf))
+    valid = _is_number(value) and low <= value <= high
+    if not valid or (name == "substeps" and not isinstance(value, int)):
+        limits = f"from {low:g} to {high:g}" if name in _RANGES else ">= 0"
+        raise ConfigError(f"physics.{name} must be {kind} {limits}, got {value!r:.80}.")
 
 
 def _is_number(value: object) -> bool:

@@ -22,7 +22,6 @@ from warpvox.cli.benchmarks.subject import Subject, clock
 from warpvox.errors import SimulationError
 from warpvox.kernels.launch import stage_kernel
 from warpvox.kernels.step import SUBSTEP
-from warpvox.types import SUBSTEPS
 
 __all__ = ["compile_seconds", "run", "stage_times"]
 
@@ -95,18 +94,19 @@ def stage_times(subject: Subject, config: Any) -> dict[str, float]:
     commands = [_record(build, state) for build in SUBSTEP]
     times: dict[str, list[float]] = {build.__name__: [] for build in SUBSTEP}
     before = sim.com("robot")
-    for turn in range((config.repeats + 1) * SUBSTEPS):
+    substeps = sim.physics.substeps
+    for turn in range((config.repeats + 1) * substeps):
         for build, command in zip(SUBSTEP, commands, strict=True):
             began = clock(device)
             command.launch()
             seconds = clock(device) - began
-            if turn >= SUBSTEPS:  # the first control step warms up
+            if turn >= substeps:  # the first control step warms up
                 times[build.__name__].append(seconds)
     sim._centres_are_new = False
     if not bool(torch.isfinite(sim.com("robot")).all()) or torch.equal(before, sim.com("robot")):
         raise SimulationError("The stages one by one do not move the bodies: their times mean nothing.")
     empty = _launch_seconds(device)
-    share = MICRO * SUBSTEPS / subject.num_envs
+    share = MICRO * substeps / subject.num_envs
     return {name: max(middle(values or [0.0]) - empty, 0.0) * share for name, values in times.items()}
 
 
