@@ -23,9 +23,14 @@ def key(
     low: float | None = None,
     above: float | None = None,
     high: float | None = None,
+    path: str | None = None,
 ) -> Any:
-    """A field that knows its meaning and valid values: ``low <= value <= high`` and ``value > above``."""
-    limits = {"choices": choices, "low": low, "above": above, "high": high}
+    """A field that knows its meaning and valid values: ``low <= value <= high`` and ``value > above``.
+
+    ``path``: the value names something that may lie on a disk, which is ``read`` (one path, or several of a sweep) or
+    ``written``; the command line takes it as it is typed.
+    """
+    limits = {"choices": choices, "low": low, "above": above, "high": high, "path": path}
     metadata = {"help": meaning} | {name: limit for name, limit in limits.items() if limit is not None}
     if isinstance(default, list):
         return field(default_factory=lambda: list(default), metadata=metadata)

@@ -40,7 +40,7 @@ OBSERVATIONS = ("task", "voxel")
 ARCHIVE_EXPORTS = ("csv", "parquet", "npz", "json")
 AUTO = "auto"
 PPO = ("parallel", "evogym")
-
+CONFIG_FILE = "start from the values of a file, such as a run's config.yaml (or its folder); other keys go before them"
 
 CONSTANTS = {
     "dt": "inner time of a sub-step, 1e-8 to 0.01; the default constants are stable up to about 1.3e-4",
@@ -124,11 +124,14 @@ class PpoConfig:
 class TrainConfig:
     """Keys of ``warpvox train``."""
 
-    task: str = key("Walker-v0", "task id; `warpvox tasks` lists them; module:NAME or file.py:NAME of your own")
+    task: str = key(
+        "Walker-v0", "task id; `warpvox tasks` lists them; module:NAME or file.py:NAME of your own", path="read"
+    )
     design: Any = key(
         "walker",
         "body: name of an example, random, random:5x7, a .json/.npz/.npy file, or rows of cells;"
         " for a task with several robots {name:body}",
+        path="read",
     )
     rules: str = key("evogym", "the benchmark as released (evogym) or as printed (paper)", choices=("evogym", "paper"))
     obs: str = key("task", "what is observed: task (as the task has it) or voxel (cell by cell)", choices=OBSERVATIONS)
@@ -150,9 +153,10 @@ class TrainConfig:
         choices=("on", "dump"),
     )
     torch_threads: int = key(1, "threads of PyTorch; more than 1 slows small networks and changes rounding", low=1)
-    resume: str | None = key(None, "go on with a run: latest, its folder, or a checkpoint file in it")
+    resume: str | None = key(None, "go on with a run: latest, its folder, or a checkpoint file in it", path="read")
+    config: str | None = key(None, CONFIG_FILE, path="read")
     name: str | None = key(None, "appended to the name of the run's folder")
-    output_dir: str = key("outputs", "folder that runs are written to")
+    output_dir: str = key("outputs", "folder that runs are written to", path="written")
     physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the dynamics")
     ppo: PpoConfig = key(PpoConfig, "training method")
 
@@ -204,7 +208,7 @@ SearchConfig = make_dataclass("SearchConfig", _search_fields(), namespace={"__mo
 class CodesignConfig:
     """Keys of ``warpvox codesign``."""
 
-    task: str = key("Walker-v0", "task id; `warpvox tasks` lists them")
+    task: str = key("Walker-v0", "task id; `warpvox tasks` lists them", path="read")
     shape: list[int] = key([5, 5], "rows and columns of the bodies; the paper: [5,5], for Lifter-v0 [5,7]", low=1)
     rules: str = key("evogym", "the benchmark as released (evogym) or as printed (paper)", choices=("evogym", "paper"))
     reuse: bool = key(True, "a body that was evaluated before is not trained again")
@@ -223,10 +227,11 @@ class CodesignConfig:
     export: list[str] = key(
         [], "what to write of the archive at the end: csv, parquet, npz and json (designs)", choices=ARCHIVE_EXPORTS
     )
-    resume: str | None = key(None, "go on with a search: latest or its folder")
-    report: str | None = key(None, "only make report and exports of a search again: latest or its folder")
+    resume: str | None = key(None, "go on with a search: latest or its folder", path="read")
+    config: str | None = key(None, CONFIG_FILE, path="read")
+    report: str | None = key(None, "only make report and exports of a search again: latest or its folder", path="read")
     name: str | None = key(None, "appended to the name of the run's folder")
-    output_dir: str = key("outputs", "folder that runs are written to")
+    output_dir: str = key("outputs", "folder that runs are written to", path="written")
     physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the dynamics")
     search: SearchConfig = key(SearchConfig, "search algorithm")
     training: TrainingConfig = key(TrainingConfig, "how a design is trained and judged")
@@ -243,7 +248,7 @@ class DemoConfig(TrainConfig):
 class _RolloutConfig:
     """What play and export share."""
 
-    run: str = key("latest", "latest, the folder of a run, or a checkpoint file")
+    run: str = key("latest", "latest, the folder of a run, or a checkpoint file", path="read")
     checkpoint: str = key("best", "of that run: best, last, or an iteration")
     size: list[int] | None = key(
         None, "width and height of pictures in pixels, [640,360] for instance; null: what suits the format", low=16
@@ -255,7 +260,7 @@ class _RolloutConfig:
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
     torch_threads: int = key(1, "threads of PyTorch", low=1)
     name: str | None = key(None, "appended to the name of the result's folder")
-    output_dir: str = key("outputs", "folder that runs are written to and looked up in")
+    output_dir: str = key("outputs", "folder that runs are written to and looked up in", path="written")
 
 
 @dataclass
@@ -265,11 +270,13 @@ class PlayConfig(_RolloutConfig):
     agent: str | None = key(
         None, "instead of a run's policy: uniformly random actions, a sine wave, or zero effort", choices=AGENTS
     )
-    task: str | None = key(None, "with agent: task id; null: Walker-v0")
-    design: Any = key(None, "with agent: body, as for train; null: walker")
+    task: str | None = key(None, "with agent: task id; null: Walker-v0", path="read")
+    design: Any = key(None, "with agent: body, as for train; null: walker", path="read")
     rules: str | None = key(None, "with agent: evogym or paper; null: evogym", choices=("evogym", "paper"))
     num_envs: int = key(4, "environments; a multiple of the number of designs", low=1)
-    rollout: str | None = key(None, "a rollout file to show as it is (a dump of nan_guard=dump, say), and nothing else")
+    rollout: str | None = key(
+        None, "a rollout file to show as it is (a dump of nan_guard=dump, say), and nothing else", path="read"
+    )
     window: str = key("auto", "show the episode in a window: on, off, or auto, where there is a display", choices=SHOW)
     record: bool = key(True, "write the rollout, of which `warpvox export rollout=FILE` makes pictures later")
     export: list[str] | None = key(
@@ -283,7 +290,7 @@ class PlayConfig(_RolloutConfig):
 class ExportConfig(_RolloutConfig):
     """Keys of ``warpvox export``."""
 
-    rollout: str | None = key(None, "a rollout.npz to export as it is; null: record an episode of the run")
+    rollout: str | None = key(None, "a rollout.npz to export as it is; null: record an episode of the run", path="read")
     num_envs: int = key(1, "environments; a multiple of the run's number of designs", low=1)
     format: Any = key("usd", "usd, gif, mp4, html, png, strip, or a list of them: [usd,gif]")
 
@@ -313,7 +320,9 @@ COLUMNS = ("step", "inference", "training")
 class PeerConfig:
     """Keys ``peer.*``: the reference implementation to compare with."""
 
-    python: str | None = key(None, "interpreter with evogym 2.0.0; null: that which peer.make has made, if it has")
+    python: str | None = key(
+        None, "interpreter with evogym 2.0.0; null: that which peer.make has made, if it has", path="read"
+    )
     make: bool = key(False, "make an environment for the reference first (needs a Python 3.10 and a package index)")
 
 
@@ -388,9 +397,9 @@ class BenchConfig:
     """Keys of ``warpvox bench``."""
 
     suite: str = key("peer", "; ".join(f"{name}: {text}" for name, text in SUITES.items()), choices=tuple(SUITES))
-    task: str = key("Walker-v0", "task id")
-    tasks: list[str] = key([], "tasks of suite=tasks, suite=stress and suite=gpu; []: all")
-    design: Any = key("walker", "body, as for train")
+    task: str = key("Walker-v0", "task id", path="read")
+    tasks: list[str] = key([], "tasks of suite=tasks, suite=stress and suite=gpu; []: all", path="read")
+    design: Any = key("walker", "body, as for train", path="read")
     num_envs: int = key(512, "environments stepped together", low=1)
     steps: int = key(40, "control steps of a timed repetition, fewer where they would take longer than limit", low=1)
     repeats: int = key(5, "repetitions, of which the median counts", low=1)
@@ -413,28 +422,34 @@ class BenchConfig:
     stress: StressConfig = key(StressConfig, "suite=stress")
     seconds: float = key(400.0, "suite=gpu begins no part after so many", above=0)
     population: GenerationConfig = key(GenerationConfig, "suite=population")
-    document: str | None = key(None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)")
+    document: str | None = key(
+        None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)", path="written"
+    )
     name: str | None = key(None, "appended to the name of the result's folder")
-    output_dir: str = key("outputs", "folder that results are written to")
+    output_dir: str = key("outputs", "folder that results are written to", path="written")
 
 
 @dataclass
 class CurvesConfig:
     """Keys of ``warpvox curves``."""
 
-    runs: list[str] = key(["latest"], "runs of `warpvox train`: latest, their folders or checkpoints")
+    runs: list[str] = key(
+        ["latest"], "runs of `warpvox train`: latest, folders, patterns such as 'outputs/train/*/*'", path="read"
+    )
     x: str = key("steps", "what is to the right", choices=("steps", "elapsed", "iteration"))
     size: list[int] = key([760, 340], "width and height in pixels", low=64, high=8192)
-    file: str = key("curves.png", "picture to write: .png, .svg or .pdf")
-    output_dir: str = key("outputs", "folder that runs are looked up in")
+    file: str = key("curves.png", "picture to write: .png, .svg or .pdf", path="written")
+    output_dir: str = key("outputs", "folder that runs are looked up in", path="written")
 
 
 @dataclass
 class DesignConfig:
     """Keys of ``warpvox design``."""
 
-    file: str | None = key(None, "file in the folder to begin with")
-    folder: str = key("designs", "folder that files are opened and saved in; made when something is saved")
+    file: str | None = key(None, "file in the folder to begin with", path="read")
+    folder: str = key(
+        "designs", "folder that files are opened and saved in; made when something is saved", path="written"
+    )
     port: int = key(0, "of the server on 127.0.0.1; 0: a free one", low=0, high=65535)
     browser: str = key("auto", "open the page in a browser: on, off, or auto, where there is a display", choices=SHOW)
 

@@ -101,7 +101,7 @@ class CppnNeatSettings(SearchSettings):
 
     algorithm: ClassVar[str] = "cppn_neat"
 
-    neat_config: str | None = key(None, "file with another configuration of neat-python; null: Table 5")
+    neat_config: str | None = key(None, "file with another configuration of neat-python; null: Table 5", path="read")
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,9 @@ class CustomSettings(SearchSettings):
 
     algorithm: ClassVar[str] = "custom"
 
-    make: str | None = key(None, "your search: FILE.py:NAME or MODULE:NAME, called with settings, shape and seed")
+    make: str | None = key(
+        None, "your search: FILE.py:NAME or MODULE:NAME, called with settings, shape and seed", path="read"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

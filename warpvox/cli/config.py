@@ -12,13 +12,14 @@ from typing import Any
 import yaml
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.cli.help import flat_keys
+from warpvox.cli.rerun import read_config_file
+from warpvox.cli.words import as_list, parse, quoted, readable
 from warpvox.configs.keys import check_values
 from warpvox.configs.schema import COMMANDS, GROUPS
 from warpvox.errors import ConfigError, did_you_mean, listing
@@ -117,18 +118,29 @@ def load(command: str, overrides: list[str], config_dir: Path | None = None, bas
     parsed = _parse(Arguments(overrides=overrides, config_dir=config_dir), command)
     for override in parsed:
         _check_override(override, schema, config_dir)
+    file = next((override.value() for override in parsed if override.key_or_group == "config"), None)
     _register()
-    search = [f"hydra.searchpath=[file://{config_dir}]"] if config_dir else []
+    words = [str(override.input_line) for override in parsed]
+    if config_dir:
+        words.append(f"hydra.searchpath=[{quoted(f'file://{config_dir}')}]")
     try:
         with initialize_config_module("warpvox.configs", version_base="1.3"):
-            config = compose(config_name=command, overrides=[*overrides, *search])
-        if base is not None:
-            config = _over_base(command, base, config, parsed)
+            config = compose(config_name=command, overrides=words)
+            missing = OmegaConf.missing_keys(config)
+            defaults = compose(config_name=command) if missing or file is not None else None
+        for key in missing:  # what a file of the user's own leaves open
+            OmegaConf.update(config, key, OmegaConf.select(defaults, key))
+        if file is not None:
+            below = OmegaConf.merge(defaults, read_config_file(file, command))
+            config = _changed(below, config, parsed, _brought(parsed, defaults, config))
+        elif base is not None:
+            below = OmegaConf.merge(OmegaConf.structured(schema), base)
+            config = _changed(below, config, parsed, [])
         result = OmegaConf.to_object(config)
     except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
-        raise ConfigError(_one_line(error)) from None
+        raise ConfigError(f"{file}: {_one_line(error)}" if file else _one_line(error)) from None
     check_values(result)
-    return result
+    return dataclasses.replace(result, config=None) if file else result
 
 
 def load_values(command: str, values: dict[str, Any]) -> Any:
@@ -148,16 +160,25 @@ def load_values(command: str, values: dict[str, Any]) -> Any:
     return result
 
 
-def _over_base(command: str, base: dict, config: Any, parsed: list[Override]) -> Any:
-    """``base`` with what the overrides change; a group that is named brings all its values."""
-    below = OmegaConf.merge(OmegaConf.structured(COMMANDS[command]), base)
+def _changed(below: Any, config: Any, parsed: list[Override], brought: list[str]) -> Any:
+    """``below`` with what the overrides change; a group that is named brings all its values."""
+    for key in [*(override.key_or_group for override in parsed if override.key_or_group in GROUPS), *brought]:
+        OmegaConf.update(below, key, OmegaConf.select(config, key), merge=True)
     for override in parsed:
-        key = override.key_or_group
-        if key in GROUPS:
-            below = OmegaConf.merge(below, {key: OmegaConf.to_container(config[key])})
-        else:
-            OmegaConf.update(below, key, OmegaConf.select(config, key))
+        if override.key_or_group not in GROUPS:
+            OmegaConf.update(below, override.key_or_group, OmegaConf.select(config, override.key_or_group))
     return below
+
+
+def _brought(parsed: list[Override], defaults: Any, config: Any) -> list[str]:
+    """Keys outside of a named group that it has changed, such as num_envs by ppo=evogym."""
+    if not any(override.key_or_group in GROUPS for override in parsed):
+        return []
+    return [
+        key
+        for key in config
+        if key not in GROUPS and not OmegaConf.is_config(config[key]) and config[key] != defaults[key]
+    ]
 
 
 def to_yaml(config: Any) -> str:
@@ -188,15 +209,15 @@ def _register() -> None:
 
 def _parse(arguments: Arguments, command: str) -> list[Override]:
     """Read overrides and check their keys."""
-    known = [name for name, _ in flat_keys(COMMANDS[command])]
+    keys = dict(flat_keys(COMMANDS[command]))
+    known = list(keys)
     parsed = []
-    for text in arguments.overrides:
-        try:
-            override = OverridesParser.create().parse_override(text)
-        except (HydraException, ValueError, RecursionError):  # numbers of thousands of digits, brackets without end
-            raise ConfigError(
-                f"'{text:.200}' is not KEY=VALUE, or its value has unbalanced brackets or quotes."
-            ) from None
+    for word in arguments.overrides:
+        name, given, _ = word.partition("=")
+        text = readable(word, keys[name], arguments.multirun) if given and name in keys else word
+        override = parse(text)
+        if override is None:
+            raise ConfigError(f"'{word:.200}' is not KEY=VALUE, or its value has unbalanced brackets or quotes.")
         key = override.key_or_group
         if override.is_delete() or override.is_add() or override.is_force_add():
             raise ConfigError(f"'{text}': keys cannot be added or removed; write {key}=VALUE.")
@@ -204,9 +225,9 @@ def _parse(arguments: Arguments, command: str) -> list[Override]:
             hint = did_you_mean(key, known) or did_you_mean(key.split(".")[-1], known)
             given = override.get_key_element()
             raise ConfigError(f"Unknown key '{given}'.{hint} `warpvox {command} --help` lists all keys.")
-        parsed.append(override)
-    keys = [override.key_or_group for override in parsed]
-    twice = [key for key in dict.fromkeys(keys) if keys.count(key) > 1]
+        parsed.append(as_list(override, keys[key]))
+    named = [override.key_or_group for override in parsed]
+    twice = [key for key in dict.fromkeys(named) if named.count(key) > 1]
     if twice:
         raise ConfigError(f"The key '{twice[0]}' is given more than once.")
     return parsed

@@ -29,6 +29,7 @@ class Key:
     default: Any
     help: str
     choices: tuple[str, ...] = ()
+    path: str | None = None
 
 
 def flat_keys(schema: type, prefix: str = "") -> Iterator[tuple[str, Key]]:
@@ -38,7 +39,8 @@ def flat_keys(schema: type, prefix: str = "") -> Iterator[tuple[str, Key]]:
         name = prefix + item.name
         made = item.default_factory is not dataclasses.MISSING
         default = item.default_factory() if made else item.default
-        yield name, Key(types[item.name], default, item.metadata["help"], item.metadata.get("choices", ()))
+        about = item.metadata
+        yield name, Key(types[item.name], default, about["help"], about.get("choices", ()), about.get("path"))
         if dataclasses.is_dataclass(default):
             yield from flat_keys(type(default), name + ".")
 

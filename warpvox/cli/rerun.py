@@ -1,0 +1,66 @@
+"""``config=FILE``: the values of a file as the beginning of a new run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from warpvox.cli.help import flat_keys
+from warpvox.cli.stored import LARGEST_CONFIG, parse_yaml
+from warpvox.configs.schema import COMMANDS
+from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.reading import Unreadable, read_text
+
+__all__ = ["read_config_file"]
+
+CONFIG = "config.yaml"
+NOT_TAKEN = ("resume", "report", "config")
+"""Keys of the run that the file has come from: they say what it did, not with what."""
+
+
+def read_config_file(text: str, command: str) -> dict[str, Any]:
+    """The values that a file holds for ``command``; ``text`` names the file or a run's folder.
+
+    Raises:
+        ConfigError: no such file, not YAML, or keys that the command does not have.
+    """
+    path = Path(text).expanduser()
+    path = path / CONFIG if path.is_dir() else path
+    if not path.is_file():
+        raise ConfigError(f"There is no file {path}: config must be a YAML file or the folder of a run.")
+    try:
+        values = parse_yaml(read_text(path, LARGEST_CONFIG))
+    except Unreadable as error:
+        raise ConfigError(f"{path} cannot be read as YAML: {error}.") from None
+    if not isinstance(values, dict) or not values:
+        raise ConfigError(f"{path} holds no KEY: VALUE.")
+    known = [name for name, _ in flat_keys(COMMANDS[command])]
+    unknown = [name for name in _names(values, known) if name not in known]
+    if unknown:
+        raise ConfigError(f"{path} has {_about(unknown, known)}{_other(values, command)}")
+    return {name: value for name, value in values.items() if name not in NOT_TAKEN}
+
+
+def _names(values: dict[str, Any], known: list[str], prefix: str = "") -> Iterator[str]:
+    """The dotted keys of a file; a mapping that is the value of a key (``design``) is not looked into."""
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict) and any(other.startswith(name + ".") for other in known):
+            yield from _names(value, known, name + ".")
+        else:
+            yield name
+
+
+def _about(unknown: list[str], known: list[str]) -> str:
+    names = f"the key '{unknown[0]}'" if len(unknown) == 1 else f"the keys {listing(unknown)}"
+    return f"{names}, unknown to this version of warpvox.{did_you_mean(unknown[0], known)}"
+
+
+def _other(values: dict[str, Any], command: str) -> str:
+    """Which command the file is of, if it is another one."""
+    for name, schema in COMMANDS.items():
+        keys = {key for key, _ in flat_keys(schema)}
+        if name != command and "config" in keys and set(_names(values, list(keys))) <= keys:
+            return f" It is a configuration of `warpvox {name}`: warpvox {name} config=FILE."
+    return f" Remove it, or write it as this version has it (`warpvox {command} --help`)."
