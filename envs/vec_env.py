@@ -20,11 +20,11 @@ from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.state import State
 from warpvox.envs.voxels import voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_team, task_world
-from warpvox.errors import ConfigError, DesignError, did_you_mean, listing
+from warpvox.errors import ConfigError, DesignError, did_you_mean, known_arguments, listing
 from warpvox.sim import Simulation
 from warpvox.types import Physics
 
-__all__ = ["VoxelVecEnv", "make_vec"]
+__all__ = ["VoxelVecEnv", "make_vec", "one_body"]
 
 DEFAULT_DESIGN = "walker"
 OBSERVATIONS = ("task", "voxel")
@@ -32,6 +32,7 @@ OBSERVATIONS = ("task", "voxel")
 StepResult = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
 
+@known_arguments
 def make_vec(
     task: str | TaskSpec,
     designs: Sequence[object] | np.ndarray | str | None = None,
@@ -50,6 +51,7 @@ def make_vec(
     cuda_graph: bool = False,
     nan_guard: str = "on",
     dump_folder: str | os.PathLike[str] = "dumps",
+    body: object = None,
 ) -> VoxelVecEnv:
     """Make ``num_envs`` environments of a task, ready to be stepped.
 
@@ -78,14 +80,18 @@ def make_vec(
             off; ``dump``: its last 64 control steps are written to a rollout file besides (see
             :class:`warpvox.envs.dumps.DivergenceDump`), which ``warpvox play rollout=FILE`` shows.
         dump_folder: where these files go, 10 at most; made when there is one.
+        body: one body for all environments, as in ``gymnasium.make``: short for ``designs=[body]``. ``connections`` are
+            then its own.
 
     Raises:
         TaskError: unknown task. DesignError: a body that is not valid. WorldError: a body that does not fit.
-        ConfigError: a count or name out of range. DeviceError: no such device.
+        ConfigError: a count or name out of range, an unknown argument, or both ``body`` and ``designs``.
+        DeviceError: no such device.
     """
     spec, guard = get_task(task).under(rules), check_guard(nan_guard)
     if max_episode_steps is not None:
         spec = replace(spec, max_episode_steps=_whole("max_episode_steps", max_episode_steps))
+    designs, connections = one_body(body, designs, connections)
     bodies = _load_designs(spec, designs)
     count = _whole("num_envs", num_envs)
     if count % len(bodies):
@@ -457,6 +463,15 @@ def _check_seeds(seed: int | Sequence[int], designs: int) -> None:
 def _where(mask: torch.Tensor, new: torch.Tensor, old: torch.Tensor) -> torch.Tensor:
     """Rows of ``new`` where the mask says so, else of ``old``."""
     return torch.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+
+def one_body(body: object, designs: object, connections: object) -> tuple[object, object]:
+    """``designs`` and ``connections`` of several bodies from those of one; raises ConfigError if both are given."""
+    if body is None:
+        return designs, connections
+    if designs is not None:
+        raise ConfigError("Give one body for all environments (body=...) or a list of them (designs=[...]), not both.")
+    return [body], None if connections is None else [connections]
 
 
 def _load_designs(spec: TaskSpec, designs: object) -> list[Design | dict[str, Design]]:

@@ -229,6 +229,10 @@ class Simulation:
                 old = view[pack, row, lane]
                 new = torch.where(mask, values, old) if name == "pos" else old.masked_fill(mask, 0.0)
                 view.index_put_((pack, row, lane), new)
+        self.invalidate()
+
+    def invalidate(self) -> None:
+        """Drop what is derived from the points (contact candidates, centres): for code that has written to them."""
         self._views["drift"].fill_(STALE)
         self._centres_are_new = False
 
@@ -494,8 +498,7 @@ class Simulation:
             else:
                 rows = min(view.shape[1], state[name].shape[1])
                 view[pack, :rows, lane] = state[name][:, :rows]
-        self._views["drift"].fill_(STALE)
-        self._centres_are_new = False
+        self.invalidate()
 
 
 STATE_FIELDS = ("pos", "vel", "true_vel", "frozen", "status", "time")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 
+import warpvox
 from warpvox import errors
 
 
@@ -13,6 +14,12 @@ def test_every_error_is_a_warpvox_error_and_of_the_builtin_kind_that_callers_exp
     for name in ("DeviceError", "SearchError", "SimulationError"):
         assert issubclass(getattr(errors, name), errors.WarpvoxError)
         assert issubclass(getattr(errors, name), RuntimeError)
+
+
+def test_every_error_has_a_public_name() -> None:
+    ours = [name for name in errors.__all__ if isinstance(getattr(errors, name), type)]
+    assert {"StorageError", "DivergenceError"} <= set(ours) <= set(warpvox.__all__)
+    assert all(getattr(warpvox, name) is getattr(errors, name) for name in ours)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from warpvox.errors import SimulationError
 from warpvox.evogym import EvoSim, EvoWorld
-from warpvox.evogym.engine import orientation
+from warpvox.evogym.engine import Engine, orientation
 from warpvox.evogym.simulator_cpp import Sim
 from warpvox.sim import Simulation
 from warpvox.world import World
@@ -48,6 +48,27 @@ def test_actuators_are_counted_row_by_row() -> None:
     assert sim.get_actuator_indices("robot").tolist() == [0, 2, 3, 5, 6, 8]
     assert sim.get_indices_of_actuators("robot").shape == (1, 6)
     assert sim.get_dim_action_space("robot") == 6
+
+
+def test_what_the_simulation_has_derived_is_never_stale() -> None:
+    world = World()
+    for obj in make_world().objects.values():
+        world.add_object(obj.to_core())
+    engine = Engine(world)
+
+    def agree() -> bool:
+        now = engine.positions(engine.time, "robot").sum(0) / len(engine.positions(engine.time, "robot"))
+        return np.array_equal(engine._sim.com("robot")[0].numpy(), now)
+
+    assert agree()
+    for row in waves(3, 6):
+        engine.goals["robot"][:] = row
+        engine.step()
+        assert agree()
+    engine.translate("robot", 0.5, 0.0)
+    assert agree()
+    engine.revert(1)
+    assert agree()
 
 
 def test_it_is_the_simulation_of_warpvox() -> None:

@@ -11,7 +11,6 @@ import numpy as np
 
 from warpvox.errors import listing
 from warpvox.evogym.errors import ArgumentError
-from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import DIVERGED, UNSTABLE
 from warpvox.sim import Simulation
 from warpvox.types import Cell
@@ -61,7 +60,7 @@ class Engine:
         design = sim.designs[0]
         arrays = sim._state.arrays
         self._views = {name: arrays[name].numpy().reshape(-1, 2) for name in ("pos", "vel", "true_vel")}
-        self._status, self._drift = arrays["status"].numpy().reshape(-1), arrays["drift"].numpy()
+        self._status = arrays["status"].numpy().reshape(-1)
         self._actions = sim._actions.numpy()[0]  # of all robots
         self._actions[:] = 1.0  # until an action is set, actuators keep their length
         self._bodies = {body.name: body for body in design.bodies + design.statics}
@@ -77,7 +76,7 @@ class Engine:
 
     def step(self) -> bool:
         """One control step; True if self-folding (or numbers that are not finite) stopped and undid it."""
-        self._sim._control_step()
+        self._sim.advance()
         self.changes += 1
         if self._status[0] & _STOPPED:
             return True
@@ -99,14 +98,14 @@ class Engine:
     def _set(self, pos: np.ndarray, vel: np.ndarray) -> None:
         self._views["pos"][:] = pos
         self._views["vel"][:] = self._views["true_vel"][:] = vel
-        self._drift.fill(STALE)
+        self._sim.invalidate()
 
     def translate(self, name: str, dx: float, dy: float) -> None:
         """Move all points of an object, in simulator units; overlaps are not looked at."""
         if name not in self._loose and (self._bodies[name].source.grid == Cell.FIXED).any():
             self._loosen(name)
         self._views["pos"][self._spans[name]] += (dx, dy)
-        self._drift.fill(STALE)
+        self._sim.invalidate()
         self._record()
         self.changes += 1
 
