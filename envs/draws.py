@@ -33,13 +33,15 @@ class Draws:
     """
 
     def __init__(self, seed: int | Sequence[int], num_envs: int, device: torch.device | str) -> None:
-        seeds = list(seed) if isinstance(seed, Sequence) else [seed]
-        block = num_envs // len(seeds)
-        children = [child for one in seeds for child in np.random.SeedSequence(one).spawn(block)]
-        keys = np.array([child.generate_state(1, np.uint64)[0] for child in children], np.uint64)
-        self.keys = torch.as_tensor(keys.view(np.int64), device=device)
+        self.keys = _keys(seed, num_envs).to(device)
         self.episode = torch.zeros(num_envs, dtype=torch.long, device=device)
         self._count = 0
+
+    def begin(self, seed: int | Sequence[int], mask: torch.Tensor | None = None) -> None:
+        """Begin the streams anew, from other seeds; ``mask`` (bool ``[num_envs]``): only these."""
+        keys = _keys(seed, self.num_envs).to(self.keys.device)
+        self.keys = keys if mask is None else torch.where(mask, keys, self.keys)
+        self.episode = self.episode.masked_fill(torch.ones_like(keys, dtype=torch.bool) if mask is None else mask, 0)
 
     def rewind(self) -> Draws:
         """Begin an episode's numbers; return this object."""
@@ -68,6 +70,14 @@ class Draws:
     def cells(self, x: tuple[int, int], y: tuple[int, int]) -> torch.Tensor:
         """long ``[num_envs, 2]``: a whole number in each of two ranges, ends included."""
         return torch.cat([self.integers(low, high + 1, 1) for low, high in (x, y)], dim=1)
+
+
+def _keys(seed: int | Sequence[int], num_envs: int) -> torch.Tensor:
+    """Where the streams of ``num_envs`` environments begin, long ``[num_envs]``."""
+    seeds = list(seed) if isinstance(seed, Sequence) else [seed]
+    children = [child for one in seeds for child in np.random.SeedSequence(one).spawn(num_envs // len(seeds))]
+    keys = np.array([child.generate_state(1, np.uint64)[0] for child in children], np.uint64)
+    return torch.as_tensor(keys.view(np.int64))
 
 
 def _shifted(word: torch.Tensor, bits: int) -> torch.Tensor:

@@ -10,7 +10,7 @@ import numpy as np
 
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ActionError, ConfigError, DisplayError, listing
+from warpvox.errors import ActionError, ConfigError, DisplayError, known_arguments, listing
 from warpvox.rollout import FRAME_SECONDS
 from warpvox.types import ACTION_HIGH, ACTION_LOW, Physics
 
@@ -97,6 +97,7 @@ class VoxelEnv(gymnasium.Env):
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": FPS}  # noqa: RUF012
 
+    @known_arguments
     def __init__(
         self,
         task: str | TaskSpec,

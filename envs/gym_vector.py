@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from warpvox.envs.gym import FPS, NAMESPACE, spaces_of
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ConfigError, listing
+from warpvox.errors import ConfigError, SimulationError, did_you_mean, known_arguments, listing
 from warpvox.types import Physics
 
 __all__ = ["VoxelGymVectorEnv"]
@@ -21,10 +21,14 @@ __all__ = ["VoxelGymVectorEnv"]
 class VoxelGymVectorEnv(VectorEnv):
     """A :class:`warpvox.envs.vec_env.VoxelVecEnv` behind gymnasium's vector interface: one batch, no processes.
 
-    Observations ``[num_envs, num_obs]``, rewards float64 and flags ``[num_envs]`` are numpy arrays. An environment
-    that ends is reset in the same step (``AutoresetMode.SAME_STEP``): ``infos["final_obs"]`` and
-    ``infos["final_info"]`` hold what ended, where ``infos["_final_obs"]`` is True. Where an environment goes on,
-    ``unstable``, ``diverged`` and ``reward_terms`` are in ``infos`` itself, as they are for a single environment.
+    Observations ``[num_envs, num_obs]``, rewards float64 and flags ``[num_envs]`` are numpy arrays; ``infos`` holds
+    ``unstable``, ``diverged`` and ``reward_terms``, as they are for a single environment. An environment that has ended
+    is reset as ``autoreset_mode`` says, with the results that gymnasium's ``SyncVectorEnv`` would have:
+
+    - ``SAME_STEP``: in the same step. ``infos["final_obs"]`` and ``infos["final_info"]`` hold what ended, where
+      ``infos["_final_obs"]`` is True.
+    - ``NEXT_STEP``: in the next step, whose action is ignored and whose reward is 0.
+    - ``DISABLED``: by ``reset(options={"reset_mask": mask})``, before the next step.
 
     Args:
         task: id, ``module:NAME`` or specification.
@@ -37,6 +41,7 @@ class VoxelGymVectorEnv(VectorEnv):
         render_mode: None or ``rgb_array``: :meth:`render` gives a picture of every environment.
         render_size: width and height of a picture in pixels.
         seed: of the first episodes, until :meth:`reset` gets another.
+        autoreset_mode: a ``gymnasium.vector.AutoresetMode`` or its name; also in ``metadata``.
         rules, physics, dtype, device, threads, obs: as in :func:`warpvox.make_vec`.
 
     Attributes:
@@ -44,7 +49,7 @@ class VoxelGymVectorEnv(VectorEnv):
 
     Raises:
         TaskError, DesignError, WorldError, DeviceError, ConfigError: as :func:`warpvox.make_vec`; both ``body`` and
-            ``designs``; an unknown render mode.
+            ``designs``; an unknown argument, render mode or autoreset mode.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -53,6 +58,7 @@ class VoxelGymVectorEnv(VectorEnv):
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
 
+    @known_arguments
     def __init__(
         self,
         task: str | TaskSpec,
@@ -70,19 +76,23 @@ class VoxelGymVectorEnv(VectorEnv):
         obs: str = "task",
         seed: int = 0,
         render_size: tuple[int, int] = (640, 360),
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     ) -> None:
         from warpvox.envs.vec_env import make_vec  # brings torch
 
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
             raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {render_mode!r}.")
-        if body is not None and designs is not None:
-            raise ConfigError("Give a body for all environments or a list of designs, not both.")
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
+        if designs is None and connections is not None:
+            connections = [connections] if body is None else connections
         self.vec = make_vec(
             task,
-            designs=[body] if body is not None else designs,
+            designs=designs,
+            body=body,
             num_envs=num_envs,
-            connections=connections if designs is not None else [connections],
+            connections=connections,
             max_episode_steps=max_episode_steps,
             rules=rules,
             physics=physics,
@@ -91,33 +101,83 @@ class VoxelGymVectorEnv(VectorEnv):
             threads=threads,
             obs=obs,
             seed=seed,
+            auto_reset=self.autoreset_mode is AutoresetMode.SAME_STEP,
         )
         self.num_envs, self.render_mode, self.render_size = self.vec.num_envs, render_mode, render_size
         self.single_observation_space, self.single_action_space = spaces_of(self.vec)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._obs = np.zeros(self.observation_space.shape, self.observation_space.dtype)
+        self._ended = np.zeros(self.num_envs, dtype=bool)  # by the last step, and not reset since
         self._view: Any = None
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode everywhere; ``options`` are not used.
+        """Begin an episode everywhere, or where ``options["reset_mask"]`` is True.
 
         Args:
-            seed: governs all environments; each draws numbers of its own from it.
+            seed: one for each environment, or the first of ``seed, seed + 1, ...``.
+            options: ``reset_mask``, bool ``[num_envs]``: which environments to reset. Others are not used.
+
+        Raises:
+            ConfigError: not a mask, or a mask that resets nothing; not a seed for each environment.
         """
-        super().reset(seed=seed)
-        return self.vec.reset(seed)[0].cpu().numpy(), {}
+        if isinstance(seed, int | np.integer):
+            seed = [int(seed) + env for env in range(self.num_envs)]
+        if seed is not None and len(seed) != self.num_envs:
+            raise ConfigError(f"seed must be one number, or one for each of {self.num_envs} environments; got {seed}.")
+        super().reset(seed=None if seed is None else seed[0])
+        mask = (options or {}).get("reset_mask")
+        if mask is None:
+            mask = np.ones(self.num_envs, dtype=bool)
+            self._obs = self.vec.reset(seed)[0].cpu().numpy()
+        else:
+            self._restart(self._check_mask(mask), seed)
+        self._ended = self._ended & ~mask
+        return self._obs.copy(), {}
+
+    def _check_mask(self, mask: Any) -> np.ndarray:
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+            raise ConfigError(f"options['reset_mask'] must be a bool array [{self.num_envs}], got {mask!r:.80}.")
+        if not mask.any():
+            raise ConfigError("options['reset_mask'] must be True for one environment at least.")
+        return mask
+
+    def _restart(self, mask: np.ndarray, seed: Sequence[int] | None = None) -> None:
+        """Begin an episode where ``mask`` is True; the others keep their observation."""
+        fresh = self.vec.reset(seed, mask=mask)[0].cpu().numpy()
+        self._obs = np.where(mask[:, None], fresh, self._obs)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One control step everywhere; ``actions`` ``[num_envs, num_actions]``.
 
         Raises:
-            ActionError: wrong shape, or entries that are not finite.
+            ActionError: wrong shape, or entries that are not finite. SimulationError: with ``DISABLED`` an environment
+                has ended and not been reset.
         """
+        waiting = self._ended
+        if waiting.any() and self.autoreset_mode is AutoresetMode.DISABLED:
+            raise SimulationError(
+                f"Environments {listing(np.flatnonzero(waiting))} have ended: reset them by"
+                ' env.reset(options={"reset_mask": terminated | truncated}) before the next step.'
+            )
         obs, reward, terminated, truncated, info = self.vec.step(np.asarray(actions))
+        self._obs, rewards = obs.cpu().numpy(), reward.double().cpu().numpy()
+        flags = [terminated.cpu().numpy(), truncated.cpu().numpy()]
         terms = {name: value.cpu().numpy() for name, value in info["reward_terms"].items()}
         details = {name: info[name].cpu().numpy() for name in ("unstable", "diverged")} | {"reward_terms": terms}
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            return self._obs.copy(), rewards, *flags, self._infos_of_same_step(info, details)
+        if waiting.any():  # NEXT_STEP: this step was their reset
+            self._restart(waiting)
+            rewards, flags = np.where(waiting, 0.0, rewards), [flag & ~waiting for flag in flags]
+        self._ended = flags[0] | flags[1]
+        infos = {} if waiting.all() else _masked(details, ~waiting)
+        return self._obs.copy(), rewards, *flags, infos
+
+    def _infos_of_same_step(self, info: dict[str, Any], details: dict[str, Any]) -> dict[str, Any]:
+        """What is told of a step after which ended environments have been reset."""
         done = info["episode"]["done"].cpu().numpy()
         infos = {} if done.all() else _masked(details, ~done)
         if done.any():
@@ -127,8 +187,7 @@ class VoxelGymVectorEnv(VectorEnv):
                 final[env] = last[env]
             infos |= {"final_obs": final, "_final_obs": done, "_final_info": done.copy()}
             infos["final_info"] = _masked(details, done)
-        flags = (terminated.cpu().numpy(), truncated.cpu().numpy())
-        return obs.cpu().numpy(), reward.double().cpu().numpy(), *flags, infos
+        return infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
@@ -143,6 +202,17 @@ class VoxelGymVectorEnv(VectorEnv):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({NAMESPACE} {self.vec.spec.id}, num_envs={self.num_envs})"
+
+
+def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    """The mode that is meant by a member of the enumeration, its name or its value."""
+    if isinstance(mode, AutoresetMode):
+        return mode
+    for known in AutoresetMode:
+        if str(mode).casefold() in (known.name.casefold(), known.value.casefold()):
+            return known
+    names = [known.name for known in AutoresetMode]
+    raise ConfigError(f"autoreset_mode must be one of {listing(names)}, got {mode!r:.80}.{did_you_mean(mode, names)}")
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

@@ -66,7 +66,7 @@ def make_vec(
         dtype: ``float32`` or ``float64``, of the simulation, observations and rewards.
         seed: governs everything random in a task (nothing in the deterministic ones). Environment k draws the same
             whatever the other environments are. Or one for each design, whose environments then draw as if they
-            were alone.
+            were alone; or one for each environment.
         auto_reset: reset environments in the step in which they end; otherwise they stay as they ended.
         physics: preset or constants; default: the preset named as the rules.
         lanes, threads: see :class:`warpvox.Simulation`.
@@ -100,7 +100,7 @@ def make_vec(
         raise ConfigError(
             f"num_envs must be a multiple of the number of designs ({len(bodies)}), got {count}; try {near}."
         )
-    _check_seeds(seed, len(bodies))
+    _check_seeds(seed, len(bodies), count)
     links = _load_connections(connections, len(bodies))
     worlds = [task_world(spec, body, links[d]) for d, body in enumerate(bodies)]
     sim = Simulation(
@@ -194,11 +194,16 @@ class VoxelVecEnv:
         """Number of designs."""
         return len(self.designs)
 
-    def _clear_episodes(self) -> None:
-        self.episode_length = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
-        self._return = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
-        self._terminated = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-        self._truncated = self._terminated.clone()
+    def _clear_episodes(self, mask: torch.Tensor | None = None) -> None:
+        if mask is None:
+            self.episode_length = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
+            self._return = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
+            self._terminated = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+            self._truncated = self._terminated.clone()
+        else:
+            self.episode_length = self.episode_length.masked_fill(mask, 0)
+            self._return = self._return.masked_fill(mask, 0.0)
+            self._terminated, self._truncated = self._terminated & ~mask, self._truncated & ~mask
 
     @property
     def memory(self) -> dict[str, torch.Tensor]:
@@ -206,40 +211,54 @@ class VoxelVecEnv:
         return {name: value.clone() for name, value in self._memory.items()}
 
     def reset(
-        self, seed: int | Sequence[int] | None = None, memory: Mapping[str, Any] | None = None
+        self,
+        seed: int | Sequence[int] | None = None,
+        memory: Mapping[str, Any] | None = None,
+        mask: torch.Tensor | np.ndarray | None = None,
     ) -> tuple[torch.Tensor, dict[str, Any]]:
-        """Begin a new episode everywhere.
+        """Begin a new episode everywhere, or where ``mask`` is True.
 
         Args:
-            seed: begin the random numbers anew, from this seed (or one for each design); None goes on with those
-                there are.
+            seed: begin the random numbers anew, from this seed (or one for each design, or for each environment); None
+                goes on with those there are.
             memory: what environments shall remember instead of what the task draws, ``[num_envs, ...]`` by the name
                 of the memory; entries that are missing at the end of a row are 0. For this episode only.
+            mask: bool ``[num_envs]``; None means all. The other environments stay as they are.
 
         Returns:
-            Observations ``[num_envs, num_obs]`` and an empty dictionary.
+            Observations ``[num_envs, num_obs]`` (where ``mask`` is False: of the present state) and an empty
+            dictionary.
 
         Raises:
-            ConfigError: the task has no memory of that name, or not of that shape.
+            ConfigError: the task has no memory of that name, or not of that shape; no such seed or mask.
         """
+        mask = None if mask is None else self._check_mask(mask)
         if seed is not None:
-            _check_seeds(seed, self.num_designs)
-            self.seed = seed
-        self.sim.reset()
+            _check_seeds(seed, self.num_designs, self.num_envs)
+            self.seed = seed if mask is None else self.seed
+        self.sim.reset(mask)
         if self._draws is not None:
             if seed is not None:
-                self._draws = Draws(seed, self.num_envs, self.device)
+                self._draws.begin(seed, mask)
+            elif mask is not None:
+                self._draws.episode = self._draws.episode + mask
             elif not self._drawn:
                 self._draws.episode = self._draws.episode + 1
             self._drawn = False
-            self._start_memory(None, memory)
+            self._start_memory(mask, memory)
         elif memory:
             raise ConfigError(f"{self.spec.id} remembers nothing: there is no {listing(memory)} to set.")
-        self._clear_episodes()
+        self._clear_episodes(mask)
         self._before = State(self.sim, self._memory).remember(self._needed_before)
         if self.dump is not None:
             self.dump.clear()
         return self._layout.observe(self._before), {}
+
+    def _check_mask(self, mask: torch.Tensor | np.ndarray) -> torch.Tensor:
+        mask = torch.as_tensor(mask, device=self.device)
+        if tuple(mask.shape) != (self.num_envs,) or mask.dtype != torch.bool:
+            raise ConfigError(f"mask must be bool [{self.num_envs}], got {mask.dtype} {list(mask.shape)}.")
+        return mask
 
     def _start_memory(self, mask: torch.Tensor | None, given: Mapping[str, Any] | None = None) -> None:
         """Fill the memory of episodes that begin, where ``mask`` (None: everywhere), and place what is scattered."""
@@ -417,7 +436,8 @@ class VoxelVecEnv:
         self.episode_length = self.episode_length.masked_fill(done, 0)
         self._return = self._return.masked_fill(done, 0.0)
         self._before = State(self.sim, self._memory).remember(self._needed_before)
-        return self._layout.observe(self._before)
+        # An episode that goes on keeps its observation, which was made before the memory was updated.
+        return torch.where(done[:, None], self._layout.observe(self._before), obs)
 
     def state(self) -> dict[str, Any]:
         """Everything that changes, as tensors with a row for every environment: what :meth:`set_state` takes back."""
@@ -451,10 +471,13 @@ class VoxelVecEnv:
             self.dump.clear()
 
 
-def _check_seeds(seed: int | Sequence[int], designs: int) -> None:
+def _check_seeds(seed: int | Sequence[int], designs: int, num_envs: int) -> None:
     several = isinstance(seed, Sequence) and not isinstance(seed, str | bytes)
-    if several and len(seed) != designs:
-        raise ConfigError(f"seed must be one number, or one for each of the {designs} designs; got {len(seed)}.")
+    if several and len(seed) not in (designs, num_envs):
+        raise ConfigError(
+            f"seed must be one number, or one for each of the {designs} designs or {num_envs} environments;"
+            f" got {len(seed)}."
+        )
     for one in seed if several else [seed]:
         if not isinstance(one, int | np.integer) or isinstance(one, bool) or one < 0:
             raise ConfigError(f"seed must be a whole number >= 0, got {one!r:.80}.")

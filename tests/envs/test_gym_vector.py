@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from gymnasium.wrappers.vector import (
+    ClipAction,
+    NormalizeObservation,
+    NormalizeReward,
+    RecordEpisodeStatistics,
+    RescaleAction,
+)
 
 from warpvox.design import example_design, sample_design
 from warpvox.envs.gym_vector import VoxelGymVectorEnv
 from warpvox.envs.registry import task_ids
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, SimulationError
 
 SAME = 1e-9  # batches sum in another order than single environments; a few steps later that is all there is
 
@@ -32,7 +38,7 @@ def compare(ours: Any, theirs: Any, place: str = "infos") -> None:
         assert sorted(ours) == sorted(theirs), place
         for key in ours:
             compare(ours[key], theirs[key], f"{place}.{key}")
-    elif isinstance(ours, np.ndarray) and ours.dtype == object:
+    elif isinstance(ours, tuple) or (isinstance(ours, np.ndarray) and ours.dtype == object):
         for one, other in zip(ours, theirs, strict=True):
             compare(one, other, place)
     elif isinstance(ours, np.ndarray):
@@ -42,23 +48,40 @@ def compare(ours: Any, theirs: Any, place: str = "infos") -> None:
         assert ours is theirs is None, place
 
 
-@pytest.mark.parametrize("task", ["Walker-v0", "Carrier-v1", "UpStepper-v0", "Flipper-v0"])
-def test_it_is_what_gymnasium_makes_of_single_environments(task: str) -> None:
-    ours = make(task, body="walker", max_episode_steps=4)
-    single = {"body": "walker", "max_episode_steps": 4}
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("task", ["Walker-v0", "Carrier-v1", "UpStepper-v0", "Flipper-v0", "Catcher-v0"])
+def test_it_is_what_gymnasium_makes_of_single_environments(task: str, mode: AutoresetMode) -> None:
+    ours = make(task, body="walker", max_episode_steps=4, autoreset_mode=mode)
+    assert ours.metadata["autoreset_mode"] is mode
+    single = {"body": "walker"}
+    limits = iter([4, 2, 3])
     theirs = SyncVectorEnv(
-        [lambda: gymnasium.make(f"warpvox/{task}", **single)] * 3, autoreset_mode=AutoresetMode.SAME_STEP
+        [lambda: gymnasium.make(f"warpvox/{task}", **single, max_episode_steps=next(limits))] * 3, autoreset_mode=mode
     )
     for name in ("single_observation_space", "single_action_space", "observation_space", "action_space"):
         assert getattr(ours, name) == getattr(theirs, name), name
+    limits = torch.tensor([4, 2, 3])
+
+    def stagger() -> None:  # our episodes begin so late that they have the length of theirs
+        begun = ours.vec.episode_length == 0
+        ours.vec.episode_length = torch.where(begun, 4 - limits, ours.vec.episode_length)
+
     compare(ours.reset(seed=3)[0], theirs.reset(seed=3)[0], "obs")
     rng = np.random.default_rng(0)
-    for _ in range(9):
+    ended = np.zeros(3, dtype=bool)
+    for step in range(12):
+        if mode is AutoresetMode.DISABLED and ended.any():
+            seed = [7, 8, 9] if step % 2 else None
+            masks = ({"reset_mask": ended.copy()}, {"reset_mask": ended.copy()})
+            compare(ours.reset(seed=seed, options=masks[0]), theirs.reset(seed=seed, options=masks[1]), "reset")
+        stagger()
         actions = rng.uniform(0.6, 1.6, ours.action_space.shape)
         (*numbers, infos), (*others, expected) = ours.step(actions), theirs.step(actions)
         for one, other in zip(numbers, others, strict=True):
-            compare(one, other, "step")
-        compare(infos, expected)
+            compare(one, other, f"step {step}")
+        compare(infos, expected, f"infos {step}")
+        ended = numbers[2] | numbers[3]
+    compare(ours.reset()[0], theirs.reset()[0], "reset of all")
 
 
 @pytest.mark.parametrize("task", task_ids())
@@ -94,15 +117,51 @@ def test_environments_end_at_different_times() -> None:
             assert infos["final_obs"][ended].shape == env.single_observation_space.shape
 
 
-def test_gymnasiums_statistics_work_on_it() -> None:
-    env = RecordEpisodeStatistics(make(num_envs=2, body="walker", max_episode_steps=6))
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_gymnasiums_statistics_work_on_it(mode: AutoresetMode) -> None:
+    env = RecordEpisodeStatistics(make(num_envs=2, body="walker", max_episode_steps=6, autoreset_mode=mode.name))
     env.reset(seed=0)
-    total = np.zeros(2)
-    for _ in range(6):
-        _, reward, _, _, infos = env.step(env.action_space.sample())
-        total += reward
-    assert infos["episode"]["l"].tolist() == [6, 6]
-    assert infos["episode"]["r"] == pytest.approx(total)
+    for _ in range(2):
+        total = np.zeros(2)
+        for _ in range(6):
+            _, reward, _, _, infos = env.step(env.action_space.sample())
+            total += reward
+        assert infos["episode"]["l"].tolist() == [6, 6]
+        assert infos["episode"]["r"] == pytest.approx(total)
+        if mode is AutoresetMode.NEXT_STEP:
+            env.step(env.action_space.sample())
+        if mode is AutoresetMode.DISABLED:
+            env.reset(options={"reset_mask": np.ones(2, dtype=bool)})
+
+
+def test_gymnasiums_normalisation_works_on_it() -> None:
+    wrapped = NormalizeReward(NormalizeObservation(make(num_envs=2, body="walker", autoreset_mode="NextStep")))
+    wrapped = ClipAction(RescaleAction(wrapped, np.float64(-1.0), np.float64(1.0)))
+    wrapped.reset(seed=0)
+    for _ in range(4):
+        obs, reward, *_ = wrapped.step(wrapped.action_space.sample())
+    assert obs.dtype == np.float32
+    assert np.isfinite(obs).all()
+    assert np.isfinite(reward).all()
+
+
+def test_who_has_ended_must_be_reset_where_nobody_else_does() -> None:
+    env = make(num_envs=2, body="walker", max_episode_steps=1, autoreset_mode="disabled")
+    env.reset()
+    env.step(env.action_space.sample())
+    env.reset(options={"reset_mask": np.array([True, False])})
+    with pytest.raises(SimulationError, match=r"Environments 1 have ended: reset them"):
+        env.step(env.action_space.sample())
+    for mask, words in [
+        ([True, True], "must be a bool array"),
+        (np.ones(2), "must be a bool array"),
+        (np.ones(3, dtype=bool), r"a bool array \[2\]"),
+        (np.zeros(2, dtype=bool), "True for one environment"),
+    ]:
+        with pytest.raises(ConfigError, match=words):
+            env.reset(options={"reset_mask": mask})
+    with pytest.raises(ConfigError, match=r"each of 2 environments; got \[1\]"):
+        env.reset(seed=[1])
 
 
 def test_several_designs_share_a_batch() -> None:
@@ -140,3 +199,7 @@ def test_mistakes_are_named() -> None:
         make(body="walker", designs=["walker"])
     with pytest.raises(ConfigError, match="render_mode must be None or one of rgb_array"):
         make(body="walker", render_mode="human")
+    with pytest.raises(ConfigError, match=r"DISABLED, got 'same'\. Did you mean 'SAME_STEP'"):
+        make(body="walker", autoreset_mode="same")
+    with pytest.raises(ConfigError, match=r"no argument 'autoreset'\. Did you mean 'autoreset_mode'"):
+        make(body="walker", autoreset="SAME_STEP")

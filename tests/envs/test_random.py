@@ -207,7 +207,7 @@ def test_with_a_seed_for_each_design_they_draw_as_if_alone(task: str) -> None:
 
 
 def test_seeds_must_be_as_many_as_designs() -> None:
-    with pytest.raises(ConfigError, match="each of the 2 designs; got 3"):
+    with pytest.raises(ConfigError, match="each of the 2 designs or 6 environments; got 3"):
         make("Catcher-v0", 6, ["walker", "worm"], seed=[1, 2, 3])
 
 

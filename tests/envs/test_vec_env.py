@@ -150,6 +150,53 @@ def test_connections_change_the_robot() -> None:
     assert open_ring.sim.num_points("robot") == 10
 
 
+def test_one_body_may_be_given_as_gymnasium_names_it() -> None:
+    body, cut = np.array([[3, 3], [4, 4]]), np.array([[0, 0, 1], [1, 2, 3]])
+    env = make("Walker-v0", num_envs=2, body=body)
+    assert (env.num_envs, env.num_designs) == (2, 1)
+    assert np.array_equal(env.designs[0], body)
+    assert make("Walker-v0", body=body, connections=cut).sim.num_points("robot") == 10
+
+
+@pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0", "BidirectionalWalker-v0"])
+@pytest.mark.parametrize("auto_reset", [True, False])
+def test_a_reset_of_some_leaves_the_others_as_they_are(task: str, auto_reset: bool) -> None:
+    env, twin = (make(task, num_envs=3, auto_reset=auto_reset, max_episode_steps=4) for _ in range(2))
+    first = env.reset()[0]
+    twin.reset()
+    actions = some_actions(env, 6)
+    for action in actions[:2]:
+        before = env.step(action)[0]
+        assert torch.equal(before, twin.step(action)[0])
+    fresh, _ = env.reset(mask=np.array([True, False, True]))
+    assert torch.equal(fresh[1], before[1])
+    assert env.episode_length.tolist() == [0, 2, 0]
+    if task != "Walker-v0":
+        assert not torch.equal(fresh[0], first[0])  # another episode, another place of the box or list of goals
+        assert torch.equal(env.reset(seed=0, mask=torch.tensor([True, False, False]))[0][0], first[0])
+    else:
+        assert torch.equal(fresh[0], first[0])
+    for step, action in enumerate(actions[2:4]):
+        ours, theirs = env.step(action), twin.step(action)
+        assert torch.equal(ours[4]["final_obs"][1], theirs[4]["final_obs"][1])
+        assert ours[3].tolist() == [False, step == 1, False]
+    with pytest.raises(ConfigError, match=r"mask must be bool \[3\]"):
+        env.reset(mask=torch.ones(3))
+
+
+def test_what_others_do_does_not_show_in_an_observation() -> None:
+    """The goal that a step has reached shows in the next observation, whether or not another episode ends in it."""
+    observed = []
+    for begun in (0, 3):
+        env = make("BidirectionalWalker-v0", num_envs=2, max_episode_steps=4)
+        env.reset()
+        here = env.sim.com("robot")[1, 0] / 0.1
+        env.reset(memory={"goals": [[40, 20], [round(float(here)), 20]]})
+        env.episode_length = torch.tensor([begun, 0])
+        observed.append(env.step(some_actions(env, 1)[0])[0][1])
+    assert torch.equal(*observed)
+
+
 def test_rules_choose_the_physics_unless_told_otherwise() -> None:
     assert make("Walker-v0").sim.physics.name == "evogym"
     assert make("Walker-v0", rules="paper").sim.physics.name == "paper"
@@ -185,6 +232,9 @@ def test_actions_that_are_not_finite_are_refused_and_change_nothing(value: float
             "multiple of the number of designs \\(2\\), got 3; try 2 or 4",
             {"designs": ["walker"] * 2, "num_envs": 3},
         ),
+        (ConfigError, "not both", {"designs": ["walker"], "body": "walker"}),
+        (ConfigError, "make_vec has no argument 'desings'. Did you mean 'designs'", {"desings": ["walker"]}),
+        (ConfigError, "no argument 'dtpye'. Did you mean 'dtype'", {"dtpye": "float32"}),
         (ConfigError, "whole number >= 1", {"num_envs": 0}),
         (ConfigError, "whole number >= 1", {"num_envs": 1.5}),
         (ConfigError, "max_episode_steps must be", {"max_episode_steps": 0}),
