@@ -35,7 +35,8 @@ class Interrupt:
 def deferred_interrupts() -> Iterator[Interrupt]:
     """Within the block the first interrupt only sets the flag; the second raises KeyboardInterrupt at once.
 
-    Outside the main thread signals do not arrive and the flag stays False.
+    Outside the main thread signals do not arrive and the flag stays False. A signal that the parent has asked to
+    ignore (SIGINT in the background jobs of a shell script) stays ignored.
     """
     interrupt = Interrupt()
 
@@ -65,7 +66,8 @@ def _handling(numbers: tuple[int, ...], handler: object) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.signal(number, handler) for number in numbers}
+    heard = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, handler) for number in heard}
     try:
         yield
     finally:

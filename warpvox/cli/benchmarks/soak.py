@@ -8,7 +8,6 @@ which another program on the machine disturbs little.
 from __future__ import annotations
 
 import os
-import signal
 import sqlite3
 import subprocess
 import sys
@@ -33,7 +32,7 @@ ENDLESS = 10**5
 """Iterations or evaluations that no hour is long enough for."""
 GRACE = 600.0
 """Seconds that the command may take to save its state when it is interrupted."""
-INTERRUPTED = 130
+TERMINATED = 143
 MEMORY_LIMIT, SPEED_LIMIT = 0.02, 0.10
 """Growth of memory and loss of speed (shares) that make the suite fail. Speed varies with what else the machine does,
 also by CPU time: caches and clocks are shared."""
@@ -73,14 +72,14 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
         try:
             samples = watch(process, _progress(report.folder / "runs"), options.seconds, options.interval)
-            process.send_signal(signal.SIGINT)
+            process.terminate()  # SIGINT is ignored where this process was told to ignore it
             code = process.wait(GRACE)
         finally:
             process.kill()
             process.wait()
-    if code != INTERRUPTED:
+    if code != TERMINATED:
         raise RunError(
-            f"Interrupted, the command ended with exit code {code} in place of {INTERRUPTED}: {_last_line(log)}"
+            f"Asked to end, the command ended with exit code {code} in place of {TERMINATED}: {_last_line(log)}"
         )
     state = _check_state(report.folder / "runs")
     figures = judge(samples)

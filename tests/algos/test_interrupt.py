@@ -1,0 +1,55 @@
+"""Interrupts that wait, and those that the parent process ignores."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from warpvox.algos.interrupt import SIGNALS, Terminated, deferred_interrupts, terminable
+
+EACH = pytest.mark.parametrize("number", SIGNALS)
+IGNORED = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN); os.execv(sys.executable, sys.argv[1:])"
+"""Becomes another program, as a job in the background of a shell script begins."""
+
+
+@pytest.fixture
+def ignored() -> Iterator[None]:
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@EACH
+def test_the_first_one_waits_and_the_second_does_not(number: int) -> None:
+    before = signal.getsignal(number)
+    with deferred_interrupts() as interrupt:
+        signal.raise_signal(number)
+        assert interrupt
+        with pytest.raises(KeyboardInterrupt) as raised:
+            signal.raise_signal(number)
+    assert isinstance(raised.value, Terminated) == (number == signal.SIGTERM)
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.usefixtures("ignored")
+@EACH
+def test_what_the_parent_ignores_stays_ignored(number: int) -> None:
+    with deferred_interrupts() as interrupt, terminable():
+        signal.raise_signal(number)
+        signal.raise_signal(number)
+    assert not interrupt
+    assert signal.getsignal(number) is signal.SIG_IGN
+
+
+def test_these_tests_pass_where_the_parent_ignores_interrupts() -> None:
+    tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", __file__, "-k", "waits"]
+    done = subprocess.run(
+        [sys.executable, "-c", IGNORED, *tests], capture_output=True, text=True, cwd=Path(__file__).parents[2]
+    )
+    assert done.returncode == 0, done.stdout
