@@ -19,6 +19,7 @@ LAYERS = (
         "warpvox.files",
         "warpvox.memory",
         "warpvox.reading",
+        "warpvox.startup",
         "warpvox.types",
         "warpvox.examples",
         "warpvox.window",

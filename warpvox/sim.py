@@ -20,6 +20,7 @@ from warpvox.kernels import step as step_stage
 from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
 from warpvox.layout import choose_lanes, group, layout
+from warpvox.startup import start_warp
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, Physics
 from warpvox.world import World
 
@@ -510,6 +511,7 @@ def resolve_device(device: str) -> str:
     Raises:
         DeviceError: no such device here.
     """
+    start_warp()
     name = str(device)[:80]
     if name == "auto":
         return "cuda:0" if torch.cuda.is_available() and wp.is_cuda_available() else "cpu"

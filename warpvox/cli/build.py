@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,20 +12,29 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.cli.start import start_warp
 from warpvox.design import load_design
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import DesignError
 from warpvox.layout import lanes_for
 from warpvox.sim import resolve_device
+from warpvox.startup import LOGGER, start_warp
 from warpvox.types import Physics
 
 __all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "shown", "training_lanes"]
 
 
+class _Console(logging.Handler):
+    """What the library tells goes to the output, as everything that commands say."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print(record.getMessage(), flush=True)
+
+
 def prepare(torch_threads: int, seed: int) -> None:
     """Settings of the process: threads, random numbers, and no chatter from Warp."""
+    if not LOGGER.handlers:
+        LOGGER.addHandler(_Console())
     start_warp()
     torch.set_num_threads(torch_threads)
     torch.manual_seed(seed)

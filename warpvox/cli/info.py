@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 import warpvox
-from warpvox.cli.start import start_warp
 from warpvox.errors import ConfigError
+from warpvox.startup import start_warp
 
 __all__ = ["cpu_name", "run"]
 
