@@ -6,7 +6,7 @@ the padding of designs with fewer points.
 
 from __future__ import annotations
 
-from math import pi
+from math import inf, pi
 from typing import TYPE_CHECKING
 
 from warpvox.envs.about import ANGLE, LENGTH, NUMBER, SPEED, about
@@ -86,9 +86,9 @@ def elevation(state: State, name: str, reach: int, objects: tuple[str, ...]) -> 
     """How high the terrain below is, as printed (h_b in section B.1): a height in ``2 reach + 1`` windows.
 
     Entry i (-reach .. reach) is the y of the highest terrain point that lies below the centre of mass p and
-    in [p_x + i, p_x + i + 1] voxels, ends included. Reading of what the paper leaves open: heights are
-    absolute and in simulator units, as positions are; where a window holds no such point, the height is that
-    of the floor at y = 0, on which bodies that leave the terrain do land.
+    in [p_x + i, p_x + i + 1] voxels, ends included, however far down it is. Reading of what the paper leaves
+    open: heights are absolute and in simulator units, as positions are; where a window holds no such point, the
+    height is that of the floor at y = 0, on which bodies that leave the terrain do land.
     """
     floor = state.com(name).new_zeros((len(state.com(name)), 1))
     return _windows(state, name, reach, objects, floor, above=False)
@@ -98,9 +98,9 @@ def elevation(state: State, name: str, reach: int, objects: tuple[str, ...]) -> 
 def overhang(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """How high the terrain above is, as printed (h_a in section B.1): the mirror image of :func:`elevation`.
 
-    Entry i is the y of the lowest terrain point above the centre of mass p in [p_x + i, p_x + i + 1] voxels. Reading
-    of what the paper leaves open: without such a point it is the height to which the released robots see, 5 voxels
-    above p.
+    Entry i is the y of the lowest terrain point above the centre of mass p in [p_x + i, p_x + i + 1] voxels, however
+    far up it is. Reading of what the paper leaves open: without such a point it is 5 voxels above p, the distance
+    that the released code gives where it finds none.
     """
     return _windows(state, name, reach, objects, state.com(name)[:, 1:] + SIGHT, above=True)
 
@@ -108,17 +108,19 @@ def overhang(state: State, name: str, reach: int, objects: tuple[str, ...]) -> T
 def _windows(state: State, name: str, reach: int, objects: tuple[str, ...], nothing: Tensor, above: bool) -> Tensor:
     """Height of the lowest point above or the highest below in windows that begin at the centre, else ``nothing``."""
     centre = state.com(name)
-    heights = nothing.repeat(1, 2 * reach + 3)  # one more window on each side collects the rest
+    none = nothing.new_full((1, 1), inf if above else -inf)
+    heights = none.repeat(len(centre), 2 * reach + 3)  # one more window on each side collects the rest
     for terrain in objects:
         x, y = state.positions(terrain).double().unbind(-1)
         hidden = y <= centre[:, 1:] if above else y >= centre[:, 1:]
-        seen = nothing.expand_as(y).where(hidden, y)
+        seen = none.where(hidden, y)
         along = (x - centre[:, :1]) / VOXEL
         # A point on the border of two windows belongs to both.
         for window in (along.floor(), along.ceil() - 1):
             slot = (window + (reach + 1)).clamp(0, 2 * reach + 2).long()
             heights.scatter_reduce_(1, slot, seen, "amin" if above else "amax")
-    return heights[:, 1:-1]
+    heights = heights[:, 1:-1]
+    return nothing.where(heights == none, heights)
 
 
 @about("({x}, {y}) - p_{name}", unit=LENGTH, entries=2)

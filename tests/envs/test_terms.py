@@ -93,6 +93,13 @@ def test_overhang_is_the_lowest_point_above_and_five_voxels_up_where_there_is_no
     assert heights == pytest.approx([0.9, 0.75, 1.2], abs=1e-12)
 
 
+def test_overhang_and_elevation_reach_any_distance() -> None:
+    points = [(0.55, 3.0), (0.56, 2.5), (0.45, -0.25), (0.55, -0.5)]
+    state = Moment(com_robot=[[0.5, 0.7]], positions_ground=[points])
+    assert observations.overhang(state, "robot", 1, ("ground",))[0].tolist() == [1.2, 2.5, 1.2]
+    assert observations.elevation(state, "robot", 1, ("ground",))[0].tolist() == [-0.25, -0.5, 0.0]
+
+
 def test_short_of_points_to_the_goal() -> None:
     assert observations.short_of(moment(1.0, 2.0), "robot", 1.75, 0.5).tolist() == [[0.75, -1.5]]
 
