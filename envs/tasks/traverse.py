@@ -5,7 +5,7 @@ from math import radians
 from warpvox.envs.spec import TaskSpec, ends, observes, rewards
 from warpvox.envs.terms.observations import ceiling, elevation, floor, orientation, overhang, shape, velocity
 from warpvox.envs.terms.rewards import displacement
-from warpvox.envs.terms.terminations import beyond, fallen_or_tilted, short, tilted
+from warpvox.envs.terms.terminations import beyond, fallen_or_tilted, reaches, short, tilted
 from warpvox.envs.worlds import block, heights, rows
 
 __all__ = ["TASKS"]
@@ -20,6 +20,14 @@ def _sees(terrain, *objects):
 def _tilts(degrees):
     """The penalty for turning further than this to either side."""
     return ends(tilted, low=radians(degrees), high=radians(360 - degrees), bonus=-3.0)
+
+
+def _arrives(limit, bonus):
+    """The end of a terrain that a wall closes a voxel beyond ``limit``: the front of the robot has passed it.
+
+    Reading of the paper's "end of the terrain", whose line lies a voxel before the edge of open terrain, too.
+    """
+    return (ends(reaches, axis="x", limit=limit, bonus=bonus),)
 
 
 STAIRS_UP = rows("ground", "21F", "20. 10F", "29. 8F", "36. 7F", "42. 6F", "47. 5F", "51. 5F", "55. 7F", "61. 9F")
@@ -92,9 +100,9 @@ OBSTACLE_TRAVERSER_1 = TaskSpec(
     max_episode_steps=1000,
     observations=_sees(floor, "ground"),
     rewards=(rewards(displacement, axis="x"),),
-    # As released: the line lies inside the wall that closes the terrain.
+    # As released: the line lies inside the wall that closes the terrain, so that no robot gets the bonus.
     terminations=(ends(beyond, axis="x", limit=5.9, bonus=2.0),),
-    paper={"observations": _sees(elevation, "ground")},
+    paper={"observations": _sees(elevation, "ground"), "terminations": _arrives(limit=5.7, bonus=2.0)},
 )
 
 HURDLES = heights("ground", "1x12 2 1x7 3 1x7 2 1x7 3x2 1x7 2 1x6 3 1x5 3 1x10 6")
@@ -202,9 +210,9 @@ CAVE_CRAWLER = TaskSpec(
     max_episode_steps=1000,
     observations=_sees_both(floor, ceiling),
     rewards=(rewards(displacement, axis="x"),),
-    # As released: the line is the face of the wall that closes the cave.
+    # As released: the line is the face of the wall that closes the cave, so that no robot gets the bonus.
     terminations=(ends(beyond, axis="x", limit=6.9, bonus=1.0),),
-    paper={"observations": _sees_both(elevation, overhang)},
+    paper={"observations": _sees_both(elevation, overhang), "terminations": _arrives(limit=6.8, bonus=1.0)},
 )
 
 TASKS = (

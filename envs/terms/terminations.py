@@ -12,13 +12,20 @@ if TYPE_CHECKING:
 
     from warpvox.envs.state import State
 
-__all__ = ["beyond", "fallen_or_tilted", "short", "tilted"]
+__all__ = ["beyond", "fallen_or_tilted", "reaches", "short", "tilted"]
 
 
 @about("{axis}_{name} > {limit}")
 def beyond(state: State, name: str, axis: str, limit: float) -> Tensor:
     """The centre of mass has passed ``limit`` along an axis."""
     return state.com(name)[:, AXES[axis]] > limit
+
+
+@about("max {axis} of the points of {name} > {limit}")
+def reaches(state: State, name: str, axis: str, limit: float) -> Tensor:
+    """The foremost point of the object has passed ``limit`` along an axis."""
+    column = AXES[axis]
+    return state.relative_positions(name)[:, column].amax(1) + state.com(name)[:, column] > limit
 
 
 @about("{axis}_{name} < {limit}")

@@ -16,7 +16,7 @@ from warpvox.envs.vec_env import make_vec
 
 COUNT, EXACT = 300, 1e-12
 # Said in words, because they are no expressions of centres and angles; tests/envs/test_rules.py computes them.
-IN_WORDS = {"grown", "hull", "turned", "approach_goal", "all_goals_reached"}
+IN_WORDS = {"grown", "hull", "turned", "approach_goal", "all_goals_reached", "reaches"}
 BOTH = pytest.mark.parametrize("rules", ["evogym", "paper"])
 
 

@@ -6,7 +6,7 @@ the terms of the tasks on made-up states on both sides of every threshold, and w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import pi, radians
 from types import SimpleNamespace
 
@@ -90,6 +90,10 @@ def far(limit, bonus, axis=0):
     return (lambda a: a.r[axis] > limit, bonus)
 
 
+def front(limit, bonus):
+    return (lambda a: a.front > limit, bonus)
+
+
 def turned(degrees):
     return (lambda a: radians(degrees) < a.th_r < radians(360 - degrees), -3)
 
@@ -151,13 +155,14 @@ BOOK = {
     "UpStepper-v0": terrain(600, far(6.9, 2), turned(75)),
     "DownStepper-v0": terrain(500, far(7.4, 2), turned(90)),
     "ObstacleTraverser-v0": terrain(1000, far(7.9, 2), turned(90)),
-    "ObstacleTraverser-v1": terrain(1000, far(5.9, 2)),
+    "ObstacleTraverser-v1": terrain(1000, far(5.9, 2), ends=[front(5.7, 2)]),
     "Hurdler-v0": terrain(1000, turned(90)),
     "PlatformJumper-v0": terrain(*(1000, LOW, turned(90)), ends=[(lambda a: LOW[0](a) or turned(90)[0](a), -3)]),
     "GapJumper-v0": terrain(1000, LOW),
     "Traverser-v0": terrain(600, far(5.9, 2), steps=1000),
     "CaveCrawler-v0": Page(
-        *(1000, "v_r c_r floor5 ceiling5", dx, [far(6.9, 1)]), printed={"obs": "v_r c_r elevation5 overhang5"}
+        *(1000, "v_r c_r floor5 ceiling5", dx, [far(6.9, 1)]),
+        printed={"obs": "v_r c_r elevation5 overhang5", "ends": [front(6.8, 1)]},
     ),
     "AreaMaximizer-v0": Page(
         *(600, "c_r", lambda b, a: 10 * (a.hull - b.hull)), printed={"reward": lambda b, a: a.hull - b.hull}
@@ -215,8 +220,10 @@ def scan(terrain: np.ndarray, centre: np.ndarray, word: str, reach: int) -> np.n
         seen = points[inside & (points[:, 1] > y if up else points[:, 1] < y), 1]
         if released:
             out.append(min(abs(seen - y).min(initial=5.0), 5.0))
+        elif len(seen):
+            out.append(seen.min() if up else seen.max())  # at any distance
         else:
-            out.append(seen.min(initial=y + 5) if up else seen.max(initial=0.0))
+            out.append(y + 5 if up else 0.0)
     return np.array(out) * 0.1
 
 
@@ -267,6 +274,7 @@ class MadeUp:
         edges = np.radians(rng.choice([0.5, 59, 61, 74, 76, 89, 91, 269, 271, 284, 286, 299, 301, 359], (COUNT, 2)))
         self.centres = {"robot": places[:, :2], "thing": places[:, 2:]}
         self.angles = {"robot": edges[:, 0], "thing": edges[:, 1]}
+        self.about = rng.uniform(-0.4, 0.4, (COUNT, 2, 9))
         self.extents, self.hulls = rng.uniform(0.1, 1, (COUNT, 2)), rng.uniform(0.1, 1, COUNT)
         self.goals = rng.integers(20, 50, (COUNT, 64)) * (np.arange(64) < rng.integers(2, 12, (COUNT, 1)))
         self.goal = np.minimum(rng.integers(0, 12, (COUNT, 1)), (self.goals > 0).sum(1, keepdims=True))
@@ -277,6 +285,9 @@ class MadeUp:
 
     def com(self, name):
         return torch.as_tensor(self.centres[self._who(name)])
+
+    def relative_positions(self, name):
+        return torch.as_tensor(self.about)
 
     def orientation(self, name):
         return torch.as_tensor(self.angles[self._who(name)])
@@ -295,7 +306,7 @@ class MadeUp:
         at = int(self.goal[e, 0])
         return SimpleNamespace(
             r=self.centres["robot"][e], b=self.centres["thing"][e], th_r=self.angles["robot"][e],
-            extent=self.extents[e], hull=self.hulls[e],
+            extent=self.extents[e], hull=self.hulls[e], front=(self.about[e, 0] + self.centres["robot"][e, 0]).max(),
             goal=goals[min(at, len(goals) - 1)], all_reached=at >= len(goals),
         )  # fmt: skip
 
@@ -339,7 +350,7 @@ def now(env: VoxelVecEnv) -> SimpleNamespace:
         moment.b, moment.v_b, _ = raw(env, thing)
         moment.th_b = float(env.sim.orientation(thing))
     points = env.sim.object_positions("robot")[0].numpy()
-    moment.extent, moment.hull = points.max(0) - points.min(0), hull_area(points)
+    moment.extent, moment.hull, moment.front = points.max(0) - points.min(0), hull_area(points), points[:, 0].max()
     ground = np.concatenate([env.sim.object_positions(obj.name)[0].numpy() for obj in env.spec.objects])
     for word in ("floor", "ceiling", "elevation", "overhang"):
         setattr(moment, word, lambda reach, word=word: scan(ground, moment.r, word, reach))
@@ -389,3 +400,43 @@ def test_observations_and_rewards_follow_from_the_points(task: str, rules: str) 
         assert not truncated.any()
         if terminated:
             break
+
+
+# ---------------------------------------------------------------------- bonuses for arriving
+
+# The face of the wall that closes the terrain, a height above the ground before it, the bonus.
+WALLS = {"CaveCrawler-v0": (69, 1, 1.0), "ObstacleTraverser-v1": (58, 5, 2.0)}
+
+
+def arrived(task: str, rules: str, shape: tuple[int, int], gap: int) -> tuple[bool, float]:
+    """Whether a body that begins ``gap`` voxels before the wall has ended its episode a step later, and its bonus."""
+    wall, height, _ = WALLS[task]
+    spec = replace(get_task(task), robot_cell=(wall - gap - shape[1], height))
+    body = np.full(shape, 3)
+    env = make_vec(spec, [body], device="cpu", dtype="float64", threads=1, rules=rules, auto_reset=False, lanes=1)
+    env.reset()
+    before = float(env.sim.com("robot")[0, 0])
+    _, reward, terminated, _, _ = env.step(torch.ones((1, env.num_actions), dtype=torch.float64))
+    return bool(terminated), float(reward) - (float(env.sim.com("robot")[0, 0]) - before)
+
+
+@pytest.mark.parametrize("shape", [(2, 1), (3, 3), (2, 5), (3, 9)])
+@pytest.mark.parametrize("task", WALLS)
+def test_bodies_of_any_width_arrive_at_a_wall_that_closes_the_terrain(task: str, shape: tuple[int, int]) -> None:
+    assert arrived(task, "paper", shape, gap=2) == (False, pytest.approx(0.0))
+    assert arrived(task, "paper", shape, gap=0) == (True, pytest.approx(WALLS[task][2]))
+    assert not arrived(task, "evogym", shape, gap=0)[0]  # as released: the centre of mass would have to be in the wall
+
+
+def test_a_walker_arrives_at_the_end_of_the_cave() -> None:
+    spec = replace(get_task("CaveCrawler-v0"), robot_cell=(61, 1))
+    env = make_vec(spec, ["mini"], device="cpu", dtype="float64", threads=1, rules="paper", auto_reset=False, lanes=1)
+    env.reset()
+    for step in range(200):
+        push = 1.1 + 0.5 * np.sin(0.3 * step - np.arange(env.num_actions))[None]
+        _, reward, terminated, _, info = env.step(push)
+        if terminated:
+            break
+    assert bool(terminated)
+    assert not info["unstable"].any()
+    assert float(reward) > 0.9
