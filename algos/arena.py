@@ -26,6 +26,7 @@ class Arena:
     dtype: str = "float32"
     threads: int | None = None
     max_episode_steps: int | None = None
+    arithmetic: str | None = None
 
     def make(self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool) -> VoxelVecEnv:
         """``envs`` environments of each body; random tasks draw as if each body were alone with its seed."""
@@ -38,6 +39,7 @@ class Arena:
             device=self.device,
             rules=self.rules,
             dtype=self.dtype,
+            arithmetic=self.arithmetic,
             seed=list(seeds),
             auto_reset=auto_reset,
             physics=self.physics,

@@ -204,7 +204,7 @@ def describe(arena: Arena, settings: TrainingConfig, seed: int, candidates: Sequ
     irrelevant = {"save_interval", "method"}
     return {
         "task": arena.task if isinstance(arena.task, str) else arena.task.id,
-        "arena": repr((arena.rules, arena.physics, arena.dtype, arena.max_episode_steps)),
+        "arena": repr((arena.rules, arena.physics, arena.dtype, arena.arithmetic, arena.max_episode_steps)),
         "settings": {key: value for key, value in dataclasses.asdict(settings).items() if key not in irrelevant},
         "seed": seed,
         "candidates": [[candidate.id, candidate.body.tolist(), list(candidate.parents)] for candidate in candidates],

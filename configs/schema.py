@@ -39,6 +39,7 @@ SHOW = ("auto", "on", "off")
 OBSERVATIONS = ("task", "voxel")
 ARCHIVE_EXPORTS = ("csv", "parquet", "npz", "json")
 AUTO = "auto"
+ARITHMETICS = ("fast", "exact")
 PPO = ("parallel", "evogym")
 CONFIG_FILE = "start from the values of a file, such as a run's config.yaml (or its folder); other keys go before them"
 
@@ -144,6 +145,9 @@ class TrainConfig:
     seed: int = key(0, "governs everything random", low=0)
     device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
     dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
+    arithmetic: str | None = key(
+        None, "fast, or exact: bit for bit as released (float64); null: by dtype", choices=ARITHMETICS
+    )
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
     lanes: int | None = key(None, "environments that a thread advances at once; null: chosen by size")
     cuda_graph: bool = key(False, "on CUDA launch each control step, rewards and resets included, as one graph")
@@ -218,6 +222,9 @@ class CodesignConfig:
     seed: int = key(0, "governs everything random", low=0)
     device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
     dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
+    arithmetic: str | None = key(
+        None, "fast, or exact: bit for bit as released (float64); null: by dtype", choices=ARITHMETICS
+    )
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores (executor=ray: one)", low=1)
     torch_threads: int = key(1, "threads of PyTorch; more than 1 slows small networks and changes rounding", low=1)
     executor: str = key("local", "where designs are trained: in this process, or on workers", choices=("local", "ray"))
@@ -256,6 +263,11 @@ class _RolloutConfig:
     steps: int | None = key(None, "control steps to record; null: until the episode ends", low=1)
     device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
     dtype: str | None = key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
+    arithmetic: str | None = key(
+        None,
+        "fast, or exact: bit for bit as released (float64); null: the run's, or by dtype",
+        choices=ARITHMETICS,
+    )
     seed: int = key(0, "governs everything random", low=0)
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
     torch_threads: int = key(1, "threads of PyTorch", low=1)
@@ -407,6 +419,7 @@ class BenchConfig:
     columns: list[str] = key(list(COLUMNS), "what is timed: step, inference, training", choices=COLUMNS)
     device: str | None = key(None, "auto, cpu, cuda, cuda:<index>; null: cuda for suite=gpu, cpu for the others")
     dtype: str = key("float32", "precision that is timed", choices=("float32", "float64"))
+    arithmetic: str | None = key(None, "arithmetic that is timed; null: by dtype", choices=ARITHMETICS)
     threads: int = key(1, "threads of the simulation on the CPU", low=1)
     torch_threads: int = key(1, "threads of PyTorch", low=1)
     seed: int = key(0, "of the random actions", low=0)

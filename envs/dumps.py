@@ -120,6 +120,7 @@ class DivergenceDump:
                 "rules": self.env.rules,
                 "physics": self.env.sim.physics.name,
                 "dtype": str(self.env.sim.dtype).removeprefix("torch."),
+                "arithmetic": self.env.sim.arithmetic,
                 "agent": "policy",
                 "diverged": True,
                 "environment": env,

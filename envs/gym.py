@@ -88,7 +88,7 @@ class VoxelEnv(gymnasium.Env):
         connections: EvoGym's ``[2, k]`` pairs of flat cell indices; None connects all neighbours.
         render_mode: None, ``rgb_array`` (:meth:`render` gives a picture) or ``human`` (a window shows every step).
         render_size: width and height of pictures in pixels.
-        rules, physics, dtype, device, obs: as in :func:`warpvox.make_vec`.
+        rules, physics, dtype, arithmetic, device, obs: as in :func:`warpvox.make_vec`.
 
     Raises:
         TaskError, DesignError, WorldError, DeviceError: as :func:`warpvox.make_vec`. ConfigError: unknown
@@ -110,6 +110,7 @@ class VoxelEnv(gymnasium.Env):
         device: str = "cpu",
         obs: str = "task",
         render_size: tuple[int, int] = (640, 360),
+        arithmetic: str | None = None,
     ) -> None:
         from warpvox.envs.vec_env import make_vec  # brings torch, which registering must not
 
@@ -122,6 +123,7 @@ class VoxelEnv(gymnasium.Env):
             rules=rules,
             physics=physics,
             dtype=dtype,
+            arithmetic=arithmetic,
             auto_reset=False,
             threads=1,
             max_episode_steps=_NO_LIMIT,

@@ -42,7 +42,7 @@ class VoxelGymVectorEnv(VectorEnv):
         render_size: width and height of a picture in pixels.
         seed: of the first episodes, until :meth:`reset` gets another.
         autoreset_mode: a ``gymnasium.vector.AutoresetMode`` or its name; also in ``metadata``.
-        rules, physics, dtype, device, threads, obs: as in :func:`warpvox.make_vec`.
+        rules, physics, dtype, arithmetic, device, threads, obs: as in :func:`warpvox.make_vec`.
 
     Attributes:
         vec: the environments themselves, with torch tensors.
@@ -77,6 +77,7 @@ class VoxelGymVectorEnv(VectorEnv):
         seed: int = 0,
         render_size: tuple[int, int] = (640, 360),
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        arithmetic: str | None = None,
     ) -> None:
         from warpvox.envs.vec_env import make_vec  # brings torch
 
@@ -97,6 +98,7 @@ class VoxelGymVectorEnv(VectorEnv):
             rules=rules,
             physics=physics,
             dtype=dtype,
+            arithmetic=arithmetic,
             device=device,
             threads=threads,
             obs=obs,

@@ -52,6 +52,7 @@ def make_vec(
     nan_guard: str = "on",
     dump_folder: str | os.PathLike[str] = "dumps",
     body: object = None,
+    arithmetic: str | None = None,
 ) -> VoxelVecEnv:
     """Make ``num_envs`` environments of a task, ready to be stepped.
 
@@ -82,6 +83,7 @@ def make_vec(
         dump_folder: where these files go, 10 at most; made when there is one.
         body: one body for all environments, as in ``gymnasium.make``: short for ``designs=[body]``. ``connections`` are
             then its own.
+        arithmetic: ``fast`` or ``exact``, as for :class:`warpvox.Simulation`; None: what suits ``dtype``.
 
     Raises:
         TaskError: unknown task. DesignError: a body that is not valid. WorldError: a body that does not fit.
@@ -108,6 +110,7 @@ def make_vec(
         device=device,
         physics=rules if physics is None else physics,
         dtype=dtype,
+        arithmetic=arithmetic,
         lanes=lanes,
         threads=threads,
         loose=spec.scattered,

@@ -8,9 +8,7 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels import exact
 from warpvox.kernels.lanes import casts, inline, lane_ops
-from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
 
@@ -42,8 +40,6 @@ def creep(precision: str, width: int):
 
     Lengths are subtracted in float64: their rounding would act like another goal.
     """
-    if precision == "float64":
-        return exact.creep(width)
     wide, types = lane_ops("float64", width), structs(precision)
     load, mul, root, store = wide.load, wide.mul, wide.root, lane_ops(precision, width).store
     narrow = casts(precision, width).narrow
@@ -62,9 +58,3 @@ def creep(precision: str, width: int):
             store(data.pull, pack, s, lane, narrow(pull))
 
     return stage
-
-
-def launch(state):
-    """Set the goals from the actions and the pulls from the positions."""
-    launch_stage(goals, state)
-    launch_stage(creep, state)

@@ -12,7 +12,6 @@ import functools
 import warp as wp
 
 from warpvox.kernels.lanes import inline, lane_ops, native
-from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
 GRID_FROM = 64  # mobile voxels from which the grid is used ...
@@ -415,9 +414,3 @@ def collect(precision: str, width: int):
             data.drift[unit] = wp.float64(0.0)
 
     return stage
-
-
-def launch(state):
-    """Bounds of the mobile surface voxels, and the candidates if the old ones are worn out."""
-    launch_stage(boxes, state)
-    launch_stage(collect, state)

@@ -9,10 +9,8 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels import order
 from warpvox.kernels.broadphase import DISTANT, lattice_range
 from warpvox.kernels.lanes import REALS, inline, lane_ops, native
-from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
 PARALLEL = 1.0e-4  # |det| of two edges below which they do not cross
@@ -53,87 +51,86 @@ INSIDE = """
 """
 
 
-@functools.cache
-def geometry():
-    """Function: the nearest crossed side of quad r under corner c of quad m, and its depth (side -1: no contact).
+@wp.func
+def cross(ax: real, ay: real, bx: real, by: real):
+    """Cross product of two vectors."""
+    return ax * by - ay * bx
+
+
+@wp.func
+def inside(x: real, y: real, r: quad):
+    """In one of the triangles TL-TR-BR and TL-BR-BL, boundary included."""
+    c = cross(r[4] - x, r[5] - y, r[0] - x, r[1] - y)
+    a = cross(r[0] - x, r[1] - y, r[2] - x, r[3] - y)
+    b = cross(r[2] - x, r[3] - y, r[4] - x, r[5] - y)
+    d = cross(r[0] - x, r[1] - y, r[6] - x, r[7] - y)
+    e = cross(r[6] - x, r[7] - y, r[4] - x, r[5] - y)
+    zero = real(0.0)
+    return (c * a >= zero and c * b >= zero) or (c * d >= zero and c * e >= zero)
+
+
+@wp.func
+def crosses(ax: real, ay: real, bx: real, by: real, cx: real, cy: real, dx: real, dy: real):
+    """Whether the segments a-b and c-d cross, ends included."""
+    ux, uy, vx, vy = bx - ax, by - ay, dx - cx, dy - cy
+    det = -ux * vy + vx * uy
+    if wp.abs(det) < real(PARALLEL):
+        return False
+    wx, wy = cx - ax, cy - ay
+    t = (-vy * wx + vx * wy) / det
+    if t < real(0.0) or t > real(1.0):
+        return False
+    s = (-uy * wx + ux * wy) / det
+    return real(0.0) <= s and s <= real(1.0)
+
+
+@wp.func
+def edge_crosses(m: quad, sides: int, e: int, cx: real, cy: real, dx: real, dy: real):
+    """The same for edge e of a quad; inner bottom and left edges run against the clock, as they were made."""
+    a, b = int(e), (e + 1) % 4
+    if e >= 2 and ((sides >> e) & 1) == 0:
+        a, b = (e + 1) % 4, int(e)
+    return crosses(m[2 * a], m[2 * a + 1], m[2 * b], m[2 * b + 1], cx, cy, dx, dy)
+
+
+@wp.func
+def depth_under(x: real, y: real, ax: real, ay: real, bx: real, by: real):
+    """Distance of a point from the line through a and b."""
+    ux, uy = bx - ax, by - ay
+    length = wp.sqrt(ux * ux + uy * uy)
+    if length < real(DEGENERATE):
+        return real(1000.0)
+    return wp.abs(ux * (y - ay) - (x - ax) * uy) / length
+
+
+@wp.func
+def nearest_side(m: quad, m_sides: int, c: int, r: quad, r_sides: int):
+    """The nearest crossed side of quad r under corner c of quad m, and its depth; side -1: no contact.
 
     A quad holds x, y of top left, top right, bottom right, bottom left. Comparisons and their order of evaluation
     follow the released simulator: at time 0 they decide ties in the last bit.
     """
-
-    @wp.func
-    def cross(ax: real, ay: real, bx: real, by: real):
-        return ax * by - ay * bx
-
-    @wp.func
-    def inside(x: real, y: real, r: quad):
-        """In one of the triangles TL-TR-BR and TL-BR-BL, boundary included."""
-        c = cross(r[4] - x, r[5] - y, r[0] - x, r[1] - y)
-        a = cross(r[0] - x, r[1] - y, r[2] - x, r[3] - y)
-        b = cross(r[2] - x, r[3] - y, r[4] - x, r[5] - y)
-        d = cross(r[0] - x, r[1] - y, r[6] - x, r[7] - y)
-        e = cross(r[6] - x, r[7] - y, r[4] - x, r[5] - y)
-        zero = real(0.0)
-        return (c * a >= zero and c * b >= zero) or (c * d >= zero and c * e >= zero)
-
-    @wp.func
-    def crosses(ax: real, ay: real, bx: real, by: real, cx: real, cy: real, dx: real, dy: real):
-        """Whether the segments a-b and c-d cross, ends included."""
-        ux, uy, vx, vy = bx - ax, by - ay, dx - cx, dy - cy
-        det = -ux * vy + vx * uy
-        if wp.abs(det) < real(PARALLEL):
-            return False
-        wx, wy = cx - ax, cy - ay
-        t = (-vy * wx + vx * wy) / det
-        if t < real(0.0) or t > real(1.0):
-            return False
-        s = (-uy * wx + ux * wy) / det
-        return real(0.0) <= s and s <= real(1.0)
-
-    @wp.func
-    def edge_crosses(m: quad, sides: int, e: int, cx: real, cy: real, dx: real, dy: real):
-        """The same for edge e of a quad; inner bottom and left edges run against the clock, as they were made."""
-        a, b = int(e), (e + 1) % 4
-        if e >= 2 and ((sides >> e) & 1) == 0:
-            a, b = (e + 1) % 4, int(e)
-        return crosses(m[2 * a], m[2 * a + 1], m[2 * b], m[2 * b + 1], cx, cy, dx, dy)
-
-    @wp.func
-    def depth_under(x: real, y: real, ax: real, ay: real, bx: real, by: real):
-        ux, uy = bx - ax, by - ay
-        length = wp.sqrt(ux * ux + uy * uy)
-        if length < real(DEGENERATE):
-            return real(1000.0)
-        return wp.abs(ux * (y - ay) - (x - ax) * uy) / length
-
-    @wp.func
-    def nearest_side(m: quad, m_sides: int, c: int, r: quad, r_sides: int):
-        best = int(-1)
-        depth = real(0.0)
-        x, y = m[2 * c], m[2 * c + 1]
-        if inside(x, y, r):
-            four = int(4)
-            for e in range(four):
-                if ((r_sides >> e) & 1) == 1:
-                    f = (e + 1) % 4
-                    ax, ay, bx, by = r[2 * e], r[2 * e + 1], r[2 * f], r[2 * f + 1]
-                    if edge_crosses(m, m_sides, c, ax, ay, bx, by) or edge_crosses(
-                        m, m_sides, (c + 3) % 4, ax, ay, bx, by
-                    ):
-                        d = depth_under(x, y, ax, ay, bx, by)
-                        if best < 0 or d < depth:
-                            best = int(e)
-                            depth = d
-        return best, depth
-
-    return nearest_side
+    best = int(-1)
+    depth = real(0.0)
+    x, y = m[2 * c], m[2 * c + 1]
+    if inside(x, y, r):
+        four = int(4)
+        for e in range(four):
+            if ((r_sides >> e) & 1) == 1:
+                f = (e + 1) % 4
+                ax, ay, bx, by = r[2 * e], r[2 * e + 1], r[2 * f], r[2 * f + 1]
+                if edge_crosses(m, m_sides, c, ax, ay, bx, by) or edge_crosses(m, m_sides, (c + 3) % 4, ax, ay, bx, by):
+                    d = depth_under(x, y, ax, ay, bx, by)
+                    if best < 0 or d < depth:
+                        best = int(e)
+                        depth = d
+    return best, depth
 
 
 @functools.cache
 def resolve(precision: str):
     """Function: contact of corner c of quad m with quad r, if any; points of -1 stand still and feel nothing."""
     types, force = structs(precision), REALS[precision]
-    nearest_side = geometry()
 
     @wp.func
     def push(out: wp.array3d(dtype=force), pack: int, k: int, p: int, fx: real, fy: real):
@@ -182,37 +179,12 @@ def resolve(precision: str):
 
 
 @functools.cache
-def meeting(precision: str):
-    """Function: what comes of corner c (point p) of quad m of voxel i perhaps being in quad r of voxel j.
+def apply(precision: str):
+    """Function: add the forces of corner c (point p) of quad m of voxel i perhaps being in quad r of voxel j.
 
     A voxel below 0 stands for cell -1 - i of the terrain.
     """
     types, contact = structs(precision), resolve(precision)
-    if precision == "float64":
-        nearest_side, remember = geometry(), order.note()
-
-        @wp.func
-        def leaf(model: types.Model, design: int, v: int):
-            if v < 0:
-                return model.cell_leaf[design, -1 - v]
-            return model.leaf[design, v]
-
-        @inline
-        def meet(
-            model: types.Model, data: types.Data, design: int, pack: int, k: int, unit: int, i: int, m: quad,
-            m_sides: int, p: int, c: int, j: int, r: quad, r_sides: int, r_points: wp.vec4i, times: real,
-        ):  # fmt: skip
-            side, depth = nearest_side(m, m_sides, c, r, r_sides)
-            if side >= 0:
-                f = (side + 1) % 4
-                ux, uy = r[2 * f] - r[2 * side], r[2 * f + 1] - r[2 * side + 1]
-                length = wp.sqrt(ux * ux + uy * uy)
-                normal = wp.vec3d(-uy / length, ux / length, depth)
-                ends = wp.vec2i(r_points[side], r_points[f])
-                mine, other = leaf(model, design, i), leaf(model, design, j)
-                remember(model, data, design, pack, k, mine, other, c, p, ends, normal)
-
-        return meet
 
     @inline
     def meet(
@@ -237,7 +209,7 @@ def voxel_frame(precision: str):
 
 @functools.cache
 def lanes_inside(precision: str, width: int):
-    """Function: the lanes in which a point is in a voxel, as :func:`geometry` has it for one."""
+    """Function: the lanes in which a point is in a voxel, as :func:`inside` has it for one."""
     types = structs(precision)
 
     @wp.func_native(native("float64", width) + INSIDE)
@@ -247,7 +219,7 @@ def lanes_inside(precision: str, width: int):
 
 
 @functools.cache
-def voxel_contacts(precision: str, width: int):
+def voxel_contacts(precision: str, width: int, meeting):
     """Stage: contacts of the candidate pairs."""
     ops, types = lane_ops("float64", width), structs(precision)
     load, at_most, first, drop = ops.load, ops.at_most, ops.first, ops.drop
@@ -309,7 +281,7 @@ def voxel_contacts(precision: str, width: int):
 
 
 @functools.cache
-def terrain_contacts(precision: str, width: int):
+def terrain_contacts(precision: str, width: int, meeting):
     """Stage: contacts of the near voxels with the cells of the terrain lattice."""
     ops, types = lane_ops("float64", width), structs(precision)
     load, at_most, first, drop = ops.load, ops.at_most, ops.first, ops.drop
@@ -390,12 +362,11 @@ def terrain_contacts(precision: str, width: int):
 
 
 @functools.cache
-def contacts(precision: str, width: int):
-    """Stage: all contact forces of the environments that are not frozen, into ``contact``."""
+def find(precision: str, width: int, meeting):
+    """Stage: set ``contact`` to 0 and look for contacts; ``meeting`` says what is done with one."""
     ops, types = lane_ops(precision, width), structs(precision)
     zero, store, splat = ops.real, ops.store, ops.splat
-    with_voxels, with_terrain = voxel_contacts(precision, width), terrain_contacts(precision, width)
-    in_order = order.take(width) if precision == "float64" else None
+    with_voxels, with_terrain = voxel_contacts(precision, width, meeting), terrain_contacts(precision, width, meeting)
 
     @inline
     def active_lanes(data: types.Data, pack: int, lane: int):
@@ -406,7 +377,7 @@ def contacts(precision: str, width: int):
         return mask
 
     @inline
-    def find(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int):
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
         for n in range(2 * model.actives[design]):
             r = model.active[design, n]
             store(data.contact, pack, r, lane, splat(zero(0.0)))
@@ -414,20 +385,9 @@ def contacts(precision: str, width: int):
         with_voxels(model, data, design, pack, lane, unit, active)
         with_terrain(model, data, design, pack, lane, unit, active)
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
-        find(model, data, design, pack, lane, unit)
-
-    @inline
-    def ordered(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
-        for k in range(lane, lane + int(width)):
-            data.hits[pack, k] = 0
-        find(model, data, design, pack, lane, unit)
-        in_order(model, data, design, pack, lane)
-
-    return ordered if precision == "float64" else stage
+    return stage
 
 
-def launch(state):
-    """Contact forces from the current positions, true velocities and candidates."""
-    launch_stage(contacts, state)
+def contacts(precision: str, width: int):
+    """Stage: all contact forces, added as contacts are found."""
+    return find(precision, width, apply)

@@ -6,13 +6,15 @@ apart. The float32 way (``actuation.py``, ``integrate.py``, ``strain.py``) is th
 """
 
 import functools
+from pathlib import Path
 
 import warp as wp
 
-from warpvox.kernels.lanes import inline, lane_ops
+from warpvox.kernels.lanes import inline, lane_ops, native
 from warpvox.kernels.state import structs
 
 real = wp.float64
+SUBSTEP = Path(__file__).with_name("exact.h").read_text(encoding="utf-8")
 
 
 @functools.cache
@@ -32,7 +34,7 @@ def vectors(width: int):
 
 
 @functools.cache
-def creep(width: int):
+def creep(precision: str, width: int):
     """Stage: equilibrium length of every spring for this sub-step, into ``pull``."""
     ops, types = lane_ops("float64", width), structs("float64")
     load, store, across = ops.load, ops.store, vectors(width)
@@ -48,7 +50,22 @@ def creep(width: int):
 
 
 @functools.cache
-def limit(width: int):
+def runge_kutta(precision: str, width: int):
+    """Stage: position and new velocity of every free point after dt."""
+    types = structs(precision)
+
+    @wp.func_native(native(precision, width) + SUBSTEP)
+    def substep(model: types.Model, data: types.Data, design: int, pack: int, lane: int, dt: wp.float64): ...
+
+    @inline
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+        substep(model, data, design, pack, lane, dt)
+
+    return stage
+
+
+@functools.cache
+def limit(precision: str, width: int):
     """Stage: strain limits on the new positions in ``disp``."""
     ops, types = lane_ops("float64", width), structs("float64")
     load, store, mul, div, splat = ops.load, ops.store, ops.mul, ops.div, ops.splat
@@ -114,7 +131,7 @@ def limit(width: int):
 
 
 @functools.cache
-def advance(width: int):
+def advance(precision: str, width: int):
     """Stage: positions move; true velocity and drift follow."""
     ops, types = lane_ops("float64", width), structs("float64")
     load, store, splat = ops.load, ops.store, ops.splat

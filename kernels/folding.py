@@ -9,7 +9,6 @@ import warp as wp
 
 from warpvox.kernels.broadphase import DISTANT, box_overlap
 from warpvox.kernels.lanes import inline, lane_ops
-from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import UNSTABLE, structs
 
 
@@ -52,8 +51,3 @@ def check(precision: str, width: int):
             judge(model, data, design, pack, lane)
 
     return stage
-
-
-def launch(state):
-    """Count the folds with the current boxes and candidates."""
-    launch_stage(check, state)

@@ -1,6 +1,6 @@
 """Spring, gravity, drag and floor forces, integrated by RK4 over positions and velocities (paper section A.2).
 
-The sub-step itself is in ``integrate.h``; in float64 in ``exact.h``, which rounds as the released simulator does.
+The sub-step itself is in ``integrate.h``.
 """
 
 import functools
@@ -8,15 +8,10 @@ from pathlib import Path
 
 import warp as wp
 
-from warpvox.kernels import exact
 from warpvox.kernels.lanes import inline, lane_ops, native
-from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
-BODIES = {
-    precision: Path(__file__).with_name(name).read_text(encoding="utf-8")
-    for precision, name in (("float32", "integrate.h"), ("float64", "exact.h"))
-}
+SUBSTEP = Path(__file__).with_name("integrate.h").read_text(encoding="utf-8")
 
 
 @functools.cache
@@ -24,7 +19,7 @@ def runge_kutta(precision: str, width: int):
     """Stage: displacement and new velocity of every free point after dt."""
     types = structs(precision)
 
-    @wp.func_native(native(precision, width) + BODIES[precision])
+    @wp.func_native(native(precision, width) + SUBSTEP)
     def substep(model: types.Model, data: types.Data, design: int, pack: int, lane: int, dt: wp.float64): ...
 
     @inline
@@ -37,8 +32,6 @@ def runge_kutta(precision: str, width: int):
 @functools.cache
 def advance(precision: str, width: int):
     """Stage: positions move; true velocity and drift follow."""
-    if precision == "float64":
-        return exact.advance(width)
     ops, types = lane_ops("float64", width), structs(precision)
     load, store, splat, grow, largest = ops.load, ops.store, ops.splat, ops.grow, ops.largest
 
@@ -54,13 +47,3 @@ def advance(precision: str, width: int):
         data.drift[unit] = data.drift[unit] + largest(path)
 
     return stage
-
-
-def launch(state):
-    """Displacements and velocities after one sub-step, from the current contacts and pulls."""
-    launch_stage(runge_kutta, state)
-
-
-def launch_advance(state):
-    """Move the points."""
-    launch_stage(advance, state)

@@ -9,6 +9,7 @@ import functools
 
 import warp as wp
 
+from warpvox.kernels.contact import find, nearest_side, quad
 from warpvox.kernels.lanes import inline, lane_ops
 from warpvox.kernels.state import OVERFLOW, structs
 
@@ -44,6 +45,35 @@ def note():
             add(data, pack, k, wp.vec4i(r, m, 4 + c, p), ends, normal)
 
     return remember
+
+
+@functools.cache
+def meeting(precision: str):
+    """Function: note what :func:`warpvox.kernels.contact.apply` adds."""
+    types, remember = structs(precision), note()
+
+    @wp.func
+    def leaf(model: types.Model, design: int, v: int):
+        if v < 0:
+            return model.cell_leaf[design, -1 - v]
+        return model.leaf[design, v]
+
+    @inline
+    def meet(
+        model: types.Model, data: types.Data, design: int, pack: int, k: int, unit: int, i: int, m: quad, m_sides: int,
+        p: int, c: int, j: int, r: quad, r_sides: int, r_points: wp.vec4i, times: real,
+    ):  # fmt: skip
+        side, depth = nearest_side(m, m_sides, c, r, r_sides)
+        if side >= 0:
+            f = (side + 1) % 4
+            ux, uy = r[2 * f] - r[2 * side], r[2 * f + 1] - r[2 * side + 1]
+            length = wp.sqrt(ux * ux + uy * uy)
+            normal = wp.vec3d(-uy / length, ux / length, depth)
+            ends = wp.vec2i(r_points[side], r_points[f])
+            mine, other = leaf(model, design, i), leaf(model, design, j)
+            remember(model, data, design, pack, k, mine, other, c, p, ends, normal)
+
+    return meet
 
 
 @functools.cache
@@ -165,7 +195,7 @@ def push():
 
 @functools.cache
 def take(width: int):
-    """Stage: the forces of all contacts noted, into ``contact``."""
+    """Function: the forces of all contacts noted, into ``contact``."""
     types = structs("float64")
     boxes, key, forces = tree_boxes(width), path_key(), push()
 
@@ -200,5 +230,20 @@ def take(width: int):
                     model.contact, data.true_vel, data.contact, pack, k,
                     data.hit[pack, h, k][3], ends[0], ends[1], data.hit_normal[pack, h, k],
                 )  # fmt: skip
+
+    return stage
+
+
+@functools.cache
+def contacts(precision: str, width: int):
+    """Stage: all contact forces, in the released order."""
+    types, search, in_order = structs(precision), find(precision, width, meeting), take(width)
+
+    @inline
+    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+        for k in range(lane, lane + int(width)):
+            data.hits[pack, k] = 0
+        search(model, data, design, pack, lane, unit, dt)
+        in_order(model, data, design, pack, lane)
 
     return stage

@@ -6,7 +6,6 @@ import warp as wp
 
 from warpvox.kernels.guard import diverged, restore
 from warpvox.kernels.lanes import inline, lane_ops
-from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE, structs
 
 STALE = 1.0e9  # a drift that makes the next sub-step collect its candidates anew
@@ -101,13 +100,3 @@ def launch(state, mask):
         [state.model, state.data, state.units, state.width, state.env_pack, state.env_lane, mask],
         device=state.device,
     )
-
-
-def launch_save(state):
-    """Start of a control step."""
-    launch_stage(save, state)
-
-
-def launch_settle(state):
-    """End of a control step."""
-    launch_stage(settle, state)

@@ -4,7 +4,11 @@ The tables below say every array's type, shape and meaning once; structs and all
 symbols: ``design``; ``point, active, joint, spring, rigid, voxel, mobile, robot, cell, action`` are capacities over the
 designs of a model; ``pack, lane`` number environments (see :mod:`warpvox.kernels.lanes`); ``unit`` is one thread's
 share of a pack; ``pair, entry, slot, word`` are capacities of the broad phase. ``2*`` rows hold x and y alternately.
-``node, leaf, plot, hit`` are capacities of what keeps the released order of contacts, in float64 only.
+``node, leaf, plot, hit`` are capacities of what keeps the released order of contacts, in exact arithmetic only.
+
+The arithmetic is ``fast`` or ``exact``; exact repeats every sum and product of the released simulator in its order, in
+float64. Three fields mean something else there, because it works on positions where fast works on displacements since
+the sub-step's start: ``disp`` is the position, ``sum_bend`` the sum of the paths, and ``pull`` the equilibrium length.
 """
 
 import functools
@@ -60,7 +64,7 @@ MODEL = {
         "design robot",
         "surface voxels of the robot: more folded pairs than these stop the step",
     ),
-    "objects": (int, "design", "bodies and terrain; this and the rest about trees only in float64"),
+    "objects": (int, "design", "bodies and terrain; this and the rest about trees only in exact arithmetic"),
     "nodes": (int, "design", "nodes of the box trees of bodies; those of terrain come after them in `node`"),
     "node": (
         wp.vec4i,
@@ -90,16 +94,16 @@ DATA = {
     "saved_vel": (STATE, "pack 2*point lane", "... to which a stopped or frozen environment returns"),
     "saved_true_vel": (STATE, "pack 2*point lane", ""),
     "move": (STATE, "pack 2*point lane", "displacement of the sub-step"),
-    "disp": (REAL, "pack 2*point lane", "displacement since the sub-step's start; in float64 the position"),
+    "disp": (REAL, "pack 2*point lane", "displacement since the sub-step's start; exact: the position"),
     "stage_vel": (REAL, "pack 2*point lane", "velocity of the Runge-Kutta stage"),
     "start_vel": (REAL, "pack 2*point lane", "velocity at the sub-step's start"),
     "height": (REAL, "pack point lane", "y at the sub-step's start"),
     "force": (REAL, "pack 2*point lane", "scratch: forces on a point at the floor, corrections of the strain limit"),
     "tension": (REAL, "pack 2*spring lane", "force of a spring on its first end"),
     "contact": (REAL, "pack 2*point lane", "contact force, constant during a sub-step"),
-    "sum_bend": (REAL, "pack 2*point lane", "sum of the accelerations that bend the path; in float64 of the paths"),
+    "sum_bend": (REAL, "pack 2*point lane", "sum of the accelerations that bend the path; exact: of the paths"),
     "sum_vel": (REAL, "pack 2*point lane", "weighted sum of the stages' accelerations"),
-    "hits": (int, "pack lane", "contacts met in this sub-step; these and the box trees only in float64"),
+    "hits": (int, "pack lane", "contacts met in this sub-step; these and the box trees only in exact arithmetic"),
     "hit": (wp.vec4i, "pack hit lane", "leaves in the order of their objects, 4 x way + corner, point (-1: still)"),
     "hit_ends": (wp.vec2i, "pack hit lane", "points of the side"),
     "hit_normal": (wp.vec3d, "pack hit lane", "unit normal and depth"),
@@ -109,7 +113,7 @@ DATA = {
     "goal": (STATE, "pack spring lane", "length toward which a spring creeps"),
     "span": (REAL, "pack 2*spring lane", "spring vector at the sub-step's start"),
     "length": (REAL, "pack spring lane", "its length"),
-    "pull": (REAL, "pack spring lane", "equilibrium length minus length, in float64 plus it; constant in a sub-step"),
+    "pull": (REAL, "pack spring lane", "equilibrium length minus length, exact: the former; constant in a sub-step"),
     "box": (STATE, "pack 4*voxel lane", "bounds of surface voxels: x min, x max, y min, y max"),
     "action": (STATE, "pack action lane", "clipped actions"),
     "folds": (int, "pack robot lane", "overlapping pairs of distant voxels, both orders"),

@@ -7,6 +7,7 @@ import functools
 
 import warp as wp
 
+from warpvox.kernels import exact, order
 from warpvox.kernels.actuation import creep, goals
 from warpvox.kernels.broadphase import boxes, collect
 from warpvox.kernels.contact import contacts
@@ -18,15 +19,20 @@ from warpvox.kernels.reset import save, settle
 from warpvox.kernels.state import structs
 from warpvox.kernels.strain import limit
 
-SUBSTEP = (boxes, collect, contacts, creep, runge_kutta, limit, advance, check)
+STAGES = {
+    "fast": (boxes, collect, contacts, creep, runge_kutta, limit, advance, check),
+    "exact": (boxes, collect, order.contacts, exact.creep, exact.runge_kutta, exact.limit, exact.advance, check),
+}
+"""The stages of a sub-step, in their order, by arithmetic (see :mod:`warpvox.kernels.state`)."""
 
 
 @functools.cache
-def step_kernel(precision: str, width: int) -> wp.Kernel:
+def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
     """The fused kernel; launch over (units of a pack, packs) with the first pack of this launch."""
     types = structs(precision)
     begin, aim, end = save(precision, width), goals(precision, width), settle(precision, width)
-    bound, gather, touch, pull, move, strain, place, fold = (build(precision, width) for build in SUBSTEP)
+    stages = (build(precision, width) for build in STAGES[arithmetic])
+    bound, gather, touch, pull, move, strain, place, fold = stages
 
     @inline
     def idle(data: types.Data, pack: int, lane: int):
@@ -89,6 +95,6 @@ def record_actions(state, actions, low: float, high: float) -> wp.Launch:
 
 def record(state, substeps: int, first: int, packs: int) -> wp.Launch:
     """A command that does one control step of the packs ``first`` to ``first + packs`` from the actions taken."""
-    kernel = step_kernel(state.precision, state.width)
+    kernel = step_kernel(state.arithmetic, state.precision, state.width)
     inputs = [state.model, state.data, first, state.units, substeps, state.dt]
     return wp.launch(kernel, (packs, state.units), inputs, device=state.device, record_cmd=True)

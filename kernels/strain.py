@@ -9,9 +9,7 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels import exact
 from warpvox.kernels.lanes import casts, inline, lane_ops, native
-from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import structs
 
 # The first spring from ``begin`` on (of those of rigid sides: the first place in their list) that is at or beyond the
@@ -39,8 +37,6 @@ NEXT_STRAINED = """
 @functools.cache
 def limit(precision: str, width: int):
     """Stage: both passes."""
-    if precision == "float64":
-        return exact.limit(width)
     ops, types, wide = lane_ops(precision, width), structs(precision), lane_ops("float64", width)
     real, load, store, mul, div, splat, root = (
         ops.real,
@@ -160,8 +156,3 @@ def limit(precision: str, width: int):
         rigid_sides(model, data, design, pack, lane)
 
     return stage
-
-
-def launch(state):
-    """Limit the strain of the displaced springs."""
-    launch_stage(limit, state)

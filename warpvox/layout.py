@@ -24,7 +24,7 @@ __all__ = ["MARGIN", "State", "choose_lanes", "group", "lanes_for", "layout"]
 WIDTHS = (1, 8, 16, 32)
 CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
 MARGIN = 0.04  # width added to boxes when candidates are collected, two fifths of a voxel
-HITS, HITS_PER_VOXEL = 64, 12  # capacity for contacts that are put in order, in float64
+HITS, HITS_PER_VOXEL = 64, 12  # capacity for contacts that are put in order, in exact arithmetic
 PAIRS_PER_VOXEL = 24  # capacity of the candidate list of an environment that has one of its own
 # Lanes share a list. One that holds all pairs cannot be filled by an environment that has collapsed or exploded at the
 # cost of the others; up to so many surface voxels (33 MB a pack) it does.
@@ -35,6 +35,7 @@ ALL_PAIRS = 2048
 class State:
     """What kernels need to run: the structs, their arrays and how environments lie in them."""
 
+    arithmetic: str
     precision: str
     device: str
     width: int
@@ -81,8 +82,11 @@ def choose_lanes(index: list[int], lanes: int | None, device: str) -> int:
     return lanes
 
 
-def layout(designs: list[Design], index: list[int], physics: Physics, precision: str, lanes: int, device: str) -> State:
+def layout(
+    designs: list[Design], index: list[int], physics: Physics, arithmetic: str, precision: str, lanes: int, device: str
+) -> State:
     """Lay the environments out in packs of one design each, and allocate Model and Data."""
+    ordered = arithmetic == "exact"
     width = lanes if device == "cpu" else 1
     pack_design, env_pack, env_lane = [], np.zeros(len(index), np.int32), np.zeros(len(index), np.int32)
     for design in range(len(designs)):
@@ -90,10 +94,10 @@ def layout(designs: list[Design], index: list[int], physics: Physics, precision:
         env_pack[members] = len(pack_design) + np.arange(len(members)) // lanes
         env_lane[members] = np.arange(len(members)) % lanes
         pack_design += [design] * -(-len(members) // lanes)
-    host, sizes = model_arrays(designs, precision == "float64")
+    host, sizes = model_arrays(designs, ordered)
     units = lanes // width
     sizes |= _capacities(sizes["voxel"], sizes["mobile"], width) | {
-        "hit": HITS + HITS_PER_VOXEL * sizes["mobile"] if precision == "float64" else 1,
+        "hit": HITS + HITS_PER_VOXEL * sizes["mobile"] if ordered else 1,
         "pack": len(pack_design),
         "lane": lanes,
         "unit": len(pack_design) * units,
@@ -107,7 +111,7 @@ def layout(designs: list[Design], index: list[int], physics: Physics, precision:
             model[name].assign(values.astype(precision) if MODEL[name][0] is REAL else values)
     types = structs(precision)
     state = State(
-        precision, device, width, lanes, units, len(pack_design), len(index), physics.dt, sizes,
+        arithmetic, precision, device, width, lanes, units, len(pack_design), len(index), physics.dt, sizes,
         types.Model(), types.Data(), model | data,
         wp.array(env_pack, dtype=int, device=device), wp.array(env_lane, dtype=int, device=device),
     )  # fmt: skip

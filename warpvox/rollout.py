@@ -263,6 +263,7 @@ def record(
         "physics": env.sim.physics.name,
         "seed": getattr(env, "seed", None),
         "dtype": str(env.sim.dtype).removeprefix("torch."),
+        "arithmetic": env.sim.arithmetic,
         "agent": label,
     }
     return Rollout(

@@ -24,7 +24,7 @@ from warpvox.startup import start_warp
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, Physics
 from warpvox.world import World
 
-__all__ = ["STATE_FIELDS", "Simulation", "resolve_device"]
+__all__ = ["STATE_FIELDS", "Simulation", "resolve_arithmetic", "resolve_device"]
 
 NUMBERS = {
     torch.float32,
@@ -49,12 +49,14 @@ class Simulation:
         worlds: one :class:`World` per environment.
         device: 'auto' (CUDA where there is one), 'cpu', 'cuda' or 'cuda:<index>'.
         physics: a preset's name or a :class:`Physics`.
-        dtype: precision of the springs and of what is returned: 'float32', or 'float64' for parity to round-off.
-            State and contacts are float64 in both.
+        dtype: precision of the springs and of what is returned: 'float32' or 'float64'. State and contacts are float64
+            in both.
         lanes: environments that one CPU thread advances at once (1, 8, 16 or 32); None chooses.
         threads: CPU threads; None takes all cores. Also an attribute.
         loose: names of objects that :meth:`shift` may move; terrain among them is not merged with the rest.
         action_range: to what actions are clipped.
+        arithmetic: 'fast', or 'exact' (float64 only), which repeats the released simulator bit for bit: the same
+            physics, every sum in its order. None: 'fast' in float32, 'exact' in float64.
 
     Positions are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step lasts
     ``physics.substeps * physics.dt``, 30 x 1e-4). Tensors that methods return are fresh; they never alias the
@@ -74,11 +76,13 @@ class Simulation:
         threads: int | None = None,
         loose: Sequence[str] = (),
         action_range: tuple[float, float] = (ACTION_LOW, ACTION_HIGH),
+        arithmetic: str | None = None,
     ):
         if not isinstance(worlds, Sequence) or not worlds or not all(isinstance(world, World) for world in worlds):
             raise SimulationError(f"Simulation needs a list of one World or more, got {worlds!r:.80}.")
         if not isinstance(dtype, str) or dtype not in DTYPES:
             raise SimulationError(f"dtype must be 'float32' or 'float64', got {dtype!r:.80}.")
+        self.arithmetic = resolve_arithmetic(arithmetic, dtype)
         _check_names(loose)
         low, high = _check_range(action_range)
         self.device = resolve_device(device)
@@ -90,7 +94,7 @@ class Simulation:
         self.num_envs, self.num_designs = len(worlds), len(self.worlds)
         self.design_index = torch.tensor(index, dtype=torch.long, device=self.device)
         lanes = choose_lanes(index, lanes, self.device)
-        self._state = layout(self.designs, index, self.physics, dtype, lanes, self.device)
+        self._state = layout(self.designs, index, self.physics, self.arithmetic, dtype, lanes, self.device)
         self.num_actions = max(sum(b.source.num_actuators for b in design.bodies) for design in self.designs)
         self._name_objects()
         self.loose = tuple(loose)
@@ -525,6 +529,24 @@ def resolve_device(device: str) -> str:
         have = f"this machine has {found} CUDA device(s)" if found else "no CUDA device was found"
         raise DeviceError(f"Device {device!r} is not available: {have}. Use device=cpu or device=auto.")
     return f"cuda:{int(number or 0)}"
+
+
+def resolve_arithmetic(arithmetic: str | None, dtype: str) -> str:
+    """'fast' or 'exact'; None means 'fast' in float32 and 'exact' in float64.
+
+    Raises:
+        SimulationError: neither of them, or 'exact' in float32.
+    """
+    if arithmetic is None:
+        return "exact" if dtype == "float64" else "fast"
+    if not isinstance(arithmetic, str) or arithmetic not in step_stage.STAGES:
+        hint = did_you_mean(arithmetic, list(step_stage.STAGES)) if isinstance(arithmetic, str) else ""
+        raise SimulationError(f"arithmetic must be 'fast', 'exact' or None, got {arithmetic!r:.80}.{hint}")
+    if arithmetic == "exact" and dtype != "float64":
+        raise SimulationError(
+            f"arithmetic='exact' repeats sums of double precision and needs dtype='float64', got dtype={dtype!r}."
+        )
+    return arithmetic
 
 
 def _torch(array: wp.array) -> torch.Tensor:

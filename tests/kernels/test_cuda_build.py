@@ -9,15 +9,20 @@ from warpvox.envs.vec_env import make_vec
 from warpvox.kernels import sensing
 from warpvox.kernels.launch import stage_kernel
 from warpvox.kernels.reset import reset_kernel, save, settle
-from warpvox.kernels.step import SUBSTEP, action_kernel, step_kernel
+from warpvox.kernels.step import STAGES, action_kernel, step_kernel
 
 AMPERE, ADA, HOPPER, BLACKWELL = 80, 89, 90, 100
 
 
-def kernels_of_cuda(precision):
+CASES = pytest.mark.parametrize(
+    ("arithmetic", "precision"), [("fast", "float32"), ("fast", "float64"), ("exact", "float64")]
+)
+
+
+def kernels_of_cuda(arithmetic, precision):
     """Every kernel that is launched on CUDA: the control step, its actions, resets and all sensing."""
     return [
-        step_kernel(precision, 1),
+        step_kernel(arithmetic, precision, 1),
         action_kernel(precision),
         reset_kernel(precision),
         *sensing.kernels(precision).values(),
@@ -29,9 +34,9 @@ def build(kernel, architecture, folder):
     return next(folder.glob("*.ptx")).read_text()
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_every_kernel_of_a_step_becomes_ptx(precision, tmp_path):
-    for number, kernel in enumerate(kernels_of_cuda(precision)):
+@CASES
+def test_every_kernel_of_a_step_becomes_ptx(arithmetic, precision, tmp_path):
+    for number, kernel in enumerate(kernels_of_cuda(arithmetic, precision)):
         text = build(kernel, HOPPER, tmp_path / str(number))
         assert kernel.func.__name__ in text
         assert f".target sm_{HOPPER}" in text
@@ -39,17 +44,17 @@ def test_every_kernel_of_a_step_becomes_ptx(precision, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("architecture", [AMPERE, ADA, BLACKWELL])
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_other_generations_too(precision, architecture, tmp_path):
-    for number, kernel in enumerate(kernels_of_cuda(precision)):
+@CASES
+def test_other_generations_too(arithmetic, precision, architecture, tmp_path):
+    for number, kernel in enumerate(kernels_of_cuda(arithmetic, precision)):
         assert f".target sm_{architecture}" in build(kernel, architecture, tmp_path / str(number))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_stages_alone_become_ptx(precision, tmp_path):
+@CASES
+def test_stages_alone_become_ptx(arithmetic, precision, tmp_path):
     """Per-stage times on a GPU launch the stages one by one."""
-    for number, stage in enumerate([*SUBSTEP, save, settle]):
+    for number, stage in enumerate([*STAGES[arithmetic], save, settle]):
         assert ".target sm_90" in build(stage_kernel(stage, precision, 1), HOPPER, tmp_path / str(number))
 
 
@@ -68,5 +73,5 @@ def test_no_other_kernel_is_launched(monkeypatch):
             env = make_vec(task, num_envs=1, device="cpu", dtype="float32", rules=rules, lanes=1, threads=1)
             env.reset()
             env.step(torch.ones((1, env.num_actions)))
-    assert launched <= set(kernels_of_cuda("float32"))
+    assert launched <= set(kernels_of_cuda("fast", "float32"))
     assert len(launched) > 5

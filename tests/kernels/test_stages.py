@@ -5,7 +5,10 @@ import pytest
 import torch
 
 from warpvox.design import sample_design
-from warpvox.kernels import actuation, broadphase, contact, folding, integrate, reset, strain
+from warpvox.kernels.actuation import goals
+from warpvox.kernels.launch import launch_stage
+from warpvox.kernels.reset import save, settle
+from warpvox.kernels.step import STAGES
 from warpvox.sim import STATE_FIELDS, Simulation
 from warpvox.types import SUBSTEPS
 from warpvox.world import World
@@ -13,7 +16,7 @@ from warpvox.world import World
 STEPS = 6
 
 
-def make(dtype, lanes):
+def make(dtype, arithmetic, lanes):
     worlds = []
     for seed in range(3):
         world = World(30, 10)
@@ -21,25 +24,23 @@ def make(dtype, lanes):
         world.add_from_array("box", np.full((2, 2), 1), 8, 1)
         world.add_from_array("robot", sample_design((5, 5), seed=seed), 1, 1)
         worlds.append(world)
-    return Simulation(worlds * lanes, device="cpu", dtype=dtype, lanes=lanes)
+    return Simulation(worlds * lanes, device="cpu", dtype=dtype, arithmetic=arithmetic, lanes=lanes)
 
 
 def step_by_stages(state):
-    reset.launch_save(state)
+    launch_stage(save, state)
+    launch_stage(goals, state)
     for _ in range(SUBSTEPS):
-        broadphase.launch(state)
-        contact.launch(state)
-        actuation.launch(state)
-        integrate.launch(state)
-        strain.launch(state)
-        integrate.launch_advance(state)
-        folding.launch(state)
-    reset.launch_settle(state)
+        for stage in STAGES[state.arithmetic]:
+            launch_stage(stage, state)
+    launch_stage(settle, state)
 
 
-@pytest.mark.parametrize(("dtype", "lanes"), [("float64", 1), ("float32", 32)])
-def test_stages_make_up_the_control_step(dtype, lanes):
-    fused, staged = make(dtype, lanes), make(dtype, lanes)
+@pytest.mark.parametrize(
+    ("dtype", "arithmetic", "lanes"), [("float64", "exact", 1), ("float64", "fast", 8), ("float32", "fast", 32)]
+)
+def test_stages_make_up_the_control_step(dtype, arithmetic, lanes):
+    fused, staged = make(dtype, arithmetic, lanes), make(dtype, arithmetic, lanes)
     rng = np.random.default_rng(0)
     for _ in range(STEPS):
         actions = torch.tensor(rng.uniform(0.6, 1.6, (fused.num_envs, fused.num_actions)))

@@ -107,6 +107,7 @@ def make_env(config: Any, num_envs: int, *, auto_reset: bool, **changes: Any) ->
         "device": config.device,
         "rules": config.rules,
         "dtype": config.dtype,
+        "arithmetic": config.arithmetic,
         "seed": config.seed,
         "physics": physics_of(config),
         "threads": config.threads,

@@ -253,6 +253,7 @@ def design_config(config: CodesignConfig, candidate: Candidate) -> str:
         "seed": config.seed,
         "device": config.device,
         "dtype": config.dtype,
+        "arithmetic": config.arithmetic,
         "threads": config.threads,
         # those of the evaluation that found the fitness, so that playing finds it again
         "lanes": lanes_for(training.eval_envs),
@@ -277,7 +278,15 @@ def make_evaluator(config: CodesignConfig) -> DesignEvaluator:
 
     prepare(config.torch_threads, config.seed)
     device = resolve_device(config.device)
-    arena = Arena(config.task, config.rules, physics_of(config), device, config.dtype, config.threads)
+    arena = Arena(
+        config.task,
+        config.rules,
+        physics_of(config),
+        device,
+        config.dtype,
+        config.threads,
+        arithmetic=config.arithmetic,
+    )
     kinds = {"population": PopulationEvaluator, "sequential": SequentialEvaluator}
     return kinds[config.training.method](arena, config.training, config.seed)
 

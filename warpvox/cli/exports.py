@@ -77,7 +77,9 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
     trained = load_values("train", run.config)
     changes = {"device": device, "threads": config.threads, "lanes": training_lanes(trained, device)}
     if config.dtype is not None:
-        changes["dtype"] = config.dtype
+        changes |= {"dtype": config.dtype, "arithmetic": None}
+    if config.arithmetic is not None:
+        changes["arithmetic"] = config.arithmetic
     env = make_env(trained, config.num_envs, auto_reset=False, **changes)
     controller = load_controller(path, device)
     controller.check(env)
@@ -108,6 +110,7 @@ def record_agent(config: Any) -> Rollout:
         device=config.device,
         rules=config.rules or "evogym",
         dtype=config.dtype or "float32",
+        arithmetic=config.arithmetic,
         seed=config.seed,
         auto_reset=False,
         threads=config.threads,

@@ -101,7 +101,10 @@ def graph(config: Any, report: Report, envs: int) -> dict[str, Any]:
     if config.device == "cpu":
         report.note("No graph was captured: that needs a GPU.")
         return {"captured": False}
-    options = dict(device=config.device, dtype=config.dtype, seed=config.seed, max_episode_steps=STEPS // 2)
+    options = dict(
+        device=config.device, dtype=config.dtype, arithmetic=config.arithmetic, seed=config.seed,
+        max_episode_steps=STEPS // 2,
+    )  # fmt: skip
     both = []
     for wanted in (False, True):
         env = make_vec(config.task, [one_body(config)], envs, cuda_graph=wanted, **options)

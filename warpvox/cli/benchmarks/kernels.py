@@ -21,7 +21,7 @@ from warpvox.cli.benchmarks.step import HEADINGS
 from warpvox.cli.benchmarks.subject import Subject, clock
 from warpvox.errors import SimulationError
 from warpvox.kernels.launch import stage_kernel
-from warpvox.kernels.step import SUBSTEP
+from warpvox.kernels.step import STAGES as STAGES_OF
 
 __all__ = ["compile_seconds", "run", "stage_times"]
 
@@ -91,12 +91,13 @@ def stage_times(subject: Subject, config: Any) -> dict[str, float]:
     subject.env.reset()
     for _ in range(subject.steps):
         sim.step(subject.actions())
-    commands = [_record(build, state) for build in SUBSTEP]
-    times: dict[str, list[float]] = {build.__name__: [] for build in SUBSTEP}
+    stages = STAGES_OF[state.arithmetic]
+    commands = [_record(build, state) for build in stages]
+    times: dict[str, list[float]] = {build.__name__: [] for build in stages}
     before = sim.com("robot")
     substeps = sim.physics.substeps
     for turn in range((config.repeats + 1) * substeps):
-        for build, command in zip(SUBSTEP, commands, strict=True):
+        for build, command in zip(stages, commands, strict=True):
             began = clock(device)
             command.launch()
             seconds = clock(device) - began
@@ -157,7 +158,7 @@ def compile_seconds(config: Any) -> dict[str, float]:
     code = (
         "import warpvox as wv, numpy as np\n"
         f"env = wv.make_vec({config.task!r}, num_envs={config.num_envs}, dtype={config.dtype!r},"
-        f" device={config.device!r}, threads={config.threads})\n"
+        f" arithmetic={config.arithmetic!r}, device={config.device!r}, threads={config.threads})\n"
         "env.reset()\n"
         "env.step(np.ones((env.num_envs, env.num_actions)))\n"
         "env.sim.reset()\n"

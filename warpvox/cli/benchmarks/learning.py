@@ -45,7 +45,9 @@ def learn(config: Any, body: np.ndarray, name: str, seed: int) -> dict[str, Any]
     """One run: its curve, and what it took to the return (None: not reached)."""
     settings = load("train", [f"ppo={name}", f"seed={seed}"])
     torch.manual_seed(seed)
-    options = dict(device=config.device, dtype=config.dtype, threads=config.threads, seed=seed)
+    options = dict(
+        device=config.device, dtype=config.dtype, arithmetic=config.arithmetic, threads=config.threads, seed=seed
+    )
     env = make_vec(config.task, [body], settings.num_envs, **options)
     against_scalar(env, seed)
     lanes = lanes_for(settings.num_envs) if env.device == "cpu" else None

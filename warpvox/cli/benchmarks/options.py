@@ -78,7 +78,8 @@ def _affordable(training: TrainingConfig, steps: int) -> int:
 
 def _search(config: Any, training: TrainingConfig, designs: int, seed: int) -> list[tuple[int, float]]:
     """One search: (control steps spent, best fitness so far) after every generation."""
-    arena = Arena(config.task, device=config.device, dtype=config.dtype, threads=config.threads)
+    precision = dict(dtype=config.dtype, arithmetic=config.arithmetic)
+    arena = Arena(config.task, device=config.device, threads=config.threads, **precision)
     evaluator = PopulationEvaluator(arena, training, seed)
     settings = GaSettings(population=config.options.population, max_evaluations=designs)
     search = make_search(settings, SHAPE, seed)

@@ -47,6 +47,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
             min(config.num_envs, MOST),
             device=config.device,
             dtype=config.dtype,
+            arithmetic=config.arithmetic,
             seed=config.seed,
         )
         rollout = record(env, "sine", config.frames)

@@ -62,7 +62,8 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     report.note(
         f"Parameters within {error:.1e} of separate stock trainings after {CHECK_ITERATIONS} updates in float64."
     )
-    arena = Arena(config.task, device=config.device, dtype=config.dtype, threads=config.threads)
+    precision = dict(dtype=config.dtype, arithmetic=config.arithmetic)
+    arena = Arena(config.task, device=config.device, threads=config.threads, **precision)
     with report.status("training all at once"):
         training = PopulationTraining(arena, bodies, seeds, settings)
         together = Times.of(training.iterate, config.repeats)

@@ -221,6 +221,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
                 LANES * len(bodies),
                 device=config.device,
                 dtype=config.dtype,
+                arithmetic=config.arithmetic,
                 threads=config.threads,
                 seed=config.seed,
             )

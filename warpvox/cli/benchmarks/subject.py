@@ -42,7 +42,7 @@ class Subject:
     """
 
     def __init__(self, config: Any, task: str, body: np.ndarray, num_envs: int, **options: Any) -> None:
-        common = dict(device=config.device, dtype=config.dtype, threads=config.threads)
+        common = dict(device=config.device, dtype=config.dtype, arithmetic=config.arithmetic, threads=config.threads)
         self.env = make_vec(task, [body], num_envs, **(common | options))
         self.device, self.num_envs, self.limit = self.env.device, num_envs, config.limit
         self._random = torch.Generator(self.device).manual_seed(config.seed)
