@@ -1,6 +1,6 @@
 """Spring, gravity, drag and floor forces, integrated by RK4 over positions and velocities (paper section A.2).
 
-The sub-step itself is in ``integrate.h``.
+The sub-step itself is in ``native/integrate.h``.
 """
 
 import functools
@@ -11,7 +11,7 @@ import warp as wp
 from warpvox.kernels.lanes import inline, lane_ops, native
 from warpvox.kernels.state import structs
 
-SUBSTEP = Path(__file__).with_name("integrate.h").read_text(encoding="utf-8")
+SUBSTEP = Path(__file__).with_name("native").joinpath("integrate.h").read_text(encoding="utf-8")
 
 
 @functools.cache

@@ -7,21 +7,21 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels import exact, order
 from warpvox.kernels.actuation import creep, goals
 from warpvox.kernels.broadphase import boxes, collect
 from warpvox.kernels.contact import contacts
+from warpvox.kernels.exact import order, springs
 from warpvox.kernels.folding import check
 from warpvox.kernels.integrate import advance, runge_kutta
 from warpvox.kernels.lanes import REALS, inline
-from warpvox.kernels.launch import EXACT
+from warpvox.kernels.launch import EXACT, launch_stage
 from warpvox.kernels.reset import save, settle
 from warpvox.kernels.state import structs
 from warpvox.kernels.strain import limit
 
 STAGES = {
     "fast": (boxes, collect, contacts, creep, runge_kutta, limit, advance, check),
-    "exact": (boxes, collect, order.contacts, exact.creep, exact.runge_kutta, exact.limit, exact.advance, check),
+    "exact": (boxes, collect, order.contacts, *springs.STAGES, check),
 }
 """The stages of a sub-step, in their order, by arithmetic (see :mod:`warpvox.kernels.state`)."""
 
@@ -85,6 +85,13 @@ def action_kernel(precision: str) -> wp.Kernel:
         data.action[env_pack[env], a, env_lane[env]] = goal
 
     return place_actions
+
+
+def launch(state, *names: str) -> None:
+    """Run stages of a sub-step alone, by their names in the order given; without names all of them."""
+    stages = {build.__name__: build for build in STAGES[state.arithmetic]}
+    for name in names or stages:
+        launch_stage(stages[name], state)
 
 
 def record_actions(state, actions, low: float, high: float) -> wp.Launch:

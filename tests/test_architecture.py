@@ -28,7 +28,7 @@ LAYERS = (
     ("warpvox.kernels",),
     ("warpvox.design", "warpvox.world"),
     (
-        "warpvox.order",
+        "warpvox.contact_order",
         "warpvox.compile",
         "warpvox.layout",
         "warpvox.sim",

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from warpvox.contact_order import no_order, order_arrays
 from warpvox.errors import SimulationError
-from warpvox.order import no_order, order_arrays
 from warpvox.types import VOXEL, Cell, Physics
 from warpvox.world import World, WorldObject
 

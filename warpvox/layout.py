@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,15 +11,16 @@ import torch
 import warp as wp
 
 from warpvox.compile import Design, model_arrays
-from warpvox.errors import SimulationError, listing
+from warpvox.errors import SimulationError, did_you_mean, listing
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, REAL, allocate, structs
+from warpvox.kernels.step import STAGES
 from warpvox.types import Physics
 from warpvox.world import World
 
-__all__ = ["MARGIN", "State", "choose_lanes", "group", "lanes_for", "layout"]
+__all__ = ["MARGIN", "State", "choose_lanes", "choose_threads", "group", "lanes_for", "layout", "resolve_arithmetic"]
 
 # Lane widths offered on the CPU; the narrowest that holds a design's environments is taken.
 WIDTHS = (1, 8, 16, 32)
@@ -80,6 +82,32 @@ def choose_lanes(index: list[int], lanes: int | None, device: str) -> int:
     if type(lanes) is not int or lanes not in WIDTHS:
         raise SimulationError(f"lanes must be one of {listing(WIDTHS)}, got {lanes!r:.80}.")
     return lanes
+
+
+def choose_threads(threads: int | None) -> int:
+    if threads is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if type(threads) is not int or threads < 1:
+        raise SimulationError(f"threads must be a whole number >= 1 or None, got {threads!r:.80}.")
+    return threads
+
+
+def resolve_arithmetic(arithmetic: str | None, dtype: str) -> str:
+    """'fast' or 'exact'; None means 'fast' in float32 and 'exact' in float64.
+
+    Raises:
+        SimulationError: neither of them, or 'exact' in float32.
+    """
+    if arithmetic is None:
+        return "exact" if dtype == "float64" else "fast"
+    if not isinstance(arithmetic, str) or arithmetic not in STAGES:
+        hint = did_you_mean(arithmetic, list(STAGES)) if isinstance(arithmetic, str) else ""
+        raise SimulationError(f"arithmetic must be 'fast', 'exact' or None, got {arithmetic!r:.80}.{hint}")
+    if arithmetic == "exact" and dtype != "float64":
+        raise SimulationError(
+            f"arithmetic='exact' repeats sums of double precision and needs dtype='float64', got dtype={dtype!r}."
+        )
+    return arithmetic
 
 
 def layout(

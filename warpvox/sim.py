@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,12 +18,12 @@ from warpvox.kernels import sensing
 from warpvox.kernels import step as step_stage
 from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
-from warpvox.layout import choose_lanes, group, layout
+from warpvox.layout import choose_lanes, choose_threads, group, layout, resolve_arithmetic
 from warpvox.startup import start_warp
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, Physics
 from warpvox.world import World
 
-__all__ = ["STATE_FIELDS", "Simulation", "resolve_arithmetic", "resolve_device"]
+__all__ = ["STATE_FIELDS", "Simulation", "resolve_device"]
 
 NUMBERS = {
     torch.float32,
@@ -99,7 +98,7 @@ class Simulation:
         self._name_objects()
         self.loose = tuple(loose)
         self._loose = _loose_points(self, self.loose)
-        self.threads = _check_threads(threads)
+        self.threads = choose_threads(threads)
         self._pool = ThreadPoolExecutor(self.threads)
         self._shares: list[wp.Launch] = []
         self._sensors: dict[tuple, tuple[wp.Launch, list[torch.Tensor]]] = {}
@@ -531,34 +530,8 @@ def resolve_device(device: str) -> str:
     return f"cuda:{int(number or 0)}"
 
 
-def resolve_arithmetic(arithmetic: str | None, dtype: str) -> str:
-    """'fast' or 'exact'; None means 'fast' in float32 and 'exact' in float64.
-
-    Raises:
-        SimulationError: neither of them, or 'exact' in float32.
-    """
-    if arithmetic is None:
-        return "exact" if dtype == "float64" else "fast"
-    if not isinstance(arithmetic, str) or arithmetic not in step_stage.STAGES:
-        hint = did_you_mean(arithmetic, list(step_stage.STAGES)) if isinstance(arithmetic, str) else ""
-        raise SimulationError(f"arithmetic must be 'fast', 'exact' or None, got {arithmetic!r:.80}.{hint}")
-    if arithmetic == "exact" and dtype != "float64":
-        raise SimulationError(
-            f"arithmetic='exact' repeats sums of double precision and needs dtype='float64', got dtype={dtype!r}."
-        )
-    return arithmetic
-
-
 def _torch(array: wp.array) -> torch.Tensor:
     return wp.to_torch(array).long()
-
-
-def _check_threads(threads: int | None) -> int:
-    if threads is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if type(threads) is not int or threads < 1:
-        raise SimulationError(f"threads must be a whole number >= 1 or None, got {threads!r:.80}.")
-    return threads
 
 
 def _check_names(loose: Sequence[str]) -> None:

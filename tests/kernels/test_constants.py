@@ -10,7 +10,9 @@ import torch
 
 from warpvox.design import sample_design
 from warpvox.errors import ConfigError
-from warpvox.kernels import actuation, integrate, strain
+from warpvox.kernels import step
+from warpvox.kernels.actuation import goals
+from warpvox.kernels.launch import launch_stage
 from warpvox.sim import STATE_FIELDS, Simulation
 from warpvox.types import Physics
 from warpvox.world import World
@@ -122,10 +124,10 @@ def test_strain_is_limited_as_the_plain_formula_does(dtype: str, tolerance: floa
     for _ in range(5):
         noise = torch.as_tensor(rng.normal(0, 0.02, state["pos"].shape))
         sim.set_state(state | {"pos": state["pos"] + noise * moving})
-        actuation.launch(sim._state)
-        integrate.launch(sim._state)
+        launch_stage(goals, sim._state)
+        step.launch(sim._state, "creep", "runge_kutta")
         begun = displaced(sim)
-        strain.launch(sim._state)
+        step.launch(sim._state, "limit")
         assert np.isfinite(begun).all()
         np.testing.assert_allclose(displaced(sim), limited(sim, begun), rtol=0, atol=tolerance)
         assert (np.abs(displaced(sim) - begun).max() > 1e-4) == (sim.physics.strain_share > 0)

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from warpvox.contact_order import order_arrays, tree_of
 from warpvox.design import sample_design
-from warpvox.kernels.broadphase import boxes, collect
-from warpvox.kernels.launch import launch_stage
-from warpvox.kernels.order import contacts
-from warpvox.order import order_arrays, tree_of
+from warpvox.kernels import step
 from warpvox.sim import Simulation
 from warpvox.world import World
 
@@ -30,8 +28,7 @@ def crowd(seed, lanes):
     state, rng = sim.state(), np.random.default_rng(seed)
     state["pos"] = state["pos"] * SQUEEZE + torch.tensor(rng.normal(0.0, NOISE, state["pos"].shape))
     sim.set_state(state)
-    for stage in (boxes, collect, contacts):
-        launch_stage(stage, sim._state)
+    step.launch(sim._state, "boxes", "collect", "contacts")
     return sim, {name: sim._state.arrays[name].numpy()[0] for name in ("hits", "hit", "hit_rank", "pos", "node")}
 
 

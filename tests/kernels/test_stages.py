@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from warpvox.design import sample_design
+from warpvox.kernels import step
 from warpvox.kernels.actuation import goals
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.reset import save, settle
-from warpvox.kernels.step import STAGES
 from warpvox.sim import STATE_FIELDS, Simulation
 from warpvox.types import SUBSTEPS
 from warpvox.world import World
@@ -31,8 +31,7 @@ def step_by_stages(state):
     launch_stage(save, state)
     launch_stage(goals, state)
     for _ in range(SUBSTEPS):
-        for stage in STAGES[state.arithmetic]:
-            launch_stage(stage, state)
+        step.launch(state)
     launch_stage(settle, state)
 
 

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpvox import order
+from warpvox import contact_order as order
 from warpvox.compile import compile_world
+from warpvox.contact_order import BUCKETS, HashSet, order_arrays, tree_of
 from warpvox.design import sample_design
 from warpvox.errors import SimulationError
-from warpvox.kernels.order import PATH
-from warpvox.order import BUCKETS, HashSet, order_arrays, tree_of
+from warpvox.kernels.exact.order import PATH
 from warpvox.types import Physics
 from warpvox.world import World
 
@@ -131,7 +131,7 @@ def test_trees_deeper_than_a_path_are_refused(monkeypatch):
     monkeypatch.setattr(order, "DEEPEST", most)
     order_arrays(design)
     monkeypatch.setattr(order, "DEEPEST", most - 1)
-    with pytest.raises(SimulationError, match=r"'robot'.*float32"):
+    with pytest.raises(SimulationError, match=r"'robot'.*arithmetic='fast'"):
         order_arrays(design)
 
 

@@ -1,4 +1,4 @@
-"""Springs and strain limits in float64, rounded as the released simulator rounds; the sub-step is in ``exact.h``.
+"""Springs and strain limits in float64, rounded as the released simulator rounds; the sub-step is in ``substep.h``.
 
 Sums and products are taken in its order, so that runs are equal bit for bit, which neither chaos nor ties can tell
 apart. The float32 way (``actuation.py``, ``integrate.py``, ``strain.py``) is the same physics on displacements.
@@ -14,7 +14,7 @@ from warpvox.kernels.lanes import inline, lane_ops, native
 from warpvox.kernels.state import structs
 
 real = wp.float64
-SUBSTEP = Path(__file__).with_name("exact.h").read_text(encoding="utf-8")
+SUBSTEP = Path(__file__).with_name("substep.h").read_text(encoding="utf-8")
 
 
 @functools.cache
@@ -149,3 +149,6 @@ def advance(precision: str, width: int):
         data.drift[unit] = data.drift[unit] + ops.largest(path)
 
     return stage
+
+
+STAGES = (creep, runge_kutta, limit, advance)

@@ -2,7 +2,8 @@
 
 Forces on a point are sums, and sums round by their order. The released simulator finds pairs of surface voxels by
 descending two such trees at once; their shape follows from areas of boxes at the beginning, equal ones being told
-apart by rounding and by the order of hash sets of its C++ library. Both are rebuilt here. Only float64 uses them.
+apart by rounding and by the order of hash sets of its C++ library. Both are rebuilt here, for exact
+arithmetic alone.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from warpvox.errors import SimulationError
 __all__ = ["DEEPEST", "HashSet", "Tree", "no_order", "order_arrays", "tree_of"]
 
 DEEPEST = 40
-"""Levels of two trees together that the path of a descent holds (``PATH`` of ``kernels/order.py``)."""
+"""Levels of two trees together that the path of a descent holds (``PATH`` of ``kernels/exact/order.py``)."""
 MOST_OBJECTS = 1024  # whose pairs fit into the 20 bits above the path
 
 # Bucket counts of the library's hash tables, each the first of its prime list that at least doubles the last.
@@ -222,10 +223,10 @@ def order_arrays(design) -> dict[str, np.ndarray]:
 
 
 def _check_places(design, trees: dict[str, Tree]) -> None:
-    remedy = "dtype='float32' does not keep this order and has no such limit."
+    remedy = "arithmetic='fast' does not keep this order and has no such limit."
     if len(trees) > MOST_OBJECTS:
         raise SimulationError(
-            f"float64 keeps the released order of contacts for up to {MOST_OBJECTS} objects; this world has"
+            f"Exact arithmetic keeps the released order of contacts for up to {MOST_OBJECTS} objects; this world has"
             f" {len(trees)}. {remedy}"
         )
     depth = {name: tree.depth() for name, tree in trees.items()}
@@ -233,8 +234,8 @@ def _check_places(design, trees: dict[str, Tree]) -> None:
     other = max(depth, key=depth.__getitem__)
     if depth[body] + depth[other] > DEEPEST:
         raise SimulationError(
-            f"float64 keeps the released order of contacts for box trees of up to {DEEPEST} levels together; those of"
-            f" {body!r:.80} ({depth[body]}) and {other!r:.80} ({depth[other]}) are deeper. {remedy}"
+            f"Exact arithmetic keeps the released order of contacts for box trees of up to {DEEPEST} levels together;"
+            f" those of {body!r:.80} ({depth[body]}) and {other!r:.80} ({depth[other]}) are deeper. {remedy}"
         )
 
 
