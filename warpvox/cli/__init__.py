@@ -105,5 +105,9 @@ def _silence() -> None:
 
 
 def _complain(error: WarpvoxError | str) -> int:
-    print("warpvox: " + " ".join(str(error).split()), file=sys.stderr)
+    from warpvox.cli.say import plain
+
+    # one line, with the blanks of paths as they are
+    text = " ".join(line.strip() for line in str(error).splitlines())
+    print(f"warpvox: {plain(text)}", file=sys.stderr)
     return BAD_INPUT

@@ -21,7 +21,7 @@ from warpvox.algos.candidate import Candidate
 from warpvox.algos.search import make_search, settings_from
 from warpvox.cli.config import expand, load, load_values, read_arguments, to_yaml
 from warpvox.cli.runs import CONFIG, SUMMARY, check_name, find_codesign, going_on, new_folder
-from warpvox.cli.say import say
+from warpvox.cli.say import cell, say, typed
 from warpvox.cli.train import check_unchanged, describe
 from warpvox.configs.schema import CodesignConfig
 from warpvox.errors import ConfigError, RunError, StorageError
@@ -80,7 +80,7 @@ def run(words: list[str]) -> None:
         check(job.config)
     for number, job in enumerate(jobs):
         if len(jobs) > 1:
-            console.rule(f"run {number + 1} of {len(jobs)}: {' '.join(runs[number])}")
+            console.rule(cell(f"run {number + 1} of {len(jobs)}: {' '.join(runs[number])}"))
         codesign(job, console)
 
 
@@ -358,7 +358,6 @@ def write_again(config: CodesignConfig, console: Console) -> None:
 def conclude(console: Console, summary: dict[str, Any], folder: Path) -> None:
     """Say how the search has ended and what one can do next."""
     from warpvox.algos.report import FILE as REPORT
-    from warpvox.cli.build import shown
 
     words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[summary["status"]]
     text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps"
@@ -367,6 +366,6 @@ def conclude(console: Console, summary: dict[str, Any], folder: Path) -> None:
     say(console, text)
     if summary["best_design"] is not None:
         say(console, f"report: {(folder / REPORT).resolve().as_uri()}")
-        say(console, f"look at the best: warpvox play run={shown(folder)}")
+        say(console, f"look at the best: warpvox play {typed('run', folder)}")
     if summary["status"] != "done":
-        say(console, f"go on: warpvox codesign resume={shown(folder)}")
+        say(console, f"go on: warpvox codesign {typed('resume', folder)}")

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 import warpvox
+from warpvox.cli.say import cell
 from warpvox.errors import ConfigError
 from warpvox.startup import start_warp
 
@@ -29,7 +30,7 @@ def run(words: list[str]) -> None:
         raise ConfigError(f"`warpvox info` takes no arguments, got '{' '.join(words)}'.")
     table = Table(show_header=False, box=None, pad_edge=False)
     for name, value in [*_versions(), *_devices(), *_cache()]:
-        table.add_row(name, value)
+        table.add_row(cell(name), cell(value))
     console = Console()
     if not console.is_terminal:
         console.width = 120

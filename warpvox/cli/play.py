@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +22,8 @@ from warpvox.cli.exports import (
     record_run,
     write_exports,
 )
-from warpvox.cli.runs import check_name, find_run, new_folder, write_summary
-from warpvox.cli.say import say
+from warpvox.cli.runs import as_name, check_name, find_run, new_folder, write_summary
+from warpvox.cli.say import cell, say
 from warpvox.cli.train import describe
 from warpvox.cli.watch import wants_window, watch
 from warpvox.configs.schema import PlayConfig
@@ -40,7 +39,6 @@ ROWS = 20
 """Environments that the table lists at most."""
 OF_AGENTS = ("task", "design", "rules")
 """Keys that a trained run answers itself."""
-NOT_A_NAME = re.compile(r"[^\w.+-]+")
 
 
 def run(words: list[str]) -> None:
@@ -140,7 +138,7 @@ def write_results(
     """
     resolved = dataclasses.replace(config, run=source) if config.run else config
     # The task's name may come from a file that somebody else has written: it must stay a name.
-    place = NOT_A_NAME.sub("_", rollout.title).strip(".") or "rollout"
+    place = as_name(rollout.title) or "rollout"
     with new_folder(config.output_dir, command, place, config.name, to_yaml(resolved)) as folder:
         print_returns(rollout, console)
         if keep:
@@ -175,7 +173,7 @@ def print_returns(rollout: Rollout, console: Console) -> None:
     kind = "deterministic" if agent == "policy" else f"agent {agent}"
     if rollout.metadata.get("diverged"):
         kind = f"up to the step in which environment {rollout.metadata.get('environment')} diverged"
-    table = Table(title=f"{rollout.title}, {kind}")
+    table = Table(title=cell(f"{rollout.title}, {kind}"))
     for heading in ("environment", *(["design"] if several else []), "return", "steps", "end"):
         table.add_column(heading, justify="left" if heading == "end" else "right")
     for env in range(min(rollout.num_envs, ROWS)):

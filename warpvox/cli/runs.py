@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Iterator, Sequence
@@ -21,6 +22,7 @@ from warpvox.reading import Unreadable, read_text
 
 __all__ = [
     "Run",
+    "as_name",
     "find_codesign",
     "find_run",
     "going_on",
@@ -36,6 +38,9 @@ TRAINING = ("train", "demo")
 CODESIGN = "codesign"
 STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 NAME = re.compile(r"[\w.+-]+")
+NOT_IN_NAMES = re.compile(r"[^\w.+-]+")
+LONGEST_NAME, LONGEST_BYTES = 100, 150
+"""What a name may add to that of a folder: date and a sweep's values need room as well, and 255 bytes are the end."""
 END = "...\n"
 """The last line of a run's configuration, YAML's own mark of an end: what lacks it has been cut short."""
 
@@ -197,6 +202,10 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
         from warpvox.envs.registry import get_task
 
         task = get_task(task).id
+        if len(os.fsencode(task)) > LONGEST_BYTES:
+            raise ConfigError(
+                f"The id of the task names a folder and may have {LONGEST_BYTES} bytes at most, got '{task:.30}...'."
+            )
     parent = Path(output_dir) / command / task
     made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
     folder = _make(parent, stamp, f"_{name}" if name else "")
@@ -216,7 +225,15 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
 def check_name(name: str | None) -> None:
     """Raise ConfigError unless ``name`` can end the name of a folder."""
     if name and not NAME.fullmatch(name):
-        raise ConfigError(f"name may hold letters, digits and . _ + - only, got '{name}'.")
+        raise ConfigError(f"name may hold letters, digits and . _ + - only, got '{name:.200}'.")
+    if name and (len(name) > LONGEST_NAME or len(os.fsencode(name)) > LONGEST_BYTES):
+        raise ConfigError(f"name may have {LONGEST_NAME} characters ({LONGEST_BYTES} bytes) at most, got {len(name)}.")
+
+
+def as_name(text: str) -> str:
+    """``text``, which may come from anywhere, as the name of a folder: letters, digits and . _ + - only."""
+    name = NOT_IN_NAMES.sub("_", text).encode(errors="replace")[:LONGEST_NAME].decode(errors="ignore")
+    return name.strip(".")
 
 
 def _make(parent: Path, stamp: str, ending: str) -> Path:

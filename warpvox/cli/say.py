@@ -1,12 +1,48 @@
-"""Sentences on the console: neither coloured, nor folded, nor searched for markup such as ``[gif,html]``."""
+"""Text on the console: what comes out of files can neither command the terminal nor look like our own markup."""
 
 from __future__ import annotations
 
-from rich.console import Console
+import os
+import shlex
+import unicodedata
+from pathlib import Path
 
-__all__ = ["say"]
+from rich.console import Console
+from rich.text import Text
+
+__all__ = ["cell", "plain", "say", "typed"]
+
+CONTROL = {"Cc", "Cs", "Zl", "Zp"}
+"""Unicode's categories of control characters, halves of characters, and ends of lines and paragraphs."""
+TURNING = {*range(0x202A, 0x202F), *range(0x2066, 0x206A), 0x200E, 0x200F, 0x061C}
+"""Characters that turn the direction of writing, so that a text reads differently from what it is."""
 
 
 def say(console: Console, text: str) -> None:
-    """Print ``text`` as it is."""
-    console.print(text, highlight=False, soft_wrap=True, markup=False)
+    """Print ``text`` as it is: neither coloured, nor folded, nor searched for markup such as ``[gif,html]``."""
+    lines = "\n".join(plain(line) for line in text.split("\n"))
+    console.print(lines, highlight=False, soft_wrap=True, markup=False, emoji=False)
+
+
+def plain(text: object) -> str:
+    """``text`` with what a terminal would obey written as ``\\x1b``; an end of line is among it."""
+    return "".join(_escaped(character) if _obeyed(character) else character for character in str(text))
+
+
+def cell(text: object, style: str = "") -> Text:
+    """``text`` for a table, a title or a rule: no markup, nothing that a terminal would obey."""
+    return Text(plain(text), style)
+
+
+def typed(key: str, path: str | os.PathLike[str]) -> str:
+    """``KEY=PATH`` as it can be pasted into a shell, whatever the current folder is and whatever the path contains."""
+    return shlex.quote(f"{key}={Path(path).absolute()}")
+
+
+def _obeyed(character: str) -> bool:
+    return unicodedata.category(character) in CONTROL or ord(character) in TURNING
+
+
+def _escaped(character: str) -> str:
+    number = ord(character)
+    return f"\\x{number:02x}" if number < 0x100 else f"\\u{number:04x}"

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
-from warpvox.cli.say import say
+from warpvox.cli.say import cell, say
 from warpvox.errors import ConfigError, did_you_mean, listing
 
 __all__ = ["run"]
@@ -94,9 +94,7 @@ def _print_all(console: Console) -> None:
         task = get_task(name)
         fixed, per_point = (sum(term.about.size(dict(term.params), n) for term in task.observations) for n in (0, 1))
         observes = f"{fixed} + {per_point - fixed} n"
-        table.add_row(
-            task.id, task.difficulty, str(task.max_episode_steps), observes, task.section, escape(task.summary)
-        )
+        table.add_row(task.id, task.difficulty, str(task.max_episode_steps), observes, task.section, cell(task.summary))
     console.print(table)
     say(console, "steps: the longest episode; observes: numbers in an observation of a robot of n points")
     say(console, "`warpvox tasks ID` shows one in detail.")
@@ -143,7 +141,8 @@ def _print_task(name: str, keys: dict[str, Any], console: Console) -> None:
     world = task_world(task, load_design(keys["design"]))
     scene, _ = scene_of_world(world)
     points = {obj.name: obj.num_points for obj in scene.objects}
-    console.print(f"[bold]{task.id}[/bold] ({task.difficulty}, paper section {task.section}, rules={keys['rules']})")
+    heading = cell(f" ({task.difficulty}, paper section {task.section}, rules={keys['rules']})")
+    console.print(Text.assemble(cell(task.id, "bold"), heading))
     say(console, f"{task.summary}\n")
     say(console, f"episode  {task.max_episode_steps} control steps at most")
     for number, line in enumerate(_rewards(task)):
@@ -184,11 +183,12 @@ def _print_observation(task: Any, design: str, points: dict[str, int], console: 
 
     robots = ", ".join(f"{points[name]} points of {name}" for name in task.robots)
     rows = list(_layout(task, points))
-    table = Table(title=f"observation: {rows[-1].place.stop} numbers ({robots}, design={design})", title_justify="left")
+    title = cell(f"observation: {rows[-1].place.stop} numbers ({robots}, design={design})")
+    table = Table(title=title, title_justify="left")
     for heading in ("entries", "what", "unit", "values"):
         table.add_column(heading, justify="right" if heading == "entries" else "left", overflow="fold")
     for row in rows:
-        table.add_row(f"{row.place.start}:{row.place.stop}", escape(row.formula), row.unit, row.values)
+        table.add_row(f"{row.place.start}:{row.place.stop}", cell(row.formula), cell(row.unit), row.values)
     console.print()
     console.print(table)
     used = {row.unit for row in rows}

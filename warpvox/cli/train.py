@@ -28,7 +28,7 @@ from warpvox.cli.runs import (
     new_folder,
     write_summary,
 )
-from warpvox.cli.say import say
+from warpvox.cli.say import cell, say, typed
 from warpvox.configs.schema import TrainConfig
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.files import check_writable
@@ -84,7 +84,7 @@ def run(words: list[str]) -> None:
     console = Console()
     for number, job in enumerate(jobs):
         if len(jobs) > 1:
-            console.rule(f"run {number + 1} of {len(jobs)}: {' '.join(runs[number])}")
+            console.rule(cell(f"run {number + 1} of {len(jobs)}: {' '.join(runs[number])}"))
         train(job, console)
 
 
@@ -137,7 +137,6 @@ def _job(overrides: list[str], config_dir: Path | None) -> Job:
 def _check_readable(source: Run, checkpoint: Path) -> None:
     """Raise RunError, with the newest checkpoint that will do instead, if one is damaged."""
     from warpvox.algos.checkpoint import load_checkpoint
-    from warpvox.cli.build import shown
 
     try:
         load_checkpoint(checkpoint)
@@ -147,7 +146,7 @@ def _check_readable(source: Run, checkpoint: Path) -> None:
             if other != checkpoint and _is_readable(other):
                 raise RunError(
                     f"{str(error).rstrip('.')}. The newest checkpoint that can be read is that of iteration {number};"
-                    f" go on from there, with new episodes: warpvox train resume={shown(other)}"
+                    f" go on from there, with new episodes: warpvox train {typed('resume', other)}"
                 ) from None
         raise RunError(f"{str(error).rstrip('.')}, and there is no other checkpoint: start the run again.") from None
 
@@ -297,7 +296,6 @@ def _learn(runner: Any, console: Console, folder: Path, command: str) -> None:
 
 def _conclude(console: Console, runner: Any, summary: dict[str, Any], seconds: float, folder: Path) -> None:
     """Say how the run has ended and what one can do next."""
-    from warpvox.cli.build import shown
 
     command, status, best = summary["command"], summary["status"], summary["best_return"]
     done, saved = runner.current_learning_iteration, runner.saved_iteration
@@ -309,6 +307,6 @@ def _conclude(console: Console, runner: Any, summary: dict[str, Any], seconds: f
         text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
     say(console, text)
     if status == "done" and command == "train":
-        say(console, f"look at it: warpvox play run={shown(folder)} export=[gif,html]")
+        say(console, f"look at it: warpvox play {typed('run', folder)} 'export=[gif,html]'")
     if status != "done" and (folder / STATE).is_file():
-        say(console, f"go on: warpvox train resume={shown(folder)}")
+        say(console, f"go on: warpvox train {typed('resume', folder)}")

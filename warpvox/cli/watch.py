@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from warpvox.cli.say import plain
 from warpvox.errors import DisplayError
 from warpvox.window import Window, why_no_window
 
@@ -48,7 +49,7 @@ def watch(
     from warpvox.rollout import FRAME_SECONDS
 
     film = Film(rollout, envs, size)
-    window = make_window(size, f"{rollout.title} - warpvox")
+    window = make_window(size, f"{plain(rollout.title)} - warpvox")
     last, shown, count, start = int(rollout.lengths.max()), -1, 0, clock()
     while not window.closed:
         passed = clock() - start
