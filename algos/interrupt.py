@@ -8,17 +8,30 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
-__all__ = ["Interrupt", "Terminated", "deferred_interrupts", "terminable"]
+from warpvox.system import HANGUP, stop_signals
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+__all__ = ["Interrupt", "Terminated", "deferred_interrupts", "terminable"]
 
 
 class Terminated(KeyboardInterrupt):
-    """A request to end (SIGTERM, as schedulers of clusters send it before they kill): treated as Ctrl-C is."""
+    """A request to end: treated as Ctrl-C is.
+
+    SIGTERM, as schedulers of clusters send it before they kill; SIGHUP, when the window or connection is closed.
+    ``number`` is the signal's, ``name`` its name.
+    """
+
+    def __init__(self, number: int = signal.SIGTERM) -> None:
+        super().__init__(number)
+        self.number = int(number)
+
+    @property
+    def name(self) -> str:
+        """``SIGTERM``, for instance."""
+        return signal.Signals(self.number).name
 
 
 class Interrupt:
-    """True once Ctrl-C or a request to end has arrived."""
+    """True once Ctrl-C or a request to end has arrived; ``number`` is the signal."""
 
     def __init__(self) -> None:
         self.number: int | None = None
@@ -28,12 +41,15 @@ class Interrupt:
 
     def stop(self) -> NoReturn:
         """Raise KeyboardInterrupt, or Terminated where it was a request to end."""
-        raise Terminated if self.number == signal.SIGTERM else KeyboardInterrupt
+        raise KeyboardInterrupt if self.number in (None, signal.SIGINT) else Terminated(self.number)
 
 
 @contextmanager
 def deferred_interrupts() -> Iterator[Interrupt]:
     """Within the block the first interrupt only sets the flag; the second raises KeyboardInterrupt at once.
+
+    SIGHUP is never the first or second of two: a terminal that closes sends it more than once, from the shell and from
+    the kernel, and nobody is there who could mean by it that things should be left as they are.
 
     Outside the main thread signals do not arrive and the flag stays False. A signal that the parent has asked to
     ignore (SIGINT in the background jobs of a shell script) stays ignored.
@@ -41,12 +57,13 @@ def deferred_interrupts() -> Iterator[Interrupt]:
     interrupt = Interrupt()
 
     def on_signal(number: int, frame: object) -> None:
-        again = bool(interrupt)
-        interrupt.number = number
+        again = HANGUP not in (number, interrupt.number) and bool(interrupt)
+        if interrupt.number in (None, HANGUP) or again:
+            interrupt.number = number
         if again:
             interrupt.stop()
 
-    with _handling(SIGNALS, on_signal):
+    with _handling((signal.SIGINT, *stop_signals()), on_signal):
         yield interrupt
 
 
@@ -55,9 +72,9 @@ def terminable() -> Iterator[None]:
     """Within the block a request to end raises Terminated, so that nothing is left half done; as Ctrl-C does anyway."""
 
     def on_signal(number: int, frame: object) -> None:
-        raise Terminated
+        raise Terminated(number)
 
-    with _handling((signal.SIGTERM,), on_signal):
+    with _handling(stop_signals(), on_signal):
         yield
 
 

@@ -11,10 +11,11 @@ import errno
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from warpvox.errors import RunError, StorageError
+from warpvox.system import flush_to_disk, folder_lock, umask
 
 __all__ = [
     "MARK",
@@ -69,11 +70,11 @@ def atomic_path(path: str | os.PathLike[str], make_folders: bool = True) -> Iter
         try:
             yield temporary
             # mkstemp makes files private (0600); a result file should get the permissions any new file gets.
-            temporary.chmod(0o666 & ~_umask())
+            temporary.chmod(0o666 & ~umask())
             # Without this a power failure may keep the new name and lose what was written under it.
-            _flush(temporary)
+            flush_to_disk(temporary)
             os.replace(temporary, target)
-            _flush(target.parent)
+            flush_to_disk(target.parent)
         except BaseException:
             with suppress(OSError):
                 temporary.unlink()
@@ -137,24 +138,15 @@ def claimed(folder: Path) -> Iterator[None]:
     Raises:
         RunError: another process does.
     """
-    try:
-        import fcntl
-    except ImportError:  # Windows has no such lock on folders
+    with ExitStack() as stack:
+        try:
+            with writing(folder):
+                stack.enter_context(folder_lock(folder))
+        except StorageError as error:
+            if not isinstance(error.__cause__, BlockingIOError):
+                raise
+            raise RunError(f"Another process is writing to {folder}; there can be one at a time.") from None
         yield
-        return
-    with writing(folder):
-        handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        raise RunError(f"Another process is writing to {folder}; there can be one at a time.") from None
-    except OSError:
-        pass  # a network's disk without locks: the claim cannot be made, which is no reason not to work
-    try:
-        yield
-    finally:
-        os.close(handle)
 
 
 def sweep(folder: Path) -> None:
@@ -162,23 +154,3 @@ def sweep(folder: Path) -> None:
     for file in folder.rglob(f"{MARK}*"):
         with suppress(OSError):
             file.unlink()
-
-
-def _flush(path: Path) -> None:
-    """Have the disk hold what was written to a file, or the names in a folder."""
-    if os.name == "nt" and path.is_dir():  # Windows cannot, and need not
-        return
-    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
-    try:
-        os.fsync(handle)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some network disks have no such thing
-            raise
-    finally:
-        os.close(handle)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

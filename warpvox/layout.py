@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +16,7 @@ from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, REAL, allocate, structs
 from warpvox.kernels.step import STAGES
+from warpvox.system import usable_cores
 from warpvox.types import Physics
 from warpvox.world import World
 
@@ -86,7 +86,7 @@ def choose_lanes(index: list[int], lanes: int | None, device: str) -> int:
 
 def choose_threads(threads: int | None) -> int:
     if threads is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return usable_cores()
     if type(threads) is not int or threads < 1:
         raise SimulationError(f"threads must be a whole number >= 1 or None, got {threads!r:.80}.")
     return threads

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from warpvox.errors import DeviceError
+from warpvox.system import available_memory
 
-__all__ = ["enough_memory", "shortage"]
+__all__ = ["enough_memory", "free_memory", "shortage"]
 
 SIGNS = re.compile(
     r"out of memory"  # torch and CUDA
@@ -36,6 +37,17 @@ def shortage(error: BaseException) -> str | None:
         size = int(asked[1]) / 2**30
         return f"{size:.3g} GiB more could not be had{f' on {where[1]}' if where else ''}"
     return ". ".join(part.rstrip(".") for part in SENTENCE.split(text)[:2])[:200] or "memory is used up"
+
+
+def free_memory(device: str) -> int | None:
+    """Bytes that can still be allocated on a device (``cpu``, ``cuda:<index>``); None where nothing tells."""
+    if device == "cpu":
+        return available_memory()
+    import torch
+
+    # what torch has cached and does not use counts as taken by the device, but can be used again
+    cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return int(torch.cuda.mem_get_info(device)[0]) + cached
 
 
 @contextmanager

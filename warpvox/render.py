@@ -18,6 +18,7 @@ from warpvox.errors import RolloutError
 from warpvox.files import atomic_path
 from warpvox.painter import INK, Painter, font
 from warpvox.rollout import FRAME_SECONDS, Rollout
+from warpvox.system import own_group
 from warpvox.types import VOXEL
 
 __all__ = ["Film", "draw_frame", "filmstrip", "write_filmstrip", "write_gif", "write_mp4", "write_png"]
@@ -319,7 +320,7 @@ def _encoder(command: list[str], path: str | os.PathLike[str]) -> Iterator[Calla
     """
     with tempfile.TemporaryFile() as log:
         # Ctrl-C is ours to deal with: the encoder is in a group of its own
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, start_new_session=True)
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, **own_group())
         ended = False
         try:
             yield process.stdin.write

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import sys
 from typing import Any
 
 import numpy as np
 
 from warpvox.errors import DisplayError
+from warpvox.system import has_display
 
 __all__ = ["OTHERWISE", "Window", "why_no_window"]
 
@@ -37,8 +37,7 @@ def why_no_window() -> str | None:
         import tkinter  # noqa: F401
     except ImportError:
         return "this Python has no tkinter (on Debian and Ubuntu: the package python3-tk)"
-    draws_on_x11 = sys.platform not in ("win32", "darwin", "cygwin")
-    if draws_on_x11 and not os.environ.get("DISPLAY"):
+    if not has_display("DISPLAY"):
         return "there is no display (DISPLAY is not set)"
     return None
 

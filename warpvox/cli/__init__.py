@@ -4,19 +4,19 @@ Each command lives in a module of its own with a function ``run``, imported when
 and mistakes are answered at once. This package is the only place that imports Hydra.
 
 Exit codes: 0 done, 2 bad usage, bad input or a machine that will not (one line on stderr), 130 interrupted by Ctrl-C,
-143 asked to end (SIGTERM).
+143 asked to end (SIGTERM), 129 its terminal was closed (SIGHUP).
 """
 
 from __future__ import annotations
 
 import errno
-import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 
 import warpvox
 from warpvox.algos.interrupt import Terminated, terminable
+from warpvox.cli.streams import lasting_output, redirect
 from warpvox.errors import ConfigError, WarpvoxError, did_you_mean
 from warpvox.files import complaint
 from warpvox.memory import enough_memory
@@ -35,7 +35,9 @@ COMMANDS = {
     "tasks": "list the tasks, or show one in detail",
     "info": "versions, devices, kernel cache",
 }
-DONE, BAD_INPUT, INTERRUPTED, TERMINATED = 0, 2, 130, 143
+WORKING = ("train", "codesign", "play", "export", "demo", "bench")
+"""Commands that make files: they go on when nobody reads what they print, and say so."""
+DONE, BAD_INPUT, INTERRUPTED, SIGNALLED = 0, 2, 130, 128
 OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of the system that are no defect of ours, wherever they appear: in a log, a cache, a library's own file."""
 
@@ -47,6 +49,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments without the program's name; None: those of the process.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    works = arguments[:1] and arguments[0] in WORKING
+    with lasting_output("warpvox: nobody reads the output any more; going on without it" if works else None):
+        return _run(arguments)
+
+
+def _run(arguments: list[str]) -> int:
+    """Run a command and turn what it raises into an exit code."""
     try:
         with terminable(), enough_memory("Ask for less at once, such as a smaller num_envs."):
             code = _dispatch(arguments)
@@ -54,20 +63,16 @@ def main(argv: Sequence[str] | None = None) -> int:
             return code
     except WarpvoxError as error:
         return _complain(error)
-    except Terminated:
-        print("warpvox: asked to end (SIGTERM)", file=sys.stderr)
-        return TERMINATED
+    except Terminated as request:
+        print(f"warpvox: asked to end ({request.name})", file=sys.stderr)
+        return SIGNALLED + request.number
     except KeyboardInterrupt:
         print("warpvox: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:
-        # The reader (`warpvox tasks | head`) has seen enough.
-        _silence()
-        return DONE
     except OSError as error:
         if error.errno not in OF_DISKS:
             raise
-        _silence()
+        redirect(sys.stdout)
         return _complain(f"{error.filename or 'The output'} cannot be written: {complaint(error)}.")
 
 
@@ -97,11 +102,6 @@ def _help() -> str:
         "  warpvox train task=Walker-v0 design=walker num_envs=512\n"
         "  warpvox play run=latest export=[usd,gif,html]"
     )
-
-
-def _silence() -> None:
-    """Keep Python from writing what is left in its buffers, which cannot be written, and complaining at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(error: WarpvoxError | str) -> int:

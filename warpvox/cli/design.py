@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import webbrowser
 from pathlib import Path
 
@@ -13,6 +11,7 @@ from warpvox.cli.config import expand, load, read_arguments
 from warpvox.cli.say import say
 from warpvox.cli.train import describe
 from warpvox.errors import ConfigError
+from warpvox.system import has_display
 
 __all__ = ["run"]
 
@@ -45,5 +44,4 @@ def run(words: list[str]) -> None:
 
 def _has_display() -> bool:
     """Whether a browser would appear on a screen; on others a text browser might take over the terminal."""
-    windowed = sys.platform in ("win32", "darwin")
-    return windowed or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return has_display("DISPLAY", "WAYLAND_DISPLAY")

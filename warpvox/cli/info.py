@@ -15,8 +15,9 @@ import warpvox
 from warpvox.cli.say import cell
 from warpvox.errors import ConfigError
 from warpvox.startup import start_warp
+from warpvox.system import processor_name, usable_cores
 
-__all__ = ["cpu_name", "run"]
+__all__ = ["run"]
 
 PACKAGES = ("warp-lang", "torch", "rsl-rl-lib", "numpy", "gymnasium", "hydra-core", "usd-core")
 
@@ -56,8 +57,7 @@ def _devices() -> list[tuple[str, str]]:
     import warp as wp
 
     start_warp()
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    rows = [("cpu", f"{cpu_name()}, {usable} of {os.cpu_count()} cores usable")]
+    rows = [("cpu", f"{processor_name()}, {usable_cores()} of {os.cpu_count()} cores usable")]
     if torch.cuda.is_available() and wp.is_cuda_available():
         for index in range(torch.cuda.device_count()):
             properties = torch.cuda.get_device_properties(index)
@@ -65,17 +65,6 @@ def _devices() -> list[tuple[str, str]]:
     else:
         rows.append(("cuda", "none"))
     return rows
-
-
-def cpu_name() -> str:
-    """What the processor calls itself."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
 
 
 def _cache() -> list[tuple[str, str]]:

@@ -24,7 +24,7 @@ SAME_ROWS = 5
 def print_world(world: World, console: Console) -> None:
     """Print a world; one that is wider than the console in pieces below each other."""
     cells = world.grid()
-    colour = console.is_terminal and console.color_system is not None
+    colour = console.is_terminal and console.color_system is not None and not console.options.ascii_only
     fold = max(console.width - 1, 10)
     kinds = [Cell(kind) for kind in np.unique(cells) if kind]
     say(console, f"world: {world.width} x {world.height} cells")

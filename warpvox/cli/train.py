@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
@@ -33,6 +32,7 @@ from warpvox.configs.schema import TrainConfig
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.files import check_writable
 from warpvox.memory import enough_memory
+from warpvox.system import usable_cores
 
 if TYPE_CHECKING:
     from warpvox.algos.distributed import Team
@@ -233,7 +233,7 @@ def share(config: TrainConfig, team: Team) -> TrainConfig:
         return config
     if config.num_envs % team.size:
         raise ConfigError(f"num_envs={config.num_envs} cannot be shared out evenly to {team.size} processes.")
-    threads = config.threads or max(1, (os.cpu_count() or 1) // team.local_size)
+    threads = config.threads or max(1, usable_cores() // team.local_size)
     return dataclasses.replace(config, num_envs=config.num_envs // team.size, device=team.device, threads=threads)
 
 

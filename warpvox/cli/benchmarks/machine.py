@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 from typing import Any
 
@@ -10,21 +9,17 @@ import torch
 import warp as wp
 
 from warpvox import __version__
-from warpvox.cli.info import cpu_name
+from warpvox.memory import free_memory
+from warpvox.system import processor_name, usable_cores
 
-__all__ = ["available_memory", "core_count", "machine", "machine_line"]
-
-
-def core_count() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+__all__ = ["available_memory", "machine", "machine_line"]
 
 
 def machine(device: str) -> dict[str, Any]:
     """Processor, device and versions."""
     facts: dict[str, Any] = {
-        "cpu": cpu_name(),
-        "cores": core_count(),
+        "cpu": processor_name(),
+        "cores": usable_cores(),
         "system": platform.platform(),
         "python": platform.python_version(),
         "torch": torch.__version__,
@@ -48,9 +43,5 @@ def machine_line(facts: dict[str, Any]) -> str:
 
 def available_memory(device: str) -> float:
     """Bytes that can still be had on the device; infinite where the system does not tell."""
-    if device != "cpu":
-        return float(torch.cuda.mem_get_info(device)[0])
-    try:
-        return float(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    except (AttributeError, ValueError, OSError):
-        return float("inf")
+    free = free_memory(device)
+    return float("inf") if free is None else float(free)

@@ -15,6 +15,7 @@ from typing import Any
 
 from warpvox.cli.say import say
 from warpvox.errors import ConfigError
+from warpvox.system import python_of
 
 __all__ = ["Reference", "find_python310", "make_reference", "open_reference", "reference_folder"]
 
@@ -38,7 +39,7 @@ def open_reference(config: Any, report: Any, needed: bool = True) -> AbstractCon
         with report.status(f"making an environment with {PACKAGE}"):
             python = str(make_reference(reference_folder()))
         say(report.console, f"the reference: {python}")
-    made = _interpreter(reference_folder())
+    made = python_of(reference_folder())
     if python is None and made.is_file():
         python = str(made)
     if python is None and not needed:
@@ -58,7 +59,7 @@ def make_reference(folder: Path) -> Path:
     Raises:
         ConfigError: no Python 3.10 (the release has wheels for no newer one), or the installation failed.
     """
-    python = _interpreter(folder)
+    python = python_of(folder)
     if python.is_file() and _runs(python, "import evogym"):
         return python
     base = find_python310()
@@ -96,10 +97,6 @@ def _candidates() -> Iterator[Path]:
     for root in filter(None, roots):
         yield from sorted(Path(root).glob("versions/3.10*/bin/python"))
     yield from sorted(Path.home().glob(".local/share/uv/python/cpython-3.10*/bin/python3.10"))
-
-
-def _interpreter(folder: Path) -> Path:
-    return folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 
 def _runs(python: Path, code: str) -> bool:

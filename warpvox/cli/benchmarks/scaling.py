@@ -9,13 +9,14 @@ import numpy as np
 
 from warpvox.cli.benchmarks.bodies import full_body, one_body
 from warpvox.cli.benchmarks.check import against_reference, against_scalar
-from warpvox.cli.benchmarks.machine import available_memory, core_count
+from warpvox.cli.benchmarks.machine import available_memory
 from warpvox.cli.benchmarks.memory import per_environment
 from warpvox.cli.benchmarks.reference import Reference, open_reference
 from warpvox.cli.benchmarks.report import Report, middle, number
 from warpvox.cli.benchmarks.step import HEADINGS, unit
 from warpvox.cli.benchmarks.subject import Subject, measure
 from warpvox.errors import SimulationError
+from warpvox.system import usable_cores
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["run", "scale_bodies", "scale_envs", "scale_threads"]
@@ -139,7 +140,7 @@ def scale_threads(config: Any, report: Report) -> dict[str, Any]:
     Raises:
         SimulationError: the number of threads changes a result.
     """
-    counts = sorted({1, core_count()})
+    counts = sorted({1, usable_cores()})
     body, rates = one_body(config), {count: [] for count in counts}
     subjects = {}
     with report.status("threads"):

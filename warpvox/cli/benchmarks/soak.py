@@ -7,7 +7,6 @@ which another program on the machine disturbs little.
 
 from __future__ import annotations
 
-import os
 import sqlite3
 import subprocess
 import sys
@@ -24,10 +23,10 @@ from warpvox.algos.checkpoint import read_tensors
 from warpvox.algos.metrics import FILE as METRICS
 from warpvox.cli.benchmarks.report import Report, number
 from warpvox.errors import ConfigError, RunError
+from warpvox.system import knows_processes, own_group, usage_of
 
 __all__ = ["Sample", "judge", "run", "watch"]
 
-PROC = Path("/proc")
 ENDLESS = 10**5
 """Iterations or evaluations that no hour is long enough for."""
 GRACE = 600.0
@@ -61,7 +60,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     Raises:
         ConfigError: the system does not tell about processes. RunError: the command ended by itself or badly.
     """
-    if not (PROC / "self" / "fd").is_dir():
+    if not knows_processes():
         raise ConfigError("suite=soak reads /proc, which this system does not have; run it on Linux.")
     options = config.soak
     words = [options.command, f"task={config.task}", f"threads={config.threads}", *COMMANDS[options.command]]
@@ -69,7 +68,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     log = report.folder / "output.txt"
     with report.status(f"{options.command} for {options.seconds:,.0f} s"), open(log, "wb") as output:
         command = [sys.executable, "-m", "warpvox", *words]
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, **own_group())
         try:
             samples = watch(process, _progress(report.folder / "runs"), options.seconds, options.interval)
             process.terminate()  # SIGINT is ignored where this process was told to ignore it
@@ -148,12 +147,7 @@ def _rate(part: list[Sample]) -> float | None:
 
 
 def _look(pid: int, seconds: float, steps: int) -> Sample:
-    status = (PROC / str(pid) / "statm").read_text().split()
-    # the name of the program, in brackets, may hold blanks: fields are counted from behind it
-    times = (PROC / str(pid) / "stat").read_text().rpartition(")")[2].split()
-    cpu = (int(times[11]) + int(times[12])) / os.sysconf("SC_CLK_TCK")
-    files = len(os.listdir(PROC / str(pid) / "fd"))
-    return Sample(seconds, cpu, int(status[1]) * os.sysconf("SC_PAGE_SIZE"), files, steps)
+    return Sample(seconds, *usage_of(pid), steps)
 
 
 def _last_line(log: Path) -> str:

@@ -1,0 +1,316 @@
+"""Everything that depends on the operating system: signals, locks, flushing, memory, processors, processes.
+
+Tests run on Linux. macOS and Windows have an implementation of each function here, written from their documentation and
+not tested on those systems; a library that a system lacks (``fcntl``, ``resource``) is imported only where it is used,
+and no other module of warpvox asks which system it runs on.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import platform
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+__all__ = [
+    "HANGUP",
+    "ProcessUsage",
+    "available_memory",
+    "flush_to_disk",
+    "folder_lock",
+    "has_display",
+    "knows_processes",
+    "own_group",
+    "processor_name",
+    "python_of",
+    "stop_signals",
+    "umask",
+    "usable_cores",
+    "usage_of",
+]
+
+WINDOWS, MACOS = sys.platform == "win32", sys.platform == "darwin"
+
+# --------------------------------------------------------------------------------------------------------- signals
+
+HANGUP: int | None = getattr(signal, "SIGHUP", None)
+"""Sent when the terminal's window or connection is closed; None on Windows, which has no such signal."""
+
+
+def stop_signals() -> tuple[int, ...]:
+    """The signals that ask a process to end, Ctrl-C aside.
+
+    SIGTERM; where there is one SIGHUP, unless this process was told to ignore it (``nohup``); on Windows SIGBREAK,
+    which closing the console's window, logging off and shutting down send.
+    """
+    found = [signal.SIGTERM]
+    if HANGUP is not None and signal.getsignal(HANGUP) is not signal.SIG_IGN:
+        found.append(HANGUP)
+    if hasattr(signal, "SIGBREAK"):
+        found.append(signal.SIGBREAK)
+    return tuple(found)
+
+
+# ----------------------------------------------------------------------------------------------------------- files
+
+LOCK = ".lock"
+"""The file that is locked in a folder on Windows, which cannot lock folders."""
+
+
+@contextmanager
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder within the block; the system releases it when the process ends.
+
+    Where a lock cannot be had at all (a network disk without locks) the block runs without.
+
+    Raises:
+        BlockingIOError: another process holds it. OSError: the folder cannot be opened.
+    """
+    with _windows_lock(folder) if WINDOWS else _posix_lock(folder):
+        yield
+
+
+@contextmanager
+def _posix_lock(folder: Path) -> Iterator[None]:
+    try:
+        import fcntl
+    except ImportError:  # neither Linux, macOS nor a BSD
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise
+        except OSError:
+            pass  # a network disk without locks
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def _windows_lock(folder: Path) -> Iterator[None]:
+    try:
+        import msvcrt
+    except ImportError:
+        yield
+        return
+    handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT)
+    try:
+        try:
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except OSError as error:
+            if error.errno in (errno.EACCES, errno.EDEADLK):
+                raise BlockingIOError(error.errno, "locked") from error
+        yield
+    finally:
+        os.close(handle)
+        with suppress(OSError):  # another process may have opened it meanwhile
+            os.unlink(folder / LOCK)
+
+
+def flush_to_disk(path: Path) -> None:
+    """Have the disk hold what was written to a file, or the names in a folder.
+
+    Raises:
+        OSError: the disk has failed.
+    """
+    if WINDOWS and path.is_dir():
+        return  # NTFS keeps a journal of names; folders cannot be opened
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some network disks have no such thing
+            raise
+    finally:
+        os.close(handle)
+
+
+def umask() -> int:
+    """The permissions that new files are denied."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def python_of(environment: Path) -> Path:
+    """The interpreter of a virtual environment."""
+    return environment / ("Scripts/python.exe" if WINDOWS else "bin/python")
+
+
+# ------------------------------------------------------------------------------------------- processors, displays
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def processor_name() -> str:
+    """What the processor calls itself."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    if MACOS:
+        name = _output("sysctl", "-n", "machdep.cpu.brand_string").strip()
+        if name:
+            return name
+    return platform.processor() or platform.machine()
+
+
+def has_display(*variables: str) -> bool:
+    """Whether windows can be shown: elsewhere than on Windows and macOS one of these variables must name a display."""
+    return sys.platform in ("win32", "darwin", "cygwin") or any(os.environ.get(name) for name in variables)
+
+
+# ---------------------------------------------------------------------------------------------------------- memory
+
+
+def available_memory() -> int | None:
+    """Bytes that this process can still allocate without swapping; None where the system does not tell.
+
+    On Linux the least of what the machine has available, what is left below the limits of its control groups
+    (containers, jobs of clusters) and below its limit of addresses (``ulimit -v``).
+    """
+    if WINDOWS:
+        return _windows_memory()
+    if MACOS:
+        return _macos_memory(_output("vm_stat"))
+    left = [value for value in (_linux_memory(), _left_of_groups(), _left_of_addresses()) if value is not None]
+    return max(0, min(left)) if left else None
+
+
+def _linux_memory(root: Path = Path("/")) -> int | None:
+    with suppress(OSError):
+        found = re.search(r"^MemAvailable:\s+(\d+) kB", (root / "proc/meminfo").read_text(), re.MULTILINE)
+        if found:
+            return 1024 * int(found[1])
+    with suppress(AttributeError, ValueError, OSError):
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return None
+
+
+def _left_of_groups(root: Path = Path("/")) -> int | None:
+    """What is left below the limits of the control groups that the process is in, of either version."""
+    try:
+        lines = (root / "proc/self/cgroup").read_text().splitlines()
+    except OSError:
+        return None
+    left = []
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if controllers == "":
+            top, names = root / "sys/fs/cgroup", ("memory.max", "memory.current", "inactive_file")
+        elif "memory" in controllers.split(","):
+            top = root / "sys/fs/cgroup/memory"
+            names = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
+        else:
+            continue
+        # inside a container the path is that of the host, and the group itself is mounted at the top
+        place = top / path.strip("/")
+        for folder in {top, place, *(parent for parent in place.parents if top in parent.parents)}:
+            left += _left_of_group(folder, *names)
+    return min(left, default=None)
+
+
+def _left_of_group(folder: Path, limit: str, used: str, cache: str) -> list[int]:
+    try:
+        most, now = ((folder / name).read_text().strip() for name in (limit, used))
+        if not most.isdigit() or int(most) >= 1 << 60:  # "max", or version 1's way to say so
+            return []
+        statistics = (folder / "memory.stat").read_text()
+    except OSError:
+        return []
+    reclaimable = re.search(rf"^{cache} (\d+)$", statistics, re.MULTILINE)
+    return [int(most) - int(now) + (int(reclaimable[1]) if reclaimable else 0)]
+
+
+def _left_of_addresses() -> int | None:
+    try:
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if limit == resource.RLIM_INFINITY:
+            return None
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except (ImportError, OSError, ValueError):
+        return None
+    return limit - pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def _macos_memory(text: str) -> int | None:
+    """What ``vm_stat`` prints as bytes that are free or can be freed at once."""
+    size = re.search(r"page size of (\d+) bytes", text)
+    pages = dict(re.findall(r"^Pages (free|inactive|speculative|purgeable):\s+(\d+)\.", text, re.MULTILINE))
+    return int(size[1]) * sum(map(int, pages.values())) if size and "free" in pages else None
+
+
+class _MemoryStatus(ctypes.Structure):
+    """MEMORYSTATUSEX of Windows."""
+
+    _fields_ = [
+        ("length", ctypes.c_uint32),
+        ("load", ctypes.c_uint32),
+        *((name, ctypes.c_uint64) for name in ("total", "available", "total_page", "available_page")),
+        *((name, ctypes.c_uint64) for name in ("total_virtual", "available_virtual", "available_extended")),
+    ]
+
+
+def _windows_memory() -> int | None:
+    try:
+        kernel = ctypes.windll.kernel32
+    except AttributeError:
+        return None
+    status = _MemoryStatus(length=ctypes.sizeof(_MemoryStatus))
+    return int(status.available) if kernel.GlobalMemoryStatusEx(ctypes.byref(status)) else None
+
+
+# ------------------------------------------------------------------------------------------------------- processes
+
+
+def own_group() -> dict[str, Any]:
+    """Arguments of ``subprocess.Popen`` for a process that Ctrl-C in the terminal does not reach."""
+    return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if WINDOWS else {"start_new_session": True}
+
+
+class ProcessUsage(NamedTuple):
+    """What a process has used: CPU seconds, bytes in memory, open files."""
+
+    cpu: float
+    memory: int
+    files: int
+
+
+def knows_processes() -> bool:
+    """Whether :func:`usage_of` works here: it reads ``/proc``, which Linux has."""
+    return Path("/proc/self/fd").is_dir()
+
+
+def usage_of(pid: int) -> ProcessUsage:
+    """What a running process has used; see :func:`knows_processes`."""
+    place = Path("/proc") / str(pid)
+    # the name of the program, in brackets, may hold blanks: fields are counted from behind it
+    times = (place / "stat").read_text().rpartition(")")[2].split()
+    cpu = (int(times[11]) + int(times[12])) / os.sysconf("SC_CLK_TCK")
+    memory = int((place / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return ProcessUsage(cpu, memory, len(os.listdir(place / "fd")))
+
+
+def _output(*words: str) -> str:
+    """What a program of the system prints; nothing where there is no such program."""
+    try:
+        return subprocess.run(words, capture_output=True, text=True, timeout=5).stdout
+    except (OSError, subprocess.SubprocessError):
+        return ""
