@@ -79,7 +79,7 @@ audit: $(UV)
 lock: $(UV)
 	$(COMPILE) $(if $(UPGRADE),--upgrade) --all-extras -o constraints.txt
 	$(HASHED) -o locks/run.txt
-	$(HASHED) --extra dev --extra view --extra search --extra ray --extra analysis -o locks/test.txt
+	$(HASHED) --extra dev --extra view --extra search --extra ray --extra analysis --extra export --extra sb3 -o locks/test.txt
 	$(HASHED) --extra docs -o locks/docs.txt
 	$(HASHED) --all-extras -o locks/all.txt
 

@@ -34,6 +34,7 @@ __all__ = [
 
 ACTIVATIONS = ("tanh", "elu", "relu", "selu", "gelu", "swish")
 EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
+POLICY_EXPORTS = ("onnx", "jit")
 AGENTS = ("random", "sine", "zero")
 SHOW = ("auto", "on", "off")
 OBSERVATIONS = ("task", "voxel")
@@ -304,7 +305,9 @@ class ExportConfig(_RolloutConfig):
 
     rollout: str | None = key(None, "a rollout.npz to export as it is; null: record an episode of the run", path="read")
     num_envs: int = key(1, "environments; a multiple of the run's number of designs", low=1)
-    format: Any = key("usd", "usd, gif, mp4, html, png, strip, or a list of them: [usd,gif]")
+    format: Any = key(
+        "usd", "usd, gif, mp4, html, png, strip; of the policy itself onnx, jit; or a list of them: [usd,gif]"
+    )
 
 
 SUITES = {

@@ -47,7 +47,7 @@ LAYERS = (
     ("warpvox.envs",),
     ("warpvox.evogym",),
     ("warpvox.algos", "warpvox.configs", "warpvox.editor"),
-    ("warpvox.cli", "warpvox.__main__"),
+    ("warpvox.cli", "warpvox.api", "warpvox.__main__"),
 )
 CORE = (
     "warpvox.errors",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from warpvox.discovery import announce as _announce
 
 if TYPE_CHECKING:
+    from warpvox.api import TrainedRun, load_policy, train
     from warpvox.design import (
         check_design,
         example_design,
@@ -48,6 +49,7 @@ __version__ = "0.1.0"
 
 # module -> public names that live there; one canonical place per name
 _PLACES = {
+    "warpvox.api": ("TrainedRun", "load_policy", "train"),
     "warpvox.design": (
         "check_design",
         "example_design",
@@ -97,6 +99,7 @@ __all__ = [
     "SimulationError",
     "StorageError",
     "TaskError",
+    "TrainedRun",
     "WarpvoxError",
     "World",
     "WorldError",
@@ -106,11 +109,13 @@ __all__ = [
     "example_design",
     "example_designs",
     "load_design",
+    "load_policy",
     "make_vec",
     "record",
     "sample_design",
     "save_design",
     "task_ids",
+    "train",
 ]
 
 # In a checkout the folders kernels/, envs/, algos/ and configs/ lie beside this one. Installed packages map

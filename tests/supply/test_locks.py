@@ -16,7 +16,12 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-EXTRAS = {"run": set(), "test": {"dev", "view", "search", "ray", "analysis"}, "docs": {"docs"}, "all": {"*"}}
+EXTRAS = {
+    "run": set(),
+    "test": {"dev", "view", "search", "ray", "analysis", "export", "sb3"},
+    "docs": {"docs"},
+    "all": {"*"},
+}
 """The locks and the extras that each is for."""
 PYTHONS = ("3.10.13", "3.11.0", "3.11.7", "3.12.1", "3.13.0")
 PLATFORMS = {"linux": "Linux", "darwin": "Darwin", "win32": "Windows"}

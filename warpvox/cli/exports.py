@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,19 +35,19 @@ TILES = 16
 """Environments that a picture shows at most."""
 
 
-def check_formats(formats: Any, key: str) -> list[str]:
-    """The formats as a list, each once.
+def check_formats(formats: Any, key: str, valid: Sequence[str] = EXPORTS) -> list[str]:
+    """The formats as a list, each once; ``valid``: those that there are.
 
     Raises:
         ConfigError: something that cannot be written.
     """
     names = [formats] if isinstance(formats, str) else formats
     if not isinstance(names, list) or not names:
-        raise ConfigError(f"{key} must be one of {listing(EXPORTS)} or a list of them, got {formats!r}.")
+        raise ConfigError(f"{key} must be one of {listing(valid)} or a list of them, got {formats!r}.")
     for name in names:
-        if name not in EXPORTS:
-            hint = did_you_mean(name, EXPORTS)
-            raise ConfigError(f"{key} must be one of {listing(EXPORTS)} or a list of them, got {name!r}.{hint}")
+        if name not in valid:
+            hint = did_you_mean(name, valid)
+            raise ConfigError(f"{key} must be one of {listing(valid)} or a list of them, got {name!r}.{hint}")
     return list(dict.fromkeys(names))
 
 

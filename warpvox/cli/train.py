@@ -37,7 +37,7 @@ from warpvox.system import usable_cores
 if TYPE_CHECKING:
     from warpvox.algos.distributed import Team
 
-__all__ = ["Job", "check_unchanged", "describe", "flat", "run", "train"]
+__all__ = ["Job", "check_unchanged", "describe", "flat", "make_job", "run", "train"]
 
 CHANGEABLE = (
     "max_iterations",
@@ -74,7 +74,7 @@ def run(words: list[str]) -> None:
     if describe("train", arguments):
         return
     runs = expand(arguments, "train")
-    jobs = [_job(overrides, arguments.config_dir) for overrides in runs]
+    jobs = [make_job(overrides, arguments.config_dir) for overrides in runs]
     if len(jobs) > 1:
         from warpvox.cli.build import prepare, resolve
 
@@ -109,7 +109,7 @@ def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _job(overrides: list[str], config_dir: Path | None) -> Job:
+def make_job(overrides: list[str], config_dir: Path | None) -> Job:
     """Compose a run; with ``resume`` on top of the configuration of the run that it goes on with.
 
     Raises:
