@@ -16,6 +16,7 @@ from warpvox.algos.inherit import Anatomy, inherit
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.population_training import Networks, PopulationTraining
 from warpvox.configs.schema import TrainingConfig
+from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError
 from warpvox.files import writing
@@ -203,7 +204,7 @@ def describe(arena: Arena, settings: TrainingConfig, seed: int, candidates: Sequ
     """What the outcomes of candidates follow from, as plain values: whether a checkpoint is theirs."""
     irrelevant = {"save_interval", "method"}
     return {
-        "task": arena.task if isinstance(arena.task, str) else arena.task.id,
+        "task": get_task(arena.task).id,
         "arena": repr((arena.rules, arena.physics, arena.dtype, arena.arithmetic, arena.max_episode_steps)),
         "settings": {key: value for key, value in dataclasses.asdict(settings).items() if key not in irrelevant},
         "seed": seed,

@@ -252,6 +252,10 @@ class DemoConfig(TrainConfig):
     export: list[str] = key(["usd", "gif", "html"], "what to write of the rollout", choices=EXPORTS)
 
 
+OWN_TASK = "With a run of a task of your own: where its code is, file.py:NAME, or stored for the copy in the run"
+"""What ``task`` means beside ``run``."""
+
+
 @dataclass
 class _RolloutConfig:
     """What play and export share."""
@@ -283,7 +287,7 @@ class PlayConfig(_RolloutConfig):
     agent: str | None = key(
         None, "instead of a run's policy: uniformly random actions, a sine wave, or zero effort", choices=AGENTS
     )
-    task: str | None = key(None, "with agent: task id; null: Walker-v0", path="read")
+    task: str | None = key(None, f"with agent: task id; null: Walker-v0. {OWN_TASK}", path="read")
     design: Any = key(None, "with agent: body, as for train; null: walker", path="read")
     rules: str | None = key(None, "with agent: evogym or paper; null: evogym", choices=("evogym", "paper"))
     num_envs: int = key(4, "environments; a multiple of the number of designs", low=1)
@@ -304,6 +308,7 @@ class ExportConfig(_RolloutConfig):
     """Keys of ``warpvox export``."""
 
     rollout: str | None = key(None, "a rollout.npz to export as it is; null: record an episode of the run", path="read")
+    task: str | None = key(None, OWN_TASK, path="read")
     num_envs: int = key(1, "environments; a multiple of the run's number of designs", low=1)
     format: Any = key(
         "usd", "usd, gif, mp4, html, png, strip; of the policy itself onnx, jit; or a list of them: [usd,gif]"
@@ -465,6 +470,9 @@ class DesignConfig:
     file: str | None = key(None, "file in the folder to begin with", path="read")
     folder: str = key(
         "designs", "folder that files are opened and saved in; made when something is saved", path="written"
+    )
+    tasks: list[str] = key(
+        [], "tasks of your own to try bodies in, beside the benchmark's: file.py:NAME, module:NAME", path="read"
     )
     port: int = key(0, "of the server on 127.0.0.1; 0: a free one", low=0, high=65535)
     browser: str = key("auto", "open the page in a browser: on, off, or auto, where there is a display", choices=SHOW)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from warpvox.algos.candidate import Search
 from warpvox.algos.search.settings import CustomSettings
+from warpvox.envs.sources import lacks_module, load_code, split
 from warpvox.errors import ConfigError, did_you_mean, listing
 
 __all__ = ["make_custom"]
@@ -23,8 +22,8 @@ def make_custom(settings: CustomSettings, shape: tuple[int, int], seed: int) -> 
     Raises:
         ConfigError: no such file, module or name, or what it makes does not ask, tell and replay.
     """
-    place, _, name = str(settings.make).rpartition(":")
-    module = _load_file(Path(place)) if place.endswith(".py") else _import(place)
+    place, name = split(str(settings.make))
+    module = _load(place)
     maker = getattr(module, name, None)
     if not callable(maker):
         public = [word for word, value in vars(module).items() if callable(value) and not word.startswith("_")]
@@ -39,22 +38,14 @@ def make_custom(settings: CustomSettings, shape: tuple[int, int], seed: int) -> 
     return search
 
 
-def _load_file(path: Path) -> ModuleType:
-    if not path.is_file():
-        raise ConfigError(f"There is no file '{path}' with a search.")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise ConfigError(f"'{path}' is no Python file.")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def _import(name: str) -> ModuleType:
+def _load(place: str) -> ModuleType:
     try:
-        return importlib.import_module(name)
+        return load_code(place).module
+    except FileNotFoundError:
+        if Path(place).expanduser().is_file():
+            raise  # what it lacks is a file of its own
+        raise ConfigError(f"There is no file '{place}' with a search.") from None
     except ModuleNotFoundError as error:
-        # a module that is there but lacks one of its own imports is another mistake than a wrong name
-        if error.name is None or not (name == error.name or name.startswith(f"{error.name}.")):
+        if not lacks_module(place, error):
             raise
-        raise ConfigError(f"There is no module '{name}' with a search.") from None
+        raise ConfigError(f"There is no module '{place}' with a search.") from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import json
 import socket
+import threading
 from urllib.parse import quote
 
 import numpy as np
@@ -177,3 +178,45 @@ def test_it_begins_with_a_file(server: EditorServer) -> None:
         assert '"name":"mine"' in other.page
     with pytest.raises(WarpvoxError, match="no file"):
         EditorServer(server.folder, file="yours")
+
+
+def test_a_request_cannot_name_code(server: EditorServer, tmp_path) -> None:
+    marker = tmp_path / "marker"
+    (tmp_path / "evil.py").write_text(f"from pathlib import Path\nPath({str(marker)!r}).touch()\n")
+    (tmp_path / "designs").mkdir()
+    settings = {"agent": "zero", "seconds": 0.1, "seed": 0}
+    for task in (
+        f"{tmp_path}/evil.py:X",
+        f"{tmp_path}/evil.py:",
+        "this:s",
+        "os:path",
+        3,
+        None,
+        ["Walker-v0"],
+        "walker-v0",
+    ):
+        answer = ask(server, "rollout", document=WALKER, **settings, task=task)
+        assert "Unknown task" in answer["error"] or "must be the id of a task" in answer["error"], task
+    assert not marker.exists()
+
+
+def test_tasks_of_ones_own_are_named_at_the_start(tmp_path) -> None:
+    (tmp_path / "my_own.py").write_text(
+        "from dataclasses import replace\nfrom warpvox.envs.registry import get_task\n"
+        'MINE = replace(get_task("Walker-v0"), id="Mine-v0")\n'
+        'OTHER = replace(get_task("Walker-v0"), id="Other-v0")\n'
+    )
+    name = f"{tmp_path}/my_own.py:MINE"
+    with EditorServer(tmp_path / "designs", tasks=[name]) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
+        thread.start()
+        settings = {"agent": "zero", "seconds": 0.1, "seed": 0}
+        found = ask(server, "rollout", document=WALKER, **settings, task=name)
+        other = ask(server, "rollout", document=WALKER, **settings, task=name.replace("MINE", "OTHER"))
+        server.shutdown()
+        thread.join()
+    assert "Mine-v0" in server.rollouts[found["rollout"]].decode()
+    assert "tasks=[file.py:NAME]" in other["error"]
+    assert name in server.page
+    with pytest.raises(WarpvoxError, match="no file"):
+        EditorServer(tmp_path, tasks=["nowhere.py:MINE"])

@@ -12,6 +12,7 @@ from __future__ import annotations
 import errno
 import sys
 from collections.abc import Sequence
+from contextvars import ContextVar
 from importlib import import_module
 
 import warpvox
@@ -21,7 +22,10 @@ from warpvox.errors import ConfigError, WarpvoxError, did_you_mean
 from warpvox.files import complaint
 from warpvox.memory import enough_memory
 
-__all__ = ["COMMANDS", "main"]
+__all__ = ["COMMANDS", "invocation", "main"]
+
+invocation: ContextVar[tuple[str, ...]] = ContextVar("invocation", default=())
+"""The command line without the program's name, for advice that can be pasted."""
 
 COMMANDS = {
     "train": "train a controller for a body on a task",
@@ -49,6 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments without the program's name; None: those of the process.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    invocation.set(tuple(arguments))
     works = arguments[:1] and arguments[0] in WORKING
     with lasting_output("warpvox: nobody reads the output any more; going on without it" if works else None):
         return _run(arguments)

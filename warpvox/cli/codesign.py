@@ -7,7 +7,7 @@ import functools
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,10 +20,12 @@ from warpvox.algos.archive_files import export
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search import make_search, settings_from
 from warpvox.cli.config import expand, load, load_values, read_arguments, to_yaml
+from warpvox.cli.consent import STORED, again, as_stored, keep_code
 from warpvox.cli.runs import CONFIG, SUMMARY, check_name, find_codesign, going_on, new_folder
 from warpvox.cli.say import cell, say, typed
 from warpvox.cli.train import check_unchanged, describe
 from warpvox.configs.schema import CodesignConfig
+from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.files import check_writable
 from warpvox.layout import lanes_for
@@ -57,10 +59,11 @@ But for rounding: another device, or other ``torch_threads`` with ``training.met
 
 @dataclass
 class Job:
-    """One search to be made; ``folder`` of the one that it goes on with."""
+    """One search to be made; of the one that it goes on with ``folder`` and configuration."""
 
     config: CodesignConfig
     folder: Path | None = None
+    stored: dict[str, Any] = field(default_factory=dict)
 
 
 def run(words: list[str]) -> None:
@@ -96,9 +99,9 @@ def _job(config: CodesignConfig, overrides: list[str], config_dir: Path | None) 
         return Job(config)
     source = find_codesign(config.resume, config.output_dir)
     check_writable(source.folder)
-    config = load("codesign", overrides, config_dir, base=source.config)
-    check_unchanged(source.config, config, CHANGEABLE)
-    return Job(dataclasses.replace(config, resume=None), source.folder)
+    config = load("codesign", overrides, config_dir, base=source.config, home=source.folder)
+    check_unchanged(source.config, as_stored(config, source.config), CHANGEABLE)
+    return Job(dataclasses.replace(config, resume=None), source.folder, source.config)
 
 
 def check(config: CodesignConfig) -> None:
@@ -159,10 +162,12 @@ def codesign(job: Job, console: Console) -> Path:
         prepare(config.torch_threads, config.seed)
         executor = make_executor(config)
         config = dataclasses.replace(config, batch=_batch(config, executor))
+        written = as_stored(config, job.stored)
     try:
-        with _folder(job, config) as folder, _archive(folder, config) as archive:
+        with _folder(job, written) as folder, _archive(folder, written) as archive:
+            keep_code(config, folder, console)
             settings = settings_from(config.search)
-            results = Results(folder, archive, config)
+            results = Results(folder, archive, written)
             watch = Watch(results, settings.max_evaluations, console)
             loop = Loop(
                 make_search(settings, tuple(config.shape), config.seed),
@@ -172,7 +177,7 @@ def codesign(job: Job, console: Console) -> Path:
                 policies=Policies(
                     folder,
                     config.training.ppo,
-                    functools.partial(design_config, config),
+                    functools.partial(design_config, written),
                     side_by_side=config.training.method == "population",
                 ),
                 checkpoints=folder / "training",
@@ -196,16 +201,16 @@ def _search(loop: Any, watch: Any, config: CodesignConfig, console: Console) -> 
         with watch:
             loop.run()
     except KeyboardInterrupt:
-        conclude(console, watch.results.write("interrupted"), watch.results.folder)
+        conclude(console, watch.results.write("interrupted"), watch.results.folder, config)
         raise
     except BaseException:
         # a search that has failed may have failed because nothing can be written; that is what should be told
         with suppress(StorageError, RunError):
-            conclude(console, watch.results.write("failed"), watch.results.folder)
+            conclude(console, watch.results.write("failed"), watch.results.folder, config)
         raise
     summary = watch.results.write("done")
     write_exports(watch.archive, watch.results.folder, config.export, console)
-    conclude(console, summary, watch.results.folder)
+    conclude(console, summary, watch.results.folder, config)
 
 
 @contextmanager
@@ -355,7 +360,7 @@ def write_again(config: CodesignConfig, console: Console) -> None:
         write_exports(archive, source.folder, config.export, console)
 
 
-def conclude(console: Console, summary: dict[str, Any], folder: Path) -> None:
+def conclude(console: Console, summary: dict[str, Any], folder: Path, config: CodesignConfig) -> None:
     """Say how the search has ended and what one can do next."""
     from warpvox.algos.report import FILE as REPORT
 
@@ -366,6 +371,7 @@ def conclude(console: Console, summary: dict[str, Any], folder: Path) -> None:
     say(console, text)
     if summary["best_design"] is not None:
         say(console, f"report: {(folder / REPORT).resolve().as_uri()}")
-        say(console, f"look at the best: warpvox play {typed('run', folder)}")
+        task = f" task={STORED}" if is_code(config.task) else ""
+        say(console, f"look at the best: warpvox play {typed('run', folder)}{task}")
     if summary["status"] != "done":
-        say(console, f"go on: warpvox codesign {typed('resume', folder)}")
+        say(console, f"go on: warpvox codesign {typed('resume', folder)}{again(config)}")

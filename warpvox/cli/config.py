@@ -17,6 +17,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from warpvox.cli.consent import allow_code
 from warpvox.cli.help import flat_keys
 from warpvox.cli.rerun import read_config_file
 from warpvox.cli.words import as_list, parse, quoted, readable
@@ -104,21 +105,30 @@ def expand(arguments: Arguments, command: str) -> list[list[str]]:
     return runs
 
 
-def load(command: str, overrides: list[str], config_dir: Path | None = None, base: dict | None = None) -> Any:
+def load(
+    command: str,
+    overrides: list[str],
+    config_dir: Path | None = None,
+    base: dict | None = None,
+    home: Path | None = None,
+) -> Any:
     """Compose, check and return the dataclass of a command.
 
     Args:
         overrides: of a single run.
         base: values that lie below the overrides, instead of those of the YAML files.
+        home: the folder whose ``config.yaml`` the base is; code that it names is only let through if the overrides
+            name it again or the user agrees (:func:`warpvox.cli.consent.allow_code`).
 
     Raises:
-        ConfigError: anything wrong with keys, values or YAML files.
+        ConfigError: anything wrong with keys, values or YAML files; code that the user has not named.
     """
     schema = COMMANDS[command]
     parsed = _parse(Arguments(overrides=overrides, config_dir=config_dir), command)
     for override in parsed:
         _check_override(override, schema, config_dir)
     file = next((override.value() for override in parsed if override.key_or_group == "config"), None)
+    stored = base
     _register()
     words = [str(override.input_line) for override in parsed]
     if config_dir:
@@ -131,7 +141,8 @@ def load(command: str, overrides: list[str], config_dir: Path | None = None, bas
         for key in missing:  # what a file of the user's own leaves open
             OmegaConf.update(config, key, OmegaConf.select(defaults, key))
         if file is not None:
-            below = OmegaConf.merge(defaults, read_config_file(file, command))
+            stored = read_config_file(file, command)
+            below = OmegaConf.merge(defaults, stored)
             config = _changed(below, config, parsed, _brought(parsed, defaults, config))
         elif base is not None:
             below = OmegaConf.merge(OmegaConf.structured(schema), base)
@@ -140,11 +151,19 @@ def load(command: str, overrides: list[str], config_dir: Path | None = None, bas
     except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
         raise ConfigError(f"{file}: {_one_line(error)}" if file else _one_line(error)) from None
     check_values(result)
-    return dataclasses.replace(result, config=None) if file else result
+    result = dataclasses.replace(result, config=None) if file else result
+    if file is not None:
+        home = Path(file) if Path(file).is_dir() else Path(file).parent
+    if stored is None:
+        return result
+    named = {override.key_or_group: override.value() for override in parsed}
+    return allow_code(result, stored, named, home or Path.cwd())
 
 
 def load_values(command: str, values: dict[str, Any]) -> Any:
     """The dataclass of a command from the values of a stored ``config.yaml``; unknown ones are left out.
+
+    The code that they name may only be imported after :func:`warpvox.cli.consent.allow_code`.
 
     Raises:
         ConfigError: values of the wrong type or out of range.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -13,6 +14,7 @@ from warpvox.cli.runs import check_name, find_run
 from warpvox.cli.say import say
 from warpvox.cli.train import Job, describe, train
 from warpvox.configs.schema import PlayConfig
+from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError
 from warpvox.files import check_writable
 
@@ -33,13 +35,14 @@ def run(words: list[str]) -> None:
         check_writable(config.output_dir)
         formats = check_formats(config.export, "export") if config.export else []
         folder = train(Job(config), console, "demo")
-        _show(folder, config.output_dir, formats, console)
+        _show(folder, config, formats, console)
 
 
-def _show(folder: Path, output_dir: str, formats: list[str], console: Console) -> None:
+def _show(folder: Path, config: Any, formats: list[str], console: Console) -> None:
     """Record the best policy of a run and write it into the run's folder."""
-    source = find_run(str(folder), output_dir)
-    env, controller = load_run(source, PlayConfig(num_envs=1, device="cpu"))
+    source = find_run(str(folder), config.output_dir)
+    own = config.task if is_code(config.task) else None
+    env, controller = load_run(source, PlayConfig(num_envs=1, device="cpu", task=own))
     with console.status("simulating"):
         rollout = record_run(source, env, controller, None)
     print_returns(rollout, console)

@@ -30,7 +30,7 @@ def run(words: list[str]) -> None:
         from warpvox.editor.server import EditorServer
 
         prepare(1, 0)
-        server = EditorServer(Path(config.folder), config.port, config.file)
+        server = EditorServer(Path(config.folder), config.port, config.file, config.tasks)
     with server:
         say(console, f"design editor: {server.url}")
         say(console, f"files are opened and saved in {server.folder.resolve()}; Ctrl+C ends it")

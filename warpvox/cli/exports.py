@@ -66,16 +66,18 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
     """Environments and policy of a run as play's configuration ``config`` wants them.
 
     Raises:
-        RunError: no checkpoint, or one that does not fit. ConfigError, DeviceError: ``config`` asks too much.
+        RunError: no checkpoint, or one that does not fit. ConfigError, DeviceError: ``config`` asks too much, or the
+            run has a task of somebody's own that the user has not named.
     """
     from warpvox.algos.checkpoint import load_controller
     from warpvox.cli.build import make_env, training_lanes
     from warpvox.cli.config import load_values
+    from warpvox.cli.consent import allow_code
     from warpvox.sim import resolve_device
 
     device = resolve_device(config.device)
     path = run.find_checkpoint(config.checkpoint)
-    trained = load_values("train", run.config)
+    trained = allow_code(load_values("train", run.config), run.config, {"task": config.task}, run.folder)
     changes = {"device": device, "threads": config.threads, "lanes": training_lanes(trained, device)}
     if config.dtype is not None:
         changes |= {"dtype": config.dtype, "arithmetic": None}

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from warpvox import __version__
 from warpvox.cli.config import expand, load, read_arguments, to_yaml
+from warpvox.cli.consent import STORED
 from warpvox.cli.exports import (
     ROLLOUT,
     TILES,
@@ -27,6 +28,7 @@ from warpvox.cli.say import cell, say
 from warpvox.cli.train import describe
 from warpvox.cli.watch import wants_window, watch
 from warpvox.configs.schema import PlayConfig
+from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, listing
 from warpvox.files import check_writable
 
@@ -85,7 +87,8 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
         WarpvoxError: no such run, or one that does not do what ``config`` asks.
     """
     for name in OF_AGENTS:
-        if getattr(config, name, None) is not None:
+        value = getattr(config, name, None)
+        if value is not None and not (name == "task" and (value == STORED or is_code(value))):
             raise ConfigError(f"{name} goes with agent=random|sine|zero; a trained run has its own {name}.")
     source = find_run(config.run, config.output_dir)
     with console.status("loading"):

@@ -6,7 +6,7 @@ import dataclasses
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from rich.console import Console
 from warpvox import __version__
 from warpvox.cli import COMMANDS
 from warpvox.cli.config import expand, load, read_arguments, to_yaml
+from warpvox.cli.consent import again, as_stored, keep_code
 from warpvox.cli.help import command_help
 from warpvox.cli.runs import (
     STATE,
@@ -61,11 +62,12 @@ But for rounding: another device, or other ``torch_threads``, adds up the produc
 
 @dataclass
 class Job:
-    """One run to be made: a configuration, and what it resumes."""
+    """One run to be made: a configuration, and what it resumes, with the configuration that this has."""
 
     config: TrainConfig
     folder: Path | None = None
     checkpoint: Path | None = None
+    stored: dict[str, Any] = field(default_factory=dict)
 
 
 def run(words: list[str]) -> None:
@@ -122,8 +124,9 @@ def make_job(overrides: list[str], config_dir: Path | None) -> Job:
         return Job(config)
     source = find_run(config.resume, config.output_dir, TRAINING, resume=True)
     check_writable(source.folder)
-    config = load("train", overrides, config_dir, base=_known(source.config))
-    check_unchanged(_known(source.config), config, CHANGEABLE)
+    stored = _known(source.config)
+    config = load("train", overrides, config_dir, base=stored, home=source.folder)
+    check_unchanged(stored, as_stored(config, stored), CHANGEABLE)
     checkpoint = source.checkpoint or source.folder / STATE
     if not checkpoint.is_file():
         raise RunError(
@@ -131,7 +134,7 @@ def make_job(overrides: list[str], config_dir: Path | None) -> Job:
             " iteration, start it again."
         )
     _check_readable(source, checkpoint)
-    return Job(dataclasses.replace(config, resume=None), source.folder, checkpoint)
+    return Job(dataclasses.replace(config, resume=None), source.folder, checkpoint, stored)
 
 
 def _check_readable(source: Run, checkpoint: Path) -> None:
@@ -218,8 +221,10 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         runner.folder = folder
         if env.env.dump is not None:
             env.env.dump.folder = folder / ("dumps" if team.leads else f"dumps_{team.rank}")
-        _announce(console, config, runner, folder)
-        _learn(runner, console, folder, command)
+        _announce(console, as_stored(config, job.stored), runner, folder)
+        if team.leads:
+            keep_code(config, folder, console)
+        _learn(runner, console, folder, command, again(config))
     return folder
 
 
@@ -247,7 +252,7 @@ def _folder(job: Job, config: TrainConfig, command: str, team: Team) -> Iterator
             team.leaders(str(folder))
             yield folder
     else:
-        with going_on(job.folder, to_yaml(config)) as folder:
+        with going_on(job.folder, to_yaml(as_stored(config, job.stored))) as folder:
             team.leaders(str(folder))
             yield folder
 
@@ -262,8 +267,8 @@ def _announce(console: Console, config: TrainConfig, runner: Any, folder: Path) 
     say(console, f"{text}\nrun folder: {shown(folder)}")
 
 
-def _learn(runner: Any, console: Console, folder: Path, command: str) -> None:
-    """Learn with a live line, and sum up however it ends."""
+def _learn(runner: Any, console: Console, folder: Path, command: str, keys: str = "") -> None:
+    """Learn with a live line, and sum up however it ends; ``keys`` are those that use the run again."""
     from warpvox.cli.progress import TrainingProgress
 
     began, status = time.perf_counter(), "failed"
@@ -291,10 +296,10 @@ def _learn(runner: Any, console: Console, folder: Path, command: str) -> None:
             # a run that has failed may have failed because nothing can be written; that is what should be told
             with suppress(StorageError) if status == "failed" else nullcontext():
                 write_summary(folder, summary)
-            _conclude(console, runner, summary, seconds, folder)
+            _conclude(console, runner, summary, seconds, folder, keys)
 
 
-def _conclude(console: Console, runner: Any, summary: dict[str, Any], seconds: float, folder: Path) -> None:
+def _conclude(console: Console, runner: Any, summary: dict[str, Any], seconds: float, folder: Path, keys: str) -> None:
     """Say how the run has ended and what one can do next."""
 
     command, status, best = summary["command"], summary["status"], summary["best_return"]
@@ -307,6 +312,6 @@ def _conclude(console: Console, runner: Any, summary: dict[str, Any], seconds: f
         text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
     say(console, text)
     if status == "done" and command == "train":
-        say(console, f"look at it: warpvox play {typed('run', folder)} 'export=[gif,html]'")
+        say(console, f"look at it: warpvox play {typed('run', folder)}{keys} 'export=[gif,html]'")
     if status != "done" and (folder / STATE).is_file():
-        say(console, f"go on: warpvox train {typed('resume', folder)}")
+        say(console, f"go on: warpvox train {typed('resume', folder)}{keys}")

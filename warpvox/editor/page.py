@@ -18,21 +18,21 @@ __all__ = ["editor_page"]
 SCRIPTS = ("drawing.js", "board.js", "editor.js")
 
 
-def editor_page(start: dict[str, Any] | None, folder: Path) -> str:
+def editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) -> str:
     """The page as text.
 
     Args:
         start: a document with a ``name``, to begin with; None: an example.
         folder: where files are opened and saved, to be named on the page.
+        tasks: what a body can be tried in.
     """
     from warpvox.design import example_designs
-    from warpvox.envs.registry import task_ids
 
     setup = {
         "start": start or document_of(example_designs()["walker"]) | {"name": "my_robot"},
         "folder": str(folder),
         "examples": EXAMPLES,
-        "tasks": task_ids(),
+        "tasks": tasks,
         "agents": list(reversed(AGENTS)),
         "limits": {"body": [BODY_SIDE, BODY_SIDE], "world": list(WORLD_SIZE), "seconds": LONGEST},
         "colours": {int(cell): ramp[1] for cell, ramp in RAMPS.items()},

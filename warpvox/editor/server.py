@@ -14,7 +14,7 @@ import re
 import secrets
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -54,20 +54,25 @@ class EditorServer(ThreadingHTTPServer):
         folder: where files are opened and saved.
         port: 0 takes a free one.
         file: name of a file in the folder to begin with.
+        tasks: tasks of the user's own to try bodies in (``file.py:NAME`` or ``module:NAME``), beside the benchmark's.
+            They are imported here; a request cannot name another.
 
     Attributes:
         url: where the editor is to be found, token included.
 
     Raises:
-        DeviceError: the port is taken. WarpvoxError: the file cannot be opened.
+        DeviceError: the port is taken. WarpvoxError: the file cannot be opened, or a task cannot be imported.
     """
 
     daemon_threads = True
 
-    def __init__(self, folder: Path, port: int = 0, file: str | None = None) -> None:
+    def __init__(self, folder: Path, port: int = 0, file: str | None = None, tasks: Sequence[str] = ()) -> None:
+        from warpvox.envs.registry import get_task, task_ids
+
         self.folder, self.token = folder, secrets.token_urlsafe(24)
         start = None if file is None else {"name": Path(file).stem} | self._read(file)
-        self.page = editor_page(start, folder)
+        self.tasks = {name: get_task(name) for name in [*task_ids(), *tasks]}
+        self.page = editor_page(start, folder, list(self.tasks))
         self.rollouts: dict[int, bytes] = {}
         self._count, self._busy = 0, threading.Lock()
         try:
@@ -126,7 +131,8 @@ class EditorServer(ThreadingHTTPServer):
         if not self._busy.acquire(blocking=False):
             raise ConfigError("Another rollout is being simulated: wait for its end.")
         try:
-            rollout = try_out(_document(ask), *(ask.get(key) for key in ("agent", "seconds", "seed", "task")))
+            settings = (ask.get(key) for key in ("agent", "seconds", "seed", "task"))
+            rollout = try_out(_document(ask), *settings, self.tasks)
             title = rollout.title if rollout.metadata["task"] else "world"
             number = self._count = self._count + 1
             kept = [*self.rollouts.items(), (number, page_of(rollout, title=title).encode())]

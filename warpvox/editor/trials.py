@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from warpvox.editor.documents import design_of, world_of
-from warpvox.errors import ConfigError, WorldError, listing
+from warpvox.errors import ConfigError, TaskError, WorldError, did_you_mean, listing
 from warpvox.rollout import AGENTS, FRAME_SECONDS, Rollout, record
+
+if TYPE_CHECKING:
+    from warpvox.envs.spec import TaskSpec
 
 __all__ = ["LONGEST", "MOST_MOVING", "try_out"]
 
@@ -20,7 +23,14 @@ PATIENCE = 60.0
 """Seconds of real time after which a rollout is given up."""
 
 
-def try_out(document: Mapping[str, Any], agent: object, seconds: object, seed: object, task: object) -> Rollout:
+def try_out(
+    document: Mapping[str, Any],
+    agent: object,
+    seconds: object,
+    seed: object,
+    task: object,
+    tasks: Mapping[str, TaskSpec] | None = None,
+) -> Rollout:
     """Record an episode: of a body in a task, or of a world as it stands.
 
     In a world the reward of a step is how far the centre of mass of the first robot has moved to the right, in
@@ -31,7 +41,8 @@ def try_out(document: Mapping[str, Any], agent: object, seconds: object, seed: o
         agent: one of :data:`warpvox.rollout.AGENTS`.
         seconds: of simulated time.
         seed: of the agent.
-        task: id, for a body.
+        task: one of ``tasks``, for a body.
+        tasks: what there is to choose from; None: the benchmark's. A name of code that is not here is not imported.
 
     Raises:
         WarpvoxError: anything that is not valid, or takes too long.
@@ -42,17 +53,24 @@ def try_out(document: Mapping[str, Any], agent: object, seconds: object, seed: o
         raise ConfigError(f"seconds must be a number from {FRAME_SECONDS} to {LONGEST:g}, got {seconds!r:.80}.")
     if type(seed) is not int or not 0 <= seed < 2**31:
         raise ConfigError(f"seed must be a whole number from 0 to {2**31 - 1}, got {seed!r:.80}.")
-    env = _task(document, task, seed) if document.get("kind") == "body" else _world(document, seed)
+    env = _task(document, task, tasks, seed) if document.get("kind") == "body" else _world(document, seed)
     return record(_Hurried(env, time.monotonic() + PATIENCE), agent, round(seconds / FRAME_SECONDS))
 
 
-def _task(document: Mapping[str, Any], task: object, seed: int) -> Any:
-    from warpvox.envs.registry import get_task
+def _task(document: Mapping[str, Any], task: object, tasks: Mapping[str, TaskSpec] | None, seed: int) -> Any:
+    from warpvox.envs.registry import get_task, task_ids
     from warpvox.envs.vec_env import make_vec
 
+    tasks = {name: get_task(name) for name in task_ids()} if tasks is None else tasks
     if not isinstance(task, str):
         raise ConfigError(f"task must be the id of a task, got {task!r:.80}.")
-    return make_vec(get_task(task), [design_of(document)], 1, device="cpu", seed=seed, auto_reset=False, threads=1)
+    if task not in tasks:
+        hint = did_you_mean(task, tasks)
+        raise TaskError(
+            f"Unknown task {task!r:.80}.{hint} Tasks of your own are named when the editor is started:"
+            " warpvox design tasks=[file.py:NAME]."
+        )
+    return make_vec(tasks[task], [design_of(document)], 1, device="cpu", seed=seed, auto_reset=False, threads=1)
 
 
 def _world(document: Mapping[str, Any], seed: int) -> OpenWorld:
