@@ -249,7 +249,7 @@ def test_a_design_of_a_search_on_a_custom_task(warpvox: Callable, own_task: str)
     assert outcome.code == 0, outcome.err
     (folder,) = Path("outputs/codesign/Mine-v0").iterdir()
     shutil.rmtree("mine")
-    assert f"warpvox play run={folder} task=stored" in outcome.out
+    assert f"warpvox play run={folder.absolute()} task=stored" in outcome.out
     for run in (folder, next((folder / "designs").iterdir())):
         assert warpvox("play", f"run={run}", *PLAY).code == 2
         played = warpvox("play", f"run={run}", "task=stored", *PLAY)
