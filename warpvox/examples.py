@@ -5,7 +5,7 @@ All are our own. Each is a starting point for one kind of task, not the best bod
 
 from __future__ import annotations
 
-__all__ = ["EXAMPLES"]
+__all__ = ["EXAMPLES", "MADE_FOR"]
 
 EXAMPLES: dict[str, tuple[tuple[int, ...], ...]] = {
     # a bounding quadruped: two muscle bands over two legs
@@ -53,6 +53,14 @@ EXAMPLES: dict[str, tuple[tuple[int, ...], ...]] = {
         (2, 3, 3, 2, 3, 3, 2),
         (4, 3, 3, 4, 3, 3, 4),
     ),
+    # a crane on four columns: the legs sink, the inner columns reach into the hole and hold the box between their tips
+    "lifter": (
+        (1, 1, 1, 1, 1, 1, 1),
+        (4, 0, 4, 0, 4, 0, 4),
+        (4, 0, 4, 0, 4, 0, 4),
+        (4, 0, 4, 0, 4, 0, 4),
+        (4, 0, 3, 0, 3, 0, 4),
+    ),
     # the smallest body with two legs
     "mini": (
         (3, 3, 3),
@@ -60,3 +68,14 @@ EXAMPLES: dict[str, tuple[tuple[int, ...], ...]] = {
         (4, 0, 4),
     ),
 }
+
+MADE_FOR: dict[str, tuple[str, ...]] = {
+    "walker": ("Walker-v0", "BridgeWalker-v0", "BidirectionalWalker-v0"),
+    "climber": ("Climber-v0", "Climber-v1", "Climber-v2"),
+    "carrier": ("Carrier-v0", "Carrier-v1"),
+    "stepper": ("UpStepper-v0", "DownStepper-v0"),
+    "hopper": ("Jumper-v0",),
+    "worm": ("CaveCrawler-v0",),
+    "lifter": ("Lifter-v0",),
+}
+"""Tasks that an example is a starting point for; "mini" is for none in particular."""

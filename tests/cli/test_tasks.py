@@ -72,6 +72,13 @@ def test_formulas_hold_the_numbers_of_the_task(warpvox: Callable) -> None:
     assert "rules=paper changes: observations" in detail
 
 
+def test_a_task_names_the_examples_that_fit_it(warpvox: Callable) -> None:
+    assert "examples that fit: lifter (made for it), walker" in warpvox("tasks", "Lifter-v0").out
+    line = next(line for line in warpvox("tasks", "Climber-v0").out.splitlines() if line.startswith("designs"))
+    assert "climber (made for it)" in line
+    assert "lifter" not in line  # wider than the shaft
+
+
 def test_tasks_of_ones_own_are_shown(warpvox: Callable, tmp_path: Path) -> None:
     text = (
         "from dataclasses import replace\nfrom warpvox.envs.registry import get_task\nfrom warpvox.envs.spec import *\n"

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from warpvox.cli.say import cell, say
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.errors import ConfigError, WorldError, did_you_mean, listing
 
 __all__ = ["run"]
 
@@ -155,11 +155,32 @@ def _print_task(name: str, keys: dict[str, Any], console: Console) -> None:
     if whole.paper:
         other = {"evogym": "rules=paper changes", "paper": "different under rules=evogym"}[keys["rules"]]
         say(console, f"rules    {other}: {listing(key.replace('_', ' ') for key in whole.paper)}")
+    say(console, f"designs  {_designs(task)}")
     _print_observation(task, keys["design"], points, console)
     print_world(world, console)
     if keys["picture"] is not None:
         path = write_world_png(world, keys["picture"])
         say(console, f"\npicture: {path}")
+
+
+def _designs(task: Any) -> str:
+    """The example designs that fit the task's world, those made for it first."""
+    from warpvox.design import example_designs
+    from warpvox.envs.worlds import task_world
+    from warpvox.examples import MADE_FOR
+
+    if task.partners:
+        return f"one each for {listing(task.robots)}"
+    fitting = []
+    for name, body in example_designs().items():
+        try:
+            task_world(task, body)
+        except WorldError:
+            continue
+        fitting.append(name)
+    made = {name for name in fitting if task.id in MADE_FOR.get(name, ())}
+    ordered = sorted(fitting, key=lambda name: name not in made)
+    return f"examples that fit: {listing(f'{name} (made for it)' if name in made else name for name in ordered)}"
 
 
 def _rewards(task: Any) -> Iterator[str]:
