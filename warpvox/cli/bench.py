@@ -13,9 +13,10 @@ from typing import Any
 
 from rich.console import Console
 
-from warpvox.cli.config import expand, load, read_arguments, to_yaml
+from warpvox.cli.config import load, read_arguments, to_yaml
 from warpvox.cli.runs import check_name, new_folder, write_summary
 from warpvox.cli.say import say
+from warpvox.cli.sweep import each, members
 from warpvox.cli.train import describe
 from warpvox.errors import SimulationError, listing
 from warpvox.files import check_writable
@@ -31,8 +32,9 @@ def run(words: list[str]) -> None:
     console = Console()
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = 120  # a pipe has no width of its own
-    for overrides in expand(arguments, "bench"):
-        measure(load("bench", overrides, arguments.config_dir), console)
+    runs = members(arguments, "bench")
+    configs = [load("bench", member.overrides, arguments.config_dir) for member in runs]
+    each("bench", runs, configs, lambda config: measure(config, console), console, configs[0].output_dir)
 
 
 def measure(config: Any, console: Console) -> Path:

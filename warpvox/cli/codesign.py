@@ -19,10 +19,11 @@ from warpvox.algos.archive import Archive
 from warpvox.algos.archive_files import export
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search import make_search, settings_from
-from warpvox.cli.config import expand, load, load_values, read_arguments, to_yaml
+from warpvox.cli.config import load, load_values, read_arguments, to_yaml
 from warpvox.cli.consent import STORED, again, as_stored, keep_code
 from warpvox.cli.runs import CONFIG, SUMMARY, check_name, find_codesign, going_on, new_folder
-from warpvox.cli.say import cell, say, typed
+from warpvox.cli.say import say, typed
+from warpvox.cli.sweep import each, members
 from warpvox.cli.train import check_unchanged, describe
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
@@ -71,20 +72,18 @@ def run(words: list[str]) -> None:
     arguments = read_arguments(words)
     if describe("codesign", arguments):
         return
-    runs = expand(arguments, "codesign")
-    configs = [load("codesign", overrides, arguments.config_dir) for overrides in runs]
+    runs = members(arguments, "codesign")
+    configs = [load("codesign", member.overrides, arguments.config_dir) for member in runs]
     console = Console()
     if any(config.report is not None for config in configs):
         for config in configs:
             write_again(config, console)
         return
-    jobs = [_job(*pair, arguments.config_dir) for pair in zip(configs, runs, strict=True)]
+    pairs = zip(configs, runs, strict=True)
+    jobs = [_job(config, member.overrides, arguments.config_dir) for config, member in pairs]
     for job in jobs:  # a mistake in the last of a hundred runs should not show after a day
         check(job.config)
-    for number, job in enumerate(jobs):
-        if len(jobs) > 1:
-            console.rule(cell(f"run {number + 1} of {len(jobs)}: {' '.join(runs[number])}"))
-        codesign(job, console)
+    each("codesign", runs, jobs, lambda job: codesign(job, console), console, configs[0].output_dir)
 
 
 def _job(config: CodesignConfig, overrides: list[str], config_dir: Path | None) -> Job:

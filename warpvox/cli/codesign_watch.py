@@ -21,6 +21,7 @@ from warpvox.algos.loop import Listener
 from warpvox.algos.report import FILE as REPORT
 from warpvox.algos.report import write_report
 from warpvox.cli.bodies import body_rows
+from warpvox.cli.origin import origin
 from warpvox.cli.runs import SUMMARY, write_summary
 from warpvox.cli.say import say
 from warpvox.sketch import write_bodies
@@ -84,12 +85,14 @@ class Results:
             "task": self.config.task,
             "search": self.config.search.algorithm,
             "status": status,
-            "version": __version__,
+            "seed": self.config.seed,
+            **origin(),
             "evaluations": self.archive.trained(),
             "generations": sum(row["evaluated"] == row["designs"] for row in rows),
             "steps": steps,
             "best_fitness": best[0].fitness if best else None,
             "best_design": best[0].id if best else None,
+            "design": best[0].candidate.body.tolist() if best else None,
             "elapsed_seconds": round(self.elapsed, 3),
             "steps_per_second": round(steps / self.elapsed, 1) if steps else None,
         }

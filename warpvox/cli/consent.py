@@ -189,7 +189,10 @@ def _agreed(what: str, question: str) -> bool:
 
 def _command(home: Path, key: str, value: str) -> str:
     """The command line with the key that it lacks; ``latest`` by its name, as there may be a newer one by then."""
-    given = [re.sub(r"^(run|resume)=latest$", lambda match: f"{match[1]}={home.absolute()}", word) for word in invocation.get()]
+    given = [
+        re.sub(r"^(run|resume)=latest$", lambda match: f"{match[1]}={home.absolute()}", word)
+        for word in invocation.get()
+    ]
     if not given or plain(value) != value:
         return f"{key}={plain(value)}"
     return shlex.join(["warpvox", *given, f"{key}={value}"])

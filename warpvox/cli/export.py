@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from warpvox import __version__
-from warpvox.cli.config import expand, load, read_arguments, to_yaml
+from warpvox.cli.config import load, read_arguments, to_yaml
 from warpvox.cli.exports import check_formats, check_size
+from warpvox.cli.origin import origin
 from warpvox.cli.play import play_run, write_results
-from warpvox.cli.runs import check_name, new_folder, write_summary
+from warpvox.cli.runs import as_name, check_name, new_folder, write_summary
 from warpvox.cli.say import say
+from warpvox.cli.sweep import each, members
 from warpvox.cli.train import describe
 from warpvox.configs.schema import EXPORTS, POLICY_EXPORTS
 from warpvox.errors import ConfigError
@@ -25,21 +25,19 @@ if TYPE_CHECKING:
 
 __all__ = ["run"]
 
-NOT_A_NAME = re.compile(r"[^\w.+-]+")
-SHORT = 100
-"""Characters of a task's name that the name of a folder takes at most."""
-
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox export`` is asked for."""
     arguments = read_arguments(words)
     if describe("export", arguments):
         return
-    for overrides in expand(arguments, "export"):
-        _export(load("export", overrides, arguments.config_dir), Console())
+    console = Console()
+    runs = members(arguments, "export")
+    configs = [load("export", member.overrides, arguments.config_dir) for member in runs]
+    each("export", runs, configs, lambda config: _export(config, console), console, configs[0].output_dir)
 
 
-def _export(config: Any, console: Console) -> None:
+def _export(config: Any, console: Console) -> Path:
     formats = check_formats(config.format, "format", (*EXPORTS, *POLICY_EXPORTS))
     pictures = [name for name in formats if name in EXPORTS]
     programs = [name for name in formats if name in POLICY_EXPORTS]
@@ -53,15 +51,14 @@ def _export(config: Any, console: Console) -> None:
 
         rollout, source = Rollout.load(config.rollout), config.rollout
         config = dataclasses.replace(config, run="")  # the run that is named by default has no part in it
-        write_results(rollout, config, source, "export", pictures, console, keep=False)
-        return
+        return write_results(rollout, config, source, "export", pictures, console, keep=False)
     policy = _load_policy(config, console) if programs else None  # what is wrong with it should show first
     if pictures:
         rollout, source = play_run(config, console)
         folder = write_results(rollout, config, source, "export", pictures, console)
         _write_policy(policy, folder, programs, console)
-    else:
-        _export_policy(policy, config, programs, console)
+        return folder
+    return _export_policy(policy, config, programs, console)
 
 
 def _load_policy(config: Any, console: Console) -> Policy:
@@ -71,14 +68,15 @@ def _load_policy(config: Any, console: Console) -> Policy:
         return load_policy(config.run, checkpoint=config.checkpoint, output_dir=config.output_dir)
 
 
-def _export_policy(policy: Policy, config: Any, formats: list[str], console: Console) -> None:
+def _export_policy(policy: Policy, config: Any, formats: list[str], console: Console) -> Path:
     """A folder with the policy alone."""
     # The task's name comes from a file that somebody else may have written: it must stay a name.
-    place = NOT_A_NAME.sub("_", str(policy.metadata.get("task", ""))[-SHORT:]).strip("._") or "policy"
+    place = as_name(str(policy.metadata.get("task", ""))) or "policy"
     with new_folder(config.output_dir, "export", place, config.name, to_yaml(config)) as folder:
         checks = _write_policy(policy, folder, formats, console)
         summary = {"command": "export", "task": policy.metadata.get("task"), "source": policy.metadata.get("source")}
-        write_summary(folder, summary | {"version": __version__, "checks": checks})
+        write_summary(folder, summary | origin() | {"checks": checks})
+    return folder
 
 
 def _write_policy(policy: Policy | None, folder: Path, formats: list[str], console: Console) -> dict[str, str]:

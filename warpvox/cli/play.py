@@ -10,8 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from warpvox import __version__
-from warpvox.cli.config import expand, load, read_arguments, to_yaml
+from warpvox.cli.config import load, read_arguments, to_yaml
 from warpvox.cli.consent import STORED
 from warpvox.cli.exports import (
     ROLLOUT,
@@ -23,8 +22,10 @@ from warpvox.cli.exports import (
     record_run,
     write_exports,
 )
+from warpvox.cli.origin import origin
 from warpvox.cli.runs import as_name, check_name, find_run, new_folder, write_summary
 from warpvox.cli.say import cell, say
+from warpvox.cli.sweep import each, members
 from warpvox.cli.train import describe
 from warpvox.cli.watch import wants_window, watch
 from warpvox.configs.schema import PlayConfig
@@ -49,8 +50,9 @@ def run(words: list[str]) -> None:
     if describe("play", arguments):
         return
     console = Console()
-    for overrides in expand(arguments, "play"):
-        play(load("play", overrides, arguments.config_dir), console)
+    runs = members(arguments, "play")
+    configs = [load("play", member.overrides, arguments.config_dir) for member in runs]
+    each("play", runs, configs, lambda config: play(config, console), console, configs[0].output_dir)
 
 
 def play(config: PlayConfig, console: Console) -> Path:
@@ -161,7 +163,8 @@ def summary_of(rollout: Rollout, command: str, source: str) -> dict[str, Any]:
         "command": command,
         "task": rollout.title,
         "source": source,
-        "version": __version__,
+        **origin(),
+        "seed": rollout.metadata.get("seed"),
         "mean_return": float(returns.mean()),
         "returns": [float(value) for value in returns],
         "lengths": [int(value) for value in rollout.lengths],

@@ -8,6 +8,7 @@ import re
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -27,6 +28,7 @@ __all__ = [
     "find_run",
     "going_on",
     "is_summed_up",
+    "label",
     "new_folder",
     "write_config",
     "write_summary",
@@ -36,6 +38,8 @@ CONFIG, SUMMARY = "config.yaml", "summary.json"
 STATE, BEST = "state.pt", "model_best.pt"
 TRAINING = ("train", "demo")
 CODESIGN = "codesign"
+label: ContextVar[str] = ContextVar("label", default="")
+"""What the run of a sweep differs by from the others, for the name of its folder."""
 STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 NAME = re.compile(r"[\w.+-]+")
 NOT_IN_NAMES = re.compile(r"[^\w.+-]+")
@@ -208,7 +212,7 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
             )
     parent = Path(output_dir) / command / task
     made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
-    folder = _make(parent, stamp, f"_{name}" if name else "")
+    folder = _make(parent, stamp, "".join(f"_{part}" for part in (name, label.get()) if part))
     try:
         with claimed(folder):
             write_config(folder, config)

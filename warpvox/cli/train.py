@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from warpvox import __version__
 from warpvox.cli import COMMANDS
 from warpvox.cli.config import expand, load, read_arguments, to_yaml
 from warpvox.cli.consent import again, as_stored, keep_code
 from warpvox.cli.help import command_help
+from warpvox.cli.origin import origin
 from warpvox.cli.runs import (
     STATE,
     TRAINING,
@@ -28,7 +28,8 @@ from warpvox.cli.runs import (
     new_folder,
     write_summary,
 )
-from warpvox.cli.say import cell, say, typed
+from warpvox.cli.say import say, typed
+from warpvox.cli.sweep import each, members
 from warpvox.configs.schema import TrainConfig
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.files import check_writable
@@ -75,8 +76,8 @@ def run(words: list[str]) -> None:
     arguments = read_arguments(words)
     if describe("train", arguments):
         return
-    runs = expand(arguments, "train")
-    jobs = [make_job(overrides, arguments.config_dir) for overrides in runs]
+    runs = members(arguments, "train")
+    jobs = [make_job(member.overrides, arguments.config_dir) for member in runs]
     if len(jobs) > 1:
         from warpvox.cli.build import prepare, resolve
 
@@ -84,10 +85,7 @@ def run(words: list[str]) -> None:
             prepare(job.config.torch_threads, job.config.seed)
             resolve(job.config)
     console = Console()
-    for number, job in enumerate(jobs):
-        if len(jobs) > 1:
-            console.rule(cell(f"run {number + 1} of {len(jobs)}: {' '.join(runs[number])}"))
-        train(job, console)
+    each("train", runs, jobs, lambda job: train(job, console), console, jobs[0].config.output_dir)
 
 
 def describe(command: str, arguments: Any) -> bool:
@@ -213,8 +211,7 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         runner = Runner(env, config.ppo, schedule, evaluator=judge, team=team)
         if job.checkpoint is not None:
             runner.resume(job.checkpoint)
-            if is_summed_up(job.folder):
-                runner.check_schedule()
+            _check_left(job.folder, runner)
     if team.size > 1:
         config = dataclasses.replace(config, num_envs=job.config.num_envs, device=config.device.split(":")[0])
     with _folder(job, config, command, team) as folder:
@@ -224,8 +221,28 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         _announce(console, as_stored(config, job.stored), runner, folder)
         if team.leads:
             keep_code(config, folder, console)
-        _learn(runner, console, folder, command, again(config))
+        _learn(runner, console, folder, command, config)
     return folder
+
+
+def _check_left(folder: Path, runner: Any) -> None:
+    """Raise RunError, with what to type instead, if a resumed run has nothing left to do.
+
+    One that was killed between its last iteration and its summary is let through: the summary is left.
+    """
+    done, total, goal = runner.current_learning_iteration, runner.schedule.total, runner.schedule.stop_return
+    again = f"go on with: warpvox train {typed('resume', folder)}"
+    ended = is_summed_up(folder)
+    if done > total or (ended and done == total):
+        raise RunError(
+            f"The run has already made {done} iterations, and max_iterations={total} asks for no more;"
+            f" {again} max_iterations={2 * done}"
+        )
+    if ended and goal is not None and runner.last_return >= goal:
+        raise RunError(
+            f"The run has ended because an evaluation ({runner.last_return:.3f}) has already reached"
+            f" stop_return={goal:g}; {again} stop_return=null"
+        )
 
 
 def share(config: TrainConfig, team: Team) -> TrainConfig:
@@ -267,8 +284,8 @@ def _announce(console: Console, config: TrainConfig, runner: Any, folder: Path) 
     say(console, f"{text}\nrun folder: {shown(folder)}")
 
 
-def _learn(runner: Any, console: Console, folder: Path, command: str, keys: str = "") -> None:
-    """Learn with a live line, and sum up however it ends; ``keys`` are those that use the run again."""
+def _learn(runner: Any, console: Console, folder: Path, command: str, config: TrainConfig) -> None:
+    """Learn with a live line, and sum up however it ends."""
     from warpvox.cli.progress import TrainingProgress
 
     began, status = time.perf_counter(), "failed"
@@ -290,13 +307,15 @@ def _learn(runner: Any, console: Console, folder: Path, command: str, keys: str 
                 "command": command,
                 "task": runner.env.cfg["task"],
                 "status": status,
-                "version": __version__,
+                "seed": config.seed,
+                "design": config.design,
             }
-            summary |= runner.summary() | {"steps_per_second": round((runner.steps - started_at) / seconds, 1)}
+            summary |= origin() | runner.summary()
+            summary["steps_per_second"] = round((runner.steps - started_at) / seconds, 1)
             # a run that has failed may have failed because nothing can be written; that is what should be told
             with suppress(StorageError) if status == "failed" else nullcontext():
                 write_summary(folder, summary)
-            _conclude(console, runner, summary, seconds, folder, keys)
+            _conclude(console, runner, summary, seconds, folder, again(config))
 
 
 def _conclude(console: Console, runner: Any, summary: dict[str, Any], seconds: float, folder: Path, keys: str) -> None:

@@ -1,0 +1,153 @@
+"""Sweeps say in folders, tables and CSV what their runs differ by; one that fails does not end the others."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+
+import warpvox as wv
+from warpvox.algos.metrics import read_metrics
+from warpvox.cli.config import Arguments
+from warpvox.cli.sweep import LONGEST_LABEL, Member, members
+from warpvox.design import example_design
+from warpvox.errors import DivergenceError
+
+TINY = "design=mini num_envs=8 threads=1 device=cpu ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 max_iterations=1".split()
+
+
+def table() -> list[dict[str, str]]:
+    (file,) = Path("outputs/train").glob("sweep_*.csv")
+    with file.open(encoding="utf-8", newline="") as text:
+        return list(csv.DictReader(text))
+
+
+def test_what_runs_differ_by() -> None:
+    words = ["seed=1,2", "ppo.gamma=0.9,0.99", "task=Walker-v0,Climber-v0", "num_envs=8"]
+    runs = members(Arguments(words, multirun=True), "train")
+    assert len(runs) == 8
+    assert runs[0].varied == {"seed": "1", "ppo.gamma": "0.9", "task": "Walker-v0"}
+    assert runs[0].label == "seed-1_ppo.gamma-0.9"
+    assert len({run.label for run in runs}) == 4
+    assert members(Arguments(["seed=1"], multirun=True), "train")[0].label == ""
+
+
+@pytest.mark.parametrize("value", ["a/b/body (1).json", "[[3,3],[4,4]]", "läufe", "", "../..", "x" * 400])
+def test_labels_are_short_and_safe(value: str) -> None:
+    label = Member([], {"design": value, "ppo.hidden": "[64,64]"}).label
+    assert len(label) <= LONGEST_LABEL
+    assert set(label) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._+-")
+    assert label.startswith("design-")
+
+
+def test_a_sweep_leaves_a_table(warpvox: Callable) -> None:
+    outcome = warpvox("train", "-m", "seed=1,2", "ppo.gamma=0.9,0.99", "name=x", *TINY)
+    assert outcome.code == 0, outcome.err
+    folders = sorted(
+        Path("outputs/train/Walker-v0").iterdir(), key=lambda folder: (folder / "config.yaml").stat().st_mtime_ns
+    )
+    assert [folder.name.split("_", 2)[2] for folder in folders] == [
+        f"x_seed-{seed}_ppo.gamma-{gamma}" for seed in (1, 2) for gamma in (0.9, 0.99)
+    ]
+    rows = table()
+    assert [(row["seed"], row["ppo.gamma"], row["status"]) for row in rows] == [
+        (str(seed), str(gamma), "done") for seed in (1, 2) for gamma in (0.9, 0.99)
+    ]
+    for row, folder in zip(rows, folders, strict=True):
+        assert Path(row["folder"]) == folder
+        assert float(row["best_return"]) == json.loads((folder / "summary.json").read_text())["best_return"]
+    assert "4 of 4 runs" in outcome.out
+    assert warpvox("play", "run=latest", "num_envs=1", "steps=2", "threads=1", "export=[]", "window=off").code == 0
+
+
+@pytest.mark.parametrize("error", [DivergenceError("it diverged"), ValueError("a defect")])
+def test_a_member_that_fails_does_not_end_the_sweep(
+    warpvox: Callable, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    from warpvox.algos.runner import Runner
+
+    run = Runner.run
+
+    def fail_once(self: Runner) -> None:
+        if self.env.env.seed == 2:
+            raise error
+        run(self)
+
+    monkeypatch.setattr(Runner, "run", fail_once)
+    outcome = warpvox("train", "-m", "seed=1,2,3", *TINY)
+    assert outcome.code == 2
+    assert outcome.err.splitlines()[-1].startswith("warpvox: 1 of 3 runs failed, the first of them with: ")
+    assert str(error) in outcome.err.splitlines()[-1]
+    assert [row["status"] for row in table()] == ["done", "failed", "done"]
+    assert len(list(Path("outputs/train/Walker-v0").iterdir())) == 2
+
+
+def test_an_interrupt_ends_a_sweep_with_its_table(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.algos.runner import Runner
+
+    def interrupt(self: Runner) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Runner, "run", interrupt)
+    outcome = warpvox("train", "-m", "seed=1,2,3", *TINY)
+    assert outcome.code == 130
+    assert [row["status"] for row in table()] == ["interrupted"]
+    assert "1 of 3 runs" in outcome.out
+
+
+def test_a_summary_says_what_made_it(train: Callable, repository: Path) -> None:
+    summary = json.loads((train("max_iterations=1", "seed=5") / "summary.json").read_text())
+    assert (summary["seed"], summary["version"]) == (5, wv.__version__)
+    assert summary["design"] == example_design("mini").tolist()
+    if (repository / ".git").exists():
+        assert len(summary["commit"].removesuffix("-dirty")) == 40
+    else:
+        assert summary["commit"] is None
+
+
+def test_a_run_is_made_again_from_its_own_configuration(train: Callable, warpvox: Callable) -> None:
+    first = train("max_iterations=2", "seed=7")
+    assert warpvox("train", f"config={first}", "name=again").code == 0
+    (again,) = Path("outputs/train/Walker-v0").glob("*_again")
+    values = [[row["eval_return"], row["value_loss"]] for row in read_metrics(first)]
+    assert str(values) == str([[row["eval_return"], row["value_loss"]] for row in read_metrics(again)])
+    configs = [yaml.safe_load((folder / "config.yaml").read_text()) for folder in (first, again)]
+    assert {**configs[0], "name": "again"} == configs[1]
+
+
+# -------------------------------------------------------------------------------------------- resuming what is done
+
+
+def test_resuming_says_why_there_is_nothing_to_do_and_how_to_go_on(train: Callable, warpvox: Callable) -> None:
+    folder = train("max_iterations=2")
+    for words in ([], ["max_iterations=2"], ["max_iterations=1"]):
+        outcome = warpvox("train", "resume=latest", *words)
+        assert outcome.code == 2
+        assert "already made 2 iterations" in outcome.err
+        advice = outcome.err.strip().partition("go on with: warpvox ")[2]
+        assert advice == f"train resume={folder.resolve()} max_iterations=4"
+    assert warpvox(*advice.split()).code == 0
+    assert [row["iteration"] for row in read_metrics(folder)] == [1, 2, 3, 4]
+
+
+def test_resuming_an_interrupted_run_to_less_than_it_has(train: Callable, warpvox: Callable) -> None:
+    folder = train("max_iterations=2")
+    summary = json.loads((folder / "summary.json").read_text())
+    (folder / "summary.json").write_text(json.dumps(summary | {"status": "interrupted"}))
+    before = (folder / "config.yaml").read_bytes()
+    outcome = warpvox("train", "resume=latest", "max_iterations=1")
+    assert (outcome.code, "already made 2 iterations" in outcome.err) == (2, True)
+    assert (folder / "config.yaml").read_bytes() == before
+
+
+def test_a_run_that_has_reached_its_return(train: Callable, warpvox: Callable) -> None:
+    folder = train("max_iterations=4", "stop_return=-1000", "eval_interval=1")
+    outcome = warpvox("train", "resume=latest", "max_iterations=8")
+    assert (outcome.code, "already reached stop_return=-1000" in outcome.err) == (2, True)
+    advice = outcome.err.strip().partition("go on with: warpvox ")[2]
+    assert warpvox(*advice.split(), "max_iterations=2").code == 0
+    assert read_metrics(folder)[-1]["iteration"] == 2

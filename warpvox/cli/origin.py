@@ -1,0 +1,33 @@
+"""Which program has made a result."""
+
+from __future__ import annotations
+
+import functools
+import subprocess
+from pathlib import Path
+
+from warpvox import __version__
+
+__all__ = ["origin"]
+
+PATIENCE = 20.0
+"""Seconds that git may take, on the disk of a network for instance."""
+
+
+def origin() -> dict[str, str | None]:
+    """For ``summary.json``: the version and, in a checkout, the commit (with ``-dirty`` where files were changed)."""
+    return {"version": __version__, "commit": _commit()}
+
+
+@functools.cache
+def _commit() -> str | None:
+    """None: an installed package, or no git."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, stdin=subprocess.DEVNULL)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None if done.returncode == 0 else None

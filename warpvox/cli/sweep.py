@@ -1,0 +1,195 @@
+"""Several runs one after another (``--multirun``): what they differ by, and what has come of them."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import re
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from warpvox.cli.config import Arguments, expand
+from warpvox.cli.runs import STAMP, SUMMARY, label
+from warpvox.cli.say import cell, say
+from warpvox.cli.words import parse
+from warpvox.errors import RunError, WarpvoxError
+from warpvox.files import write_text
+
+__all__ = ["Member", "each", "members"]
+
+LONGEST_LABEL = 80
+"""Characters of a folder's name that say what its run differs by."""
+UNSAFE = re.compile(r"[^A-Za-z0-9.+]+")
+FIGURES = ("best_return", "best_fitness", "mean_return", "evaluations", "steps", "elapsed_seconds")
+"""Entries of ``summary.json`` that the table shows, where there are any."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """One run of a sweep.
+
+    ``overrides``: all of it; ``varied``: keys that have other values in other runs, with the values of this one.
+    """
+
+    overrides: list[str]
+    varied: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """``seed-1_ppo.gamma-0.9``: for the name of a folder, in which the task has a place already."""
+        parts = [f"{key}-{_safe(value)}" for key, value in self.varied.items() if key != "task"]
+        text = "_".join(parts)
+        if len(text) <= LONGEST_LABEL:
+            return text
+        return f"{text[: LONGEST_LABEL - 9]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+
+def _safe(value: str) -> str:
+    place = Path(value)
+    short = place.stem if place.suffix and len(place.parts) > 1 else value  # of a file: its name
+    return UNSAFE.sub("-", short).strip("-") or "x"
+
+
+def members(arguments: Arguments, command: str) -> list[Member]:
+    """The runs that are asked for: one, or with ``--multirun`` one for each combination of listed values.
+
+    Raises:
+        ConfigError: see :func:`warpvox.cli.config.expand`.
+    """
+    runs = expand(arguments, command)
+    common = set(runs[0]).intersection(*runs[1:])
+    return [Member(words, {_key(word): _value(word) for word in words if word not in common}) for words in runs]
+
+
+def _key(word: str) -> str:
+    return word.partition("=")[0]
+
+
+def _value(word: str) -> str:
+    value = parse(word).value()
+    return value if isinstance(value, str) else word.partition("=")[2]
+
+
+def each(
+    command: str,
+    runs: Sequence[Member],
+    jobs: Sequence[Any],
+    do: Callable[[Any], Path | None],
+    console: Console,
+    output_dir: str,
+) -> None:
+    """Do the job of each run. Of several, one that fails does not keep the others from being done.
+
+    A table at the end, and ``<output_dir>/<command>/sweep_<date_time>.csv`` after every run, say what came of them.
+
+    Args:
+        do: does a job; returns the folder that it has written.
+
+    Raises:
+        WarpvoxError: the only one has failed. RunError: some of several have.
+        KeyboardInterrupt: interrupted; the rest is not begun.
+    """
+    if len(runs) == 1:
+        do(jobs[0])
+        return
+    sweep = _Sweep(command, len(runs), console, Path(output_dir))
+    try:
+        for member, job in zip(runs, jobs, strict=True):
+            sweep.one(member, job, do)
+    finally:
+        sweep.conclude()
+    failed = [row for row in sweep.rows if row["status"] == "failed"]
+    if failed:
+        raise RunError(
+            f"{len(failed)} of {len(runs)} runs failed, the first of them with: {failed[0]['error'].rstrip('.')}."
+            f" All are listed in {sweep.file}."
+        )
+
+
+class _Sweep:
+    """The rows of a sweep's table."""
+
+    def __init__(self, command: str, total: int, console: Console, output_dir: Path) -> None:
+        self.total, self.console = total, console
+        self.rows: list[dict[str, Any]] = []
+        stamp = datetime.now().strftime(STAMP)
+        folder = output_dir / command
+        names = (f"sweep_{stamp}{'' if number == 1 else f'-{number}'}.csv" for number in range(1, 1000))
+        self.file = next(folder / name for name in names if not (folder / name).exists())
+
+    def one(self, member: Member, job: Any, do: Callable[[Any], Path | None]) -> None:
+        """Do one job and note what has come of it."""
+        number = len(self.rows) + 1
+        values = " ".join(f"{key}={value}" for key, value in member.varied.items())
+        self.console.rule(cell(f"run {number} of {self.total}: {values}"))
+        row: dict[str, Any] = {"run": number, **member.varied, "status": "interrupted"}
+        self.rows.append(row)
+        token = label.set(member.label)
+        try:
+            folder = do(job)
+        except BrokenPipeError:
+            raise
+        except WarpvoxError as error:
+            row |= {"status": "failed", "error": " ".join(str(error).split())}
+            say(self.console, f"failed: {row['error']}")
+        except Exception as error:  # a defect; the others have nothing to do with it
+            row |= {"status": "failed", "error": f"{type(error).__name__}: {error}"}
+            traceback.print_exc()
+        else:
+            row |= {"status": "done", **_figures(folder), "folder": "" if folder is None else str(folder)}
+        finally:
+            label.reset(token)
+        self.write()
+
+    @property
+    def columns(self) -> list[str]:
+        """Those that some row has something in, results behind settings."""
+        known = dict.fromkeys(name for row in self.rows for name in row)
+        last = ("status", *FIGURES, "folder", "error")
+        return [*(name for name in known if name not in last), *(name for name in last if name in known)]
+
+    def write(self) -> None:
+        """Write the table as CSV."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, self.columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows)
+        write_text(self.file, text.getvalue())
+
+    def conclude(self) -> None:
+        """Print the table, and say where it is."""
+        self.write()
+        columns = [name for name in self.columns if name not in ("folder", "error")]
+        table = Table(title=f"{len(self.rows)} of {self.total} runs", title_justify="left")
+        for name in columns:
+            table.add_column(cell(name), justify="right" if name in ("run", *FIGURES) else "left", overflow="fold")
+        for row in self.rows:
+            table.add_row(*(cell(_shown(row.get(name))) for name in columns))
+        self.console.print(table)
+        say(self.console, f"table: {self.file}")
+
+
+def _figures(folder: Path | None) -> dict[str, Any]:
+    """What the summary in ``folder`` says, if there is one."""
+    try:
+        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        return {name: summary[name] for name in FIGURES if summary.get(name) is not None}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:,.3f}"
+    return f"{value:,}" if isinstance(value, int) else str(value)
