@@ -26,6 +26,7 @@ ORDER = (
     "codesign",
     "search",
     "evaluation",
+    "policies",
     "physics",
     "performance",
     "formats",

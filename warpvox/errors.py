@@ -123,11 +123,7 @@ def known_arguments(function: Function) -> Function:
     Raises:
         ConfigError: by the decorated function, for a keyword argument that it does not have.
     """
-    names = [
-        name
-        for name, parameter in inspect.signature(function).parameters.items()
-        if name != "self" and parameter.kind is not parameter.VAR_KEYWORD
-    ]
+    names = [name for name in inspect.signature(function).parameters if name != "self"]
     owner = function.__qualname__.removesuffix(".__init__")
 
     @functools.wraps(function)

@@ -1,0 +1,153 @@
+"""Many environments as Stable-Baselines3 wants them: ``PPO("MlpPolicy", VoxelSB3VecEnv("Walker-v0", 64))``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+
+from warpvox.envs.gym import spaces_of
+from warpvox.envs.spec import TaskSpec
+from warpvox.envs.vec_env import make_vec
+from warpvox.errors import ConfigError, listing
+from warpvox.types import ACTION_HIGH, ACTION_LOW
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+except ImportError as error:
+    raise ConfigError("This needs the package stable-baselines3: pip install 'warpvox[sb3]'") from error
+
+__all__ = ["VoxelSB3VecEnv"]
+
+CENTER, HALF = (ACTION_LOW + ACTION_HIGH) / 2, (ACTION_HIGH - ACTION_LOW) / 2
+
+
+class VoxelSB3VecEnv(VecEnv):
+    """A :class:`warpvox.envs.vec_env.VoxelVecEnv` behind Stable-Baselines3's ``VecEnv``: one batch, no processes.
+
+    Observations ``[num_envs, num_obs]`` and rewards ``[num_envs]`` are float32. Environments that end are reset in the
+    same step; their ``infos`` then hold ``terminal_observation``, ``TimeLimit.truncated`` (ended by the time limit
+    alone) and ``episode`` (``r``: return, ``l``: length), so that no ``VecMonitor`` is needed. ``infos`` of all others
+    are empty.
+
+    Args:
+        task: id, ``module:NAME`` or specification.
+        num_envs: environments; a multiple of the number of ``designs``.
+        body: one body for all; or ``designs``: several, in equal blocks.
+        normalize_actions: actions are -1 to 1, as Stable-Baselines3 advises, and stand for 0.6 to 1.6; False: they are
+            goal lengths themselves.
+        render_mode: None or ``rgb_array``: :meth:`get_images` gives pictures of all environments.
+        render_size: width and height of a picture in pixels.
+        options: further arguments of :func:`warpvox.make_vec`, such as ``seed``, ``rules`` and ``device``.
+
+    Attributes:
+        vec: the environments themselves, with torch tensors.
+
+    Raises:
+        TaskError, DesignError, WorldError, DeviceError, ConfigError: as :func:`warpvox.make_vec`.
+    """
+
+    def __init__(
+        self,
+        task: str | TaskSpec,
+        num_envs: int = 1,
+        body: object = None,
+        designs: Sequence[object] | None = None,
+        *,
+        normalize_actions: bool = True,
+        render_mode: str | None = None,
+        render_size: tuple[int, int] = (640, 360),
+        **options: Any,
+    ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ConfigError(f"render_mode must be None or rgb_array, got {render_mode!r:.80}.")
+        if "auto_reset" in options:
+            raise ConfigError("Stable-Baselines3 wants environments that reset themselves: auto_reset cannot be given.")
+        self.vec = make_vec(task, designs, num_envs, body=body, **({"device": "cpu"} | options))
+        self.normalize_actions, self.render_size = normalize_actions, render_size
+        self._mode, self._view = render_mode, None
+        self._actions: np.ndarray | None = None
+        observations, actions = spaces_of(self.vec)
+        observations = Box(observations.low, observations.high, dtype=np.float32)
+        low, high = (-1.0, 1.0) if normalize_actions else (ACTION_LOW, ACTION_HIGH)
+        super().__init__(self.vec.num_envs, observations, Box(low, high, actions.shape, np.float32))
+
+    def reset(self) -> np.ndarray:
+        """Begin an episode everywhere; seeds that :meth:`seed` has set apply."""
+        seeds = None if any(seed is None for seed in self._seeds) else [int(seed) for seed in self._seeds]
+        self._reset_seeds()
+        self._reset_options()
+        return self._numbers(self.vec.reset(seeds)[0])
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep ``actions`` ``[num_envs, num_actions]`` for :meth:`step_wait`."""
+        self._actions = np.asarray(actions)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """One control step everywhere: observations, rewards, dones and infos.
+
+        Raises:
+            ActionError: wrong shape, or entries that are not finite.
+        """
+        actions = CENTER + HALF * self._actions if self.normalize_actions else self._actions
+        obs, reward, terminated, truncated, info = self.vec.step(actions)
+        done = (terminated | truncated).cpu().numpy()
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if done.any():
+            final = self._numbers(info["final_obs"])
+            late = (truncated & ~terminated).cpu().numpy()
+            returns, lengths = (info["episode"][name].cpu().tolist() for name in ("return", "length"))
+            for env in np.flatnonzero(done):
+                infos[env] = {
+                    "terminal_observation": final[env],
+                    "TimeLimit.truncated": bool(late[env]),
+                    "episode": {"r": returns[env], "l": int(lengths[env])},
+                }
+        return self._numbers(obs), self._numbers(reward), done, infos
+
+    @staticmethod
+    def _numbers(values: torch.Tensor) -> np.ndarray:
+        return values.to(torch.float32).cpu().numpy()
+
+    def get_images(self) -> list[np.ndarray | None]:
+        """A picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
+        if self._mode is None:
+            return [None] * self.num_envs
+        if self._view is None:
+            from warpvox.live import LiveView
+
+            self._view = LiveView(self.vec.sim, self.render_size)
+        return list(self._view.pictures())
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+    # ------------------------------------------------------- what Stable-Baselines3 asks of each environment
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """An attribute of the environments, which they share, once for each of ``indices``."""
+        value = self._mode if attr_name == "render_mode" else getattr(self.vec, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of all environments; raises ConfigError for some of them: they are one batch."""
+        self._need_all(attr_name, indices)
+        setattr(self.vec, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **options: Any) -> list[Any]:
+        """Call a method of the batch once; its result stands for each environment. ConfigError: for some of them."""
+        self._need_all(method_name, indices)
+        return [getattr(self.vec, method_name)(*args, **options)] * self.num_envs
+
+    def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
+        """False: there are no wrappers around single environments."""
+        return [False for _ in self._get_indices(indices)]
+
+    def _need_all(self, name: str, indices: VecEnvIndices) -> None:
+        chosen = list(self._get_indices(indices))
+        if len(set(chosen)) != self.num_envs:
+            raise ConfigError(f"{name!r} is that of all environments: it cannot be for {listing(chosen)} alone.")

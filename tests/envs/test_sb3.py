@@ -1,0 +1,83 @@
+"""Stable-Baselines3 on a batch of environments: what its interface promises, and its PPO at work."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecNormalize
+
+from warpvox.envs.sb3 import VoxelSB3VecEnv
+from warpvox.envs.vec_env import make_vec
+from warpvox.errors import ConfigError
+
+
+def make(**options: object) -> VoxelSB3VecEnv:
+    return VoxelSB3VecEnv(**({"task": "Walker-v0", "num_envs": 3, "body": "walker", "threads": 1} | options))
+
+
+@pytest.mark.parametrize("normalize", [True, False])
+def test_it_steps_as_the_vector_environment_does(normalize: bool) -> None:
+    env = make(max_episode_steps=4, normalize_actions=normalize)
+    twin = make_vec("Walker-v0", body="walker", num_envs=3, device="cpu", threads=1, max_episode_steps=4)
+    assert (env.action_space.low.min(), env.action_space.high.max()) == ((-1, 1) if normalize else (0.6, 1.6))
+    assert np.array_equal(env.reset(), twin.reset()[0].numpy())
+    rng = np.random.default_rng(0)
+    env.vec.episode_length = twin.episode_length = twin.episode_length.new_tensor([0, 1, 2])
+    for step in range(5):
+        raw = rng.uniform(-1, 1, (3, env.vec.num_actions)).astype(np.float32)
+        obs, reward, done, infos = env.step(raw if normalize else 1.1 + 0.5 * raw)
+        theirs, rewards, terminated, truncated, info = twin.step(1.1 + 0.5 * raw)
+        np.testing.assert_allclose(obs, theirs.numpy(), atol=1e-5)
+        np.testing.assert_allclose(reward, rewards.numpy(), atol=1e-5)
+        assert (obs.dtype, reward.dtype, done.dtype) == (np.float32, np.float32, bool)
+        assert done.tolist() == (terminated | truncated).tolist() == [step == 3, step == 2, step == 1]
+        for k in range(3):
+            assert set(infos[k]) == ({"terminal_observation", "TimeLimit.truncated", "episode"} if done[k] else set())
+            if done[k]:
+                np.testing.assert_allclose(infos[k]["terminal_observation"], info["final_obs"][k].numpy(), atol=1e-5)
+                assert infos[k]["TimeLimit.truncated"] is True
+                assert infos[k]["episode"]["l"] == 4
+                assert infos[k]["episode"]["r"] == pytest.approx(float(info["episode"]["return"][k]), abs=1e-5)
+
+
+def test_seeds_reach_each_environment_once() -> None:
+    env = make(task="Catcher-v0")
+    env.seed(5)
+    first = env.reset()
+    twin = make_vec("Catcher-v0", body="walker", num_envs=3, device="cpu", threads=1)
+    assert np.array_equal(first, twin.reset(seed=[5, 6, 7])[0].numpy())
+    assert not np.array_equal(env.reset(), first)
+
+
+def test_its_ppo_learns_on_it_and_is_evaluated() -> None:
+    env = VecNormalize(make(max_episode_steps=8))
+    model = PPO("MlpPolicy", env, n_steps=16, batch_size=24, n_epochs=1, device="cpu", seed=0)
+    model.learn(total_timesteps=96)
+    assert model.num_timesteps == 96
+    assert len(model.ep_info_buffer) == 12
+    assert model.ep_info_buffer[0]["l"] == 8
+    mean, _ = evaluate_policy(model, env, n_eval_episodes=3, warn=False)
+    assert np.isfinite(mean)
+
+
+def test_what_it_is_asked_about_its_environments() -> None:
+    env = make(render_mode="rgb_array", render_size=(80, 45))
+    env.reset()
+    assert env.render_mode == "rgb_array"
+    assert [picture.shape for picture in env.get_images()] == [(45, 80, 3)] * 3
+    assert env.get_attr("num_obs", [0, 2]) == [env.vec.num_obs] * 2
+    assert env.env_is_wrapped(object) == [False] * 3
+    assert make().get_images() == [None] * 3
+    env.set_attr("nothing", 1)
+    assert env.get_attr("nothing") == [1, 1, 1]
+    with pytest.raises(ConfigError, match="cannot be for 0 alone"):
+        env.set_attr("nothing", 2, indices=0)
+    with pytest.raises(ConfigError, match="Did you mean 'rules'"):
+        make(rulse="paper")
+    with pytest.raises(ConfigError, match="auto_reset cannot be given"):
+        make(auto_reset=False)
