@@ -17,6 +17,7 @@ LAYERS = (
     (
         "warpvox.errors",
         "warpvox.files",
+        "warpvox.kernel_cache",
         "warpvox.memory",
         "warpvox.reading",
         "warpvox.startup",

@@ -19,6 +19,7 @@ from warpvox.system import flush_to_disk, folder_lock, umask
 
 __all__ = [
     "MARK",
+    "OF_DISKS",
     "atomic_path",
     "check_folder",
     "check_writable",
@@ -45,6 +46,8 @@ ADVICE = {
     errno.EIO: "the disk has failed (input/output error); use another disk",
 }
 """What may be wrong with a disk, and what to do about it."""
+OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
+"""Errors of the system that are no defect of ours, wherever they appear: in a log, a cache, a library's own file."""
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Starts Warp without its chatter, and says when kernels are being compiled.
+"""Starts Warp without its chatter, says when kernels are being compiled, and has their cache mended.
 
 Warp prints a banner when it starts and a line for every module that it loads, but nothing when it begins to compile,
 which takes half a minute. Who has set ``warp.config.log_level``, or started Warp, before the first simulation gets what
@@ -14,6 +14,8 @@ import sys
 import tempfile
 from collections.abc import Callable
 from typing import Any
+
+from warpvox.kernel_cache import mended
 
 __all__ = ["LOGGER", "start_warp"]
 
@@ -31,6 +33,7 @@ def start_warp() -> None:
     import warp as wp
     from warp._src import build, context
 
+    context.Module.load = mended(context.Module.load, _is_ours, LOGGER.warning)
     for name, where in BUILDERS.items():
         if hasattr(build, name):
             setattr(build, name, _announced(getattr(build, name), where))
@@ -62,7 +65,8 @@ def _is_ours() -> bool:
     """Whether a module of this package has led to the present call, not a kernel of somebody else."""
     frame = sys._getframe(2)  # above the function that asks
     while frame is not None:
-        if str(frame.f_globals.get("__name__", "")).startswith("warpvox."):
+        name = str(frame.f_globals.get("__name__", ""))
+        if name.startswith("warpvox.") and name not in (__name__, mended.__module__):
             return True
         frame = frame.f_back
     return False

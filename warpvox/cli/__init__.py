@@ -9,7 +9,6 @@ Exit codes: 0 done, 2 bad usage, bad input or a machine that will not (one line 
 
 from __future__ import annotations
 
-import errno
 import sys
 from collections.abc import Sequence
 from contextvars import ContextVar
@@ -19,7 +18,7 @@ import warpvox
 from warpvox.algos.interrupt import Terminated, terminable
 from warpvox.cli.streams import lasting_output, redirect
 from warpvox.errors import ConfigError, WarpvoxError, did_you_mean
-from warpvox.files import complaint
+from warpvox.files import OF_DISKS, complaint
 from warpvox.memory import enough_memory
 
 __all__ = ["COMMANDS", "invocation", "main"]
@@ -42,8 +41,6 @@ COMMANDS = {
 WORKING = ("train", "codesign", "play", "export", "demo", "bench")
 """Commands that make files: they go on when nobody reads what they print, and say so."""
 DONE, BAD_INPUT, INTERRUPTED, SIGNALLED = 0, 2, 130, 128
-OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
-"""Errors of the system that are no defect of ours, wherever they appear: in a log, a cache, a library's own file."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
