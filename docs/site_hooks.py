@@ -28,6 +28,7 @@ ORDER = (
     "evaluation",
     "policies",
     "physics",
+    "paper",
     "performance",
     "formats",
     "evogym",

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from warpvox.design import sample_design
-from warpvox.kernels import broadphase, contact
+from warpvox.kernels import step
 from warpvox.sim import Simulation
 from warpvox.types import Physics
 from warpvox.world import World
@@ -15,8 +15,8 @@ from warpvox.world import World
 CONSTANTS = [{}, {"friction": 0.0}, {"contact_stiffness": 0.0}, {"contact_damping": 0.0, "contact_depth": 0.01}]
 
 
-def touching(dtype: str, physics: Physics, moving: bool) -> Simulation:
-    """A robot pushed into two boxes and a bumpy ground, at rest or with random velocities, its contacts found."""
+def touching(dtype: str, arithmetic: str, physics: Physics, speed: float) -> Simulation:
+    """A robot pushed into two boxes and a bumpy ground, with random velocities of this size, its contacts found."""
     ground = np.full((2, 20), 5)
     ground[0, ::3] = 0
     world = World(20, 12)
@@ -24,17 +24,15 @@ def touching(dtype: str, physics: Physics, moving: bool) -> Simulation:
     world.add_from_array("box", np.full((2, 2), 1), 8, 2)
     world.add_from_array("other", np.full((1, 2), 2), 3, 7)
     world.add_from_array("robot", sample_design((5, 5), seed=1), 3, 2)
-    sim = Simulation([world], device="cpu", dtype=dtype, physics=physics, threads=1, lanes=1)
+    sim = Simulation([world], device="cpu", dtype=dtype, arithmetic=arithmetic, physics=physics, threads=1, lanes=1)
     state, rng = sim.state(), np.random.default_rng(4)
     shape = state["pos"].shape
     state["pos"] = state["pos"] * torch.tensor([0.96, 0.98]).repeat(shape[1] // 2) + torch.as_tensor(
         rng.normal(0.0, 0.01, shape)
     )
-    if moving:
-        state["true_vel"] = torch.as_tensor(rng.normal(0.0, 3.0, shape))
+    state["true_vel"] = torch.as_tensor(rng.normal(0.0, speed, shape))
     sim.set_state(state)
-    broadphase.launch(sim._state)
-    contact.launch(sim._state)
+    step.launch(sim._state, "boxes", "collect", "contacts")
     return sim
 
 
@@ -107,16 +105,45 @@ def forces(sim: Simulation) -> tuple[np.ndarray, int]:
     return out, count
 
 
-@pytest.mark.parametrize("moving", [False, True])
+def found(sim: Simulation) -> np.ndarray:
+    """``[points, 2]``: the forces as the kernels have them."""
+    return sim._state.arrays["contact"].numpy()[0, :, 0].reshape(-1, 2).astype(np.float64)
+
+
+@pytest.mark.parametrize("speed", [0.0, 3.0])
 @pytest.mark.parametrize("changes", CONSTANTS, ids=lambda changes: ",".join(changes) or "default")
-@pytest.mark.parametrize(("dtype", "tolerance"), [("float32", 1e-6), ("float64", 1e-12)])
-def test_contact_forces_follow_the_law(dtype: str, tolerance: float, changes: dict, moving: bool) -> None:
-    sim = touching(dtype, Physics.preset("evogym", **changes), moving)
+@pytest.mark.parametrize(
+    ("dtype", "arithmetic", "tolerance"),
+    [("float32", "fast", 1e-6), ("float64", "fast", 1e-12), ("float64", "exact", 1e-12)],
+)
+def test_contact_forces_follow_the_law(
+    dtype: str, arithmetic: str, tolerance: float, changes: dict, speed: float
+) -> None:
+    sim = touching(dtype, arithmetic, Physics.preset("evogym", **changes), speed)
     expected, count = forces(sim)
     assert count > 10
     fixed = sim._state.arrays["fixed"].numpy()[0][:, None] == 1
-    found = sim._state.arrays["contact"].numpy()[0, :, 0].reshape(-1, 2)
     scale = max(np.abs(expected).max(), 1.0)
-    np.testing.assert_allclose(np.where(fixed, 0, found), np.where(fixed, 0, expected), rtol=0, atol=tolerance * scale)
-    sim.step(torch.ones((1, sim.num_actions)))
+    forced = np.where(fixed, 0, found(sim))
+    np.testing.assert_allclose(forced, np.where(fixed, 0, expected), rtol=0, atol=tolerance * scale)
+
+
+@pytest.mark.parametrize("name", ["friction", "contact_stiffness"])
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_body_stays_finite_without_friction_or_stiffness(dtype: str, name: str) -> None:
+    sim = touching(dtype, "fast" if dtype == "float32" else "exact", Physics.preset("evogym", **{name: 0.0}), 0.0)
+    for _ in range(5):
+        sim.step(torch.ones((1, sim.num_actions)))
     assert not sim.unstable.any()
+
+
+def test_the_coefficient_of_friction_hardly_matters_at_the_speeds_of_the_tasks() -> None:
+    """Table 1 has 0.1 and, as a "frictional penalty factor", 0.5: docs/physics.md."""
+
+    def forces_with(coefficient: float) -> np.ndarray:
+        return found(touching("float64", "exact", Physics.preset("paper", friction=coefficient), speed=10.0))
+
+    none, printed, other = (forces_with(coefficient) for coefficient in (0.0, 0.1, 0.5))
+    friction = np.linalg.norm(printed - none)
+    assert friction > 1e4
+    assert np.linalg.norm(printed - other) < 1e-4 * friction
