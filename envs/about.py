@@ -16,7 +16,7 @@ __all__ = ["ANGLE", "LENGTH", "NUMBER", "SPEED", "UNITS", "About", "about", "abo
 LENGTH, SPEED, ANGLE, NUMBER = "length", "speed", "rad", "number"
 UNITS = {
     LENGTH: "10 voxels = 1",
-    SPEED: "length per inner time, of which a control step lasts 0.003",
+    SPEED: "length per inner time; a control step lasts physics.substeps x physics.dt, 0.003 by default",
     ANGLE: "radians, counter-clockwise",
     NUMBER: "no unit",
 }

@@ -118,7 +118,7 @@ class DivergenceDump:
             metadata={
                 "task": spec.id,
                 "rules": self.env.rules,
-                "physics": self.env.sim.physics.name,
+                "physics": self.env.sim.physics.label,
                 "dtype": str(self.env.sim.dtype).removeprefix("torch."),
                 "arithmetic": self.env.sim.arithmetic,
                 "agent": "policy",

@@ -24,7 +24,7 @@ class State:
     "before" can be filled with :meth:`remember` in time.
 
     Lengths are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step
-    lasts 30 x 1e-4), angles in radians. Terms must not write into the tensors.
+    lasts 30 x 1e-4 by default), angles in radians. Terms must not write into the tensors.
 
     Args:
         sim: the simulation that stands at this moment.

@@ -260,7 +260,7 @@ def record(
     about = {
         "task": getattr(getattr(env, "spec", None), "id", None),
         "rules": getattr(env, "rules", None),
-        "physics": env.sim.physics.name,
+        "physics": env.sim.physics.label,
         "seed": getattr(env, "seed", None),
         "dtype": str(env.sim.dtype).removeprefix("torch."),
         "arithmetic": env.sim.arithmetic,

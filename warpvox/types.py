@@ -79,6 +79,13 @@ class Physics:
                 _check_constant(field.name, value)
 
     @property
+    def label(self) -> str:
+        """The preset's name and the constants that differ from it: ``evogym, gravity=80.0``."""
+        base = _PRESETS.get(self.name, _PRESETS["evogym"])
+        values = [(field.name, getattr(self, field.name)) for field in fields(self) if field.name != "name"]
+        return ", ".join([self.name, *(f"{name}={value}" for name, value in values if value != getattr(base, name))])
+
+    @property
     def weight(self) -> float:
         """Force of gravity on a point."""
         return self.gravity * self.point_mass

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ActionError, ConfigError, RolloutError
 from warpvox.rollout import AGENTS, Rollout, record
+from warpvox.types import Physics
 
 ARRAYS = "positions design_index actions rewards terminated truncated".split()
 
@@ -243,6 +244,12 @@ def test_agents_repeat_and_stay_in_bounds(agent: str) -> None:
     assert runs[0].metadata["agent"] == agent
     assert runs[0].actions.min() >= np.float32(0.6)
     assert runs[0].actions.max() <= np.float32(1.6)
+
+
+def test_a_rollout_names_the_constants_that_were_changed() -> None:
+    physics = Physics.preset("paper", gravity=80.0)
+    env = make_vec("Walker-v0", ["mini"], device="cpu", physics=physics, threads=1)
+    assert record(env, "zero", steps=1).metadata["physics"] == "paper, gravity=80.0"
 
 
 def test_record_refuses_what_makes_no_sense() -> None:
