@@ -385,12 +385,14 @@ def _check_weights(weights: Sequence[float]) -> np.ndarray:
         raise DesignError(
             f"The probabilities must be five weights (empty, rigid, soft, horizontal, vertical), got {weights!r:.200}."
         )
+    given = tuple(float(weight) for weight in array)
     total = array.sum()
-    if not np.isfinite(total) or (array < 0).any() or (array[Cell.H_ACT] + array[Cell.V_ACT]) / total < LEAST_CHANCE:
-        raise DesignError(
-            "The probabilities must be finite, not negative, and leave a chance for an actuator (the last"
-            f" two), got {tuple(float(w) for w in array)}."
-        )
+    if not np.isfinite(total) or (array < 0).any():
+        raise DesignError(f"The probabilities must be finite and not negative, got {given}.")
+    if total == 0:
+        raise DesignError(f"The probabilities are all zero: at least one weight must be positive, got {given}.")
+    if (array[Cell.H_ACT] + array[Cell.V_ACT]) / total < LEAST_CHANCE:
+        raise DesignError(f"The probabilities must leave a chance for an actuator (the last two), got {given}.")
     return array / total
 
 

@@ -170,6 +170,8 @@ def test_probabilities_are_relative_weights() -> None:
         ({"probabilities": [1, 1, 1, 0, 0]}, "actuator"),
         ({"probabilities": [1, 1, 1, -1, 3]}, "not negative"),
         ({"probabilities": [1, 1, float("nan"), 1, 1]}, "finite"),
+        ({"probabilities": [1, 1, float("inf"), 1, 1]}, "finite"),
+        ({"probabilities": [0, 0, 0, 0, 0]}, r"all zero.*got \(0\.0, 0\.0, 0\.0, 0\.0, 0\.0\)"),
         ({"shape": (25, 25), "probabilities": [8, 1, 1, 1, 1]}, "No valid 25x25 body"),
     ],
 )
