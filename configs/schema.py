@@ -20,6 +20,7 @@ __all__ = [
     "COMMANDS",
     "GROUPS",
     "MISSING",
+    "PRESET",
     "BenchConfig",
     "CodesignConfig",
     "DemoConfig",
@@ -123,8 +124,17 @@ class PpoConfig:
 
 
 @dataclass
-class TrainConfig:
-    """Keys of ``warpvox train``."""
+class PresetConfig:
+    """The key of commands that have presets: whole sets of defaults, ``configs/preset/NAME/COMMAND.yaml``."""
+
+    preset: str | None = key(
+        None, "a set of other defaults, over which keys that are given win; null: those shown here"
+    )
+
+
+@dataclass
+class _TrainingRunConfig:
+    """What train and demo share."""
 
     task: str = key(
         "Walker-v0", "task id; `warpvox tasks` lists them; module:NAME or file.py:NAME of your own", path="read"
@@ -164,6 +174,11 @@ class TrainConfig:
     output_dir: str = key("outputs", "folder that runs are written to", path="written")
     physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the dynamics")
     ppo: PpoConfig = key(PpoConfig, "training method")
+
+
+@dataclass
+class TrainConfig(_TrainingRunConfig, PresetConfig):
+    """Keys of ``warpvox train``."""
 
 
 @dataclass
@@ -210,7 +225,7 @@ SearchConfig = make_dataclass("SearchConfig", _search_fields(), namespace={"__mo
 
 
 @dataclass
-class CodesignConfig:
+class CodesignConfig(PresetConfig):
     """Keys of ``warpvox codesign``."""
 
     task: str = key("Walker-v0", "task id; `warpvox tasks` lists them", path="read")
@@ -246,7 +261,7 @@ class CodesignConfig:
 
 
 @dataclass
-class DemoConfig(TrainConfig):
+class DemoConfig(_TrainingRunConfig):
     """Keys of ``warpvox demo``: training, then the exports."""
 
     export: list[str] = key(["usd", "gif", "html"], "what to write of the rollout", choices=EXPORTS)
@@ -409,7 +424,7 @@ class GenerationConfig:
     """Keys ``population.*``: a generation of a design search."""
 
     designs: int = key(25, "random bodies that are trained side by side", low=1)
-    training: str = key("paper", "settings: a name of configs/training", choices=("paper", "fast"))
+    training: str = key("paper", "settings: a name of configs/training", choices=("paper", "paper_wide", "fast"))
 
 
 @dataclass
@@ -489,6 +504,9 @@ COMMANDS: dict[str, type] = {
     "design": DesignConfig,
 }
 """Commands that take keys, and the dataclass of each."""
+
+PRESET = "preset"
+"""The key that takes the name of a folder of ``configs/preset``; each has a YAML file for every command it is for."""
 
 GROUPS = ("physics", "ppo", "search", "training")
 """Keys that also take the name of a YAML file in the folder of the same name."""

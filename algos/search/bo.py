@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.base import BaseSearch, Proposal
-from warpvox.algos.search.bo_acquire import climb_posterior, improve, thompson_starts
+from warpvox.algos.search.bo_acquire import ascend, climb_posterior, improve, log_improvement, thompson_starts
 from warpvox.algos.search.bo_model import fit_model, own_torch
 from warpvox.algos.search.bodies import body_key, mutate, random_bodies, valid
 from warpvox.algos.search.settings import BoSettings
@@ -50,7 +50,11 @@ class BayesianSearch(BaseSearch):
     """Fits a Gaussian process to all that is known and asks it for the next generation.
 
     ``acquisition="paper"``: of random designs, batch Thompson sampling picks the starts; from each, L-BFGS climbs
-    expected improvement. Where the end, rounded to voxels, is not valid or not new, its start is taken.
+    expected improvement. Nearly all ends, rounded to voxels, are one and the same body or not valid; so a climb goes
+    on voxel by voxel, from its end or its start, over valid bodies that nobody has proposed, and each start leads to
+    a body of its own.
+
+    ``acquisition="lbfgs"``: the same with L-BFGS alone; where its end is not valid or not new, the start is taken.
 
     ``acquisition="pathwise"``: each design is the summit of one function drawn from the posterior, climbed voxel by
     voxel over valid bodies. If that is known already, the best new body beside it or in the pool is taken. Where
@@ -63,7 +67,7 @@ class BayesianSearch(BaseSearch):
         """Random bodies first, then what the process promises most of."""
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
-        propose = self._improved if self.settings.acquisition == "paper" else self._summits
+        propose = self._summits if self.settings.acquisition == "pathwise" else self._improved
         with own_torch(int(rng.integers(2**63))):
             proposals = propose(rng, count)
         # a tiny shape may have no more to offer
@@ -81,14 +85,34 @@ class BayesianSearch(BaseSearch):
             return []
         model = fit_model(np.stack(self.bodies), self.fitness, self.settings)
         starts = pool.bodies[thompson_starts(model, pool.bodies, min(count, len(pool)))]
-        ends = improve(model, max(self.fitness), starts, self.settings.optimizer_iterations)
-        proposals = []
+        best = max(self.fitness)
+        ends = improve(model, best, starts, self.settings.optimizer_iterations)
+        if self.settings.acquisition == "lbfgs":
+            chosen = self._ends_or_starts(starts, ends)
+        else:
+            chosen = self._climbed(log_improvement(model, best), starts, ends)
+        return [Proposal(body, (), "improvement" if moved else "thompson") for body, moved in chosen]
+
+    def _ends_or_starts(self, starts: np.ndarray, ends: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
+        """Each end, or its start where the end is not valid or not new; and whether it is the end."""
         for start, end, good in zip(starts, ends, valid(ends), strict=True):
             if good and self.claim(end):
-                proposals.append(Proposal(end, (), "improvement"))
+                yield end, True
             elif self.claim(start):  # False where an earlier climb has ended at this start
-                proposals.append(Proposal(start, (), "thompson"))
-        return proposals
+                yield start, False
+
+    def _climbed(
+        self, values: Callable[[np.ndarray], np.ndarray], starts: np.ndarray, ends: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, bool]]:
+        """A summit for each start, and whether it lies elsewhere than the start."""
+
+        def free(bodies: np.ndarray) -> np.ndarray:
+            return valid(bodies) & np.array([not self.is_known(body_key(body)) for body in bodies])
+
+        for start, end in zip(starts, ends, strict=True):
+            summit = ascend(values, np.stack([end, start]), free)
+            if summit is not None and self.claim(summit):
+                yield summit, not np.array_equal(summit, start)
 
     def _summits(self, rng: np.random.Generator, count: int) -> list[Proposal]:
         random = max(1, round(self.settings.candidates * RANDOM_SHARE))

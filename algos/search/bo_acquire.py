@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,7 +17,7 @@ from botorch.sampling.pathwise import draw_matheron_paths
 from warpvox.algos.search.bo_model import from_one_hot, one_hot
 from warpvox.algos.search.bodies import neighbours, valid
 
-__all__ = ["Climb", "climb", "climb_posterior", "improve", "thompson_starts"]
+__all__ = ["Climb", "ascend", "climb", "climb_posterior", "improve", "log_improvement", "thompson_starts"]
 
 NOTHING = 1e-9
 """Gains below this are rounding."""
@@ -68,6 +69,51 @@ def improve(model: SingleTaskGP, best: float, starts: np.ndarray, iterations: in
         options={"maxiter": iterations},
     )
     return from_one_hot(ends[:, 0], starts.shape[1:])
+
+
+def log_improvement(model: SingleTaskGP, best: float) -> Callable[[np.ndarray], np.ndarray]:
+    """The logarithm of expected improvement on ``best``: bodies ``[n, rows, columns]`` to values ``[n]``.
+
+    BoTorch's own is made for few points and gradients; this one has the posterior of all points computed at once.
+    With u standard deviations between the mean and ``best``, expected improvement is
+    ``deviation * (phi(u) + u Phi(u))``; below 0 both terms nearly cancel, and erfcx keeps what is left.
+    """
+
+    def values(bodies: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            posterior = model.posterior(one_hot(bodies))
+            deviation = posterior.variance[:, 0].sqrt()
+            u = (posterior.mean[:, 0] - best) / deviation
+        density = -u.square() / 2 - math.log(2 * math.pi) / 2
+        tail = torch.special.erfcx(u.clamp(max=0).abs() / math.sqrt(2)) * math.sqrt(math.pi / 2)
+        below = density + torch.log1p(u.clamp(max=0) * tail)
+        above = (density.exp() + u.clamp(min=0) * torch.special.ndtr(u)).log()
+        return (deviation.log() + torch.where(u < 0, below, above)).numpy()
+
+    return values
+
+
+def ascend(
+    values: Callable[[np.ndarray], np.ndarray], entries: np.ndarray, free: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray | None:
+    """Steepest ascent from the best free entry, one voxel at a time, over free bodies only; None where none is free.
+
+    Args:
+        values: of a single function: bodies ``[k, rows, columns]`` to ``[k]``.
+        entries: bodies ``[k, rows, columns]``. Should none of them be free, the climb begins at the best of the free
+            bodies beside the last one.
+        free: bodies ``[k, rows, columns]`` to bool ``[k]``: what the climb may pass and end at.
+    """
+    summit, height, around = None, -math.inf, entries
+    while True:
+        usable = around[free(around)]
+        heights = values(usable) if len(usable) else np.array([-math.inf])
+        best = int(heights.argmax())
+        if heights[best] > height + NOTHING:
+            summit, height = usable[best], float(heights[best])
+        elif summit is not None or around is not entries:
+            return summit
+        around = neighbours((entries[-1] if summit is None else summit)[None])[0]
 
 
 def climb_posterior(model: SingleTaskGP, pool: np.ndarray, count: int) -> Climb:

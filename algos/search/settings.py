@@ -84,9 +84,10 @@ class BoSettings(SearchSettings):
     algorithm: ClassVar[str] = "bo"
 
     acquisition: str = key(
-        "pathwise",
-        "pathwise: climb samples of the posterior over valid designs; paper: expected improvement by L-BFGS",
-        choices=("pathwise", "paper"),
+        "paper",
+        "pathwise: climb samples of the posterior over valid designs; paper: expected improvement by L-BFGS, then"
+        " voxel by voxel over new valid designs; lbfgs: by L-BFGS alone",
+        choices=("pathwise", "paper", "lbfgs"),
     )
     kernel_variance: float = key(1.0, "variance of the Matern 5/2 kernel, where its fit starts", above=0)
     kernel_length_scale: float = key(1.0, "length scale of the kernel, where its fit starts", above=0)

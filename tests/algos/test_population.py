@@ -123,7 +123,7 @@ def test_an_unknown_preset_is_one_clear_error(name: str, words: str) -> None:
         training_preset("paper", {"epoch": 3})
 
 
-@pytest.mark.parametrize(("name", "samples"), [("paper", 512), ("fast", 2048)])
+@pytest.mark.parametrize(("name", "samples"), [("paper", 512), ("paper_wide", 512), ("fast", 2048)])
 def test_presets_spend_the_papers_control_steps(name: str, samples: int) -> None:
     how = training_preset(name)
     assert how.envs * how.ppo.steps == samples

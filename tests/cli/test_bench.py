@@ -320,6 +320,9 @@ def test_search_compares_with_random_search(warpvox: Callable) -> None:
     assert list(figures["searches"]) == ["random", "ga", "cppn_neat"]
     for figure in figures["searches"].values():
         assert [len(curve) for curve in figure["curves"]] == [120] * 5
+        assert sum(figure["origins"].values()) == 5 * (120 - 25)
+    assert figures["searches"]["random"]["origins"] == {"random": 5 * (120 - 25)}
+    assert "Origin of the bodies after the first generation" in outcome.out
     # the smallest p of five pairs is 1/32
     assert figures["searches"]["cppn_neat"]["p"]["random"] < 0.05
 

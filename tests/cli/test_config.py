@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -12,7 +13,9 @@ from warpvox.cli import COMMANDS, main
 from warpvox.cli.build import physics_of
 from warpvox.cli.config import Arguments, expand, load, load_values, to_yaml
 from warpvox.cli.help import flat_keys
+from warpvox.cli.train import flat
 from warpvox.configs import schema
+from warpvox.design import load_design
 from warpvox.errors import ConfigError
 from warpvox.types import Physics
 
@@ -28,9 +31,79 @@ TABLE_6 = {
 
 
 def test_the_papers_settings() -> None:
-    config = load("train", ["ppo=evogym"])
-    assert {name: getattr(config.ppo, name) for name in TABLE_6} == TABLE_6
-    assert (config.num_envs, config.eval_interval, config.max_iterations) == (4, 50, 1000)
+    train, search = load("train", ["ppo=evogym"]), load("codesign", ["training=paper"]).training
+    assert {name: getattr(train.ppo, name) for name in TABLE_6} == TABLE_6
+    assert (train.num_envs, train.eval_interval, train.max_iterations) == (4, 50, 1000)
+    assert search.ppo == train.ppo
+    assert (search.envs, search.eval_interval, search.iterations) == (4, 50, 1000)
+
+
+def test_the_wide_edition_has_as_many_samples_and_else_the_same() -> None:
+    paper, wide = (load("codesign", [f"training={name}"]).training for name in ("paper", "paper_wide"))
+    assert (wide.envs, wide.ppo.steps) == (16, 32)
+    assert dataclasses.replace(wide, envs=4, ppo=dataclasses.replace(wide.ppo, steps=128)) == paper
+
+
+# ----------------------------------------------------------------------------------------------------- presets
+
+
+@pytest.mark.parametrize(("task", "shape"), [("Walker-v0", (5, 5)), ("Lifter-v0", (5, 7))])
+def test_the_papers_preset(task: str, shape: tuple[int, int]) -> None:
+    train, search = (load(command, ["preset=paper", f"task={task}"]) for command in ("train", "codesign"))
+    for config in (train, search):
+        assert (config.preset, config.rules, physics_of(config)) == ("paper", "paper", Physics.preset("paper"))
+    tables = load("train", ["ppo=evogym", "rules=paper", f"task={task}"])
+    assert train == dataclasses.replace(tables, preset="paper", design=train.design)
+    assert load_design(train.design).shape == tuple(search.shape) == shape
+    assert search.search == load("codesign", ["search=paper"]).search
+    assert search.training == load("codesign", ["training=paper"]).training
+
+
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize(
+    ("command", "words", "path", "value"),
+    [
+        ("codesign", ["search.max_evaluations=20"], "search.max_evaluations", 20),
+        ("codesign", ["shape=[3,4]", "task=Lifter-v0"], "shape", [3, 4]),
+        ("codesign", ["rules=evogym"], "rules", "evogym"),
+        ("codesign", ["search.algorithm=bo"], "search.algorithm", "bo"),
+        ("codesign", ["search=bo"], "search.acquisition", "pathwise"),
+        ("codesign", ["search=quick"], "training.envs", 32),
+        ("codesign", ["training=paper_wide"], "training.envs", 16),
+        ("train", ["ppo=parallel"], "num_envs", 512),
+        ("train", ["num_envs=8"], "num_envs", 8),
+        ("train", ["design=mini"], "design", "mini"),
+        ("train", ["physics=evogym"], "physics.preset", "evogym"),
+    ],
+)
+def test_what_is_typed_goes_before_a_preset(command: str, words: list[str], path: str, value: Any, order: int) -> None:
+    config = load(command, ["preset=paper", *words][::order])
+    assert flat(dataclasses.asdict(config))[path] == value
+    assert config.rules == ("evogym" if words == ["rules=evogym"] else "paper")
+
+
+@pytest.mark.parametrize("command", ["train", "codesign"])
+def test_no_preset_and_one_that_does_not_exist(command: str) -> None:
+    assert load(command, ["preset=null"]) == load(command, [])
+    for word in ("papr", "4", "[paper]"):
+        with pytest.raises(ConfigError, match="preset must be") as error:
+            load(command, [f"preset={word}"])
+        assert ("Did you mean 'paper'?" in str(error.value)) == (word == "papr")
+
+
+def test_a_preset_of_ones_own(tmp_path: Path) -> None:
+    (tmp_path / "preset" / "mine").mkdir(parents=True)
+    file = tmp_path / "preset" / "mine" / "train.yaml"
+    file.write_text("seed: 9\nppo:\n  gamma: 0.5\n")
+    config, default = load("train", ["preset=mine"], tmp_path), load("train", [])
+    expected = dataclasses.replace(default.ppo, gamma=0.5)
+    assert config == dataclasses.replace(default, preset="mine", seed=9, ppo=expected)
+    with pytest.raises(ConfigError, match="one of paper or null, got 'mine'"):
+        load("codesign", ["preset=mine"], tmp_path)
+    for text, words in (("sed: 9\n", "sed"), ("- 9\n", "must hold keys"), ("a: [\n", r"mine.train\.yaml cannot be read")):
+        file.write_text(text)
+        with pytest.raises(ConfigError, match=words):
+            load("train", ["preset=mine"], tmp_path)
 
 
 @pytest.mark.parametrize("words", [["ppo=evogym", "num_envs=8"], ["num_envs=8", "ppo=evogym"]])

@@ -130,7 +130,7 @@ def check(config: CodesignConfig) -> None:
 
 
 def resolve(config: CodesignConfig) -> CodesignConfig:
-    """A copy with what its names stand for: constants and, where it is this machine's, the device."""
+    """A copy with what its names stand for: settings, constants and, where it is this machine's, the device."""
     from warpvox.cli.build import physics_of
     from warpvox.sim import resolve_device
 
@@ -138,7 +138,18 @@ def resolve(config: CodesignConfig) -> CodesignConfig:
     preset = constants.pop("name")
     # designs on workers run on the devices of the workers
     device = resolve_device(config.device) if config.executor == "local" else config.device
-    return dataclasses.replace(config, physics=type(config.physics)(preset=preset, **constants), device=device)
+    return dataclasses.replace(
+        config,
+        physics=type(config.physics)(preset=preset, **constants),
+        search=type(config.search)(**_all_settings(dataclasses.asdict(config.search))),
+        device=device,
+    )
+
+
+def _all_settings(search: dict[str, Any]) -> dict[str, Any]:
+    """Values of ``search.*`` with the defaults of the algorithm's settings in place of null."""
+    settings = dataclasses.asdict(settings_from(search))
+    return search | {name: list(value) if isinstance(value, tuple) else value for name, value in settings.items()}
 
 
 # ---------------------------------------------------------------------------------------------------- a search
@@ -230,12 +241,14 @@ def _archive(folder: Path, config: CodesignConfig) -> Archive:
     """
     settings = {name: value for name, value in dataclasses.asdict(config).items() if name not in CHANGEABLE}
     settings["training"].pop("save_interval")
+    settings.pop("preset")  # a name for values that are here themselves
     settings = json.loads(json.dumps(settings))
     path = folder / ARCHIVE
     if not path.is_file():
         return Archive.create(path, settings)
     archive = Archive.open(path)
     known = archive.settings
+    known["search"] = _all_settings(known["search"])
     if known != settings:
         archive.close()
         other = next(name for name in {**settings, **known} if known.get(name) != settings.get(name))

@@ -18,11 +18,12 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.cli.consent import allow_code
-from warpvox.cli.help import flat_keys
+from warpvox.cli.help import flat_keys, presets_of
 from warpvox.cli.rerun import read_config_file
 from warpvox.cli.words import as_list, parse, quoted, readable
 from warpvox.configs.keys import check_values
-from warpvox.configs.schema import COMMANDS, GROUPS
+from warpvox.configs.paper import design_of, shape_of
+from warpvox.configs.schema import COMMANDS, GROUPS, PRESET
 from warpvox.errors import ConfigError, did_you_mean, listing
 
 __all__ = ["Arguments", "check_values", "expand", "load", "load_values", "read_arguments", "to_yaml"]
@@ -130,14 +131,15 @@ def load(
     file = next((override.value() for override in parsed if override.key_or_group == "config"), None)
     stored = base
     _register()
-    words = [str(override.input_line) for override in parsed]
+    words = [str(override.input_line) for override in parsed if override.key_or_group != PRESET]
     if config_dir:
         words.append(f"hydra.searchpath=[{quoted(f'file://{config_dir}')}]")
     try:
+        name = _primary(parsed, command, config_dir)
         with initialize_config_module("warpvox.configs", version_base="1.3"):
-            config = compose(config_name=command, overrides=words)
+            config = compose(config_name=name, overrides=words)
             missing = OmegaConf.missing_keys(config)
-            defaults = compose(config_name=command) if missing or file is not None else None
+            defaults = compose(config_name=name) if missing or file is not None else None
         for key in missing:  # what a file of the user's own leaves open
             OmegaConf.update(config, key, OmegaConf.select(defaults, key))
         if file is not None:
@@ -224,6 +226,34 @@ def _register() -> None:
     store = ConfigStore.instance()
     for command, schema in COMMANDS.items():
         store.store(name=f"{command}_schema", node=schema)
+    for name, resolver in {"paper_shape": shape_of, "paper_design": design_of}.items():
+        OmegaConf.register_new_resolver(name, resolver, replace=True)
+
+
+def _primary(parsed: list[Override], command: str, config_dir: Path | None) -> str:
+    """The name of the configuration that the overrides change: the command's own, or that of ``preset=NAME``.
+
+    A preset that has no ``defaults`` of its own has those of the command.
+    """
+    given = next((override for override in parsed if override.key_or_group == PRESET), None)
+    if given is None or given.value() is None:
+        return command
+    if any(override.key_or_group == "config" for override in parsed):
+        raise ConfigError("preset and config both say what the other keys begin with: give one of them.")
+    options, value = presets_of(command, config_dir), given.value()
+    if value not in options:
+        hint = did_you_mean(str(value), options)
+        raise ConfigError(f"preset must be one of {listing(options)} or null, got '{given.get_value_string()}'.{hint}")
+    try:
+        content = yaml.safe_load(options[value].read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"The preset {options[value]} cannot be read: {_one_line(error)}.") from None
+    if not isinstance(content, dict):
+        raise ConfigError(f"The preset {options[value]} must hold keys with their values.")
+    own = yaml.safe_load((files("warpvox.configs") / f"{command}.yaml").read_text(encoding="utf-8"))
+    content = {"defaults": own["defaults"]} | content | {PRESET: value}
+    ConfigStore.instance().store(name=f"{command}_{PRESET}", node=OmegaConf.create(content))
+    return f"{command}_{PRESET}"
 
 
 def _parse(arguments: Arguments, command: str) -> list[Override]:

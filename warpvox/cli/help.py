@@ -7,11 +7,15 @@ import shutil
 import textwrap
 from collections.abc import Iterator
 from importlib.resources import files
-from typing import Any, get_type_hints
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_type_hints
 
-from warpvox.configs.schema import COMMANDS, GROUPS, MISSING
+from warpvox.configs.schema import COMMANDS, GROUPS, MISSING, PRESET
 
-__all__ = ["command_help", "flat_keys"]
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
+__all__ = ["command_help", "flat_keys", "presets_of"]
 
 OPTIONS = """\
 options:
@@ -45,6 +49,14 @@ def flat_keys(schema: type, prefix: str = "") -> Iterator[tuple[str, Key]]:
             yield from flat_keys(type(default), name + ".")
 
 
+def presets_of(command: str, config_dir: Path | None = None) -> dict[str, Traversable]:
+    """The YAML files of the presets that a command has, by name; those in a folder of the user's own go before ours."""
+    folders = [files("warpvox.configs") / PRESET, *([config_dir / PRESET] if config_dir else [])]
+    presets = [preset for folder in folders if folder.is_dir() for preset in folder.iterdir()]
+    found = {preset.name: preset / f"{command}.yaml" for preset in presets}
+    return {name: found[name] for name in sorted(found) if found[name].is_file()}
+
+
 def command_help(command: str, summary: str, values: dict[str, Any]) -> str:
     """The help text of a command.
 
@@ -66,6 +78,8 @@ def command_help(command: str, summary: str, values: dict[str, Any]) -> str:
                 f.name[:-5] for f in (files("warpvox.configs") / name).iterdir() if f.name.endswith(".yaml")
             )
             lines += ["", *_entry(f"{name}=NAME", f"{key.help}: {', '.join(options)}", width)]
+        elif name == PRESET:
+            lines += _entry(f"{name}=null", f"{key.help}: {', '.join(presets_of(command))}", width)
         elif not dataclasses.is_dataclass(key.default):
             value = values.get(name, key.default)
             lines += _entry(f"{name}={_text(value)}", _meaning(key), width)

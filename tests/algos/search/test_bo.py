@@ -12,7 +12,14 @@ from gpytorch.kernels import MaternKernel, ScaleKernel
 
 from warpvox.algos.search import BoSettings, make_search
 from warpvox.algos.search.bo import BayesianSearch
-from warpvox.algos.search.bo_acquire import climb, climb_posterior, improve, thompson_starts
+from warpvox.algos.search.bo_acquire import (
+    ascend,
+    climb,
+    climb_posterior,
+    improve,
+    log_improvement,
+    thompson_starts,
+)
 from warpvox.algos.search.bo_model import fit_model, from_one_hot, make_model, one_hot, own_torch
 from warpvox.algos.search.bodies import body_key, mutate, neighbours, random_bodies, valid
 
@@ -143,6 +150,54 @@ def test_expected_improvement_is_that_of_the_text_book(model) -> None:
     assert value == pytest.approx((mean - best) * below + deviation * density, rel=1e-4, abs=1e-9)
 
 
+@pytest.mark.parametrize("above", [-30.0, -1.0, 0.0, 1.0, 10.0, 300.0])
+def test_expected_improvement_of_many_bodies_is_botorchs(model, above: float) -> None:
+    """From hardly any chance of an improvement (300 above the best that is known) to a certain one."""
+    others = some_bodies(40, seed=2)
+    best = max(some_fitness(some_bodies(30))) + above
+    with torch.no_grad():
+        expected = LogExpectedImprovement(model, best_f=best)(one_hot(others)[:, None]).numpy()
+    assert log_improvement(model, best)(others) == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+def cell_sums(table: np.ndarray):
+    """A function of bodies 4 x 4: the sum over voxels of what ``table [16, 5]`` says of their types."""
+    return lambda bodies: table[np.arange(16), bodies.reshape(-1, 16)].sum(-1)
+
+
+def test_an_ascent_stays_on_free_bodies_and_ends_where_none_beside_it_is_higher() -> None:
+    values = cell_sums(np.random.default_rng(1).normal(size=(16, 5)))
+    taken: set[bytes] = set()
+
+    def free(bodies: np.ndarray) -> np.ndarray:
+        return valid(bodies) & np.array([body_key(body) not in taken for body in bodies])
+
+    starts, summits = some_bodies(12), []
+    for start in starts:
+        begins_free = bool(free(start[None])[0])
+        summit = ascend(values, start[None], free)
+        assert free(summit[None])[0]
+        if begins_free:
+            assert values(summit[None])[0] >= values(start[None])[0]
+        around = neighbours(summit[None])[0]
+        assert (values(around[free(around)]) <= values(summit[None])[0] + TOLERANCE).all()
+        summits.append(summit)
+        taken.add(body_key(summit))
+    # additive values have hardly more than one summit, and yet every start has found a body of its own
+    assert len(taken) == len(starts)
+
+
+def test_an_ascent_takes_the_better_entry_and_leaves_one_that_is_not_free() -> None:
+    values = cell_sums(np.repeat(np.arange(5.0)[None], 16, 0))
+    low, high = np.full((4, 4), 1, np.int8), np.full((4, 4), 3, np.int8)
+    only = lambda *bodies: lambda found: np.array([any((body == one).all() for one in bodies) for body in found])  # noqa: E731
+    assert np.array_equal(ascend(values, np.stack([low, high]), only(low, high)), high)
+    beside = low.copy()
+    beside[0, 0] = 2
+    assert np.array_equal(ascend(values, low[None], only(beside)), beside)
+    assert ascend(values, low[None], only()) is None
+
+
 def test_l_bfgs_climbs_expected_improvement_from_every_start(model, monkeypatch: pytest.MonkeyPatch) -> None:
     from warpvox.algos.search import bo_acquire
 
@@ -254,11 +309,29 @@ def test_proposals_do_not_depend_on_the_threads_of_torch(acquisition: str) -> No
     assert found[0] == found[1]
 
 
-def test_the_papers_proposals_are_improvements_or_their_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_the_papers_climbs_each_ends_at_a_body_of_its_own() -> None:
+    """By L-BFGS alone hardly any does: where their ends are the same or not valid, starts are proposed."""
+    climbed = {}
+    for acquisition in ("paper", "lbfgs"):
+        settings = BoSettings(
+            acquisition=acquisition, population=12, max_evaluations=48, optimizer_restarts=1, candidates=100
+        )
+        search, origins = make_search(settings, (4, 4), seed=3), []
+        while asked := search.ask():
+            origins += [candidate.origin for candidate in asked if candidate.generation]
+            search.tell(some_fitness(np.stack([candidate.body for candidate in asked])))
+        assert len({body_key(body) for body in search.bodies}) == 48
+        climbed[acquisition] = origins.count("improvement")
+        assert climbed[acquisition] + origins.count("thompson") == 36
+    assert climbed["paper"] >= 34
+    assert climbed["lbfgs"] <= 18
+
+
+def test_with_l_bfgs_alone_proposals_are_ends_or_their_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     from warpvox.algos.search import bo
 
     settings = BoSettings(
-        acquisition="paper",
+        acquisition="lbfgs",
         population=6,
         max_evaluations=18,
         optimizer_restarts=1,
@@ -310,7 +383,7 @@ def test_the_pool_has_random_bodies_and_mutants_of_the_best() -> None:
 
 def test_a_descendant_is_near_its_parent_in_the_tree_or_has_none() -> None:
     settings = BoSettings(
-        population=8, max_evaluations=24, optimizer_restarts=1, optimizer_iterations=10, candidates=60
+        acquisition="pathwise", population=8, max_evaluations=24, optimizer_restarts=1, optimizer_iterations=10, candidates=60
     )
     search = BayesianSearch(settings, seed=0)
     parents = 0

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from warpvox.algos.search import ALGORITHMS, make_search
+from warpvox.algos.search import ALGORITHMS, make_search, settings_from
 from warpvox.algos.search.bodies import neighbours
 from warpvox.algos.search.synthetic import SyntheticFitness, best_of
 from warpvox.cli.benchmarks.search import chance
+from warpvox.cli.config import load
 from warpvox.design import check_design, sample_design
 
 SURE = 0.01
@@ -63,7 +64,7 @@ def test_chance_agrees_with_all_signs_tried() -> None:
 
 @cache
 def final(algorithm: str, seeds: int, evaluations: int) -> np.ndarray:
-    settings = ALGORITHMS[algorithm](max_evaluations=evaluations)
+    settings = settings_from(load("codesign", [f"search={algorithm}", f"search.max_evaluations={evaluations}"]).search)
     return np.array([best_of(make_search(settings, seed=seed), SyntheticFitness(seed))[-1] for seed in range(seeds)])
 
 
@@ -80,7 +81,12 @@ def test_posterior_samples_are_better_than_the_genetic_algorithm_soon() -> None:
         for seed in range(3)
         for settings in (
             ALGORITHMS["bo"](
-                population=12, max_evaluations=72, optimizer_restarts=1, optimizer_iterations=30, candidates=150
+                acquisition="pathwise",
+                population=12,
+                max_evaluations=72,
+                optimizer_restarts=1,
+                optimizer_iterations=30,
+                candidates=150,
             ),
             ALGORITHMS["ga"](population=12, max_evaluations=72),
         )

@@ -8,6 +8,7 @@ algorithms are compared pair by pair.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -39,12 +40,15 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         with report.status(f"{name}: {len(seeds)} searches of {searches.evaluations} evaluations"):
             began = time.process_time()
             fitness = {seed: SyntheticFitness(seed, shape) for seed in seeds}
-            curves = [best_of(make_search(settings[name], shape, seed), fitness[seed]) for seed in seeds]
-            found[name] = {"curves": curves, "cpu_seconds": (time.process_time() - began) / len(seeds)}
+            origins: Counter[str] = Counter()
+            curves = [best_of(make_search(settings[name], shape, seed), fitness[seed], origins) for seed in seeds]
+            seconds = (time.process_time() - began) / len(seeds)
+            found[name] = {"curves": curves, "cpu_seconds": seconds, "origins": dict(origins)}
     final = {name: np.array([curve[-1] for curve in figure["curves"]]) for name, figure in found.items()}
     for name, figure in found.items():
         figure["p"] = {other: chance(final[name] - final[other], config.seed) for other in names if other != name}
     _show(config, report, found, final)
+    _show_origins(report, found)
     report.plot("search", lambda figure: _draw(figure, found))
     return {"evaluations": searches.evaluations, "shape": list(shape), "seeds": seeds, "searches": found}
 
@@ -100,6 +104,17 @@ def _show(config: Any, report: Report, found: dict[str, Any], final: dict[str, n
         "p: chance that a search that is no better would look at least so much better, from the differences of equal"
         " seeds. CPU seconds: of a whole search, without evaluations."
     )
+
+
+def _show_origins(report: Report, found: dict[str, Any]) -> None:
+    """Bodies after the first generation by what their search says of them."""
+    names = list(dict.fromkeys(origin for figure in found.values() for origin in figure["origins"]))
+    rows = []
+    for name, figure in found.items():
+        total = sum(figure["origins"].values())
+        shares = [figure["origins"].get(origin, 0) / total if total else None for origin in names]
+        rows.append([name, *("-" if not share else f"{share:.1%}" for share in shares)])
+    report.table("Origin of the bodies after the first generation", ["search", *names], rows)
 
 
 def _draw(figure: Any, found: dict[str, Any]) -> None:
