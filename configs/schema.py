@@ -424,7 +424,7 @@ class GenerationConfig:
     """Keys ``population.*``: a generation of a design search."""
 
     designs: int = key(25, "random bodies that are trained side by side", low=1)
-    training: str = key("paper", "settings: a name of configs/training", choices=("paper", "paper_wide", "fast"))
+    training: str = key("paper_wide", "settings: a name of configs/training", choices=("paper", "paper_wide", "fast"))
 
 
 @dataclass

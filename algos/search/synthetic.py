@@ -46,9 +46,7 @@ class SyntheticFitness:
         return float((voxels + pairs) / 2)
 
 
-def best_of(
-    search: Search, fitness: Callable[[np.ndarray], float], origins: Counter[str] | None = None
-) -> list[float]:
+def best_of(search: Search, fitness: Callable[[np.ndarray], float], origins: Counter[str] | None = None) -> list[float]:
     """Run a search to its end; returns the best fitness after each evaluation.
 
     ``origins``, if given, counts where the bodies after the first generation come from.

@@ -100,7 +100,11 @@ def test_a_preset_of_ones_own(tmp_path: Path) -> None:
     assert config == dataclasses.replace(default, preset="mine", seed=9, ppo=expected)
     with pytest.raises(ConfigError, match="one of paper or null, got 'mine'"):
         load("codesign", ["preset=mine"], tmp_path)
-    for text, words in (("sed: 9\n", "sed"), ("- 9\n", "must hold keys"), ("a: [\n", r"mine.train\.yaml cannot be read")):
+    for text, words in (
+        ("sed: 9\n", "sed"),
+        ("- 9\n", "must hold keys"),
+        ("a: [\n", r"mine.train\.yaml cannot be read"),
+    ):
         file.write_text(text)
         with pytest.raises(ConfigError, match=words):
             load("train", ["preset=mine"], tmp_path)

@@ -383,7 +383,12 @@ def test_the_pool_has_random_bodies_and_mutants_of_the_best() -> None:
 
 def test_a_descendant_is_near_its_parent_in_the_tree_or_has_none() -> None:
     settings = BoSettings(
-        acquisition="pathwise", population=8, max_evaluations=24, optimizer_restarts=1, optimizer_iterations=10, candidates=60
+        acquisition="pathwise",
+        population=8,
+        max_evaluations=24,
+        optimizer_restarts=1,
+        optimizer_iterations=10,
+        candidates=60,
     )
     search = BayesianSearch(settings, seed=0)
     parents = 0
