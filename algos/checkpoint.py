@@ -64,10 +64,14 @@ class Controller:
     @torch.no_grad()
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
         """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
+        actions = ACTION_CENTER + self.spec.action_scale * self.outputs(obs)
+        return actions.clamp(ACTION_LOW, ACTION_HIGH)
+
+    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
+        """``obs`` ``[n, num_obs]`` to the mean of the policy's outputs, ``[n, num_actions]``, not yet actions."""
         group = TensorDict({OBS_GROUP: obs.float()}, batch_size=[len(obs)])
         network = self.actor if self.spec.width is None else self._side_by_side(len(obs))
-        actions = ACTION_CENTER + self.spec.action_scale * network(group)[:, : self.spec.num_actions]
-        return actions.clamp(ACTION_LOW, ACTION_HIGH)
+        return network(group)[:, : self.spec.num_actions]
 
     def _side_by_side(self, rows: int) -> PopulationModel:
         """The network once for every row: it then rounds as it did when the policy was judged."""

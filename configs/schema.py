@@ -24,6 +24,7 @@ __all__ = [
     "BenchConfig",
     "CodesignConfig",
     "DemoConfig",
+    "EvaluateConfig",
     "ExportConfig",
     "PhysicsConfig",
     "PlayConfig",
@@ -288,7 +289,12 @@ class _RolloutConfig:
         "fast, or exact: bit for bit as released (float64); null: the run's, or by dtype",
         choices=ARITHMETICS,
     )
-    seed: int = key(0, "governs everything random", low=0)
+    stochastic: bool = key(False, "sample the policy's actions as in training, instead of taking their mean")
+    seed: int | None = key(
+        None,
+        "of what episodes draw and of sampled actions; null: that of the run, whose evaluations are repeated",
+        low=0,
+    )
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
     torch_threads: int = key(1, "threads of PyTorch", low=1)
     name: str | None = key(None, "appended to the name of the result's folder")
@@ -479,6 +485,36 @@ class CurvesConfig:
 
 
 @dataclass
+class EvaluateConfig:
+    """Keys of ``warpvox evaluate``."""
+
+    runs: list[str] = key(
+        ["latest"], "trained runs: latest, folders, checkpoints, patterns such as 'outputs/train/*/*'", path="read"
+    )
+    checkpoint: str = key("best", "of each run: best, last, or an iteration")
+    episodes: int = key(16, "of each run; a multiple of its number of designs", low=1)
+    stochastic: bool = key(False, "sample the policy's actions as in training, instead of taking their mean")
+    seed: int = key(
+        1000,
+        "of what episodes draw and of sampled actions; another than that of training, by which it was judged",
+        low=0,
+    )
+    level: float = key(0.95, "confidence of the intervals", above=0, high=0.9999)
+    task: str | None = key(None, f"of runs of tasks of your own. {OWN_TASK}", path="read")
+    device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
+    dtype: str | None = key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
+    arithmetic: str | None = key(
+        None,
+        "fast, or exact: bit for bit as released (float64); null: the run's, or by dtype",
+        choices=ARITHMETICS,
+    )
+    threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
+    torch_threads: int = key(1, "threads of PyTorch", low=1)
+    name: str | None = key(None, "appended to the name of the result's folder")
+    output_dir: str = key("outputs", "folder that runs are written to and looked up in", path="written")
+
+
+@dataclass
 class DesignConfig:
     """Keys of ``warpvox design``."""
 
@@ -501,6 +537,7 @@ COMMANDS: dict[str, type] = {
     "codesign": CodesignConfig,
     "bench": BenchConfig,
     "curves": CurvesConfig,
+    "evaluate": EvaluateConfig,
     "design": DesignConfig,
 }
 """Commands that take keys, and the dataclass of each."""

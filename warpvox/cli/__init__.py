@@ -31,6 +31,7 @@ COMMANDS = {
     "codesign": "search for a body and its controller at once",
     "play": "watch a trained controller or a simple agent, print returns, export what it did",
     "export": "write a run's rollout as USD, film, pictures or page",
+    "evaluate": "mean returns of trained policies with confidence intervals, and how they compare",
     "curves": "draw the learning curves of runs as one picture",
     "design": "paint a body or a world in the browser, save it, try it out",
     "demo": "train a walker in a minute or two and export it",

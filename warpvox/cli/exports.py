@@ -17,7 +17,17 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 if TYPE_CHECKING:
     from warpvox.rollout import Rollout
 
-__all__ = ["ROLLOUT", "TILES", "check_formats", "check_size", "load_run", "record_agent", "record_run", "write_exports"]
+__all__ = [
+    "ROLLOUT",
+    "TILES",
+    "check_formats",
+    "check_size",
+    "draws_at_random",
+    "load_run",
+    "record_agent",
+    "record_run",
+    "write_exports",
+]
 
 ROLLOUT = "rollout.npz"
 # format -> file, module, function
@@ -83,17 +93,38 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
         changes |= {"dtype": config.dtype, "arithmetic": None}
     if config.arithmetic is not None:
         changes["arithmetic"] = config.arithmetic
+    if config.seed is not None:
+        changes["seed"] = config.seed
     env = make_env(trained, config.num_envs, auto_reset=False, **changes)
     controller = load_controller(path, device)
     controller.check(env)
+    if config.stochastic:
+        from warpvox.algos.sampling import SampledController
+
+        controller = SampledController(controller, trained.seed if config.seed is None else config.seed)
     return env, controller
 
 
-def record_run(run: Run, env: Any, controller: Any, steps: int | None) -> Rollout:
-    """One deterministic episode of every environment."""
+def record_run(run: Run, env: Any, controller: Any, steps: int | None, stochastic: bool = False) -> Rollout:
+    """One episode of every environment; ``stochastic``: whether ``controller`` samples its actions."""
     from warpvox.rollout import record
 
-    return record(env, controller, steps, metadata={"run": run.folder.name})
+    rollout = record(env, controller, steps, metadata={"run": run.folder.name, "stochastic": stochastic})
+    rollout.metadata["drawn"] = stochastic or draws_at_random(env)
+    return rollout
+
+
+def draws_at_random(env: Any) -> bool:
+    """Whether the episodes of a design begin differently; begins new ones to find out."""
+    import torch
+
+    obs, _ = env.reset()
+    for design in range(env.num_designs):
+        rows = torch.nonzero(env.design_index == design)[:, 0]
+        for values in (obs, *env.memory.values()):
+            if not torch.equal(values[rows], values[rows[:1]].expand_as(values[rows])):
+                return True
+    return False
 
 
 def record_agent(config: Any) -> Rollout:
@@ -108,13 +139,13 @@ def record_agent(config: Any) -> Rollout:
 
     env = make_vec(
         config.task or "Walker-v0",
-        load_bodies("walker" if config.design is None else config.design, config.seed),
+        load_bodies("walker" if config.design is None else config.design, config.seed or 0),
         config.num_envs,
         device=config.device,
         rules=config.rules or "evogym",
         dtype=config.dtype or "float32",
         arithmetic=config.arithmetic,
-        seed=config.seed,
+        seed=config.seed or 0,
         auto_reset=False,
         threads=config.threads,
     )

@@ -96,10 +96,10 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     with console.status("loading"):
         from warpvox.cli.build import prepare, shown
 
-        prepare(config.torch_threads, config.seed)
+        prepare(config.torch_threads, config.seed or 0)
         env, controller = load_run(source, config)
     with console.status("simulating"):
-        rollout = record_run(source, env, controller, config.steps)
+        rollout = record_run(source, env, controller, config.steps, config.stochastic)
     say(console, f"run: {shown(source.folder)}")
     return rollout, str(source.checkpoint or source.folder)
 
@@ -127,7 +127,7 @@ def play_agent(config: PlayConfig, console: Console) -> Rollout:
     with console.status("loading"):
         from warpvox.cli.build import prepare
 
-        prepare(config.torch_threads, config.seed)
+        prepare(config.torch_threads, config.seed or 0)
     with console.status("simulating"):
         return record_agent(config)
 
@@ -176,7 +176,8 @@ def print_returns(rollout: Rollout, console: Console) -> None:
     returns, lengths = rollout.returns[-1], rollout.lengths
     several = len(rollout.scenes) > 1
     agent = rollout.metadata.get("agent", "policy")
-    kind = "deterministic" if agent == "policy" else f"agent {agent}"
+    kind = "sampled actions" if rollout.metadata.get("stochastic") else "deterministic"
+    kind = kind if agent == "policy" else f"agent {agent}"
     if rollout.metadata.get("diverged"):
         kind = f"up to the step in which environment {rollout.metadata.get('environment')} diverged"
     table = Table(title=cell(f"{rollout.title}, {kind}"))
@@ -192,6 +193,19 @@ def print_returns(rollout: Rollout, console: Console) -> None:
         mean = [f"{returns.mean():.3f}", f"{lengths.mean():.0f}", f"deviation {np.std(returns):.3f}"]
         table.add_row("mean", *([""] if several else []), *mean)
     console.print(table)
+    if agent == "policy" and rollout.num_envs > len(rollout.scenes) and rollout.metadata.get("drawn") is False:
+        say(console, _about_one_episode(rollout))
+
+
+def _about_one_episode(rollout: Rollout) -> str:
+    """That a deterministic policy in a task without chance shows one episode a design, however many are asked for."""
+    several = len(rollout.scenes)
+    differ = any(len(np.unique(rollout.returns[-1][rollout.design_index == design])) > 1 for design in range(several))
+    alike = "differ by rounding alone (of batched matrix products)" if differ else "are identical"
+    return (
+        f"the {rollout.num_envs} episodes {alike}: the task draws nothing at random and the policy is deterministic;"
+        f" num_envs={several} shows as much, stochastic=true samples its actions"
+    )
 
 
 def _end(rollout: Rollout, env: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import os
 import re
@@ -26,6 +27,7 @@ __all__ = [
     "as_name",
     "find_codesign",
     "find_run",
+    "find_runs",
     "going_on",
     "is_summed_up",
     "label",
@@ -105,6 +107,38 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
     if not {"task", "design", "ppo"} <= content.keys():
         raise RunError(f"{folder} is not a run of `warpvox train`: its {CONFIG} names no task, design and ppo.")
     return Run(folder, content, path if path.is_file() else None)
+
+
+def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
+    """The runs that ``texts`` name, each once: as for :func:`find_run`, or patterns such as ``outputs/train/*/*``.
+
+    Folders that a pattern matches and that are no runs are left out.
+
+    Raises:
+        RunError: a text or a pattern that names no run, or none at all.
+    """
+    found: dict[tuple[Path, Path | None], Run] = {}
+    for text in texts:
+        pattern = os.path.expanduser(text)
+        if not any(mark in text for mark in "*?[") or Path(pattern).exists():
+            several = [find_run(text, output_dir)]
+        else:
+            folders = sorted(Path(path) for path in glob.glob(pattern, recursive=True))
+            several = [find_run(str(path), output_dir) for path in folders if _is_training(path)]
+            if not several:
+                raise RunError(f"No run of `warpvox train` matches {text}.")
+        found |= {(run.folder.resolve(), run.checkpoint): run for run in several}
+    if not found:
+        raise RunError("There are no runs: runs=[] names none.")
+    return list(found.values())
+
+
+def _is_training(path: Path) -> bool:
+    """Whether a folder that a pattern has matched is that of a training."""
+    try:
+        return path.is_dir() and {"task", "design", "ppo"} <= _read_config(path, "train").keys()
+    except RunError:
+        return False
 
 
 def find_codesign(text: str, output_dir: str) -> Run:

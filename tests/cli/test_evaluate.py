@@ -1,0 +1,154 @@
+"""Policies are evaluated with intervals that mean what they say; play says where episodes are one and the same."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from warpvox.algos.checkpoint import load_controller
+from warpvox.algos.sampling import SampledController
+from warpvox.algos.statistics import difference, mean_interval
+from warpvox.cli.groups import group_runs
+from warpvox.cli.runs import Run, find_runs
+from warpvox.errors import RunError
+
+FAST = ("threads=1", "device=cpu")
+
+
+def config(**changes: object) -> dict:
+    base = {
+        "task": "Walker-v0",
+        "design": [[3, 3], [4, 4]],
+        "seed": 0,
+        "ppo": {"gamma": 0.9, "lam": 0.9},
+        "rules": "evogym",
+    }
+    return {**base, "physics": {"preset": "evogym", "gravity": 110.0}, "device": "cpu", **changes}
+
+
+def runs(*configs: dict) -> list[Run]:
+    return [Run(Path(str(number)), values) for number, values in enumerate(configs)]
+
+
+def test_groups_differ_by_all_but_the_seed() -> None:
+    other = {"gamma": 0.99, "lam": 0.9}
+    same = (config(seed=1), config(seed=2, name="x", threads=4))
+    groups = group_runs(runs(*same, config(ppo=other), config(seed=5, ppo=other), config(rules="paper")))
+    assert [len(group.runs) for group in groups] == [2, 2, 1]
+    assert [group.label for group in groups] == [
+        "ppo.gamma=0.9, rules=evogym",
+        "ppo.gamma=0.99, rules=evogym",
+        "ppo.gamma=0.9, rules=paper",
+    ]
+    (same,) = group_runs(runs(config(device="cuda:0"), config(device="cuda:1", seed=3)))
+    assert (same.label, same.title) == ("Walker-v0", "Walker-v0 (n=2)")
+
+
+def test_labels_name_presets_designs_and_tasks() -> None:
+    from warpvox.cli.config import load
+    from warpvox.design import example_design
+
+    evogym, parallel = ({"ppo": vars(load("train", [f"ppo={name}"]).ppo)} for name in ("evogym", "parallel"))
+    assert [group.label for group in group_runs(runs(config(**evogym), config(**parallel)))] == [
+        "ppo=evogym", "ppo=parallel"
+    ]  # fmt: skip
+    groups = group_runs(runs(config(design=example_design("walker").tolist()), config()))
+    assert groups[0].label == "design=walker"
+    assert groups[1].label.startswith("design=2x2 ")
+    paper = config(rules="paper", physics={"preset": "paper", "gravity": 9.0})
+    assert [group.label for group in group_runs(runs(config(), paper))] == ["rules=evogym", "rules=paper"]
+    assert [group.label for group in group_runs(runs(config(), config(task="Climber-v0")))] == [
+        "Walker-v0",
+        "Climber-v0",
+    ]
+
+
+def test_runs_of_a_policy_are_found_once(train: Callable) -> None:
+    one, two = train("max_iterations=1", "name=a"), train("max_iterations=1", "name=b")
+    Path("outputs/train/Walker-v0/other").mkdir()
+    assert {run.folder.name for run in find_runs(["outputs/train/*/*", str(one)], "outputs")} == {one.name, two.name}
+    with pytest.raises(RunError, match="No run of `warpvox train` matches"):
+        find_runs(["outputs/*/x*"], "outputs")
+
+
+def test_sampled_actions_have_the_deviation_of_training(train: Callable) -> None:
+    folder = train("max_iterations=1", "ppo.init_std=0.2")
+    controller = load_controller(folder / "model_1.pt")
+    obs = torch.zeros(4000, controller.spec.num_obs)
+    actions = SampledController(controller, seed=1)(obs)
+    assert torch.equal(actions, SampledController(controller, seed=1)(obs))
+    assert not torch.equal(actions, SampledController(controller, seed=2)(obs))
+    mean, spread = controller(obs)[0], controller.spec.action_scale * controller.actor.distribution.log_std_param.exp()
+    inside = (mean - 1.1).abs() < 0.5 - 3 * spread  # of the others the bounds of actions cut something off
+    assert inside.any()
+    assert torch.allclose(actions.std(0)[inside], spread[inside], rtol=0.1)
+    assert torch.allclose(actions.mean(0)[inside], mean[inside], atol=0.01)
+
+
+def test_evaluate_over_runs_and_episodes(train: Callable, warpvox: Callable) -> None:
+    for gamma in (0.9, 0.99):
+        for seed in (1, 2):
+            train("max_iterations=1", f"ppo.gamma={gamma}", f"seed={seed}", f"name=g{gamma}_{seed}")
+    outcome = warpvox("evaluate", "runs=outputs/train/*/*", "episodes=8", "stochastic=true", *FAST)
+    assert outcome.code == 0, outcome.err
+    (folder,) = Path("outputs/evaluate/Walker-v0").iterdir()
+    summary = json.loads((folder / "summary.json").read_text())
+    means = {}
+    for run in summary["runs"]:
+        assert len(set(run["returns"])) > 1
+        interval = mean_interval(run["returns"])
+        assert (run["mean"], run["low"], run["high"], run["n"]) == pytest.approx(
+            (interval.mean, interval.low, interval.high, 8)
+        )
+        means.setdefault(run["settings"], []).append(run["mean"])
+    assert set(means) == {"ppo.gamma=0.9", "ppo.gamma=0.99"}
+    for group in summary["groups"]:
+        assert (group["over"], group["n"]) == ("runs", 2)
+        assert group["low"] == pytest.approx(mean_interval(means[group["settings"]]).low)
+    (pair,) = summary["comparisons"]
+    expected = difference(means[pair["first"]], means[pair["second"]])
+    assert (pair["difference"], pair["low"]) == pytest.approx((expected.mean, expected.low))
+    assert "Welch's 95 % interval" in outcome.out
+    with (folder / "runs.csv").open(encoding="utf-8", newline="") as text:
+        assert [float(row["mean"]) for row in csv.DictReader(text)] == pytest.approx(
+            [r["mean"] for r in summary["runs"]]
+        )
+
+
+def test_a_deterministic_policy_in_a_task_without_chance_has_one_episode(train: Callable, warpvox: Callable) -> None:
+    folder = train("max_iterations=2")
+    outcome = warpvox("evaluate", f"runs={folder}", "episodes=8", *FAST)
+    assert outcome.code == 0, outcome.err
+    assert "The 8 episodes of all runs are one" in outcome.out
+    (result,) = Path("outputs/evaluate/Walker-v0").iterdir()
+    (run,) = json.loads((result / "summary.json").read_text())["runs"]
+    assert (run["n"], run["low"]) == (1, None)
+    assert len(run["returns"]) == 8
+    assert math.isfinite(run["mean"])
+    played = warpvox("play", f"run={folder}", "num_envs=8", "steps=3", "export=[]", "window=off", *FAST)
+    assert "the task draws nothing at random" in played.out
+    for words in (["num_envs=1"], ["num_envs=8", "stochastic=true"]):
+        played = warpvox("play", f"run={folder}", *words, "steps=3", "export=[]", "window=off", *FAST)
+        assert "draws nothing" not in played.out
+    assert "sampled actions" in played.out
+
+
+def test_what_evaluate_refuses(warpvox: Callable, tmp_path: Path) -> None:
+    for words, phrase in {
+        (): "no run",
+        ("runs=[]",): "runs=[] names none",
+        ("runs='nothing*'",): "No run of",
+        ("task=Walker-v0",): "a run knows its task",
+        ("level=1",): "at most 0.9999",
+        ("episodes=0",): "at least 1",
+    }.items():
+        outcome = warpvox("evaluate", *words)
+        assert (outcome.code, outcome.err.count("\n")) == (2, 1)
+        assert phrase in outcome.err
+    assert list(tmp_path.iterdir()) == []

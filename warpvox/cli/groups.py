@@ -1,0 +1,146 @@
+"""Runs that differ by nothing but their seed, and what tells such groups apart."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from warpvox.cli.config import load
+from warpvox.cli.runs import Run
+from warpvox.configs.schema import PPO
+from warpvox.design import example_design, example_designs
+
+__all__ = ["Group", "group_runs"]
+
+NOT_SETTINGS = (
+    "seed",
+    "name",
+    "output_dir",
+    "resume",
+    "config",
+    "export",
+    "threads",
+    "torch_threads",
+    "lanes",
+    "save_interval",
+    "nan_guard",
+    "cuda_graph",
+)
+"""Keys that do not make a run another experiment."""
+SHOWN = 3
+"""Settings that a label names at most."""
+LONGEST = 28
+"""Characters of a value in a label."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs with the same settings; ``label`` names those that other groups have otherwise."""
+
+    label: str
+    runs: tuple[Run, ...]
+
+    @property
+    def title(self) -> str:
+        """The label and how many runs there are."""
+        return f"{self.label} (n={len(self.runs)})"
+
+
+def group_runs(runs: Sequence[Run]) -> list[Group]:
+    """Runs with the same settings together, in the order in which they are given."""
+    found: dict[str, list[Run]] = {}
+    for run in runs:
+        found.setdefault(json.dumps(settings(run), sort_keys=True, default=str), []).append(run)
+    kept = [settings(several[0]) for several in found.values()]
+    labels = _labels(kept)
+    return [Group(label, tuple(several)) for label, several in zip(labels, found.values(), strict=True)]
+
+
+def settings(run: Run) -> dict[str, Any]:
+    """What a run was made with, by dotted keys, but for what only says where and how it was computed."""
+    flat = _flat(run.config)
+    if isinstance(flat.get("device"), str):
+        flat["device"] = flat["device"].partition(":")[0]  # which of several GPUs makes no difference
+    return {name: value for name, value in flat.items() if name not in NOT_SETTINGS}
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    found = {}
+    for name, value in values.items():
+        inside = isinstance(value, dict) and name != "design"
+        found |= _flat(value, f"{prefix}{name}.") if inside else {f"{prefix}{name}": value}
+    return found
+
+
+def _labels(groups: list[dict[str, Any]]) -> list[str]:
+    """A label for each group of settings: what differs; of a single one the task."""
+    differing = _differing(groups)
+    if not differing:
+        return [str(values.get("task", "run")) for values in groups]
+    named = [_presets(values, differing) for values in groups]
+    short = _differing(named)
+    labels = [_label(values, short) for values in named]
+    if len(set(labels)) < len(labels):  # the first few settings do not tell them apart
+        labels = [f"{label} #{number + 1}" for number, label in enumerate(labels)]
+    return labels
+
+
+def _differing(groups: list[dict[str, Any]]) -> list[str]:
+    """Keys that groups have other values of, in the order of the configuration."""
+    keys = dict.fromkeys(key for values in groups for key in values)
+    return [key for key in keys if any(values.get(key) != groups[0].get(key) for values in groups)]
+
+
+def _presets(values: dict[str, Any], differing: list[str]) -> dict[str, Any]:
+    """Settings with the name of a preset in the place of what it has set."""
+    result = dict(values)
+    if "physics.preset" in differing:  # the constants follow from it
+        result = {key: value for key, value in result.items() if not key.startswith("physics.")}
+        if values.get("physics.preset") != values.get("rules"):
+            result["physics"] = values.get("physics.preset")
+    if sum(key.startswith("ppo.") for key in differing) > SHOWN:
+        name = _ppo_preset(values)
+        if name is not None:
+            result = {key: value for key, value in result.items() if not key.startswith("ppo.")}
+            result = {"ppo": name} | result
+    return result
+
+
+def _ppo_preset(values: dict[str, Any]) -> str | None:
+    """Which of the files of ``configs/ppo`` the settings are, if any."""
+    own = {key.removeprefix("ppo."): value for key, value in values.items() if key.startswith("ppo.")}
+    for name in PPO:
+        if vars(load("train", [f"ppo={name}"]).ppo) == own:
+            return name
+    return None
+
+
+def _label(values: dict[str, Any], keys: list[str]) -> str:
+    parts = []
+    for key in keys[:SHOWN]:
+        value = _design(values.get(key)) if key == "design" else values.get(key)
+        parts.append(str(value) if key == "task" else f"{key}={_text(value)}")
+    return ", ".join(parts) + (", ..." if len(keys) > SHOWN else "")
+
+
+def _text(value: Any) -> str:
+    text = "null" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+    text = text.lower() if isinstance(value, bool) else text.replace(", ", ",")
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+
+
+def _design(body: Any) -> str:
+    """The name of an example, or the size of a body and what tells it from others of this size."""
+    for name in example_designs():
+        if example_design(name).tolist() == body:
+            return name
+    if isinstance(body, str):
+        return body
+    mark = hashlib.sha256(json.dumps(body, default=str).encode()).hexdigest()[:6]
+    try:
+        return f"{len(body)}x{len(body[0])} {mark}"
+    except (TypeError, KeyError, IndexError):
+        return f"several {mark}"
