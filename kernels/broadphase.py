@@ -7,73 +7,51 @@ over the lanes, that is the fastest); many go through a hashed grid, lane by lan
 up on the lattice of the terrain. All ways give the same candidates: a bit each, then a list.
 """
 
-import functools
-
 import warp as wp
 
-from warpvox.kernels.lanes import inline, lane_ops, native
-from warpvox.kernels.state import structs
+from warpvox.kernels.guard import FARTHEST
+from warpvox.kernels.kit import Kit, builder
+from warpvox.types import VOXEL
 
 GRID_FROM = 64  # mobile voxels from which the grid is used ...
 WIDE_GRID_FROM = 256  # ... where comparing boxes serves many lanes at once
 SLOT = 0.2  # size of a grid cell: a voxel with its margin covers 1 to 4 cells
 ENTRIES_PER_VOXEL = 9  # capacity; a voxel cannot be stretched over more cells than 3 x 3
 DISTANT = wp.constant(16)  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
-CELL = 0.1
 TORN = 5.0  # a voxel wider than this has exploded: its environment is lost, and its cells are too many to visit
-FAR = 1.0e6  # a coordinate beyond this is not on any lattice (also stops NaN before it becomes an int)
 
 
-ENCLOSE = """
-    const auto pos = wides(data.pos);
-    const auto box = wides(data.box);
-    const wp::vec_t<4, int> c = wp::index(model.corner, design, v);
-    for (int axis = 0; axis < 2; ++axis) {
-        Wide low = pos[2 * c[0] + axis], high = low;
-        for (int k = 1; k < 4; ++k) {
-            const Wide p = pos[2 * c[k] + axis];
-            low = p < low ? p : low;
-            high = p > high ? p : high;
-        }
-        box[4 * v + 2 * axis] = low;
-        box[4 * v + 2 * axis + 1] = high;
-    }
-"""
-
-
-@functools.cache
-def voxel_box(precision: str, width: int):
+@builder
+def voxel_box(kit: Kit):
     """Function: axis-aligned bounds of a voxel, into ``box``."""
-    types = structs(precision)
 
-    @wp.func_native(native("float64", width) + ENCLOSE)
-    def enclose(model: types.Model, data: types.Data, design: int, pack: int, lane: int, v: int): ...
+    @kit.func_native("native/voxel_box.h", precision="float64")
+    def enclose(model, data, design, pack, lane, v): ...
 
     return enclose
 
 
-@functools.cache
-def boxes(precision: str, width: int):
+@builder
+def boxes(kit: Kit):
     """Stage: bounds of the surface voxels that may have moved."""
-    types, enclose = structs(precision), voxel_box(precision, width)
+    enclose = voxel_box(kit)
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
         for n in range(model.mobiles[design]):
             enclose(model, data, design, pack, lane, model.mobile[design, n])
 
     return stage
 
 
-@functools.cache
-def box_overlap(precision: str, width: int):
+@builder
+def box_overlap(kit: Kit):
     """Function: the lanes in which the boxes of two voxels, together ``margin`` wider, overlap or touch."""
-    ops, types = lane_ops("float64", width), structs(precision)
-    load, splat, at_most = ops.load, ops.splat, ops.at_most
+    load, at_most = kit.wide.load, kit.wide.at_most
 
-    @inline
-    def overlap(data: types.Data, pack: int, lane: int, i: int, j: int, margin: wp.float64):
-        m = splat(margin)
+    @kit.func
+    def overlap(data, pack, lane, i, j, margin):
+        m = kit.wide.splat(margin)
         lanes = at_most(load(data.box, pack, 4 * i, lane), load(data.box, pack, 4 * j + 1, lane) + m)
         lanes = lanes & at_most(load(data.box, pack, 4 * j, lane), load(data.box, pack, 4 * i + 1, lane) + m)
         lanes = lanes & at_most(load(data.box, pack, 4 * i + 2, lane), load(data.box, pack, 4 * j + 3, lane) + m)
@@ -82,13 +60,12 @@ def box_overlap(precision: str, width: int):
     return overlap
 
 
-@functools.cache
-def mark_pair(precision: str):
+@builder
+def mark_pair(kit: Kit):
     """Function: note that two voxels are candidates, in one bit for both orders; still ones never meet."""
-    types = structs(precision)
 
-    @inline
-    def mark(model: types.Model, data: types.Data, design: int, unit: int, v: int, w: int):
+    @kit.func
+    def mark(model, data, design, unit, v, w):
         if model.still[design, v] == 1 and model.still[design, w] == 1:
             return
         i, j = wp.min(v, w), wp.max(v, w)
@@ -98,62 +75,26 @@ def mark_pair(precision: str):
     return mark
 
 
-# The candidates among mobile voxels, by boxes around all lanes first: while lanes are alike that is nearly enough.
-MARK_ALL = """
-    const auto box = wides(data.box);
-    const int n = wp::index(model.mobiles, design), words = (wp::index(model.voxels, design) + 31) / 32;
-    const int* mobile = &wp::index(model.mobile, design, 0);
-    const int* still = &wp::index(model.still, design, 0);
-    double* hull = &wp::index(data.hull, unit, 0);
-    int* bits = &wp::index(data.pair_bit, unit, 0);
-    for (int a = 0; a < n; ++a) {
-        for (int side = 0; side < 4; ++side) {
-            hull[4 * a + side] = side % 2 ? largest(box[4 * mobile[a] + side]) : least(box[4 * mobile[a] + side]);
-        }
-    }
-    for (int a = 0; a < n; ++a) {
-        const int i = mobile[a];
-        const double slack = 1.001 * margin;
-        const double left = hull[4 * a] - slack, right = hull[4 * a + 1] + slack;
-        const double low = hull[4 * a + 2] - slack, high = hull[4 * a + 3] + slack;
-        const Wide x0 = box[4 * i], x1 = box[4 * i + 1] + margin, y0 = box[4 * i + 2], y1 = box[4 * i + 3] + margin;
-        for (int b = a + 1; b < n; ++b) {
-            const double* h = hull + 4 * b;
-            if (h[0] > right || h[1] < left || h[2] > high || h[3] < low) continue;
-            const int j = mobile[b];
-            if (still[i] && still[j]) continue;
-            const auto meet = (x0 <= box[4 * j + 1] + margin) & (box[4 * j] <= x1) & (y0 <= box[4 * j + 3] + margin)
-                & (box[4 * j + 2] <= y1);
-            if (bits_of(meet)) bits[i * words + j / 32] |= 1 << (j % 32);
-        }
-    }
-"""
-
-
-@functools.cache
-def mark_all(precision: str, width: int):
+@builder
+def mark_all(kit: Kit):
     """Stage: candidates among mobile voxels by comparing all boxes with all."""
-    types = structs(precision)
 
-    @wp.func_native(native("float64", width) + MARK_ALL)
-    def mark(
-        model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, margin: wp.float64
-    ): ...
+    @kit.func_native("native/mark_all.h", precision="float64")
+    def mark(model, data, design, pack, lane, unit, margin): ...
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
         mark(model, data, design, pack, lane, unit, model.margin)
 
     return stage
 
 
-@functools.cache
-def meets(precision: str):
+@builder
+def meets(kit: Kit):
     """Function: :func:`box_overlap` for one lane."""
-    types = structs(precision)
 
-    @inline
-    def meet(data: types.Data, pack: int, k: int, i: int, j: int, m: wp.float64):
+    @kit.func
+    def meet(data, pack, k, i, j, m: wp.float64):
         return (
             data.box[pack, 4 * i, k] <= data.box[pack, 4 * j + 1, k] + m
             and data.box[pack, 4 * j, k] <= data.box[pack, 4 * i + 1, k] + m
@@ -164,30 +105,37 @@ def meets(precision: str):
     return meet
 
 
-@functools.cache
-def mark_grid(precision: str, width: int):
-    """Stage: candidates among mobile voxels through a hashed grid, one lane after another."""
-    types = structs(precision)
-    mark, meet = mark_pair(precision), meets(precision)
+@wp.func
+def on_lattice(x0: wp.float64, x1: wp.float64, y0: wp.float64, y1: wp.float64):
+    """Whether bounds are near enough to have lattice cells, which NaN are not."""
+    far = wp.float64(FARTHEST)
+    return x0 > -far and x1 < far and y0 > -far and y1 < far
 
-    @inline
-    def slot_of(data: types.Data, x: int, y: int):
+
+@builder
+def mark_grid(kit: Kit):
+    """Stage: candidates among mobile voxels through a hashed grid, one lane after another."""
+    width = kit.width
+    mark, meet = mark_pair(kit), meets(kit)
+
+    @kit.func
+    def slot_of(data, x, y):
         return ((x * 73856093) ^ (y * 19349663)) & (data.grid_head.shape[1] - 1)
 
-    @inline
-    def cells(data: types.Data, pack: int, k: int, v: int, margin: wp.float64):
+    @kit.func
+    def cells(data, pack, k, v, margin):
         """First and last grid column and row of a voxel's box, half the margin wider; empty if not finite."""
         half = margin * wp.float64(0.5)
         x0, x1 = data.box[pack, 4 * v, k] - half, data.box[pack, 4 * v + 1, k] + half
         y0, y1 = data.box[pack, 4 * v + 2, k] - half, data.box[pack, 4 * v + 3, k] + half
         whole = x1 - x0 < wp.float64(TORN) and y1 - y0 < wp.float64(TORN)
-        if whole and x0 > -wp.float64(FAR) and x1 < wp.float64(FAR) and y0 > -wp.float64(FAR) and y1 < wp.float64(FAR):
+        if whole and on_lattice(x0, x1, y0, y1):
             s = wp.float64(1.0 / SLOT)
             return int(wp.floor(x0 * s)), int(wp.floor(x1 * s)), int(wp.floor(y0 * s)), int(wp.floor(y1 * s))
         return 0, -1, 0, -1
 
-    @inline
-    def enter(model: types.Model, data: types.Data, design: int, pack: int, k: int, unit: int, v: int, entries: int):
+    @kit.func
+    def enter(model, data, design, pack, k, unit, v, entries):
         """Meet the voxels that have entered the cells of voxel v, then enter it; the number of entries after that."""
         n = int(entries)
         x0, x1, y0, y1 = cells(data, pack, k, v, model.margin)
@@ -209,8 +157,8 @@ def mark_grid(precision: str, width: int):
                 n += 1
         return n
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
         lanes = int(width)
         for k in range(lane, lane + lanes):
             for slot in range(data.grid_head.shape[1]):
@@ -222,18 +170,17 @@ def mark_grid(precision: str, width: int):
     return stage
 
 
-@functools.cache
-def lattice_range(precision: str):
+@builder
+def lattice_range(kit: Kit):
     """Function: columns and rows of the terrain lattice under a box that is ``margin`` wider on every side."""
-    types = structs(precision)
 
-    @inline
-    def span(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int, margin: wp.float64):
+    @kit.func
+    def span(model, data, design, pack, k, v, margin):
         size = model.terrain[design]
         x0, x1 = data.box[pack, 4 * v, k] - margin, data.box[pack, 4 * v + 1, k] + margin
         y0, y1 = data.box[pack, 4 * v + 2, k] - margin, data.box[pack, 4 * v + 3, k] + margin
-        if x0 > -wp.float64(FAR) and x1 < wp.float64(FAR) and y0 > -wp.float64(FAR) and y1 < wp.float64(FAR):
-            s = wp.float64(1.0 / CELL)
+        if on_lattice(x0, x1, y0, y1):
+            s = wp.float64(1.0 / VOXEL)
             slack = wp.float64(1.0e-3)  # in cells: coordinates carry rounding, the lattice does not
             return (
                 wp.max(int(wp.floor(x0 * s - slack)), 0),
@@ -246,14 +193,14 @@ def lattice_range(precision: str):
     return span
 
 
-@functools.cache
-def mark_still(precision: str, width: int):
+@builder
+def mark_still(kit: Kit):
     """Stage: candidates of mobile voxels and those that stand still, which the terrain lattice finds."""
-    types = structs(precision)
-    mark, meet, span = mark_pair(precision), meets(precision), lattice_range(precision)
+    width = kit.width
+    mark, meet, span = mark_pair(kit), meets(kit), lattice_range(kit)
 
-    @inline
-    def look(model: types.Model, data: types.Data, design: int, pack: int, k: int, unit: int, v: int):
+    @kit.func
+    def look(model, data, design, pack, k, unit, v):
         x0, x1, y0, y1 = span(model, data, design, pack, k, v, model.margin)
         for y in range(y0, y1 + 1):
             for x in range(x0, x1 + 1):
@@ -261,8 +208,8 @@ def mark_still(precision: str, width: int):
                 if w >= 0 and meet(data, pack, k, w, v, model.margin):
                     mark(model, data, design, unit, v, w)
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
         if model.mobiles[design] == model.voxels[design]:
             return
         lanes = int(width)
@@ -273,10 +220,9 @@ def mark_still(precision: str, width: int):
     return stage
 
 
-@functools.cache
-def list_pairs(precision: str, width: int):
+@builder
+def list_pairs(kit: Kit):
     """Stage: the marked candidates in ascending order, into ``pairs``."""
-    types, first, drop = structs(precision), lane_ops(precision, width).first, lane_ops(precision, width).drop
 
     @wp.func
     def shares(corners: wp.vec4i, p: int):
@@ -292,8 +238,8 @@ def list_pairs(precision: str, width: int):
                 bits = bits | (1 << c)
         return bits
 
-    @inline
-    def add(model: types.Model, data: types.Data, design: int, unit: int, i: int, j: int):
+    @kit.func
+    def add(model, data, design, unit, i, j):
         n = data.pair_count[unit]
         if n >= data.pairs.shape[1]:
             data.overflow[unit] = 1
@@ -308,28 +254,28 @@ def list_pairs(precision: str, width: int):
         data.pairs[unit, n] = wp.vec4i(i, j, bits, own_corners(cj, ci))
         data.pair_count[unit] = n + 1
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
         data.pair_count[unit] = 0
         words = (model.voxels[design] + 31) // 32
         for word in range(model.voxels[design] * words):
             bits = data.pair_bit[unit, word]
             data.pair_bit[unit, word] = 0
             while bits != 0:
-                add(model, data, design, unit, word // words, 32 * (word % words) + first(bits))
-                bits = drop(bits)
+                add(model, data, design, unit, word // words, 32 * (word % words) + kit.first(bits))
+                bits = kit.drop(bits)
 
     return stage
 
 
-@functools.cache
-def collect_near(precision: str, width: int):
+@builder
+def collect_near(kit: Kit):
     """Stage: voxels that may touch terrain in some lane."""
-    types = structs(precision)
-    span = lattice_range(precision)
+    width = kit.width
+    span = lattice_range(kit)
 
-    @inline
-    def touches(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int):
+    @kit.func
+    def touches(model, data, design, pack, k, v):
         x0, x1, y0, y1 = span(model, data, design, pack, k, v, model.margin)
         for y in range(y0, y1 + 1):
             for x in range(x0, x1 + 1):
@@ -337,11 +283,12 @@ def collect_near(precision: str, width: int):
                     return 1
         return 0
 
-    @inline
-    def bound(model: types.Model, data: types.Data, design: int, pack: int, k: int, v: int):
+    @kit.func
+    def bound(model, data, design, pack, k, v):
         """Bounds of the surface cells in reach, inside out where there are none."""
         x0, x1, y0, y1 = span(model, data, design, pack, k, v, model.margin)
-        left, right, bottom, top = wp.float64(FAR), wp.float64(-FAR), wp.float64(FAR), wp.float64(-FAR)
+        left, bottom = wp.float64(FARTHEST), wp.float64(FARTHEST)
+        right, top = -left, -bottom
         for y in range(y0, y1 + 1):
             for x in range(x0, x1 + 1):
                 cell = y * model.terrain[design][0] + x
@@ -355,14 +302,14 @@ def collect_near(precision: str, width: int):
         data.near_box[pack, 4 * v + 2, k] = bottom
         data.near_box[pack, 4 * v + 3, k] = top
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
         n = int(0)
         for m in range(model.mobiles[design]):
             v = model.mobile[design, m]
             found = int(0)
             k = int(lane)
-            while found == 0 and k < lane + width:
+            while found == 0 and k < lane + int(width):
                 found = touches(model, data, design, pack, k, v)
                 k += 1
             if found == 1:
@@ -375,17 +322,15 @@ def collect_near(precision: str, width: int):
     return stage
 
 
-@functools.cache
-def collect_pairs(precision: str, width: int):
+@builder
+def collect_pairs(kit: Kit):
     """Stage: the candidate pairs anew."""
-    types, enclose = structs(precision), voxel_box(precision, width)
-    grid_from = GRID_FROM if width == 1 else WIDE_GRID_FROM
-    by_grid, by_all, by_lattice, listed = (
-        build(precision, width) for build in (mark_grid, mark_all, mark_still, list_pairs)
-    )
+    enclose = voxel_box(kit)
+    grid_from = GRID_FROM if kit.width == 1 else WIDE_GRID_FROM
+    by_grid, by_all, by_lattice, listed = (build(kit) for build in (mark_grid, mark_all, mark_still, list_pairs))
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
         if model.mobiles[design] < model.voxels[design]:
             for v in range(model.voxels[design]):
                 enclose(model, data, design, pack, lane, v)
@@ -399,14 +344,13 @@ def collect_pairs(precision: str, width: int):
     return stage
 
 
-@functools.cache
-def collect(precision: str, width: int):
+@builder
+def collect(kit: Kit):
     """Stage: all candidates anew, once the old ones are worn out."""
-    types = structs(precision)
-    pairs, near = collect_pairs(precision, width), collect_near(precision, width)
+    pairs, near = collect_pairs(kit), collect_near(kit)
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
         if data.drift[unit] + data.drift[unit] >= model.margin:
             data.overflow[unit] = 0
             pairs(model, data, design, pack, lane, unit, dt)

@@ -3,37 +3,36 @@
 Uses the boxes of the sub-step's start; a pair counts in both orders.
 """
 
-import functools
-
 import warp as wp
 
 from warpvox.kernels.broadphase import DISTANT, box_overlap
-from warpvox.kernels.lanes import inline, lane_ops
-from warpvox.kernels.state import UNSTABLE, structs
+from warpvox.kernels.kit import Kit, builder
+from warpvox.kernels.state import UNSTABLE
 
 
-@functools.cache
-def check(precision: str, width: int):
+@builder
+def check(kit: Kit):
     """Stage: set UNSTABLE in the status of environments with a folded robot."""
-    ops, types = lane_ops(precision, width), structs(precision)
-    first, drop = ops.first, ops.drop
-    overlap = box_overlap(precision, width)
+    width = kit.width
+    overlap = box_overlap(kit)
 
-    @inline
-    def clear(data: types.Data, pack: int, lane: int, robots: int):
+    @kit.func
+    def clear(data, pack, lane, robots):
+        """No folded pairs yet."""
         for robot in range(robots):
             for k in range(lane, lane + int(width)):
                 data.folds[pack, robot, k] = 0
 
-    @inline
-    def judge(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
+    @kit.func
+    def judge(model, data, design, pack, lane):
+        """Compare the counts with their limits."""
         for robot in range(model.robots[design]):
             for k in range(lane, lane + int(width)):
                 if data.folds[pack, robot, k] > model.fold_limit[design, robot]:
                     data.status[pack, k] = data.status[pack, k] | UNSTABLE
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
         found = int(0)
         for n in range(data.pair_count[unit]):
             pair = data.pairs[unit, n]
@@ -43,10 +42,10 @@ def check(precision: str, width: int):
                     clear(data, pack, lane, model.robots[design])
                     found = 1
                 while lanes != 0:
-                    k = lane + first(lanes)
+                    k = lane + kit.first(lanes)
                     robot = model.robot[design, pair[0]]
                     data.folds[pack, robot, k] = data.folds[pack, robot, k] + 2
-                    lanes = drop(lanes)
+                    lanes = kit.drop(lanes)
         if found == 1:
             judge(model, data, design, pack, lane)
 

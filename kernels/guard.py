@@ -4,12 +4,10 @@ An environment that has diverged goes on being computed until the control step i
 no other: lanes meet in the candidates of contacts alone, whose list has room for all pairs where lanes share it.
 """
 
-import functools
-
 import warp as wp
 
-from warpvox.kernels.lanes import inline, lane_ops
-from warpvox.kernels.state import DIVERGED, structs
+from warpvox.kernels.kit import Kit, builder
+from warpvox.kernels.state import DIVERGED
 
 FASTEST = 1.0e4
 """Speed of a point, in units of inner time, beyond which a simulation has diverged.
@@ -21,20 +19,19 @@ FARTHEST = 1.0e6
 """Coordinate beyond which it has diverged: no lattice goes so far, so that contacts are not looked for there."""
 
 
-@functools.cache
-def diverged(precision: str, width: int):
+@builder
+def diverged(kit: Kit):
     """Function: set DIVERGED in the status of lanes that are not finite or beyond the bounds; the sound lanes."""
-    ops, types = lane_ops("float64", width), structs(precision)
-    load, within, splat, full = ops.load, ops.within, ops.splat, ops.full
+    width, full = kit.width, kit.full
 
-    @inline
-    def mark(model: types.Model, data: types.Data, design: int, pack: int, lane: int):
+    @kit.func
+    def mark(model, data, design, pack, lane):
         sound = int(full)
-        far, fast = splat(wp.float64(FARTHEST)), splat(wp.float64(FASTEST))
+        far, fast = kit.wide.splat(wp.float64(FARTHEST)), kit.wide.splat(wp.float64(FASTEST))
         for r in range(2 * model.points[design]):
-            sound = sound & within(load(data.pos, pack, r, lane), far)
-            sound = sound & within(load(data.vel, pack, r, lane), fast)
-            sound = sound & within(load(data.true_vel, pack, r, lane), fast)
+            sound = sound & kit.wide.within(kit.wide.load(data.pos, pack, r, lane), far)
+            sound = sound & kit.wide.within(kit.wide.load(data.vel, pack, r, lane), fast)
+            sound = sound & kit.wide.within(kit.wide.load(data.true_vel, pack, r, lane), fast)
         if sound != int(full):
             for k in range(int(width)):
                 if ((sound >> k) & 1) == 0:
@@ -44,13 +41,12 @@ def diverged(precision: str, width: int):
     return mark
 
 
-@functools.cache
-def restore(precision: str):
+@builder
+def restore(kit: Kit):
     """Function: one lane goes back to the start of the control step."""
-    types = structs(precision)
 
-    @inline
-    def back(model: types.Model, data: types.Data, design: int, pack: int, k: int):
+    @kit.func
+    def back(model, data, design, pack, k):
         for n in range(2 * model.actives[design]):
             r = model.active[design, n]
             data.pos[pack, r, k] = data.saved_pos[pack, r, k]

@@ -3,47 +3,38 @@
 The sub-step itself is in ``native/integrate.h``.
 """
 
-import functools
-from pathlib import Path
-
 import warp as wp
 
-from warpvox.kernels.lanes import inline, lane_ops, native
-from warpvox.kernels.state import structs
-
-SUBSTEP = Path(__file__).with_name("native").joinpath("integrate.h").read_text(encoding="utf-8")
+from warpvox.kernels.kit import Kit, builder
 
 
-@functools.cache
-def runge_kutta(precision: str, width: int):
+@builder
+def runge_kutta(kit: Kit):
     """Stage: displacement and new velocity of every free point after dt."""
-    types = structs(precision)
 
-    @wp.func_native(native(precision, width) + SUBSTEP)
-    def substep(model: types.Model, data: types.Data, design: int, pack: int, lane: int, dt: wp.float64): ...
+    @kit.func_native("native/integrate.h")
+    def substep(model, data, design, pack, lane, dt): ...
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
         substep(model, data, design, pack, lane, dt)
 
     return stage
 
 
-@functools.cache
-def advance(precision: str, width: int):
+@builder
+def advance(kit: Kit):
     """Stage: positions move; true velocity and drift follow."""
-    ops, types = lane_ops("float64", width), structs(precision)
-    load, store, splat, grow, largest = ops.load, ops.store, ops.splat, ops.grow, ops.largest
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
-        path = splat(wp.float64(0.0))
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
+        path = kit.wide.splat(wp.float64(0.0))
         for n in range(2 * model.actives[design]):
             r = model.active[design, n]
-            move = load(data.move, pack, r, lane)
-            store(data.pos, pack, r, lane, load(data.pos, pack, r, lane) + move)
-            store(data.true_vel, pack, r, lane, move * (wp.float64(1.0) / dt))
-            path = grow(path, move)
-        data.drift[unit] = data.drift[unit] + largest(path)
+            move = kit.wide.load(data.move, pack, r, lane)
+            kit.wide.store(data.pos, pack, r, lane, kit.wide.load(data.pos, pack, r, lane) + move)
+            kit.wide.store(data.true_vel, pack, r, lane, move * (wp.float64(1.0) / dt))
+            path = kit.wide.grow(path, move)
+        data.drift[unit] = data.drift[unit] + kit.wide.largest(path)
 
     return stage

@@ -11,6 +11,7 @@ the simulation's own precision, on displacements so small that float32 serves th
 """
 
 import functools
+from pathlib import Path
 from types import SimpleNamespace
 
 import warp as wp
@@ -82,74 +83,20 @@ def _drop(mask: int) -> int:
     return mask & (mask - 1)
 
 
-def native(precision: str, width: int) -> str:
-    """C++ that the body of a native stage (model, data, design, pack, lane, ...) begins with, for a width.
+def text(*files: str) -> str:
+    """The C++ in files of this folder, one after another."""
+    return "\n".join(Path(__file__).parent.joinpath(file).read_text(encoding="utf-8") for file in files)
 
-    ``Value`` holds the lanes in a precision, ``Wide`` in float64, as vectors of the compiler, which stay in registers;
-    ``values(array)[r]`` and ``wides(array)[r]`` are row r of the pack.
+
+@functools.cache
+def native(files: tuple[str, ...], precision: str, width: int) -> str:
+    """The body of a native function of a pack and a lane, in C++ of ``files``, for a precision and a width.
+
+    ``Value`` holds the lanes in that precision, ``Wide`` in float64; ``values(array)[r]`` and ``wides(array)[r]`` are
+    row r of the pack (``native/scalar.h``, ``native/vector.h``).
     """
-    real = _C_NAMES[REALS[precision]]
-    return f"typedef {real} Real;\n" + (_NATIVE_SCALAR if width == 1 else _NATIVE_VECTOR.replace("WIDTH", str(width)))
-
-
-_NATIVE_SCALAR = """
-typedef Real Value;
-typedef double Wide;
-auto widen = [](Value a) -> Wide { return static_cast<Wide>(a); };
-auto narrow = [](Wide a) -> Value { return static_cast<Value>(a); };
-auto root = [](Value a) -> Value { return wp::sqrt(a); };
-auto any_below = [](Value a) -> bool { return a <= Real(0); };
-auto each_lane = [](auto&& act) { act(0); };
-auto lane_of = [](const Value& a, int) -> Real { return a; };
-auto set_lane = [](Value& a, int, Real x) { a = x; };
-auto bits_of = [](bool a) -> int { return a ? 1 : 0; };
-auto least = [](Wide a) -> double { return a; };
-auto largest = [](Wide a) -> double { return a; };
-#if defined(__CUDA_ARCH__)
-struct Values {
-    Value* first;
-    size_t gap;
-    __device__ Value& operator[](unsigned r) const { return first[r * gap]; }
-};
-struct Wides {
-    Wide* first;
-    size_t gap;
-    __device__ Wide& operator[](unsigned r) const { return first[r * gap]; }
-};
-auto values = [&](const wp::array_t<Real>& a) -> Values {
-    return {&wp::index(a, pack, 0, lane), a.strides[1] / sizeof(Value)};
-};
-auto wides = [&](const wp::array_t<double>& a) -> Wides {
-    return {&wp::index(a, pack, 0, lane), a.strides[1] / sizeof(Wide)};
-};
-#else
-auto values = [&](const wp::array_t<Real>& a) -> Value* { return &wp::index(a, pack, 0, lane); };
-auto wides = [&](const wp::array_t<double>& a) -> Wide* { return &wp::index(a, pack, 0, lane); };
-#endif
-"""
-
-_NATIVE_VECTOR = """
-typedef Real Value __attribute__((ext_vector_type(WIDTH), aligned(8)));
-typedef double Wide __attribute__((ext_vector_type(WIDTH), aligned(8)));
-auto widen = [](Value a) -> Wide { return __builtin_convertvector(a, Wide); };
-auto narrow = [](Wide a) -> Value { return __builtin_convertvector(a, Value); };
-auto root = [](Value a) -> Value { return __builtin_elementwise_sqrt(a); };
-auto any_below = [](Value a) -> bool { return __builtin_reduce_min(a) <= Real(0); };
-auto each_lane = [](auto&& act) { for (int k = 0; k < WIDTH; ++k) act(k); };
-auto lane_of = [](const Value& a, int k) -> Real { return a[k]; };
-auto set_lane = [](Value& a, int k, Real x) { a[k] = x; };
-auto least = [](Wide a) -> double { return __builtin_reduce_min(a); };
-auto largest = [](Wide a) -> double { return __builtin_reduce_max(a); };
-auto bits_of = [](auto a) -> int {
-    typedef bool Bits __attribute__((ext_vector_type(WIDTH)));
-    const Bits bits = __builtin_convertvector(a, Bits);
-    unsigned mask = 0;
-    __builtin_memcpy(&mask, &bits, WIDTH / 8);
-    return static_cast<int>(mask);
-};
-auto values = [&](const wp::array_t<Real>& a) { return reinterpret_cast<Value*>(&wp::index(a, pack, 0, lane)); };
-auto wides = [&](const wp::array_t<double>& a) { return reinterpret_cast<Wide*>(&wp::index(a, pack, 0, lane)); };
-"""
+    whole = text("native/scalar.h" if width == 1 else "native/vector.h", *files)
+    return f"typedef {_C_NAMES[REALS[precision]]} Real;\n" + whole.replace("WIDTH", str(width))
 
 
 def _place(c_real: str, width: int) -> str:

@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.state import structs
+from warpvox.kernels.kit import kit_of
 
 # Contacts at time 0 hang on the last bit of a double: round as the formulas are written, without fused operations.
 EXACT = {"fuse_fp": False}
@@ -17,11 +17,11 @@ EXACT = {"fuse_fp": False}
 @functools.cache
 def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
     """The kernel that runs one stage; launch over (units of a pack, packs)."""
-    types = structs(precision)
-    stage = build(precision, width)
+    kit = kit_of(precision, width)
+    stage = build(kit)
 
     @wp.kernel(enable_backward=False, module="unique", module_options=EXACT)
-    def kernel(model: types.Model, data: types.Data, units: int, dt: wp.float64):
+    def kernel(model: kit.Model, data: kit.Data, units: int, dt: wp.float64):
         pack, part = wp.tid()
         stage(model, data, model.pack_design[pack], pack, part * width, pack * units + part, dt)
 

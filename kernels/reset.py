@@ -1,32 +1,29 @@
 """Masked reset, frozen environments and state in and out, without host synchronisation."""
 
-import functools
-
 import warp as wp
 
 from warpvox.kernels.guard import diverged, restore
-from warpvox.kernels.lanes import inline, lane_ops
-from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE, structs
+from warpvox.kernels.kit import Kit, builder
+from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
 
 STALE = 1.0e9  # a drift that makes the next sub-step collect its candidates anew
 
 
-@functools.cache
-def save(precision: str, width: int):
+@builder
+def save(kit: Kit):
     """Stage, at the start of a control step: remember the state; bad numbers that were put there go home first."""
-    ops, types = lane_ops("float64", width), structs(precision)
-    load, store = ops.load, ops.store
-    mark, full = diverged(precision, width), ops.full
+    width, full = kit.width, kit.full
+    mark = diverged(kit)
 
-    @inline
-    def go_home(model: types.Model, data: types.Data, design: int, pack: int, k: int):
+    @kit.func
+    def go_home(model, data, design, pack, k):
         for r in range(2 * model.points[design]):
             data.pos[pack, r, k] = model.home[design, r]
             data.vel[pack, r, k] = wp.float64(0.0)
             data.true_vel[pack, r, k] = wp.float64(0.0)
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
         if mark(model, data, design, pack, lane) != int(full):
             for k in range(lane, lane + int(width)):
                 if (data.status[pack, k] & DIVERGED) != 0:
@@ -34,21 +31,21 @@ def save(precision: str, width: int):
                     data.drift[unit] = wp.float64(STALE)
         for n in range(2 * model.actives[design]):
             r = model.active[design, n]
-            store(data.saved_pos, pack, r, lane, load(data.pos, pack, r, lane))
-            store(data.saved_vel, pack, r, lane, load(data.vel, pack, r, lane))
-            store(data.saved_true_vel, pack, r, lane, load(data.true_vel, pack, r, lane))
+            kit.wide.store(data.saved_pos, pack, r, lane, kit.wide.load(data.pos, pack, r, lane))
+            kit.wide.store(data.saved_vel, pack, r, lane, kit.wide.load(data.vel, pack, r, lane))
+            kit.wide.store(data.saved_true_vel, pack, r, lane, kit.wide.load(data.true_vel, pack, r, lane))
 
     return stage
 
 
-@functools.cache
-def settle(precision: str, width: int):
+@builder
+def settle(kit: Kit):
     """Stage, at the end of a control step: frozen and stopped environments go back to its start."""
-    types = structs(precision)
-    mark, undo = diverged(precision, width), restore(precision)
+    width = kit.width
+    mark, undo = diverged(kit), restore(kit)
 
-    @inline
-    def stage(model: types.Model, data: types.Data, design: int, pack: int, lane: int, unit: int, dt: wp.float64):
+    @kit.func
+    def stage(model, data, design, pack, lane, unit, dt):
         mark(model, data, design, pack, lane)
         for e in range(lane, lane + int(width)):
             if data.overflow[unit] == 1:
@@ -64,14 +61,13 @@ def settle(precision: str, width: int):
     return stage
 
 
-@functools.cache
-def reset_kernel(precision: str):
+@builder
+def reset_kernel(kit: Kit):
     """Kernel over environments: those with a mask go back to time 0."""
-    types = structs(precision)
 
     @wp.kernel(enable_backward=False, module="unique")
     def reset(
-        model: types.Model, data: types.Data, units: int, width: int,
+        model: kit.Model, data: kit.Data, units: int, width: int,
         env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int), mask: wp.array(dtype=wp.bool),
     ):  # fmt: skip
         env = wp.tid()

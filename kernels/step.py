@@ -13,10 +13,9 @@ from warpvox.kernels.contact import contacts
 from warpvox.kernels.exact import order, springs
 from warpvox.kernels.folding import check
 from warpvox.kernels.integrate import advance, runge_kutta
-from warpvox.kernels.lanes import REALS, inline
+from warpvox.kernels.kit import Kit, builder, kit_of
 from warpvox.kernels.launch import EXACT, launch_stage
 from warpvox.kernels.reset import save, settle
-from warpvox.kernels.state import structs
 from warpvox.kernels.strain import limit
 
 STAGES = {
@@ -29,13 +28,14 @@ STAGES = {
 @functools.cache
 def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
     """The fused kernel; launch over (units of a pack, packs) with the first pack of this launch."""
-    types = structs(precision)
-    begin, aim, end = save(precision, width), goals(precision, width), settle(precision, width)
-    stages = (build(precision, width) for build in STAGES[arithmetic])
+    kit = kit_of(precision, width)
+    begin, aim, end = save(kit), goals(kit), settle(kit)
+    stages = (build(kit) for build in STAGES[arithmetic])
     bound, gather, touch, pull, move, strain, place, fold = stages
 
-    @inline
-    def idle(data: types.Data, pack: int, lane: int):
+    @kit.func
+    def idle(data, pack, lane):
+        """Clear the status; 1 if all lanes are frozen."""
         still = int(1)
         for k in range(lane, lane + int(width)):
             if data.frozen[pack, k] == 0:
@@ -44,7 +44,7 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
         return still
 
     @wp.kernel(enable_backward=False, module="unique", module_options=EXACT)
-    def control_step(model: types.Model, data: types.Data, first_pack: int, units: int, substeps: int, dt: wp.float64):
+    def control_step(model: kit.Model, data: kit.Data, first_pack: int, units: int, substeps: int, dt: wp.float64):
         row, part = wp.tid()
         pack = first_pack + row
         lane = part * width
@@ -68,15 +68,14 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
     return control_step
 
 
-@functools.cache
-def action_kernel(precision: str) -> wp.Kernel:
+@builder
+def action_kernel(kit: Kit) -> wp.Kernel:
     """Kernel over (environments, actions): clip the actions and sort them into the lanes."""
-    types, real = structs(precision), REALS[precision]
 
     @wp.kernel(enable_backward=False, module="unique")
     def place_actions(
-        data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
-        actions: wp.array2d(dtype=real), low: wp.float64, high: wp.float64,
+        data: kit.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
+        actions: wp.array2d(dtype=kit.real), low: wp.float64, high: wp.float64,
     ):  # fmt: skip
         env, a = wp.tid()
         goal = wp.float64(actions[env, a])

@@ -1,0 +1,65 @@
+"""What stages are written with: types and operations for one precision and lane width, and two decorators.
+
+A stage is made by a *builder*, a function of a :class:`Kit` that returns a Warp function. In Warp functions an argument
+without a type gets it by its name: ``model`` and ``data`` are the structs, ``dt`` and ``margin`` float64, others int.
+"""
+
+import functools
+import inspect
+
+import warp as wp
+
+from warpvox.kernels.lanes import REALS, casts, inline, lane_ops, native
+from warpvox.kernels.state import structs
+
+
+class Kit:
+    """Types and operations of a precision and a lane width.
+
+    Attributes:
+        precision, width, real: 'float32' or 'float64', lanes, and Warp's type.
+        load, store, mul, ...: the operations of :func:`warpvox.kernels.lanes.lane_ops` in this precision; ``value`` is
+            the type of their operands. ``wide`` has the same in float64; ``widen`` and ``narrow`` convert.
+        Model, Data, Contact: the structs.
+    """
+
+    def __init__(self, precision: str, width: int):
+        self.precision, self.width, self.real = precision, width, REALS[precision]
+        self.wide = lane_ops("float64", width)
+        for part in (lane_ops(precision, width), casts(precision, width), structs(precision)):
+            vars(self).update(vars(part))
+        self._types = {"model": self.Model, "data": self.Data, "dt": wp.float64, "margin": wp.float64}
+
+    def func(self, source):
+        """Decorator: a Warp function, inlined (structs are passed by value, so that a call would copy them)."""
+        return inline(self._typed(source))
+
+    def func_native(self, *files: str, precision: str | None = None):
+        """Decorator: a Warp function whose body is C++ in files of this folder, for values of the kit's precision.
+
+        Warp looks for this name to find out what the function returns.
+        """
+        body = native(files, precision or self.precision, self.width)
+        return lambda source: wp.func_native(body)(self._typed(source))
+
+    def _typed(self, source):
+        given = source.__annotations__
+        source.__annotations__ = {n: self._types.get(n, int) for n in inspect.signature(source).parameters} | given
+        return source
+
+
+@functools.cache
+def kit_of(precision: str, width: int) -> Kit:
+    """The one kit of a precision ('float32', 'float64') and a width (1 to 32)."""
+    return Kit(precision, width)
+
+
+def builder(build):
+    """Decorator: a function of a Kit, called once for each; it may also be called with a precision and a width."""
+    cached = functools.cache(build)
+
+    @functools.wraps(build)
+    def made(kit: Kit | str, width: int = 1):
+        return cached(kit if isinstance(kit, Kit) else kit_of(kit, width))
+
+    return made

@@ -1,0 +1,36 @@
+// What the body of a native function begins with, for one environment: types and operations on a value, after
+// `typedef ... Real` and with pack and lane as its arguments. vector.h has the same for many lanes.
+
+typedef Real Value;
+typedef double Wide;
+auto widen = [](Value a) -> Wide { return static_cast<Wide>(a); };
+auto narrow = [](Wide a) -> Value { return static_cast<Value>(a); };
+auto root = [](Value a) -> Value { return wp::sqrt(a); };
+auto any_below = [](Value a) -> bool { return a <= Real(0); };
+auto each_lane = [](auto&& act) { act(0); };
+auto lane_of = [](const Value& a, int) -> Real { return a; };
+auto set_lane = [](Value& a, int, Real x) { a = x; };
+auto bits_of = [](bool a) -> int { return a ? 1 : 0; };
+auto least = [](Wide a) -> double { return a; };
+auto largest = [](Wide a) -> double { return a; };
+#if defined(__CUDA_ARCH__)
+struct Values {
+    Value* first;
+    size_t gap;
+    __device__ Value& operator[](unsigned r) const { return first[r * gap]; }
+};
+struct Wides {
+    Wide* first;
+    size_t gap;
+    __device__ Wide& operator[](unsigned r) const { return first[r * gap]; }
+};
+auto values = [&](const wp::array_t<Real>& a) -> Values {
+    return {&wp::index(a, pack, 0, lane), a.strides[1] / sizeof(Value)};
+};
+auto wides = [&](const wp::array_t<double>& a) -> Wides {
+    return {&wp::index(a, pack, 0, lane), a.strides[1] / sizeof(Wide)};
+};
+#else
+auto values = [&](const wp::array_t<Real>& a) -> Value* { return &wp::index(a, pack, 0, lane); };
+auto wides = [&](const wp::array_t<double>& a) -> Wide* { return &wp::index(a, pack, 0, lane); };
+#endif

@@ -1,0 +1,23 @@
+// What the body of a native function begins with, for WIDTH lanes: types and operations on a value, after
+// `typedef ... Real` and with pack and lane as its arguments. Values are vectors of the compiler, which stay in registers.
+
+typedef Real Value __attribute__((ext_vector_type(WIDTH), aligned(8)));
+typedef double Wide __attribute__((ext_vector_type(WIDTH), aligned(8)));
+auto widen = [](Value a) -> Wide { return __builtin_convertvector(a, Wide); };
+auto narrow = [](Wide a) -> Value { return __builtin_convertvector(a, Value); };
+auto root = [](Value a) -> Value { return __builtin_elementwise_sqrt(a); };
+auto any_below = [](Value a) -> bool { return __builtin_reduce_min(a) <= Real(0); };
+auto each_lane = [](auto&& act) { for (int k = 0; k < WIDTH; ++k) act(k); };
+auto lane_of = [](const Value& a, int k) -> Real { return a[k]; };
+auto set_lane = [](Value& a, int k, Real x) { a[k] = x; };
+auto least = [](Wide a) -> double { return __builtin_reduce_min(a); };
+auto largest = [](Wide a) -> double { return __builtin_reduce_max(a); };
+auto bits_of = [](auto a) -> int {
+    typedef bool Bits __attribute__((ext_vector_type(WIDTH)));
+    const Bits bits = __builtin_convertvector(a, Bits);
+    unsigned mask = 0;
+    __builtin_memcpy(&mask, &bits, WIDTH / 8);
+    return static_cast<int>(mask);
+};
+auto values = [&](const wp::array_t<Real>& a) { return reinterpret_cast<Value*>(&wp::index(a, pack, 0, lane)); };
+auto wides = [&](const wp::array_t<double>& a) { return reinterpret_cast<Wide*>(&wp::index(a, pack, 0, lane)); };
