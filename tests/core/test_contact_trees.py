@@ -150,3 +150,10 @@ def test_the_depth_of_a_tree_is_that_of_its_deepest_leaf():
         return 1 + max(map(below, tree.children[node])) if tree.children[node] else 0
 
     assert tree.depth() == below(len(tree.cells) - 1)
+
+
+def test_large_bodies_stay_far_below_the_limit():
+    world = World(20, 20)
+    world.add_from_array("robot", np.full((20, 20), 3), 0, 0)
+    (body,) = compile_world(world, Physics.preset("evogym")).bodies
+    assert tree_of(body).depth() == 8
