@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from warpvox.errors import TaskError
+
 __all__ = ["Draws"]
 
 _EPISODE = 1 << 16  # numbers that an episode may draw
@@ -58,7 +60,15 @@ class Draws:
         return torch.zeros((self.num_envs, count), dtype=torch.long, device=self.episode.device)
 
     def integers(self, low: int, high: int, count: int) -> torch.Tensor:
-        """long ``[num_envs, count]``: the next ``count`` numbers of each stream, in [low, high), uniform."""
+        """long ``[num_envs, count]``: the next ``count`` numbers of each stream, in [low, high), uniform.
+
+        Raises:
+            TaskError: no number lies there, or more are asked for than an episode may draw.
+        """
+        if high <= low:
+            raise TaskError(f"There is no number from {low} to {high - 1} to be drawn: low must be less than high.")
+        if not 0 <= count < _EPISODE - self._count:
+            raise TaskError(f"An episode may draw {_EPISODE - 1} numbers, got {self._count} and {count} more.")
         place = torch.arange(self._count + 1, self._count + count + 1, device=self.episode.device)
         self._count += count
         word = self.keys[:, None] + (self.episode[:, None] * _EPISODE + place) * _STEP

@@ -198,12 +198,11 @@ class VoxelEnv(gymnasium.Env):
             raise ActionError(f"An action must have the shape {expected}, got {list(action.shape)}.")
         if self._ended is not None:
             return self._ended.copy(), 0.0, True, False, {"unstable": False, "diverged": False, "reward_terms": {}}
-        obs, terms, terminated, unstable = self._vec.step_one(action[None])
+        obs, terms, terminated, unstable, diverged = self._vec.step_one(action[None])
         obs = obs.cpu().numpy()
         if terminated:
             self._ended = obs.copy()
         self._show()
-        diverged = unstable and bool(self.sim.diverged)
         info = {"unstable": unstable, "diverged": diverged, "reward_terms": terms}
         return obs, sum(terms.values()), terminated, False, info
 

@@ -9,6 +9,7 @@ import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
+from warpvox.envs.checks import check_fields
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 
@@ -135,6 +136,7 @@ class RslRlVecEnv(VecEnv):
         Returns are the task's own, not scaled. Episodes that were shortened for a random start do not count, except
         in ``unstable`` and ``diverged``: how many ended by a step that was stopped, and by bad numbers among them.
         """
+        self.env.not_finite()  # warns of terms that were NaN; looking there is no wait more
         count, total, length, *ends = self._sums.tolist()
         self._clear_episodes()
         stopped = {name: int(number) for name, number in zip(ENDS, ends, strict=True)}
@@ -172,14 +174,18 @@ class RslRlVecEnv(VecEnv):
         """Go on from :meth:`state` of an adapter with the same task, designs and settings.
 
         Raises:
-            SimulationError: the state is that of other worlds or another number of environments.
+            SimulationError: the state is that of other worlds or another number of environments, or lacks something.
         """
+        like = {"env": {}, "obs": self._obs, "shortened": self._shortened, "sums": torch.Tensor}
+        check_fields(state, like)
+        if self.reward_norm is not None and state.get("reward_norm") is not None:
+            check_fields(state["reward_norm"], self.reward_norm.state(), "reward_norm")
         self.env.set_state(state["env"])
         self._obs = state["obs"].to(self.device)
         self._shortened = state["shortened"].to(self.device)
         self._clear_episodes()
         self._sums[: len(state["sums"])] = state["sums"].to(self.device)
-        if self.reward_norm is not None and state["reward_norm"] is not None:
+        if self.reward_norm is not None and state.get("reward_norm") is not None:
             self.reward_norm.set_state(state["reward_norm"])
 
 

@@ -7,14 +7,19 @@ environment adds terms up, so that no task has code of its own.
 from __future__ import annotations
 
 import re
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
+from math import isfinite
+from numbers import Integral, Real
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from warpvox.envs.about import About, about_of
-from warpvox.errors import ConfigError, TaskError, did_you_mean, listing
+from warpvox.errors import ConfigError, TaskError, WarpvoxError, did_you_mean, listing
+from warpvox.memory import shortage
 from warpvox.world import WorldObject
 
 if TYPE_CHECKING:
@@ -43,6 +48,8 @@ RULES = ("evogym", "paper")
 ROBOT = "robot"
 """Name of the robot in the world of a task."""
 
+MAKERS = {"observations": "observes", "rewards": "rewards", "terminations": "ends"}
+
 ID = re.compile(r"[\w.+-]+")  # ids are also names of folders and, behind a slash, of gymnasium's environments
 
 
@@ -53,14 +60,21 @@ class Term:
     function: Callable[..., Tensor]
     params: tuple[tuple[str, Any], ...] = ()
 
+    kind: ClassVar[str] = "term"
+
     def __call__(self, *states: object) -> Tensor:
-        return self.function(*states, **dict(self.params))
+        try:
+            return self.function(*states, **dict(self.params))
+        except Exception as error:
+            if shortage(error):
+                raise
+            raise TaskError(f"The {self.kind} '{self.name}' has failed: {_told(error)}") from error
 
     @property
     def name(self) -> str:
         """The function's name followed by the parameters that are words: ``displacement_robot_x``."""
         words = [value for _, value in self.params if isinstance(value, str)]
-        return "_".join([self.function.__name__, *words])
+        return "_".join([getattr(self.function, "__name__", type(self.function).__name__), *words])
 
     @property
     def formula(self) -> str:
@@ -75,6 +89,8 @@ class Term:
 class Observation(Term):
     """``function(state)`` gives ``[num_envs, k]``, or ``[num_envs, 2, points]`` if it is about points."""
 
+    kind: ClassVar[str] = "observation"
+
     @property
     def about(self) -> About:
         """Unit and range; of a function that says nothing about itself: a number of any size."""
@@ -86,6 +102,7 @@ class Reward(Term):
     """``function(before, after)`` gives float64 ``[num_envs]``, which counts ``weight`` times."""
 
     weight: float = 1.0
+    kind: ClassVar[str] = "reward"
 
 
 @dataclass(frozen=True)
@@ -93,6 +110,7 @@ class Termination(Term):
     """``function(after)`` gives bool ``[num_envs]``; where True the episode ends and ``bonus`` is added."""
 
     bonus: float = 0.0
+    kind: ClassVar[str] = "termination"
 
 
 @dataclass(frozen=True)
@@ -110,6 +128,40 @@ class Memory:
     name: str
     start: Callable[[Draws], Tensor]
     update: Callable[[State], Tensor] | None = None
+
+    def begin(self, draws: Draws) -> Tensor:
+        """What ``start`` gives."""
+        try:
+            return self.start(draws)
+        except Exception as error:
+            raise TaskError(f"The start of the memory '{self.name}' has failed: {_told(error)}") from error
+
+    def advance(self, state: State) -> Tensor:
+        """What ``update`` gives."""
+        try:
+            return self.update(state)
+        except Exception as error:
+            raise TaskError(f"The update of the memory '{self.name}' has failed: {_told(error)}") from error
+
+
+def _a(kind: type) -> str:
+    return f"an {kind.__name__}" if kind is Observation else f"a {kind.__name__}"
+
+
+def _is_ours(function: Callable[..., Any]) -> bool:
+    while isinstance(function, partial):
+        function = function.func
+    return str(getattr(function, "__module__", "")).startswith(("warpvox.", "operator"))
+
+
+def _told(error: Exception) -> str:
+    """An error in a function of a task: what it says and, of one that is not ours, where it was raised."""
+    text = str(error).rstrip(".")
+    if isinstance(error, WarpvoxError):
+        return f"{text}."
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {text}{place}."
 
 
 def observes(function: Callable[..., Tensor], name: str = "robot", **params: Any) -> Observation:
@@ -175,6 +227,7 @@ class TaskSpec:
             raise TaskError(f"The objects of the task '{self.id}' must be a tuple, got {type(self.objects).__name__}.")
         if not all(isinstance(obj, WorldObject) for obj in self.objects):
             raise TaskError(f"The objects of the task '{self.id}' must be WorldObjects, got {self.objects!r:.80}.")
+        self._check_parts()
         if not self.observations or self.max_episode_steps < 1:
             raise TaskError(f"The task '{self.id}' needs an observation and at least one step an episode.")
         names = [term.name for term in (*self.rewards, *self.terminations)]
@@ -193,10 +246,45 @@ class TaskSpec:
                 f" {listing(twice)}."
             )
 
+    def _check_parts(self) -> None:
+        """Whether everything is of its kind: what terms give is looked at when environments are made."""
+        kinds = {"observations": Observation, "rewards": Reward, "terminations": Termination, "memory": Memory}
+        for name, kind in kinds.items():
+            parts = getattr(self, name)
+            if not isinstance(parts, tuple | list):
+                got = type(parts).__name__
+                raise TaskError(f"The {name} of the task '{self.id}' must be a tuple of {kind.__name__}, got {got}.")
+            for number, part in enumerate(parts):
+                if not isinstance(part, kind):
+                    given = getattr(part, "__name__", None)
+                    hint = f": {MAKERS.get(name, 'Memory')}({given})" if given else f", got {part!r:.60}"
+                    raise TaskError(f"{name}[{number}] of the task '{self.id}' must be {_a(kind)}{hint}.")
+        objects = [obj.name for obj in self.objects] + list(self.robots)
+        for name in self.scattered:
+            if name not in objects:
+                hint = did_you_mean(name, objects)
+                raise TaskError(f"The task '{self.id}' scatters {name!r}; its objects are {listing(objects)}.{hint}")
+        numbers = {"unstable_penalty": self.unstable_penalty}
+        numbers |= {f"weight of '{term.name}'": term.weight for term in self.rewards}
+        numbers |= {f"bonus of '{term.name}'": term.bonus for term in self.terminations}
+        for what, number in numbers.items():
+            if not isinstance(number, Real) or not isfinite(number):
+                raise TaskError(f"The {what} in the task '{self.id}' must be a finite number, got {number!r:.60}.")
+        steps = self.max_episode_steps
+        if not isinstance(steps, Integral) or isinstance(steps, bool):
+            raise TaskError(f"max_episode_steps of the task '{self.id}' must be a whole number, got {steps!r:.60}.")
+
     def __reduce__(self) -> tuple[Any, ...]:
         # Views of mappings cannot be copied or sent to other processes; the mappings can.
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         return partial(TaskSpec, **values | {"paper": dict(self.paper), "partners": dict(self.partners)}), ()
+
+    @property
+    def has_code(self) -> bool:
+        """Whether a function of the task is not warpvox's own."""
+        functions = [term.function for term in (*self.observations, *self.rewards, *self.terminations)]
+        functions += [function for memory in self.memory for function in (memory.start, memory.update) if function]
+        return not all(_is_ours(function) for function in functions)
 
     @property
     def robots(self) -> dict[str, tuple[int, int]]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
+from warpvox.errors import TaskError, did_you_mean, listing
+
 if TYPE_CHECKING:
     from torch import Tensor
 
@@ -24,12 +26,13 @@ class State:
     "before" can be filled with :meth:`remember` in time.
 
     Lengths are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step
-    lasts 30 x 1e-4 by default), angles in radians. Terms must not write into the tensors.
+    lasts 30 x 1e-4 by default), angles in radians. Without ``copies`` terms must not write into the tensors.
 
     Args:
         sim: the simulation that stands at this moment.
         memory: what the environments remember of their episodes, by name.
         values: quantities that are known already.
+        copies: hand out copies, so that what a term does to them is nobody else's affair.
     """
 
     def __init__(
@@ -37,9 +40,11 @@ class State:
         sim: Simulation,
         memory: Mapping[str, Tensor] | None = None,
         values: Mapping[Quantity, Tensor] | None = None,
+        copies: bool = False,
     ) -> None:
         self._sim = sim
         self._memory = memory or {}
+        self._copies = copies
         self._values: dict[Quantity, Tensor] = dict(values or {})
 
     @property
@@ -67,7 +72,7 @@ class State:
         self._memory = dict(self._memory)
         for memory in memories:
             if memory.update is not None:
-                self._memory[memory.name] = memory.update(self)
+                self._memory[memory.name] = memory.advance(self)
         return self._memory
 
     def com(self, name: str) -> Tensor:
@@ -111,11 +116,20 @@ class State:
         return self._ask("hull_area", name)
 
     def memory(self, name: str) -> Tensor:
-        """``[num_envs, ...]``: what the environments remember under this name (the task's ``memory``)."""
-        return self._memory[name]
+        """``[num_envs, ...]``: what the environments remember under this name (the task's ``memory``).
+
+        Raises:
+            TaskError: the task has no such memory.
+        """
+        if name not in self._memory:
+            hint = did_you_mean(name, self._memory)
+            raise TaskError(f"The task has no memory {name!r}; it has {listing(self._memory)}.{hint}")
+        value = self._memory[name]
+        return value.clone() if self._copies else value
 
     def _ask(self, method: str, *args: object) -> Tensor:
         key = (method, *args)
         if key not in self._values:
             self._values[key] = getattr(self._sim, method)(*args)
-        return self._values[key]
+        value = self._values[key]
+        return value.clone() if self._copies else value

@@ -11,8 +11,10 @@ import numpy as np
 import torch
 
 from warpvox.design import Design, load_design
+from warpvox.envs.checks import check_fields, check_memory, check_terms
 from warpvox.envs.draws import Draws
 from warpvox.envs.dumps import DivergenceDump, check_guard
+from warpvox.envs.finite import FiniteGuard
 from warpvox.envs.graph import StepGraph, capture_on_cuda
 from warpvox.envs.layout import Layout
 from warpvox.envs.registry import get_task
@@ -171,9 +173,11 @@ class VoxelVecEnv:
         self._memory: dict[str, torch.Tensor] = {}
         self._drawn = True  # the first episode is drawn; a reset before it begins keeps it
         if spec.memory:
+            check_memory(spec, sim, self._draws)
             self._start_memory(None)
+        check_terms(spec, sim, self._look())
         # Rewards compare with the state before a step: find out once which quantities they need.
-        probe = State(sim, self._memory)
+        probe = self._look()
         for term in spec.rewards:
             term(probe, probe)
         self._needed_before = probe.quantities
@@ -188,9 +192,15 @@ class VoxelVecEnv:
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
         # Looking at a mask to skip work is free on the CPU; elsewhere it would wait for the device.
         self._may_look = torch.device(sim.device).type == "cpu"
+        self._finite = FiniteGuard(spec, sim, self._layout)
         self.dump: DivergenceDump | None = None
         self._graph = StepGraph(self, capture_on_cuda(sim.device)) if cuda_graph and not self._may_look else None
         self._clear_episodes()
+
+    def _look(self, remembered: Mapping[str, torch.Tensor] | None = None, values: Any = None) -> State:
+        """What terms see at this moment; those that are not ours get copies, which they may work on."""
+        remembered = self._memory if remembered is None else remembered
+        return State(self.sim, remembered, values, copies=self.spec.has_code)
 
     @property
     def num_designs(self) -> int:
@@ -252,10 +262,10 @@ class VoxelVecEnv:
         elif memory:
             raise ConfigError(f"{self.spec.id} remembers nothing: there is no {listing(memory)} to set.")
         self._clear_episodes(mask)
-        self._before = State(self.sim, self._memory).remember(self._needed_before)
+        self._before = self._look().remember(self._needed_before)
         if self.dump is not None:
             self.dump.clear()
-        return self._layout.observe(self._before), {}
+        return self._finite.first(self._layout.observe(self._before), mask, self._may_look), {}
 
     def _check_mask(self, mask: torch.Tensor | np.ndarray) -> torch.Tensor:
         mask = torch.as_tensor(mask, device=self.device)
@@ -266,7 +276,7 @@ class VoxelVecEnv:
     def _start_memory(self, mask: torch.Tensor | None, given: Mapping[str, Any] | None = None) -> None:
         """Fill the memory of episodes that begin, where ``mask`` (None: everywhere), and place what is scattered."""
         draws = self._draws.rewind()
-        fresh = {memory.name: memory.start(draws) for memory in self.spec.memory}
+        fresh = {memory.name: memory.begin(draws) for memory in self.spec.memory}
         for name, values in (given or {}).items():
             fresh[name] = self._given(name, values, fresh)
         if mask is not None:
@@ -305,7 +315,9 @@ class VoxelVecEnv:
               of those that this step has ended;
             - ``unstable``: bool, the step was stopped, by self-folding or bad numbers (the observation is that
               before it);
-            - ``diverged``: bool, those of them that bad numbers have stopped (see :attr:`Simulation.diverged`);
+            - ``diverged``: bool, those of them that bad numbers have stopped: the simulation's (see
+              :attr:`Simulation.diverged`), or a term of the task that was NaN or infinite. The latter is named by a
+              warning, once (see :meth:`not_finite`), and its entries of the observation are 0;
             - ``reward_terms``: what each term has added to the reward, by name.
 
             With ``auto_reset=False`` an ended environment keeps its state, observation and flags; its reward
@@ -329,8 +341,15 @@ class VoxelVecEnv:
         going = None if self.auto_reset else ~(self._terminated | self._truncated)
         obs, after, remembered, unstable, terms, terminated = self._advance(going)
         diverged = self.sim.diverged & unstable
-        for term in self.spec.rewards:  # what bad numbers were before the step is no measure for a reward
-            terms[term.name] = terms[term.name].masked_fill(diverged, 0.0)
+        obs, odd = self._finite.step(obs, terms, ~diverged if going is None else going & ~diverged, self._may_look)
+        if odd is not None:
+            diverged, unstable, terminated = diverged | odd, unstable | odd, terminated | odd
+            terms["unstable"] = unstable.double() * self.spec.unstable_penalty
+        # what bad numbers were before the step is no measure for a reward
+        stopped = diverged if going is None else diverged | ~going
+        if not self._may_look or bool(stopped.any()):
+            for term in self.spec.rewards:
+                terms[term.name] = terms[term.name].masked_fill(stopped, 0.0)
         reward = sum(terms.values())
         self.episode_length = self.episode_length + (1 if going is None else going)
         self._return = self._return + reward
@@ -364,26 +383,42 @@ class VoxelVecEnv:
     def _advance(self, going: torch.Tensor | None):
         """The step without what follows at the end of an episode."""
         self.sim.advance()
-        after = State(self.sim, self._memory)
+        after = self._look()
         obs = self._layout.observe(after)
         remembered = after.update(self.spec.memory)
         unstable = self.sim.unstable if going is None else self.sim.unstable & going
         return obs, after, remembered, unstable, *self._judge(self._before, after, unstable, going)
 
-    def step_one(self, actions: torch.Tensor | np.ndarray) -> tuple[torch.Tensor, dict[str, float], bool, bool]:
+    def step_one(self, actions: torch.Tensor | np.ndarray) -> tuple[torch.Tensor, dict[str, float], bool, bool, bool]:
         """:meth:`step` for a single environment that waits at its end, without statistics: half of what they cost.
 
         Returns:
-            Observation ``[num_obs]``, what each term has added to the reward, terminated, and whether the step was
-            stopped. What follows after the end means nothing, until :meth:`reset`.
+            Observation ``[num_obs]``, what each term has added to the reward, terminated, whether the step was
+            stopped, and whether by bad numbers. What follows after the end means nothing, until :meth:`reset`.
         """
         self.sim.take(actions)
         self._drawn = False
         obs, self._before, self._memory, unstable, terms, terminated = self._advance(None)
-        stopped, values = unstable.item(), {name: value.item() for name, value in terms.items()}
-        if stopped and self.sim.diverged.item():
+        stopped, ended, values = unstable.item(), terminated.item(), {name: v.item() for name, v in terms.items()}
+        diverged = stopped and self.sim.diverged.item()
+        obs, odd = self._finite.step(obs, terms, ~(unstable & diverged), self._may_look)
+        if odd is not None and odd.item():
+            stopped = ended = diverged = True
+            values["unstable"] = self.spec.unstable_penalty
+        if diverged:
             values |= {term.name: 0.0 for term in self.spec.rewards}
-        return obs[0], values, terminated.item(), stopped
+        self.episode_length = self.episode_length + 1
+        self._return = self._return + sum(values.values())
+        self._terminated = self._terminated | ended
+        self._truncated = self.episode_length >= self.max_episode_steps
+        return obs[0], values, ended, stopped, diverged
+
+    def not_finite(self) -> dict[str, int]:
+        """In how many environments each term of the task was NaN or infinite so far; waits for the device.
+
+        Terms that were not named before are named in a warning. On the CPU that happens in the step itself.
+        """
+        return self._finite.report()
 
     def _carried(self) -> dict[Any, torch.Tensor]:
         """What a step leaves for the next, besides the simulation's own state; the inverse of :meth:`_carry`."""
@@ -407,7 +442,7 @@ class VoxelVecEnv:
         self.episode_length, self._return = carried["length"], carried["return"]
         self._terminated, self._truncated = carried["terminated"], carried["truncated"]
         self._memory = part("memory")
-        self._before = State(self.sim, part("remembered"), part("before"))
+        self._before = self._look(part("remembered"), part("before"))
         if self._draws is not None:
             self._draws.keys, self._draws.episode = carried["keys"], carried["episode"]
 
@@ -438,9 +473,10 @@ class VoxelVecEnv:
             self._start_memory(done)
         self.episode_length = self.episode_length.masked_fill(done, 0)
         self._return = self._return.masked_fill(done, 0.0)
-        self._before = State(self.sim, self._memory).remember(self._needed_before)
+        self._before = self._look().remember(self._needed_before)
         # An episode that goes on keeps its observation, which was made before the memory was updated.
-        return torch.where(done[:, None], self._layout.observe(self._before), obs)
+        fresh = self._finite.first(self._layout.observe(self._before), done, self._may_look)
+        return torch.where(done[:, None], fresh, obs)
 
     def state(self) -> dict[str, Any]:
         """Everything that changes, as tensors with a row for every environment: what :meth:`set_state` takes back."""
@@ -458,8 +494,11 @@ class VoxelVecEnv:
         """Go on from :meth:`state` of environments of the same task, designs, seeds and settings.
 
         Raises:
-            SimulationError: the state is that of other worlds or another number of environments.
+            SimulationError: the state is that of other worlds or another number of environments, or lacks something;
+                the message names it, and nothing has changed.
         """
+        like = self.state()
+        check_fields(state, like | {"sim": dict.fromkeys(like["sim"], torch.Tensor)})
         self.sim.set_state({name: value.to(self.device) for name, value in state["sim"].items()})
         self._memory = {name: value.to(self.device) for name, value in state["memory"].items()}
         if self._draws is not None:
@@ -469,7 +508,7 @@ class VoxelVecEnv:
         self._return = state["return"].to(self.device)
         self._terminated = state["terminated"].to(self.device)
         self._truncated = state["truncated"].to(self.device)
-        self._before = State(self.sim, self._memory).remember(self._needed_before)
+        self._before = self._look().remember(self._needed_before)
         if self.dump is not None:
             self.dump.clear()
 

@@ -64,6 +64,13 @@ class Puppet:
     def set_frozen(self, mask: torch.Tensor) -> None:
         self.frozen = mask.clone()
 
+    @property
+    def object_names(self) -> list[str]:
+        return list(self.counts)
+
+    def num_points(self, name: str) -> int:
+        return max(self.counts[name])
+
     def point_mask(self, name: str) -> torch.Tensor:
         counts = torch.tensor(self.counts[name])
         return torch.arange(int(counts.max())) < counts[:, None]

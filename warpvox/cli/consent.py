@@ -190,7 +190,7 @@ def _agreed(what: str, question: str) -> bool:
 def _command(home: Path, key: str, value: str) -> str:
     """The command line with the key that it lacks; ``latest`` by its name, as there may be a newer one by then."""
     given = [
-        re.sub(r"^(run|resume)=latest$", lambda match: f"{match[1]}={home.absolute()}", word)
+        re.sub("^(run|resume)=latest$", lambda match: f"{match[1]}={home.absolute()}", word)
         for word in invocation.get()
     ]
     if not given or plain(value) != value:

@@ -1,0 +1,174 @@
+"""What the terms and memories of a task give, checked once when environments are made.
+
+What a term gets wrong in the same way in every step is found here, so that a step need not look: shape, type, device,
+numbers that are not finite, objects and memories that do not exist, errors of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from warpvox.envs.about import about_of
+from warpvox.envs.draws import Draws
+from warpvox.envs.spec import Memory, Observation, TaskSpec, Term
+from warpvox.envs.state import State
+from warpvox.errors import SimulationError, TaskError, listing
+from warpvox.sim import Simulation
+
+__all__ = ["check_fields", "check_memory", "check_terms"]
+
+
+def check_memory(spec: TaskSpec, sim: Simulation, draws: Draws) -> None:
+    """Check what the memories of a task begin with.
+
+    Raises:
+        TaskError: what is wrong, with the name of the memory.
+    """
+    stream = draws.rewind()
+    for memory in spec.memory:
+        what, value = f"The memory '{memory.name}' of the task '{spec.id}'", memory.begin(stream)
+        expected = f"a tensor [{sim.num_envs}, ...] on {sim.device}, a row for each environment"
+        if memory.name == "offset" and spec.scattered:
+            expected = f"whole numbers [{sim.num_envs}, 2] on {sim.device}: cells to the right and up"
+            if isinstance(value, torch.Tensor) and (value.dtype.is_floating_point or tuple(value.shape[1:]) != (2,)):
+                raise TaskError(f"{what} must begin with {expected}; got {_got(value)}.")
+        if not _has_rows(value, sim) or value.ndim < 1:
+            raise TaskError(f"{what} must begin with {expected}; got {_got(value)}.")
+        _check_finite(what, value)
+
+
+def check_terms(spec: TaskSpec, sim: Simulation, state: State) -> None:
+    """Check what all terms of a task give at the beginning of an episode.
+
+    Args:
+        state: of the beginning, in which memories have been drawn.
+
+    Raises:
+        TaskError: what is wrong, with the name of the term, what was expected and what it gave.
+    """
+    for term in spec.rewards:
+        _check_numbers(_name(term, spec), term(state, state), sim)
+    for term in spec.observations:
+        _check_observation(_name(term, spec), term, term(state), sim)
+    for term in spec.terminations:
+        value = term(state)
+        if not _has_rows(value, sim) or value.dtype != torch.bool or value.ndim != 1:
+            raise TaskError(
+                f"{_name(term, spec)} must give bool [{sim.num_envs}] on {sim.device}, one for each environment; got"
+                f" {_got(value)}.{_axis(value)}"
+            )
+    for memory in spec.memory:
+        if memory.update is not None:
+            _check_update(memory, spec, state)
+
+
+def _name(term: Term, spec: TaskSpec) -> str:
+    return f"The {term.kind} '{term.name}' of the task '{spec.id}'"
+
+
+def _check_numbers(what: str, value: Any, sim: Simulation) -> None:
+    if not _has_rows(value, sim) or value.ndim != 1 or value.dtype.is_complex:
+        raise TaskError(
+            f"{what} must give numbers [{sim.num_envs}] on {sim.device}, one for each environment; got"
+            f" {_got(value)}.{_axis(value)}"
+        )
+    _check_finite(what, value)
+
+
+def _check_observation(what: str, term: Observation, value: Any, sim: Simulation) -> None:
+    if not _has_rows(value, sim) or value.ndim not in (2, 3) or value.dtype.is_complex or not value.shape[1]:
+        columns = " Add the axis of columns: value[:, None]." if getattr(value, "ndim", 0) == 1 else ""
+        raise TaskError(
+            f"{what} must give numbers [{sim.num_envs}, k] or, about points, [{sim.num_envs}, 2, points] on"
+            f" {sim.device}; got {_got(value)}.{columns}"
+        )
+    params = dict(term.params)
+    name = params.get("name")
+    points = sim.num_points(name) if name in sim.object_names else 0
+    if value.ndim == 3 and tuple(value.shape[1:]) != (2, points):
+        of = f"{name!r} has {points} points" if points else "no parameter 'name' says which object's"
+        raise TaskError(f"{what} gives {_got(value)}, which must be x and y of all points of an object; {of}.")
+    about = about_of(term.function)
+    declared = None if about is None else about.size(params, points)
+    if declared is not None and declared != value[0].numel():
+        raise TaskError(
+            f"{what} gives {value[0].numel()} columns, and its @about declares {declared}:"
+            f" @about(..., entries={value[0].numel()})."
+        )
+    _check_finite(what, value)
+
+
+def _check_update(memory: Memory, spec: TaskSpec, state: State) -> None:
+    before, after = state.remembered[memory.name], memory.advance(state)
+    same = isinstance(after, torch.Tensor) and after.shape == before.shape and after.dtype == before.dtype
+    if not same or after.device != before.device:
+        raise TaskError(
+            f"The update of the memory '{memory.name}' of the task '{spec.id}' must give what the memory began with,"
+            f" {_got(before)}; got {_got(after)}."
+        )
+
+
+def _has_rows(value: Any, sim: Simulation) -> bool:
+    """Whether something is a tensor with a row for each environment, where the environments are."""
+    if not isinstance(value, torch.Tensor) or value.layout is not torch.strided or not value.ndim:
+        return False
+    return len(value) == sim.num_envs and value.device == torch.device(sim.device)
+
+
+def _check_finite(what: str, value: torch.Tensor) -> None:
+    bad = ~torch.isfinite(value).flatten(1).all(1) if value.ndim > 1 else ~torch.isfinite(value)
+    if bool(bad.any()):
+        raise TaskError(
+            f"{what} is not finite (NaN or infinite) in {int(bad.sum())} of {len(value)} environments at the beginning"
+            " of an episode, where nothing has moved yet: is something divided by 0?"
+        )
+
+
+def _got(value: Any) -> str:
+    if not isinstance(value, torch.Tensor):
+        return f"{type(value).__name__} {value!r:.60}"
+    return f"{str(value.dtype).removeprefix('torch.')} {list(value.shape)} on {value.device}"
+
+
+def _axis(value: Any) -> str:
+    """What to do about a superfluous last axis."""
+    if isinstance(value, torch.Tensor) and value.ndim == 2 and value.shape[1] == 1:
+        return " Leave its last axis out: value[:, 0]."
+    return ""
+
+
+# ------------------------------------------------------------------------------------------------ states
+
+
+def check_fields(state: Any, like: Mapping[str, Any], inside: str = "") -> None:
+    """Check a state from outside against one that would do: names, types and shapes.
+
+    Args:
+        state: what ``set_state`` was given.
+        like: nested mappings of tensors and None; a tensor that is ``torch.Tensor`` itself may be any.
+        inside: name of the field that ``state`` is.
+
+    Raises:
+        SimulationError: names the field, what was expected and what it is.
+    """
+    if not isinstance(state, Mapping):
+        raise SimulationError(f"{inside or 'A state'} must be a dictionary of {listing(like)}; got {state!r:.80}.")
+    for name, expected in like.items():
+        field = f"{inside}.{name}" if inside else str(name)
+        if name not in state:
+            raise SimulationError(f"The state lacks {field!r}; it has {listing(state) if state else 'nothing'}.")
+        given = state[name]
+        if isinstance(expected, Mapping):
+            check_fields(given, expected, field)
+        elif expected is None:
+            if given is not None:
+                raise SimulationError(f"The state's {field!r} must be None here; got {_got(given)}.")
+        elif not isinstance(given, torch.Tensor):
+            raise SimulationError(f"The state's {field!r} must be a tensor; got {_got(given)}.")
+        elif expected is not torch.Tensor and (given.dtype != expected.dtype or given.shape != expected.shape):
+            raise SimulationError(
+                f"The state's {field!r} must be {_got(expected)}; got {_got(given)}. It is that of other environments."
+            )

@@ -1,0 +1,110 @@
+"""Terms that become NaN or infinite while environments run: there the episode ends, and the term is named."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import torch
+
+from warpvox.envs.layout import Layout
+from warpvox.envs.spec import TaskSpec
+from warpvox.sim import Simulation
+
+__all__ = ["FiniteGuard"]
+
+
+class FiniteGuard:
+    """Keeps numbers that are not finite from what environments hand out, and counts whose they were.
+
+    On the CPU a sum of everything tells whether there is anything to do. Elsewhere looking would wait for the device:
+    masks are applied in every step, and counts stay on the device until somebody asks (:meth:`report`).
+
+    Args:
+        spec: the task.
+        sim: its simulation.
+        layout: of its observations.
+
+    Methods take ``look``: whether the host may look at results.
+    """
+
+    def __init__(self, spec: TaskSpec, sim: Simulation, layout: Layout) -> None:
+        self._task = spec.id
+        self._rewards = [term.name for term in spec.rewards]
+        self._columns, self._design = layout.columns, sim.design_index
+        self._of_rewards = torch.zeros(len(self._rewards), dtype=torch.long, device=sim.device)
+        self._of_columns = torch.zeros((sim.num_designs, layout.num_obs), dtype=torch.long, device=sim.device)
+        self._named: set[str] = set()
+
+    def observation(self, obs: torch.Tensor, where: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
+        """An observation ``[num_envs, num_obs]`` with 0 for what is not finite, and bool ``[num_envs]``: where it was.
+
+        Args:
+            where: bool ``[num_envs]``: environments that count; None: all.
+        """
+        odd = ~torch.isfinite(obs)
+        counted = odd if where is None else odd & where[:, None]
+        # in place: a graph that has been captured goes on counting in the same memory
+        self._of_columns.index_add_(0, self._design, counted.long())
+        return obs.masked_fill(odd, 0.0), counted.any(1)
+
+    def first(self, obs: torch.Tensor, where: torch.Tensor | None, look: bool) -> torch.Tensor:
+        """The observation of a beginning, with 0 for what is not finite; ``where`` as for :meth:`observation`."""
+        if look and _is_fine(obs):
+            return obs
+        obs, _ = self.observation(obs, where)
+        if look:
+            self.report()
+        return obs
+
+    def step(
+        self, obs: torch.Tensor, terms: dict[str, torch.Tensor], where: torch.Tensor, look: bool
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """The observation of a step as :meth:`observation` has it, and where the step gave something not finite.
+
+        Args:
+            terms: parts of the reward, ``[num_envs]`` each.
+            where: as for :meth:`observation`.
+
+        Returns:
+            None in place of the mask where it is known that there is nothing.
+        """
+        if look and _is_fine(obs, *terms.values()):
+            return obs, None
+        obs, odd = self.observation(obs, where)
+        if self._rewards:
+            bad = torch.stack([~torch.isfinite(terms[name]) for name in self._rewards])
+            bad = bad & where
+            self._of_rewards += bad.sum(1)
+            odd = odd | bad.any(0)
+        if look:
+            self.report()
+        return obs, odd
+
+    def report(self) -> dict[str, int]:
+        """In how many environments each term was not finite so far; warns of terms that it has not named before.
+
+        Waits for the device.
+        """
+        found = dict(zip((f"reward {name}" for name in self._rewards), self._of_rewards.tolist(), strict=True))
+        for columns, counts in zip(self._columns, self._of_columns.cpu(), strict=True):
+            for name, place in columns.items():
+                count = int(counts[place].max()) if place.stop > place.start else 0
+                found[f"observation {name}"] = found.get(f"observation {name}", 0) + count
+        found = {name: count for name, count in found.items() if count}
+        for name in [name for name in found if name not in self._named]:
+            self._named.add(name)
+            kind, _, term = name.partition(" ")
+            environments = "1 environment" if found[name] == 1 else f"{found[name]} environments"
+            warnings.warn(
+                f"The {kind} '{term}' of the task '{self._task}' was NaN or infinite in {environments}, which ended as"
+                " diverged; this is said once, info['diverged'] says where it happens again.",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        return found
+
+
+def _is_fine(*values: torch.Tensor) -> bool:
+    """Whether all values are finite; a sum of finite ones that overflows only costs a second look."""
+    return math.isfinite(sum(value.sum() for value in values).item())

@@ -1,0 +1,447 @@
+"""What a user's terms may get wrong: found when environments are made, or caught and named when it happens."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from warpvox.envs.about import about
+from warpvox.envs.gym import register_task
+from warpvox.envs.registry import get_task
+from warpvox.envs.rsl_rl import RslRlVecEnv
+from warpvox.envs.spec import Memory, TaskSpec, ends, observes, rewards
+from warpvox.envs.terms.observations import velocity
+from warpvox.envs.terms.rewards import displacement
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.errors import SimulationError, TaskError
+
+ENVS = 3
+BASE = replace(get_task("Walker-v0"), id="Mine-v0")
+
+
+def make(spec: TaskSpec, **options: Any) -> VoxelVecEnv:
+    return make_vec(spec, ["mini"], ENVS, **({"device": "cpu", "threads": 1} | options))
+
+
+def acting(env: VoxelVecEnv) -> torch.Tensor:
+    return torch.full((env.num_envs, env.num_actions), 1.3)
+
+
+def odd(function: Callable) -> Callable:
+    """A function under the name that messages are looked for."""
+    function.__name__ = "odd"
+    return function
+
+
+def x_of(state: Any, name: str = "robot") -> torch.Tensor:
+    return state.com(name)[:, 0]
+
+
+REWARDS = {
+    "a column": (lambda b, a, name: x_of(a)[:, None], r"numbers \[3\] on cpu.*float64 \[3, 1\].*value\[:, 0\]"),
+    "too many": (lambda b, a, name: torch.zeros(4), r"got float32 \[4\]"),
+    "one for all": (lambda b, a, name: x_of(a).mean(), r"got float64 \[\]"),
+    "a number": (lambda b, a, name: 1.0, r"got float 1\.0"),
+    "an array": (lambda b, a, name: np.zeros(3), "got ndarray"),
+    "nothing": (lambda b, a, name: None, "got NoneType None"),
+    "complex": (lambda b, a, name: x_of(a) * 1j, r"got complex128 \[3\]"),
+    "elsewhere": (lambda b, a, name: torch.zeros(3, device="meta"), "on meta"),
+    "0 by 0": (
+        lambda b, a, name: (x_of(a) - x_of(b)) / (x_of(a) - x_of(b)).abs(),
+        "not finite .* in 3 of 3 environments",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", REWARDS)
+def test_rewards_are_checked_when_environments_are_made(kind: str) -> None:
+    function, words = REWARDS[kind]
+    spec = replace(BASE, rewards=(*BASE.rewards, rewards(odd(function))))
+    with pytest.raises(TaskError, match=rf"(?s)The reward 'odd_robot' of the task 'Mine-v0' .*{words}"):
+        make(spec)
+
+
+OBSERVATIONS = {
+    "no columns": (lambda s, name: x_of(s), r"numbers \[3, k\].*got float64 \[3\].*value\[:, None\]"),
+    "too many": (lambda s, name: torch.zeros(4, 2), r"got float32 \[4, 2\]"),
+    "empty": (lambda s, name: torch.zeros(3, 0), r"got float32 \[3, 0\]"),
+    "transposed": (
+        lambda s, name: s.positions(name),
+        r"\[3, \d+, 2\] on cpu, which must be x and y .* 'robot' has \d+ points",
+    ),
+    "four axes": (lambda s, name: torch.zeros(3, 2, 2, 2), r"got float32 \[3, 2, 2, 2\]"),
+    "infinite": (lambda s, name: s.com(name) / 0, "not finite"),
+    "a list": (lambda s, name: [[0.0]] * 3, "got list"),
+    "undeclared": (about("x, y")(lambda s, name: s.com(name)), r"gives 2 columns, and its @about declares 1"),
+}
+
+
+@pytest.mark.parametrize("kind", OBSERVATIONS)
+def test_observations_are_checked_when_environments_are_made(kind: str) -> None:
+    function, words = OBSERVATIONS[kind]
+    spec = replace(BASE, observations=(*BASE.observations, observes(odd(function))))
+    with pytest.raises(TaskError, match=rf"(?s)The observation 'odd_robot' of the task 'Mine-v0' .*{words}"):
+        make(spec)
+
+
+def test_values_of_points_need_the_name_of_their_object() -> None:
+    from warpvox.envs.spec import Observation
+
+    term = Observation(odd(lambda s, thing: s.relative_positions(thing)), (("thing", "robot"),))
+    with pytest.raises(TaskError, match=r"'odd_robot'.*no parameter 'name' says which object's"):
+        make(replace(BASE, observations=(term,)))
+
+
+@pytest.mark.parametrize(
+    ("function", "words"),
+    [
+        (lambda s, name: x_of(s), r"must give bool \[3\].*got float64 \[3\]"),
+        (lambda s, name: x_of(s)[:, None] > 9, r"got bool \[3, 1\].*value\[:, 0\]"),
+        (lambda s, name: bool((x_of(s) > 9).any()), "got bool False"),
+    ],
+)
+def test_terminations_are_checked_when_environments_are_made(function: Callable, words: str) -> None:
+    with pytest.raises(TaskError, match=rf"The termination 'odd_robot' of the task 'Mine-v0' .*{words}"):
+        make(replace(BASE, terminations=(ends(odd(function)),)))
+
+
+@pytest.mark.parametrize(
+    ("start", "update", "words"),
+    [
+        (lambda d: torch.zeros(4, 1), None, r"memory 'odd' .* begin with a tensor \[3, ...\] on cpu.*float32 \[4, 1\]"),
+        (lambda d: 3, None, "got int 3"),
+        (lambda d: torch.full((3, 1), torch.nan), None, "not finite"),
+        (lambda d: d.zeros(1), lambda s: s.memory("odd").double(), r"must give .*int64 \[3, 1\].*got float64 \[3, 1\]"),
+        (lambda d: d.zeros(1), lambda s: s.memory("odd")[:, 0], r"got int64 \[3\]"),
+        (lambda d: d.zeros(1), lambda s: s.memory("od"), r"update .* failed: .* no memory 'od'.*Did you mean 'odd'"),
+        (lambda d: d.integers(5, 5, 1), None, r"start .* 'odd' has failed: .*from 5 to 4"),
+        (lambda d: 1 // 0, None, r"start .* 'odd' has failed: ZeroDivisionError.*test_custom_terms.py, line"),
+    ],
+)
+def test_memories_are_checked_when_environments_are_made(start: Callable, update: Callable | None, words: str) -> None:
+    with pytest.raises(TaskError, match=rf"(?s){words}"):
+        make(replace(BASE, memory=(Memory("odd", start, update),)))
+
+
+def test_what_is_scattered_is_checked() -> None:
+    task = get_task("Catcher-v0")
+    with pytest.raises(TaskError, match="scatters 'bal'; its objects are"):
+        replace(task, id="Mine-v0", scattered=("bal",))
+    for start in (lambda d: torch.zeros(3, 2), lambda d: d.zeros(3)):
+        with pytest.raises(TaskError, match=r"'offset' .* must begin with whole numbers \[3, 2\]"):
+            make(replace(task, id="Mine-v0", memory=(Memory("offset", start),)))
+
+
+def lookup(state: Any, name: str) -> torch.Tensor:
+    return torch.zeros(len(state.com("robot")), {"a": 1}[name])
+
+
+@pytest.mark.parametrize(
+    ("observation", "words"),
+    [
+        (observes(velocity, "robbot"), r"No object named 'robbot'; there are robot.* Did you mean 'robot'\?"),
+        (observes(velocity, "ground"), "made of fixed cells only"),
+        (observes(velocity, nme="robot"), r"TypeError: .*unexpected keyword argument 'nme'"),
+        (observes(lookup), r"KeyError: 'robot' \(test_custom_terms.py, line \d+\)"),
+        (observes(lambda state, name: state.memory("goal")), "no memory 'goal'"),
+    ],
+)
+def test_errors_within_a_term_name_it(observation: Any, words: str) -> None:
+    spec = replace(BASE, observations=(*BASE.observations, observation))
+    with pytest.raises(
+        TaskError, match=rf"The observation '{re.escape(observation.name)}' has failed: .*{words}"
+    ) as caught:
+        make(spec)
+    assert caught.value.__cause__ is not None
+
+
+def test_an_error_that_comes_later_names_its_term_too() -> None:
+    count = iter(range(100))
+
+    def late(before: Any, after: Any, name: str) -> torch.Tensor:
+        if next(count) > 3:
+            raise ValueError("enough")
+        return x_of(after) - x_of(before)
+
+    env = make(replace(BASE, rewards=(rewards(late),)))
+    env.reset()
+    with pytest.raises(TaskError, match=r"The reward 'late_robot' has failed: ValueError: enough \(test_custom_terms"):
+        for _ in range(10):
+            env.step(acting(env))
+
+
+def test_a_lack_of_memory_stays_one() -> None:
+    def greedy(before: Any, after: Any, name: str) -> torch.Tensor:
+        raise MemoryError("not enough memory")
+
+    with pytest.raises(MemoryError):
+        make(replace(BASE, rewards=(rewards(greedy),)))
+
+
+def test_gymnasium_checks_tasks_of_ones_own() -> None:
+    import gymnasium
+
+    name = register_task(replace(BASE, id="Column-v0", rewards=(rewards(odd(REWARDS["a column"][0])),)), "wrong")
+    for make_one in (gymnasium.make, gymnasium.make_vec):
+        with pytest.raises(TaskError, match="The reward 'odd_robot'"):
+            make_one(name, body="mini")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"rewards": (displacement,)}, r"rewards\[0\] .* must be a Reward: rewards\(displacement"),
+        ({"rewards": rewards(displacement, axis="x")}, "rewards of the task 'Mine-v0' must be a tuple of Reward"),
+        ({"observations": (rewards(displacement, axis="x"),)}, r"observations\[0\] .* must be an Observation"),
+        ({"terminations": (3,)}, r"terminations\[0\] .* must be a Termination"),
+        ({"memory": (("goal", None),)}, r"memory\[0\] .* must be a Memory"),
+        ({"rewards": (rewards(displacement, axis="x", weight=float("nan")),)}, "weight .* finite number, got nan"),
+        ({"terminations": (ends(lookup, bonus="1"),)}, "bonus .* finite number, got '1'"),
+        ({"unstable_penalty": float("inf")}, "unstable_penalty .* finite number, got inf"),
+        ({"max_episode_steps": 2.5}, "max_episode_steps .* whole number"),
+    ],
+)
+def test_a_specification_is_made_of_what_it_should(change: dict, words: str) -> None:
+    with pytest.raises(TaskError, match=words):
+        replace(BASE, **change)
+
+
+# ---------------------------------------------------------------------------------------- while they run
+
+AT = 4
+
+
+def blinking(kind: str, value: float, victims: list[int]) -> TaskSpec:
+    """A task with a term that is not finite in some environments in the step in which a memory has counted to 4."""
+
+    def faulty(state: Any) -> torch.Tensor:
+        count = state.memory("count")[:, 0]
+        rows = torch.zeros_like(count, dtype=torch.bool)
+        rows[victims] = True
+        return rows & (count == AT)
+
+    def reward(before: Any, after: Any, name: str) -> torch.Tensor:
+        return (x_of(after) - x_of(before)).masked_fill(faulty(after), value)
+
+    def seen(state: Any, name: str) -> torch.Tensor:
+        return state.com(name).masked_fill(faulty(state)[:, None], value)
+
+    count = Memory("count", lambda draws: draws.zeros(1), lambda state: state.memory("count") + 1)
+    reward.__name__ = seen.__name__ = "faulty"
+    spec = replace(BASE, memory=(count,))
+    if kind == "reward":
+        return replace(spec, rewards=(*spec.rewards, rewards(reward)))
+    return replace(spec, observations=(observes(seen), *spec.observations))
+
+
+@pytest.mark.parametrize("looks", [True, False], ids=["CPU", "as on CUDA"])
+@pytest.mark.parametrize("auto_reset", [True, False])
+@pytest.mark.parametrize("kind", ["reward", "observation"])
+def test_a_term_that_is_not_finite_ends_its_environments(kind: str, auto_reset: bool, looks: bool) -> None:
+    # an observation of a step is made before the memory counts it
+    at = AT if kind == "reward" else AT + 1
+    value = float("nan") if auto_reset else float("-inf")
+    env = make(blinking(kind, value, [1]), auto_reset=auto_reset)
+    calm = make(blinking(kind, value, []), auto_reset=auto_reset)
+    env._may_look = looks
+    obs, _ = env.reset()
+    assert torch.equal(obs, calm.reset()[0])
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        for step in range(1, at + 4):
+            obs, reward, terminated, truncated, info = env.step(acting(env))
+            wanted = calm.step(acting(env))
+            assert torch.isfinite(obs).all()
+            assert torch.isfinite(reward).all()
+            assert torch.isfinite(info["final_obs"]).all()
+            assert all(torch.isfinite(part).all() for part in info["reward_terms"].values())
+            assert info["diverged"].tolist() == info["unstable"].tolist() == [False, step == at, False]
+            assert terminated.tolist() == [False, step == at or (step > at and not auto_reset), False]
+            assert not truncated.any()
+            others = [0, 2] if step >= at else [0, 1, 2]
+            assert torch.equal(obs[others], wanted[0][others])
+            assert torch.equal(reward[others], wanted[1][others])
+            if step == at:
+                assert reward[1] == BASE.unstable_penalty == info["reward_terms"]["unstable"][1]
+            elif step > at and not auto_reset:
+                assert reward[1] == 0.0
+        assert env.not_finite() == {f"{kind} faulty_robot": 1}
+        assert env.not_finite() == {f"{kind} faulty_robot": 1}
+    (warning,) = [entry for entry in heard if entry.category is RuntimeWarning]
+    assert f"The {kind} 'faulty_robot' of the task 'Mine-v0' was NaN or infinite in 1 environment," in str(
+        warning.message
+    )
+
+
+def test_training_counts_and_names_it() -> None:
+    env = RslRlVecEnv(make(blinking("reward", float("nan"), [0, 2])))
+    env.env._may_look = False
+    for _ in range(AT):
+        _, rewards_, dones, extras = env.step(torch.zeros((ENVS, env.num_actions)))
+        assert torch.isfinite(rewards_).all()
+    assert dones.tolist() == [True, False, True]
+    assert float(extras["log"]["Episode/diverged"]) == pytest.approx(2 / 3)
+    with pytest.warns(RuntimeWarning, match="'faulty_robot' .* in 2 environments"):
+        assert env.pop_episodes()["diverged"] == 2
+
+
+@pytest.mark.parametrize("kind", ["reward", "observation"])
+def test_gymnasium_tells_of_it(kind: str) -> None:
+    import gymnasium
+
+    name = register_task(replace(blinking(kind, float("nan"), [0]), id=f"Blink-{kind}-v0"), "blinks")
+    env = gymnasium.make(name, body="mini")
+    env.reset()
+    at = AT if kind == "reward" else AT + 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        rows = [env.step(np.full(env.action_space.shape, 1.3)) for _ in range(at + 1)]
+    obs, reward, terminated, _, info = rows[at - 1]
+    assert (reward, terminated, info["unstable"], info["diverged"]) == (BASE.unstable_penalty, True, True, True)
+    assert np.isfinite(obs).all()
+    assert info["reward_terms"]["displacement_robot_x"] == 0.0
+    assert not any(row[4]["diverged"] for row in rows[: at - 1])
+    assert rows[at][1] == 0.0
+
+
+def test_a_first_observation_that_is_not_finite_is_marked() -> None:
+    def start(draws: Any) -> torch.Tensor:
+        return torch.where(draws.integers(0, 2, 1) == 0, 0.0, 1.0).double()
+
+    def unlucky(state: Any, name: str) -> torch.Tensor:
+        return 1.0 / state.memory("luck") * state.com(name)[:, :1] * 0 + state.memory("luck") / state.memory("luck")
+
+    spec = replace(BASE, memory=(Memory("luck", start),), observations=(*BASE.observations, observes(unlucky)))
+    seeds = []
+    for seed in range(20):
+        try:
+            env = make(spec, seed=seed, max_episode_steps=1)
+        except TaskError:
+            continue
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always")
+            env.reset()
+            for _ in range(20):
+                obs, *_ = env.step(acting(env))
+                assert torch.isfinite(obs).all()
+        seeds.append(seed)
+        assert any("'unlucky_robot'" in str(entry.message) for entry in heard)
+        break
+    assert seeds
+
+
+def test_what_a_term_does_to_its_values_is_its_own_affair() -> None:
+    def spoil(state: Any) -> None:
+        for value in (
+            state.com("robot"),
+            state.velocity("robot"),
+            state.relative_positions("robot"),
+            state.memory("m"),
+        ):
+            value.mul_(0).add_(7)
+
+    def spoiler(state: Any, name: str) -> torch.Tensor:
+        spoil(state)
+        return state.com(name)
+
+    def spoiling(before: Any, after: Any, name: str) -> torch.Tensor:
+        spoil(before)
+        spoil(after)
+        return x_of(after) - x_of(before)
+
+    def spoilt(state: Any, name: str) -> torch.Tensor:
+        spoil(state)
+        return x_of(state) < -1
+
+    memory = (Memory("m", lambda draws: draws.integers(0, 9, 1)),)
+    plain = replace(BASE, memory=memory)
+    rough = replace(
+        plain,
+        observations=(observes(spoiler), *plain.observations),
+        rewards=(rewards(spoiling), *plain.rewards),
+        terminations=(ends(spoilt), *plain.terminations),
+    )
+    env, calm = make(rough, seed=5), make(plain, seed=5)
+    assert torch.equal(env.reset()[0][:, 2:], calm.reset()[0])
+    for _ in range(5):
+        obs, _, _, _, info = env.step(acting(env))
+        wanted, reward, _, _, _ = calm.step(acting(env))
+        assert torch.equal(obs[:, 2:], wanted)
+        assert torch.equal(info["reward_terms"]["displacement_robot_x"].to(reward.dtype), reward)
+        assert torch.equal(info["reward_terms"]["spoiling_robot"], info["reward_terms"]["displacement_robot_x"])
+        assert torch.equal(env.memory["m"], calm.memory["m"])
+
+
+def test_tasks_of_warpvox_pay_nothing_for_that() -> None:
+    assert all(not get_task(name).has_code for name in ("Walker-v0", "Traverser-v0", "Catcher-v0"))
+    env = make(get_task("Walker-v0"))
+    env.reset()
+    state = env._before
+    assert state.com("robot") is state.com("robot")
+
+
+def test_what_ended_earns_nothing_more() -> None:
+    def alive(before: Any, after: Any, name: str) -> torch.Tensor:
+        return torch.ones(len(x_of(after)), dtype=torch.float64)
+
+    env = make(replace(BASE, rewards=(rewards(alive),)), auto_reset=False, max_episode_steps=2)
+    env.reset()
+    assert [env.step(acting(env))[1].tolist()[0] for _ in range(4)] == [1.0, 1.0, 0.0, 0.0]
+
+
+# ------------------------------------------------------------------------------------------------- states
+
+
+@pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0"])
+def test_a_state_that_does_not_fit_is_refused_by_name(task: str) -> None:
+    env = make(get_task(task))
+    env.reset()
+    env.step(acting(env))
+    good = env.state()
+    flat = [name for name in good if isinstance(good[name], torch.Tensor)]
+    wrong: list[tuple[str, Any]] = [(name, {k: v for k, v in good.items() if k != name}) for name in good]
+    for name in flat:
+        wrong += [(name, good | {name: value}) for value in (None, 3, good[name][:2], good[name].to(torch.float16))]
+    wrong += [(name, good | {name: 7}) for name in ("sim", "memory")]
+    for group in ("sim", "memory"):
+        wrong += [(name, good | {group: {k: v for k, v in good[group].items() if k != name}}) for name in good[group]]
+        wrong += [(name, good | {group: good[group] | {name: good[group][name][:2]}}) for name in good[group]]
+        wrong += [(name, good | {group: good[group] | {name: [1.0]}}) for name in good[group]]
+    for field, state in wrong:
+        with pytest.raises(SimulationError, match=field):
+            env.set_state(state)
+    with pytest.raises(SimulationError, match="must be a dictionary"):
+        env.set_state(None)
+    expected = env.step(acting(env))
+    env.set_state(good)
+    assert all(torch.equal(a, b) for a, b in zip(expected[:4], env.step(acting(env))[:4], strict=True))
+
+
+def test_a_state_of_training_that_does_not_fit_is_refused_by_name() -> None:
+    env = RslRlVecEnv(make(get_task("Walker-v0")), reward_gamma=0.99)
+    good = env.state()
+    for name in ("env", "obs", "shortened", "sums"):
+        with pytest.raises(SimulationError, match=name):
+            env.set_state({key: value for key, value in good.items() if key != name})
+    with pytest.raises(SimulationError, match=r"reward_norm\.moments"):
+        env.set_state(good | {"reward_norm": {"return": good["reward_norm"]["return"]}})
+    env.set_state(good)
+
+
+def test_a_single_environment_keeps_its_records() -> None:
+    one, many = (make_vec("Walker-v0", ["mini"], 1, device="cpu", threads=1, auto_reset=False) for _ in range(2))
+    one.reset()
+    many.reset()
+    for _ in range(3):
+        one.step_one(acting(one))
+        many.step(acting(many))
+    ours, theirs = one.state(), many.state()
+    for name in ("length", "return", "terminated", "truncated"):
+        assert torch.equal(ours[name], theirs[name]), name
