@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from warpvox.cli.curves import _curve, _mean
+from warpvox.algos.statistics import mean_interval
+from warpvox.cli.curves import _points, curves_of
 from warpvox.cli.gallery import COLUMNS, TILE, draw_gallery
 from warpvox.cli.runs import Run
 from warpvox.envs.registry import task_ids
@@ -33,16 +35,54 @@ def test_metrics_without_a_column_are_refused(tmp_path: Path) -> None:
     table = run.folder / "metrics.csv"
     table.write_text(table.read_text().replace("elapsed", "lapsed"))
     with pytest.raises(RunError, match=r"metrics\.csv has no column elapsed; move it away"):
-        _curve(run, "steps")
+        _points(run, "steps")
 
 
-def test_curves_hold_the_evaluations(tmp_path: Path) -> None:
-    found = make_run(tmp_path / "a", [(10, None), (20, 1.0), (30, None), (40, 3.0)])
-    assert _curve(found, "steps").tolist() == [[20, 40], [1, 3]]
-    other = np.array([[10.0, 60.0], [0.0, 5.0]])
-    places, mean = _mean([_curve(found, "steps"), other])
-    assert (places[0], places[-1]) == (20, 60)
-    assert (mean[0], mean[-1]) == ((1 + 1) / 2, (3 + 5) / 2)  # the shorter one keeps its last value
+def test_curves_hold_the_evaluations_and_their_interval(tmp_path: Path) -> None:
+    first = make_run(tmp_path / "a", [(10, None), (20, 1.0), (30, None), (40, 3.0)])
+    assert _points(first, "steps").tolist() == [[20, 40], [1, 3]]
+    second = make_run(tmp_path / "b", [(10, 0.0), (60, 5.0)])
+    (alone,) = curves_of([first])
+    assert (alone.n, alone.mean.tolist(), np.isnan(alone.low).all()) == (1, [1, 3], True)
+    (curve,) = curves_of([first, second])
+    assert (curve.places[0], curve.places[-1], curve.n) == (20, 60, 2)
+    assert (curve.mean[0], curve.mean[-1]) == ((1 + 1) / 2, (3 + 5) / 2)  # the shorter one keeps its last value
+    interval = mean_interval([3, 5])
+    assert (curve.low[-1], curve.high[-1]) == pytest.approx((interval.low, interval.high))
+
+
+def test_runs_with_other_settings_have_a_curve_of_their_own(warpvox: Callable) -> None:
+    pytest.importorskip("matplotlib")
+    for number, gamma in enumerate((0.9, 0.9, 0.99)):
+        run = make_run(Path(f"runs/{number}"), [(10, 0.0), (20, 1.0 + number)])
+        text = f"task: Walker-v0\ndesign: walker\nseed: {number}\nppo:\n  gamma: {gamma}\n...\n"
+        (run.folder / "config.yaml").write_text(text)
+    make_run(Path("runs/young"), [(10, None)])
+    outcome = warpvox("curves", "runs=runs/*", "file=c.svg")
+    assert outcome.code == 0, outcome.err
+    with Path("c.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    ends = {row["settings"]: row for row in rows}
+    assert [(name, row["n"], float(row["mean"])) for name, row in ends.items()] == [
+        ("ppo.gamma=0.9", "2", 1.5),
+        ("ppo.gamma=0.99", "1", 3.0),
+    ]
+    expected = mean_interval([1.0, 2.0])
+    assert float(ends["ppo.gamma=0.9"]["low"]) == pytest.approx(expected.low)
+    assert ends["ppo.gamma=0.99"]["low"] == ""
+    assert "1.500 [" in outcome.out
+    assert "without an evaluation yet: young" in outcome.out
+
+
+@pytest.mark.parametrize("runs", ["latest", "[latest]", "a", "[a,a]"])
+def test_one_run_by_any_name(runs: str, warpvox: Callable) -> None:
+    pytest.importorskip("matplotlib")
+    run = make_run(Path("outputs/train/Walker-v0/2026-01-01_00-00-00"), [(10, 0.0)])
+    (run.folder / "model_1.pt").touch()
+    make_run(Path("a"), [(10, 0.0)])
+    outcome = warpvox("curves", f"runs={runs}")
+    assert outcome.code == 0, outcome.err
+    assert len(Path("curves.csv").read_text().splitlines()) == 2
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])

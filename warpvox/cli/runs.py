@@ -135,10 +135,7 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
 
 def _is_training(path: Path) -> bool:
     """Whether a folder that a pattern has matched is that of a training."""
-    try:
-        return path.is_dir() and {"task", "design", "ppo"} <= _read_config(path, "train").keys()
-    except RunError:
-        return False
+    return (path / CONFIG).is_file() and {"task", "design", "ppo"} <= _read_config(path, "train").keys()
 
 
 def find_codesign(text: str, output_dir: str) -> Run:
