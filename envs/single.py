@@ -1,0 +1,359 @@
+"""One environment on the CPU, stepped with numpy: the same terms on arrays that answer to torch's names.
+
+Starting an operation of torch takes longer than what a single environment has to compute. The terms of tasks are
+therefore given :class:`Row` instead of tensors: numpy arrays with the methods of tensors that they use, so that every
+term is written once. :func:`fast_stepper` compares both ways, bit for bit, when an environment is made, and leaves to
+torch what differs: terms that are not warpvox's own, and operations that :class:`Row` does not know.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from warpvox.envs.state import State
+from warpvox.kernels.state import DIVERGED, UNSTABLE
+
+if TYPE_CHECKING:
+    from warpvox.envs.vec_env import VoxelVecEnv
+    from warpvox.sim import Simulation
+
+__all__ = ["Row", "SingleStepper", "fast_stepper"]
+
+OURS = "warpvox.envs.terms."
+"""Where terms live that follow the rules: functions of states alone, without branches on values."""
+_STOPPED, _DIVERGED = int(UNSTABLE | DIVERGED), int(DIVERGED)
+
+Result = tuple[np.ndarray, dict[str, float], bool, bool, bool]
+
+
+class Row(np.ndarray):
+    """A numpy array ``[1, ...]`` with the methods of tensors that terms use; results are bit for bit those of torch.
+
+    What would have one entry, ``[1]``, is a :class:`Number`.
+    """
+
+    def __getitem__(self, key: Any) -> Any:
+        if type(key) is tuple and self.ndim == 2 and len(key) == 2 and type(key[1]) is int and len(self) == 1:
+            return Number(self.item(key[1]))
+        return super().__getitem__(key)
+
+    def double(self) -> Row:
+        return self.astype(np.float64)
+
+    def long(self) -> Row:
+        return self.astype(np.int64)
+
+    def abs(self) -> Row:
+        return np.abs(self.view(np.ndarray)).view(Row)
+
+    def floor(self) -> Row:
+        return np.floor(self)
+
+    def ceil(self) -> Row:
+        return np.ceil(self)
+
+    def clamp(self, low: float, high: float) -> Row:
+        return np.clip(self, low, high)
+
+    def minimum(self, other: Row) -> Row:
+        return np.minimum(self.view(np.ndarray), other.view(np.ndarray)).view(Row)
+
+    def where(self, condition: np.ndarray, other: Any) -> Row:
+        return np.where(condition, self, other).view(Row)
+
+    def masked_fill(self, mask: np.ndarray, value: float) -> Row:
+        filled = self.copy()
+        filled[mask] = value
+        return filled
+
+    def unbind(self, axis: int) -> list[Any]:
+        return [self[:, k] for k in range(self.shape[1])] if axis == 1 else list(np.moveaxis(self, axis, 0))
+
+    def sum(self, axis: int, keepdim: bool = False) -> Any:  # type: ignore[override]
+        if self.dtype != bool or len(self) != 1 or axis != 1:
+            raise NotImplementedError("torch sums numbers in an order of its own")
+        count = int(np.count_nonzero(self.view(np.ndarray)))
+        return np.array([[count]]).view(Row) if keepdim else Number(count)
+
+    def amin(self, axis: int, keepdim: bool = False) -> Any:
+        return _one(np.minimum.reduce(self.view(np.ndarray), axis, keepdims=keepdim))
+
+    def amax(self, axis: int, keepdim: bool = False) -> Any:
+        return _one(np.maximum.reduce(self.view(np.ndarray), axis, keepdims=keepdim))
+
+    def gather(self, axis: int, index: np.ndarray) -> Row:
+        if len(self) != 1 or axis != 1:
+            raise NotImplementedError("for a single row only")
+        if index.size == 1:
+            return np.array([[self.item(index.item())]]).view(Row)
+        return self[:, index.view(np.ndarray)[0]]
+
+    def repeat(self, *counts: int) -> Row:  # type: ignore[override]
+        return np.tile(self.view(np.ndarray), counts).view(Row)
+
+    def expand_as(self, other: np.ndarray) -> Row:
+        return self.reshape(other.shape) if self.size == other.size else np.broadcast_to(self, other.shape).view(Row)
+
+    def new_full(self, shape: tuple[int, ...], value: float) -> Row:
+        row = Row(shape, self.dtype)
+        row.fill(value)
+        return row
+
+    def new_zeros(self, shape: tuple[int, ...]) -> Row:
+        return self.new_full(shape, 0)
+
+    def new_ones(self, shape: int | tuple[int, ...]) -> Row:
+        return self.new_full(shape, 1)
+
+    def fill_(self, value: float) -> Row:
+        self[...] = value
+        return self
+
+    def scatter_reduce_(self, axis: int, index: np.ndarray, source: np.ndarray, reduce: str) -> Row:
+        if len(self) != 1 or axis != 1:
+            raise NotImplementedError("for a single row only")
+        {"amin": np.minimum, "amax": np.maximum}[reduce].at(self[0], index[0], source[0])
+        return self
+
+
+def _plain(value: Any) -> Any:
+    """An operand without its class: numpy takes four times as long for one of a class of ours."""
+    if type(value) is Row:
+        return value.view(np.ndarray)
+    return np.array([value.value]) if type(value) is Number else value
+
+
+def _of_rows(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Row]:
+    return lambda row, other: operation(row.view(np.ndarray), _plain(other)).view(Row)
+
+
+class Number:
+    """The entry of a tensor ``[1]`` or ``[]``, with the operations of tensors that terms use."""
+
+    __array_ufunc__ = None  # numpy's arrays leave operations with a number to it
+    __slots__ = ("value",)
+
+    def __init__(self, value: float | int | bool) -> None:
+        self.value = value
+
+    def item(self) -> float | int | bool:
+        return self.value
+
+    def double(self) -> Number:
+        return Number(float(self.value))
+
+    def abs(self) -> Number:
+        return Number(abs(self.value))
+
+    def where(self, condition: Number, other: Any) -> Any:
+        return self if condition.value else other
+
+    def masked_fill(self, mask: Number, value: float) -> Number:
+        return Number(type(self.value)(value)) if mask.value else self
+
+    def new_full(self, shape: tuple[int, ...], value: float) -> Number:
+        if shape not in ((), (1,)):
+            raise NotImplementedError("for one entry only")
+        return Number(type(self.value)(value))
+
+    def __getitem__(self, key: Any) -> Row:
+        return np.array([self.value])[key].view(Row)
+
+    def __neg__(self) -> Number:
+        return Number(-self.value)
+
+    def __invert__(self) -> Number:
+        return Number(not self.value)
+
+
+def _one(values: np.ndarray) -> Any:
+    return Number(values.item()) if values.shape == (1,) else values.view(Row)
+
+
+def _of_numbers(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def on(number: Number, other: Any) -> Any:
+        if type(other) is Number:
+            return Number(operation(number.value, other.value))
+        if type(other) is Row:
+            return operation(np.array([number.value]), other.view(np.ndarray)).view(Row)
+        return Number(operation(number.value, other))
+
+    return on
+
+
+for _name in ("add", "sub", "mul", "lt", "le", "gt", "ge", "eq", "ne", "and", "or", "truediv"):
+    _operation = getattr(operator, f"__{_name}__")
+    setattr(Row, f"__{_name}__", _of_rows(_operation))
+    if _name != "truediv":  # Python refuses to divide by 0
+        setattr(Number, f"__{_name}__", _of_numbers(_operation))
+for _name in ("add", "sub", "mul"):
+    _operation = getattr(operator, f"__{_name}__")
+    setattr(Row, f"__r{_name}__", _of_rows(lambda row, other, _operation=_operation: _operation(other, row)))
+    setattr(
+        Number, f"__r{_name}__", _of_numbers(lambda number, other, _operation=_operation: _operation(other, number))
+    )
+
+
+class Sensors:
+    """What a simulation of one environment senses, as rows ``[1, ...]``.
+
+    The methods are those of :class:`warpvox.Simulation`, with the same values: launches of the same kernels, into
+    buffers of our own. Rows are fresh.
+    """
+
+    def __init__(self, sim: Simulation) -> None:
+        self._sim = sim
+        self._senses: dict[tuple, Callable[[], Row]] = {}
+        self._centres: tuple[Any, dict[str, Row], dict[str, Row]] | None = None
+        self.moved = True
+        """Whether something has moved since the centres were sensed."""
+
+    def _record(self, method: str, args: tuple) -> tuple[torch.Tensor, Any, list[torch.Tensor]]:
+        """What a method of the simulation gives, the launch that it makes for it (None: none), and its buffers."""
+        sim = self._sim
+        kept, sim._sensors, sim._centres_are_new = sim._sensors, {}, False
+        try:
+            value = getattr(sim, method)(*args)
+            command, buffers = next(iter(sim._sensors.values()), (None, []))
+        finally:
+            sim._sensors, sim._centres_are_new = kept, False
+        return value, command, buffers
+
+    def _sense_centres(self) -> None:
+        if self._centres is None:
+            _, command, buffers = self._record("com", (self._sim.object_names[0],))
+            rows = [buffer.numpy().view(Row) for buffer in buffers]
+            names = self._sim.object_names
+            self._centres = command, *({name: row[:, k] for k, name in enumerate(names)} for row in rows)
+        self._centres[0].launch()
+        self.moved = False
+
+    def com(self, name: str) -> Row:
+        if self.moved:
+            self._sense_centres()
+        return self._centres[1][name].copy()
+
+    def velocity(self, name: str) -> Row:
+        if self.moved:
+            self._sense_centres()
+        return self._centres[2][name].copy()
+
+    def __getattr__(self, method: str) -> Callable[..., Row]:
+        def ask(*args: Any) -> Row:
+            key = (method, *args)
+            if key not in self._senses:
+                self._senses[key] = self._sense(method, args)
+            return self._senses[key]()
+
+        setattr(self, method, ask)
+        return ask
+
+    def _sense(self, method: str, args: tuple) -> Callable[[], Row]:
+        value, command, buffers = self._record(method, args)
+        if command is None:  # what never moves
+            fixed = value.numpy().view(Row)
+            return fixed.copy
+        row = buffers[0].numpy().view(Row)
+        if row.shape != tuple(value.shape):  # x and y apart
+            row = row.transpose(0, 2, 1)
+        if not np.array_equal(row, value.numpy()):
+            raise NotImplementedError(f"{method} is more than what one launch gives")
+
+        def sense() -> Any:
+            command.launch()
+            return row.copy() if row.ndim > 1 else Number(row.item())
+
+        return sense
+
+
+class SingleStepper:
+    """Steps the one environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv` that does not reset itself.
+
+    Args:
+        env: on the CPU, with terms of warpvox's own.
+    """
+
+    def __init__(self, env: VoxelVecEnv) -> None:
+        sim, spec = env.sim, env.spec
+        self._env, self._sim, self._spec = env, sim, spec
+        self._sensors = Sensors(sim)
+        self._dtype = np.dtype(str(env.dtype).removeprefix("torch."))
+        self._actions = sim._actions.numpy()[0]
+        self._status = sim._views["status"].numpy().reshape(-1)
+        self._slot = int(sim._slot[0])
+        self._looks = [(term.function, dict(term.params)) for term in spec.observations]
+        self._rewards = [(term.name, term.function, dict(term.params), term.weight) for term in spec.rewards]
+        self._ends = [(term.name, term.function, dict(term.params), term.bonus) for term in spec.terminations]
+        self._updates = [memory for memory in spec.memory if memory.update is not None]
+        self.begin()
+
+    def begin(self) -> None:
+        """Go on from where the environments stand: after a reset, or when something else has moved them."""
+        self._sensors.moved = True
+        memory = {name: value.numpy().copy().view(Row) for name, value in self._env._memory.items()}
+        self._before = State(self._sensors, memory).remember(self._env._needed_before)
+        self._length, self._return = self._env.episode_length.numpy(), self._env._return.numpy()
+        self._terminated = self._env._terminated.numpy()
+
+    def observe(self, state: State) -> np.ndarray:
+        """A fresh observation ``[num_obs]``."""
+        parts = [look(state, **params).reshape(-1) for look, params in self._looks]
+        return np.concatenate(parts, dtype=self._dtype, casting="same_kind").view(np.ndarray)
+
+    def step(self, action: np.ndarray) -> Result:
+        """One control step: what :meth:`warpvox.envs.vec_env.VoxelVecEnv.step_one` returns; ``action`` is finite."""
+        self._actions[:] = action
+        self._sim.advance()
+        self._sensors.moved = True
+        before, after = self._before, State(self._sensors, self._before.remembered)
+        obs = self.observe(after)
+        self._env._drawn = False
+        if self._updates:
+            remembered = after.update(self._spec.memory)
+            self._env._memory = {name: torch.from_numpy(np.array(value)) for name, value in remembered.items()}
+        status = self._status[self._slot]
+        stopped, diverged = bool(status & _STOPPED), bool(status & _DIVERGED)
+        terms, ended = self.judge(before, after, stopped)
+        if diverged:
+            terms |= {name: 0.0 for name, *_ in self._rewards}
+        self._before = after
+        self._length[0] += 1
+        self._return[0] += sum(terms.values())
+        self._terminated[0] |= ended
+        return obs, terms, ended, stopped, diverged
+
+    def judge(self, before: State, after: State, stopped: bool) -> tuple[dict[str, float], bool]:
+        """The parts of the reward, by name, and whether the episode terminates."""
+        terms = {name: f(before, after, **params).item() * weight for name, f, params, weight in self._rewards}
+        terms["unstable"] = float(stopped) * self._spec.unstable_penalty
+        ended = stopped
+        for name, test, params, bonus in self._ends:
+            hit = test(after, **params).item()
+            terms[name] = float(hit) * bonus
+            ended = ended or hit
+        return terms, ended
+
+
+def fast_stepper(env: VoxelVecEnv) -> SingleStepper | None:
+    """What steps a single environment fast; None if it needs torch: see this module's text."""
+    terms = [*env.spec.observations, *env.spec.rewards, *env.spec.terminations]
+    functions = [term.function for term in terms] + [memory.update for memory in env.spec.memory if memory.update]
+    own = all(str(getattr(getattr(f, "func", f), "__module__", "")).startswith(OURS) for f in functions)
+    if env.num_envs != 1 or str(env.device) != "cpu" or env.auto_reset or not own:
+        return None
+    try:
+        stepper = SingleStepper(env)
+        state = State(stepper._sensors, stepper._before.remembered)
+        obs, judged = stepper.observe(state), stepper.judge(stepper._before, state, False)
+    except (AttributeError, TypeError, ValueError, IndexError, NotImplementedError):
+        return None  # an operation that rows do not have
+    there = State(env.sim, env._memory)
+    theirs = env._layout.observe(there)[0].numpy()
+    parts, ended = env._judge(there, there, torch.zeros(1, dtype=torch.bool), None)
+    same = judged == ({name: part.item() for name, part in parts.items()}, ended.item())
+    return stepper if same and obs.dtype == theirs.dtype and np.array_equal(obs, theirs) else None

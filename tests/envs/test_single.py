@@ -1,0 +1,157 @@
+"""The fast way of a single environment: the same numbers as torch, bit for bit, in every task."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from warpvox.design import example_design
+from warpvox.envs.gym import VoxelEnv
+from warpvox.envs.registry import get_task, task_ids
+from warpvox.envs.single import Number, Row
+from warpvox.envs.spec import rewards
+from warpvox.envs.vec_env import make_vec
+from warpvox.errors import ActionError
+
+
+def waves(env: VoxelEnv, steps: int) -> np.ndarray:
+    return np.random.default_rng(1).uniform(0.6, 1.6, (steps, *env.action_space.shape))
+
+
+@pytest.mark.parametrize("rules", ["evogym", "paper"])
+@pytest.mark.parametrize("task", task_ids())
+def test_every_task_is_stepped_fast_with_the_numbers_of_torch(task: str, rules: str) -> None:
+    env = VoxelEnv(task, body=example_design("walker"), rules=rules)
+    slow = make_vec(task, body="walker", device="cpu", dtype="float64", rules=rules, threads=1, auto_reset=False)
+    assert env._fast is not None
+    for seed in (3, None):
+        assert np.array_equal(env.reset(seed=seed)[0], slow.reset(seed=seed)[0][0].numpy())
+        for action in waves(env, 8):
+            obs, reward, terminated, truncated, info = env.step(action)
+            theirs, their_reward, their_end, _, their_info = slow.step(torch.as_tensor(action[None]))
+            assert np.array_equal(obs, theirs[0].numpy())
+            assert (obs.dtype, type(reward), type(terminated), truncated) == (np.float64, float, bool, False)
+            assert (reward, terminated) == (float(their_reward), bool(their_end))
+            assert info["reward_terms"] == {name: part.item() for name, part in their_info["reward_terms"].items()}
+            assert (info["unstable"], info["diverged"]) == (bool(their_info["unstable"]), bool(their_info["diverged"]))
+    ours, theirs = env._vec.state(), slow.state()
+    assert all(torch.equal(ours[name], theirs[name]) for name in ("length", "return", "terminated", "truncated"))
+    assert env._vec.memory.keys() == slow.memory.keys()
+    assert all(torch.equal(value, slow.memory[name]) for name, value in env._vec.memory.items())
+
+
+def test_it_is_stepped_fast_in_float32_too() -> None:
+    env = VoxelEnv("Carrier-v0", body="walker", dtype="float32")
+    slow = make_vec("Carrier-v0", body="walker", device="cpu", threads=1, auto_reset=False)
+    assert env._fast is not None
+    assert np.array_equal(env.reset()[0], slow.reset()[0][0].numpy())
+    for action in waves(env, 8):
+        obs = env.step(action)[0]
+        assert obs.dtype == np.float32
+        assert np.array_equal(obs, slow.step(torch.as_tensor(action[None]))[0][0].numpy())
+
+
+class _Count(TorchDispatchMode):
+    """Counts operations of torch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        self.count += 1
+        return function(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize("task", ["Walker-v0", "Carrier-v1", "UpStepper-v0", "AreaMaximizer-v0"])
+def test_a_step_starts_no_operation_of_torch(task: str) -> None:
+    env = VoxelEnv(task, body="walker")
+    env.reset()
+    with _Count() as operations:
+        env.step(np.ones(env.action_space.shape))
+    assert operations.count == 0
+
+
+def doubled(before, after, name):  # a term of a user's own, which may do anything that torch can
+    return torch.as_tensor(2.0 * (after.com(name) - before.com(name))[:, 0])
+
+
+def test_terms_of_others_are_left_to_torch() -> None:
+    task = replace(get_task("Walker-v0"), id="Own-v0", rewards=(rewards(doubled),))
+    env, plain = VoxelEnv(task, body="walker"), VoxelEnv("Walker-v0", body="walker")
+    assert env._fast is None
+    assert VoxelEnv("Walker-v0", body="walker", obs="voxel")._fast is None
+    env.reset(), plain.reset()
+    for action in waves(env, 4):
+        (obs, reward, *_), (theirs, their_reward, *_) = env.step(action), plain.step(action)
+        assert np.array_equal(obs, theirs)
+        assert reward == 2 * their_reward
+
+
+@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+def test_it_ends_and_begins_again_as_before() -> None:
+    env = gymnasium.make("warpvox/Balancer-v0", body=np.full((2, 2), 3))
+    first = env.reset(seed=0)[0]
+    steps, ended = 0, False
+    while not ended and steps < 300:
+        obs, _, terminated, truncated, _ = env.step(np.full(4, 0.6 if steps // 3 % 2 else 1.6))
+        steps, ended = steps + 1, terminated or truncated
+    assert np.array_equal(env.reset()[0], first)
+    assert not np.array_equal(obs, first)
+
+
+def test_actions_are_checked_and_clipped_as_before() -> None:
+    env, twin = VoxelEnv("Walker-v0", body="walker"), VoxelEnv("Walker-v0", body="walker")
+    env.reset(), twin.reset()
+    huge, most = np.full(env.action_space.shape, 1e308), np.full(env.action_space.shape, 1.6)
+    with pytest.raises(ActionError, match="finite"):
+        env.step(np.where(np.arange(huge.size) == 2, np.nan, 1.0))
+    for _ in range(3):
+        (obs, reward, *_), (theirs, their_reward, *_) = env.step(huge), twin.step(most)
+        assert np.array_equal(obs, theirs)
+        assert reward == their_reward
+
+
+def test_a_simulation_that_diverges_is_told_of() -> None:
+    env = VoxelEnv("Walker-v0", body="walker")
+    env.reset()
+    state = env.sim.state()
+    state["vel"][:, :2] = float("nan")
+    env.sim.set_state(state)
+    _, reward, terminated, _, info = env.step(np.ones(env.action_space.shape))
+    assert (terminated, info["unstable"], info["diverged"], reward) == (True, True, True, -3.0)
+    assert info["reward_terms"]["displacement_robot_x"] == 0.0
+
+
+NUMBERS = st.floats(-1e3, 1e3)
+ROWS = st.lists(NUMBERS, min_size=3, max_size=3)
+OPERATIONS = {
+    "arithmetic": lambda a, b: (1.5 - a[:, 0]) * 2.0 + b[:, 1] - a[:, 2] * 0.5,
+    "rows": lambda a, b: ((2 * a - b) / 0.1).abs().floor() + b.ceil().clamp(-5, 5),
+    "selection": lambda a, b: a[:, 0].where(a[:, 1] >= b[:, 2], -b[:, 0]),
+    "masks": lambda a, b: (a[:, 0] - b[:, 0]).masked_fill(~(a[:, 1] > 0) | (b[:, 1] < 0), 0.0),
+    "limits": lambda a, b: a[:, 0].new_full((), 0.4).where(a[:, 1] <= 2.0, a[:, 0].new_full((), 0.7)) + b[:, 0],
+    "extremes": lambda a, b: a.amax(1) + b.amin(1, keepdim=True)[:, 0],
+    "counts": lambda a, b: (a > b).sum(1).double() + (a.long() == b.long()).sum(1, keepdim=True)[:, 0],
+    "mixed": lambda a, b: a.amax(1) - b[:, :2] + a[:, 1],
+    "places": lambda a, b: a.gather(1, (b > 0).sum(1, keepdim=True).minimum((a == a).sum(1, keepdim=True) - 1)),
+    "windows": lambda a, b: a.new_zeros((1, 4)).scatter_reduce_(1, b.long().clamp(0, 3), a, "amin"),
+    "axes": lambda a, b: a.unbind(1)[2] * 3.0 - b.unbind(-1)[0],
+    "comparisons": lambda a, b: (a[:, 0] < 3.0).double() - (a[:, 0] != b[:, 0]).double(),
+}
+
+
+@pytest.mark.parametrize("operation", OPERATIONS)
+@given(a=ROWS, b=ROWS)
+def test_rows_compute_as_tensors_do(operation: str, a: list[float], b: list[float]) -> None:
+    theirs = OPERATIONS[operation](torch.tensor([a], dtype=torch.float64), torch.tensor([b], dtype=torch.float64))
+    ours = OPERATIONS[operation](np.array([a]).view(Row), np.array([b]).view(Row))
+    ours = [ours.value] if isinstance(ours, Number) else ours.ravel().tolist()
+    assert [float(value) for value in ours] == theirs.double().ravel().tolist()
