@@ -371,7 +371,10 @@ class PeerConfig:
 class ScalingConfig:
     """Keys ``scaling.*``: what the suite of that name varies."""
 
-    sizes: list[int] = key([5, 10, 15, 20, 25, 30, 35], "sides n of the bodies of n x n voxels", low=2, high=60)
+    sizes: list[int] = key(list(range(5, 36)), "sides n of the bodies of n x n voxels", low=2, high=60)
+    bodies: int = key(10, "robots of each size", low=1)
+    seconds: float = key(10.0, "simulated seconds of each robot, of 50 control steps each", above=0)
+    quick: bool = key(False, "every fifth size only, 3 robots at most of each, for 2 simulated seconds at most")
     envs: list[int] = key([1, 8, 64, 512, 4096, 16384, 65536], "numbers of environments", low=1)
 
 

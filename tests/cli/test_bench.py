@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from warpvox.cli.benchmarks import check, reference
-from warpvox.cli.benchmarks.bodies import full_body
+from warpvox.cli.benchmarks.bodies import full_body, sampled_or_full
 from warpvox.cli.benchmarks.report import number
+from warpvox.configs.schema import ScalingConfig
 from warpvox.design import check_design
 from warpvox.errors import ConfigError, SimulationError
 
@@ -122,22 +126,63 @@ def test_tasks_alone(warpvox: Callable) -> None:
     assert positive(results("tasks")[1]["tasks"]["Lifter-v0"]["rates"])
 
 
+FIGURE_2 = "scaling.bodies=2 scaling.seconds=0.04".split()
+
+
 def test_scaling_in_three_ways(warpvox: Callable, fake_reference: Callable) -> None:
     words = ["scaling.sizes=[2,3]", "scaling.envs=[1,8]", "columns=[step]", f"peer.python={fake_reference()}"]
-    outcome = warpvox("bench", "suite=scaling", *TINY, *words)
+    outcome = warpvox("bench", "suite=scaling", *TINY, *FIGURE_2, *words)
     assert outcome.code == 0, outcome.err
-    _, figures = results("scaling")
-    assert [row["voxels"] for row in figures["bodies"]] == [4, 9]
-    assert all(row["ratio"] > 0 for row in figures["bodies"])
+    folder, figures = results("scaling")
+    for row, side in zip(figures["bodies"], (2, 3), strict=True):
+        assert (row["side"], row["sampled"], row["steps"]) == (side, True, 2)
+        assert all(1 <= voxels <= side * side for voxels in row["voxels"])
+        assert [len(row[name]) for name in ("voxels", "one", "reference")] == [2, 2, 2]
+        assert row["ratio"] == pytest.approx(sum(row["one"]) / sum(row["reference"]))
+        assert row["batch_ratio"] == pytest.approx(row["rates"][0] / row["reference"][0])
+        assert (row["num_envs"], row["reference_error"] < 1e-6) == (8, True)
     assert [row["num_envs"] for row in figures["envs"]] == [1, 8]
     assert figures["threads"]["rates"]
+    assert "means of 2 robots, one at a time, 0.04 simulated seconds each" in " ".join(outcome.out.split())
+    pytest.importorskip("matplotlib", reason="plots need the extra view")
+    assert (folder / "figure2.png").stat().st_size > 1000
+
+
+def test_a_quick_figure_2_has_fewer_sizes_robots_and_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And without any of that, the paper's protocol: n from 5 to 35, ten robots of each, ten seconds."""
+    from warpvox.cli.benchmarks import figure2
+
+    seen: list[tuple[int, int, float]] = []
+
+    def one_size(config: object, scaling: ScalingConfig, side: int, reference: object) -> dict:
+        seen.append((side, scaling.bodies, scaling.seconds))
+        return {}
+
+    monkeypatch.setattr(figure2, "_one_size", one_size)
+    monkeypatch.setattr(figure2, "_show", lambda *_: None)
+    report = SimpleNamespace(status=lambda _: nullcontext())
+    for quick in (False, True):
+        figure2.scale_bodies(SimpleNamespace(scaling=ScalingConfig(quick=quick)), report, None)
+    assert seen[:31] == [(side, 10, 10.0) for side in range(5, 36)]
+    assert seen[31:] == [(side, 3, 2.0) for side in range(5, 36, 5)]
+
+
+def test_bodies_are_sampled_where_they_can_be_and_full_beyond() -> None:
+    for side, expected in ((5, True), (12, True), (35, False)):
+        bodies, sampled = sampled_or_full(side, 3, 0)
+        assert sampled is expected
+        assert len({body.tobytes() for body in bodies}) == 3
+        for body in bodies:
+            check_design(body)
+            assert (body > 0).all() != sampled
+        assert np.array_equal(sampled_or_full(side, 3, 0)[0], bodies)
 
 
 def test_scaling_leaves_out_what_does_not_fit(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     from warpvox.cli.benchmarks import scaling
 
     monkeypatch.setattr(scaling, "available_memory", lambda device: 50_000.0)
-    words = ["scaling.sizes=[2]", "scaling.envs=[1,8,4096]", "columns=[step]"]
+    words = [*FIGURE_2, "scaling.sizes=[2]", "scaling.envs=[1,8,4096]", "columns=[step]"]
     outcome = warpvox("bench", "suite=scaling", *TINY, *words)
     assert outcome.code == 0, outcome.err
     assert "4,096 (memory" in outcome.out.replace("\n", " ")
@@ -145,7 +190,7 @@ def test_scaling_leaves_out_what_does_not_fit(warpvox: Callable, monkeypatch: py
 
 
 def test_scaling_leaves_out_what_takes_too_long(warpvox: Callable) -> None:
-    words = ["scaling.sizes=[2]", "scaling.envs=[8]", "columns=[step]", "limit=1e-9"]
+    words = [*FIGURE_2, "scaling.sizes=[2]", "scaling.envs=[8]", "columns=[step]", "limit=1e-9"]
     outcome = warpvox("bench", "suite=scaling", *TINY, *words)
     assert outcome.code == 0, outcome.err
     assert "8 (over 1e-09 s a repetition)" in outcome.out.replace("\n", " ")

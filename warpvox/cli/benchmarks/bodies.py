@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from warpvox.cli.build import load_bodies
-from warpvox.errors import ConfigError
+from warpvox.design import sample_design
+from warpvox.errors import ConfigError, DesignError
 from warpvox.types import Cell
 
-__all__ = ["full_body", "one_body"]
+__all__ = ["full_body", "one_body", "sampled_or_full"]
 
 
 def one_body(config: Any) -> np.ndarray:
@@ -31,3 +32,15 @@ def full_body(side: int, seed: int) -> np.ndarray:
     body = np.random.default_rng([seed, side]).choice(np.array(cells, np.int8), (side, side))
     body[0, 0], body[0, -1] = Cell.H_ACT, Cell.V_ACT
     return body
+
+
+def sampled_or_full(side: int, count: int, seed: int) -> tuple[list[np.ndarray], bool]:
+    """``count`` bodies int8 ``[side, side]``, and whether they are sampled.
+
+    By EvoGym's sampling rule where it makes them; independent voxels of a large grid hardly ever hang together, and
+    then all bodies are full.
+    """
+    try:
+        return [sample_design((side, side), np.random.default_rng([seed, side, k])) for k in range(count)], True
+    except DesignError:
+        return [full_body(side, seed + k) for k in range(count)], False
