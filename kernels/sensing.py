@@ -3,276 +3,286 @@
 One thread an environment, results in the order of the environments. Sums run in float64 in the order of the points.
 """
 
-import functools
-
 import warp as wp
 
-from warpvox.kernels.lanes import REALS
-from warpvox.kernels.state import structs
+from warpvox.types import VOXEL as SIDE
 
 NEARLY_ONE = wp.constant(wp.float64(0.99999))  # the released simulator's guard of its arc cosine
 TINY = wp.constant(wp.float64(1.0e-7))
 TWO_PI = wp.constant(wp.float64(2.0 * 3.1415926))  # as released
-VOXEL = wp.constant(wp.float64(0.1))
+VOXEL = wp.constant(wp.float64(SIDE))
+kernel = wp.kernel(enable_backward=False, module="unique")
 
 
-@functools.cache
-def kernels(precision: str):
-    """The sensing kernels for a precision."""
-    types, real = structs(precision), REALS[precision]
+@wp.struct
+class Batch:
+    """What all sensing kernels read; fields as in :mod:`warpvox.kernels.state` and :class:`warpvox.layout.State`."""
 
-    @wp.func
-    def centre(data: types.Data, pack: int, k: int, begin: int, end: int):
-        x, y = wp.float64(0.0), wp.float64(0.0)
-        for p in range(begin, end):
-            x += data.pos[pack, 2 * p, k]
-            y += data.pos[pack, 2 * p + 1, k]
-        n = wp.float64(end - begin)
-        return x / n, y / n
+    pos: wp.array3d(dtype=wp.float64)
+    vel: wp.array3d(dtype=wp.float64)
+    home: wp.array2d(dtype=wp.float64)
+    pack_design: wp.array(dtype=int)
+    env_pack: wp.array(dtype=int)
+    env_lane: wp.array(dtype=int)
+    ranges: wp.array2d(dtype=wp.vec2i)  # first point of an object of a design, and one past the last
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def centres(
-        model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
-        ranges: wp.array2d(dtype=wp.vec2i),
-        com: wp.array2d(dtype=wp.vec2d), velocity: wp.array2d(dtype=wp.vec2d),
-    ):  # fmt: skip
-        """Centre of mass and its velocity of every object [environment, object]."""
-        env, o = wp.tid()
-        pack, k = env_pack[env], env_lane[env]
-        span = ranges[model.pack_design[pack], o]
-        if span[1] <= span[0]:
-            return
-        x, y = centre(data, pack, k, span[0], span[1])
-        vx, vy = wp.float64(0.0), wp.float64(0.0)
+
+@wp.func
+def centre(batch: Batch, pack: int, k: int, begin: int, end: int):
+    """Centre of mass of the points of an object."""
+    x, y = wp.float64(0.0), wp.float64(0.0)
+    for p in range(begin, end):
+        x += batch.pos[pack, 2 * p, k]
+        y += batch.pos[pack, 2 * p + 1, k]
+    n = wp.float64(end - begin)
+    return x / n, y / n
+
+
+@kernel
+def centres(batch: Batch, com: wp.array2d(dtype=wp.vec2d), velocity: wp.array2d(dtype=wp.vec2d)):
+    """Centre of mass and its velocity of every object [environment, object]."""
+    env, o = wp.tid()
+    pack, k = batch.env_pack[env], batch.env_lane[env]
+    span = batch.ranges[batch.pack_design[pack], o]
+    if span[1] <= span[0]:
+        return
+    x, y = centre(batch, pack, k, span[0], span[1])
+    vx, vy = wp.float64(0.0), wp.float64(0.0)
+    for p in range(span[0], span[1]):
+        vx += batch.vel[pack, 2 * p, k]
+        vy += batch.vel[pack, 2 * p + 1, k]
+    n = wp.float64(span[1] - span[0])
+    com[env, o] = wp.vec2d(x, y)
+    velocity[env, o] = wp.vec2d(vx / n, vy / n)
+
+
+@wp.func
+def place(batch: Batch, pack: int, p: int, k: int):
+    """Position of a point."""
+    return wp.vec2d(batch.pos[pack, 2 * p, k], batch.pos[pack, 2 * p + 1, k])
+
+
+@wp.func
+def rest(batch: Batch, design: int, p: int):
+    """Position of a point at time 0."""
+    return wp.vec2d(batch.home[design, 2 * p], batch.home[design, 2 * p + 1])
+
+
+@wp.func
+def turn(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64):
+    """Angle between two vectors, and the cross product of their directions."""
+    la, lb = wp.sqrt(ax * ax + ay * ay), wp.sqrt(bx * bx + by * by)
+    ua, ub = wp.max(la, wp.float64(1.0e-300)), wp.max(lb, wp.float64(1.0e-300))
+    ax, ay, bx, by = ax / ua, ay / ua, bx / ub, by / ub
+    c = ax * bx + ay * by
+    if la * lb < TINY or c > wp.float64(1.0):
+        c = NEARLY_ONE
+    if c < wp.float64(-1.0):
+        c = -NEARLY_ONE
+    return wp.acos(c), ax * by - ay * bx, lb
+
+
+@kernel
+def orientations(batch: Batch, o: int, out: wp.array(dtype=wp.float64)):
+    """Orientation of one object [environment], counter-clockwise in [0, 2 pi)."""
+    env = wp.tid()
+    pack, k = batch.env_pack[env], batch.env_lane[env]
+    design = batch.pack_design[pack]
+    begin, end = batch.ranges[design, o][0], batch.ranges[design, o][1]
+    if end <= begin:
+        return
+    # The released simulator sums the first point, then four at a time in two pairs, then the rest. At time 0, where
+    # rounding decides what the guard does, only this order gives its value.
+    now, home = place(batch, pack, begin, k), rest(batch, design, begin)
+    q = begin + 1
+    while q + 3 < end:
+        now += (place(batch, pack, q, k) + place(batch, pack, q + 1, k)) + (
+            place(batch, pack, q + 2, k) + place(batch, pack, q + 3, k)
+        )
+        home += (rest(batch, design, q) + rest(batch, design, q + 1)) + (
+            rest(batch, design, q + 2) + rest(batch, design, q + 3)
+        )
+        q += 4
+    while q < end:
+        now += place(batch, pack, q, k)
+        home += rest(batch, design, q)
+        q += 1
+    n = wp.float64(end - begin)
+    x, y, hx, hy = now[0] / n, now[1] / n, home[0] / n, home[1] / n
+    angle, weight, crosses = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    for p in range(begin, end):
+        a, c, w = turn(
+            batch.pos[pack, 2 * p, k] - x,
+            batch.pos[pack, 2 * p + 1, k] - y,
+            batch.home[design, 2 * p] - hx,
+            batch.home[design, 2 * p + 1] - hy,
+        )
+        angle += a * w
+        weight += w
+        crosses += c
+    angle = angle / weight
+    if crosses > wp.float64(0.0):
+        angle = TWO_PI - angle
+    out[env] = angle
+
+
+@kernel
+def points(batch: Batch, o: int, what: int, out: wp.array3d(dtype=wp.float64)):
+    """Positions (what 0), velocities (1) or positions about the centre of mass (2): [environment, point, axis]."""
+    env = wp.tid()
+    pack, k = batch.env_pack[env], batch.env_lane[env]
+    span = batch.ranges[batch.pack_design[pack], o]
+    x, y = wp.float64(0.0), wp.float64(0.0)
+    if what == 2:
+        x, y = centre(batch, pack, k, span[0], span[1])
+    for p in range(span[0], span[1]):
+        n = p - span[0]
+        if what == 1:
+            out[env, n, 0] = batch.vel[pack, 2 * p, k]
+            out[env, n, 1] = batch.vel[pack, 2 * p + 1, k]
+        else:
+            out[env, n, 0] = batch.pos[pack, 2 * p, k] - x
+            out[env, n, 1] = batch.pos[pack, 2 * p + 1, k] - y
+
+
+@wp.func
+def later(a: wp.vec2d, b: wp.vec2d):
+    """Whether b comes after a in the order from bottom to top, and from left to right within a height."""
+    return b[1] > a[1] or (b[1] == a[1] and b[0] > a[0])
+
+
+@wp.func
+def cross(a: wp.vec2d, b: wp.vec2d):
+    """Cross product of two vectors."""
+    return a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def extents(batch: Batch, o: int, out: wp.array(dtype=wp.vec2d)):
+    """Width and height of the bounding box of one object [environment]."""
+    env = wp.tid()
+    pack, k = batch.env_pack[env], batch.env_lane[env]
+    span = batch.ranges[batch.pack_design[pack], o]
+    if span[1] <= span[0]:
+        return
+    low = place(batch, pack, span[0], k)
+    high = low
+    for p in range(span[0] + 1, span[1]):
+        point = place(batch, pack, p, k)
+        low, high = wp.min(low, point), wp.max(high, point)
+    out[env] = high - low
+
+
+@kernel
+def hulls(batch: Batch, o: int, out: wp.array(dtype=wp.float64)):
+    """Area of the convex hull of one object [environment].
+
+    Wraps the hull in two chains, up from the lowest point along its right side and down along its left: each
+    step goes strictly on in one order of the points, so that rounding cannot send it round in circles.
+    """
+    env = wp.tid()
+    pack, k = batch.env_pack[env], batch.env_lane[env]
+    span = batch.ranges[batch.pack_design[pack], o]
+    if span[1] <= span[0]:
+        return
+    low = place(batch, pack, span[0], k)
+    for p in range(span[0] + 1, span[1]):
+        point = place(batch, pack, p, k)
+        if later(point, low):
+            low = point
+    here = low  # the area is a fan of triangles about the lowest point
+    area = wp.float64(0.0)
+    up, steps = int(1), int(0)
+    while up >= -1 and steps < 2 * (span[1] - span[0]) + 2:
+        found = int(0)
+        best = here
         for p in range(span[0], span[1]):
-            vx += data.vel[pack, 2 * p, k]
-            vy += data.vel[pack, 2 * p + 1, k]
-        n = wp.float64(span[1] - span[0])
-        com[env, o] = wp.vec2d(x, y)
-        velocity[env, o] = wp.vec2d(vx / n, vy / n)
+            point = place(batch, pack, p, k)
+            ahead = later(here, point)
+            if up == -1:
+                ahead = later(point, here)
+            # Strictly to the right of the line to the best so far.
+            if ahead and (found == 0 or cross(best - here, point - here) < wp.float64(0.0)):
+                found, best = 1, point
+        if found == 0:
+            up = up - 2
+        else:
+            area += cross(here - low, best - low)
+            here = best
+        steps += 1
+    out[env] = area * wp.float64(0.5)
 
-    @wp.func
-    def place(data: types.Data, pack: int, p: int, k: int):
-        return wp.vec2d(data.pos[pack, 2 * p, k], data.pos[pack, 2 * p + 1, k])
 
-    @wp.func
-    def rest(model: types.Model, design: int, p: int):
-        return wp.vec2d(model.home[design, 2 * p], model.home[design, 2 * p + 1])
+@wp.func
+def seen(y: wp.float64, at: wp.float64, best: wp.float64, up: int):
+    """The nearer of ``best`` and a point at height y, below (up -1) or above (up 1) the centre of mass."""
+    if up == 1 and y > at:
+        return wp.min(best, y - at)
+    if up == -1 and y < at:
+        return wp.min(best, at - y)
+    return best
 
-    @wp.func
-    def turn(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64):
-        """Angle between two vectors, and the cross product of their directions."""
-        la, lb = wp.sqrt(ax * ax + ay * ay), wp.sqrt(bx * bx + by * by)
-        ua, ub = wp.max(la, wp.float64(1.0e-300)), wp.max(lb, wp.float64(1.0e-300))
-        ax, ay, bx, by = ax / ua, ay / ua, bx / ub, by / ub
-        c = ax * bx + ay * by
-        if la * lb < TINY or c > wp.float64(1.0):
-            c = NEARLY_ONE
-        if c < wp.float64(-1.0):
-            c = -NEARLY_ONE
-        return wp.acos(c), ax * by - ay * bx, lb
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def orientations(
-        model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
-        ranges: wp.array2d(dtype=wp.vec2i), o: int, out: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
-        """Orientation of one object [environment], counter-clockwise in [0, 2 pi)."""
-        env = wp.tid()
-        pack, k = env_pack[env], env_lane[env]
-        design = model.pack_design[pack]
-        begin, end = ranges[design, o][0], ranges[design, o][1]
-        if end <= begin:
-            return
-        # The released simulator sums the first point, then four at a time in two pairs, then the rest. At time 0, where
-        # rounding decides what the guard does, only this order gives its value.
-        now, home = place(data, pack, begin, k), rest(model, design, begin)
-        q = begin + 1
-        while q + 3 < end:
-            now += (place(data, pack, q, k) + place(data, pack, q + 1, k)) + (
-                place(data, pack, q + 2, k) + place(data, pack, q + 3, k)
-            )
-            home += (rest(model, design, q) + rest(model, design, q + 1)) + (
-                rest(model, design, q + 2) + rest(model, design, q + 3)
-            )
-            q += 4
-        while q < end:
-            now += place(data, pack, q, k)
-            home += rest(model, design, q)
-            q += 1
-        n = wp.float64(end - begin)
-        x, y, hx, hy = now[0] / n, now[1] / n, home[0] / n, home[1] / n
-        angle, weight, crosses = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
-        for p in range(begin, end):
-            a, c, w = turn(
-                data.pos[pack, 2 * p, k] - x,
-                data.pos[pack, 2 * p + 1, k] - y,
-                model.home[design, 2 * p] - hx,
-                model.home[design, 2 * p + 1] - hy,
-            )
-            angle += a * w
-            weight += w
-            crosses += c
-        angle = angle / weight
-        if crosses > wp.float64(0.0):
-            angle = TWO_PI - angle
-        out[env] = angle
+@wp.func
+def edge(window: int, reach: int, side: int):
+    """Where a window begins (side -1) or ends (1), from the centre of mass, in voxels."""
+    return wp.float64(window - reach) + wp.float64(side) * wp.float64(0.5)
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def points(
-        model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
-        ranges: wp.array2d(dtype=wp.vec2i), o: int, what: int, out: wp.array3d(dtype=real),
-    ):  # fmt: skip
-        """Positions (what 0), velocities (1) or positions about the centre of mass (2): [environment, point, axis]."""
-        env = wp.tid()
-        pack, k = env_pack[env], env_lane[env]
-        span = ranges[model.pack_design[pack], o]
-        x, y = wp.float64(0.0), wp.float64(0.0)
-        if what == 2:
-            x, y = centre(data, pack, k, span[0], span[1])
-        for p in range(span[0], span[1]):
-            n = p - span[0]
-            if what == 1:
-                out[env, n, 0] = real(data.vel[pack, 2 * p, k])
-                out[env, n, 1] = real(data.vel[pack, 2 * p + 1, k])
-            else:
-                out[env, n, 0] = real(data.pos[pack, 2 * p, k] - x)
-                out[env, n, 1] = real(data.pos[pack, 2 * p + 1, k] - y)
 
-    @wp.func
-    def later(a: wp.vec2d, b: wp.vec2d):
-        """Whether b comes after a in the order from bottom to top, and from left to right within a height."""
-        return b[1] > a[1] or (b[1] == a[1] and b[0] > a[0])
+@kernel
+def scans(
+    batch: Batch, o: int, reach: int, sight: wp.float64, up: int,
+    column: wp.array2d(dtype=int), still: wp.array2d(dtype=wp.vec2d), moving: wp.array2d(dtype=int),
+    out: wp.array2d(dtype=wp.float64),
+):  # fmt: skip
+    """Distance to the nearest listed point in centred windows one voxel wide: [environment, window].
 
-    @wp.func
-    def cross(a: wp.vec2d, b: wp.vec2d):
-        return a[0] * b[1] - a[1] * b[0]
+    ``still`` are static points in voxels sorted by lattice column, ``column`` where each column starts;
+    ``moving`` lists points of bodies (ends with -1). In voxels until the last line, as released.
+    """
+    env = wp.tid()
+    pack, k = batch.env_pack[env], batch.env_lane[env]
+    design = batch.pack_design[pack]
+    span = batch.ranges[design, o]
+    x, y = wp.float64(0.0), wp.float64(0.0)
+    for p in range(span[0], span[1]):
+        x += batch.pos[pack, 2 * p, k] / VOXEL
+        y += batch.pos[pack, 2 * p + 1, k] / VOXEL
+    n = wp.float64(span[1] - span[0])
+    x, y = x / n, y / n
+    last = column.shape[1] - 2
+    for window in range(2 * reach + 1):
+        left, right = x + edge(window, reach, -1), x + edge(window, reach, 1)
+        best = sight
+        if left < wp.float64(last + 1) and right > wp.float64(-1.0):
+            begin = wp.clamp(int(wp.floor(left)), 0, last)
+            stop = wp.clamp(int(wp.floor(right)) + 1, 0, last)
+            for i in range(column[design, begin], column[design, stop + 1]):
+                if still[design, i][0] > left and still[design, i][0] < right:
+                    best = seen(still[design, i][1], y, best, up)
+        out[env, window] = best
+    for i in range(moving.shape[1]):
+        p = moving[design, i]
+        if p >= 0:
+            px = batch.pos[pack, 2 * p, k] / VOXEL
+            if wp.abs(px - x) < wp.float64(reach + 1):
+                # Rounding may put it into a neighbour of the window that its distance says.
+                about = int(wp.floor(px - x + wp.float64(0.5))) + reach
+                for window in range(wp.max(about - 1, 0), wp.min(about + 1, 2 * reach) + 1):
+                    if px > x + edge(window, reach, -1) and px < x + edge(window, reach, 1):
+                        out[env, window] = seen(batch.pos[pack, 2 * p + 1, k] / VOXEL, y, out[env, window], up)
+    for window in range(2 * reach + 1):
+        out[env, window] = out[env, window] * VOXEL
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def extents(
-        model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
-        ranges: wp.array2d(dtype=wp.vec2i), o: int, out: wp.array(dtype=wp.vec2d),
-    ):  # fmt: skip
-        """Width and height of the bounding box of one object [environment]."""
-        env = wp.tid()
-        pack, k = env_pack[env], env_lane[env]
-        span = ranges[model.pack_design[pack], o]
-        if span[1] <= span[0]:
-            return
-        low = place(data, pack, span[0], k)
-        high = low
-        for p in range(span[0] + 1, span[1]):
-            point = place(data, pack, p, k)
-            low, high = wp.min(low, point), wp.max(high, point)
-        out[env] = high - low
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def hulls(
-        model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
-        ranges: wp.array2d(dtype=wp.vec2i), o: int, out: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
-        """Area of the convex hull of one object [environment].
-
-        Wraps the hull in two chains, up from the lowest point along its right side and down along its left: each
-        step goes strictly on in one order of the points, so that rounding cannot send it round in circles.
-        """
-        env = wp.tid()
-        pack, k = env_pack[env], env_lane[env]
-        span = ranges[model.pack_design[pack], o]
-        if span[1] <= span[0]:
-            return
-        low = place(data, pack, span[0], k)
-        for p in range(span[0] + 1, span[1]):
-            point = place(data, pack, p, k)
-            if later(point, low):
-                low = point
-        here = low  # the area is a fan of triangles about the lowest point
-        area = wp.float64(0.0)
-        up, steps = int(1), int(0)
-        while up >= -1 and steps < 2 * (span[1] - span[0]) + 2:
-            found = int(0)
-            best = here
-            for p in range(span[0], span[1]):
-                point = place(data, pack, p, k)
-                ahead = later(here, point)
-                if up == -1:
-                    ahead = later(point, here)
-                # Strictly to the right of the line to the best so far.
-                if ahead and (found == 0 or cross(best - here, point - here) < wp.float64(0.0)):
-                    found, best = 1, point
-            if found == 0:
-                up = up - 2
-            else:
-                area += cross(here - low, best - low)
-                here = best
-            steps += 1
-        out[env] = area * wp.float64(0.5)
-
-    @wp.func
-    def seen(y: wp.float64, at: wp.float64, best: wp.float64, up: int):
-        """The nearer of ``best`` and a point at height y, below (up -1) or above (up 1) the centre of mass."""
-        if up == 1 and y > at:
-            return wp.min(best, y - at)
-        if up == -1 and y < at:
-            return wp.min(best, at - y)
-        return best
-
-    @wp.func
-    def edge(window: int, reach: int, side: int):
-        """Where a window begins (side -1) or ends (1), from the centre of mass, in voxels."""
-        return wp.float64(window - reach) + wp.float64(side) * wp.float64(0.5)
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def scans(
-        model: types.Model, data: types.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
-        ranges: wp.array2d(dtype=wp.vec2i), o: int, reach: int, sight: wp.float64, up: int,
-        column: wp.array2d(dtype=int), still: wp.array2d(dtype=wp.vec2d), moving: wp.array2d(dtype=int),
-        out: wp.array2d(dtype=wp.float64),
-    ):  # fmt: skip
-        """Distance to the nearest listed point in centred windows one voxel wide: [environment, window].
-
-        ``still`` are static points in voxels sorted by lattice column, ``column`` where each column starts;
-        ``moving`` lists points of bodies (ends with -1). In voxels until the last line, as released.
-        """
-        env = wp.tid()
-        pack, k = env_pack[env], env_lane[env]
-        design = model.pack_design[pack]
-        span = ranges[design, o]
-        x, y = wp.float64(0.0), wp.float64(0.0)
-        for p in range(span[0], span[1]):
-            x += data.pos[pack, 2 * p, k] / VOXEL
-            y += data.pos[pack, 2 * p + 1, k] / VOXEL
-        n = wp.float64(span[1] - span[0])
-        x, y = x / n, y / n
-        last = column.shape[1] - 2
-        for window in range(2 * reach + 1):
-            left, right = x + edge(window, reach, -1), x + edge(window, reach, 1)
-            best = sight
-            if left < wp.float64(last + 1) and right > wp.float64(-1.0):
-                begin = wp.clamp(int(wp.floor(left)), 0, last)
-                stop = wp.clamp(int(wp.floor(right)) + 1, 0, last)
-                for i in range(column[design, begin], column[design, stop + 1]):
-                    if still[design, i][0] > left and still[design, i][0] < right:
-                        best = seen(still[design, i][1], y, best, up)
-            out[env, window] = best
-        for i in range(moving.shape[1]):
-            p = moving[design, i]
-            if p >= 0:
-                px = data.pos[pack, 2 * p, k] / VOXEL
-                if wp.abs(px - x) < wp.float64(reach + 1):
-                    # Rounding may put it into a neighbour of the window that its distance says.
-                    about = int(wp.floor(px - x + wp.float64(0.5))) + reach
-                    for window in range(wp.max(about - 1, 0), wp.min(about + 1, 2 * reach) + 1):
-                        if px > x + edge(window, reach, -1) and px < x + edge(window, reach, 1):
-                            out[env, window] = seen(data.pos[pack, 2 * p + 1, k] / VOXEL, y, out[env, window], up)
-        for window in range(2 * reach + 1):
-            out[env, window] = out[env, window] * VOXEL
-
-    named = {"centres": centres, "orientations": orientations, "points": points, "scans": scans}
-    return named | {"extents": extents, "hulls": hulls}
+KERNELS = {k.func.__name__: k for k in (centres, orientations, points, extents, hulls, scans)}
 
 
 def record(state, name: str, dim, *inputs) -> wp.Launch:
-    """A command that runs one sensing kernel; ``inputs`` follow the arrays that all of them take."""
-    first = [state.model, state.data, state.env_pack, state.env_lane, state.ranges]
-    return wp.launch(kernels(state.precision)[name], dim, [*first, *inputs], device=state.device, record_cmd=True)
+    """A command that runs one sensing kernel; ``inputs`` follow the batch, which all of them take."""
+    batch = Batch()
+    for field in ("pos", "vel", "home", "pack_design"):
+        setattr(batch, field, state.arrays[field])
+    for field in ("env_pack", "env_lane", "ranges"):
+        setattr(batch, field, getattr(state, field))
+    return wp.launch(KERNELS[name], dim, [batch, *inputs], device=state.device, record_cmd=True)

@@ -384,7 +384,8 @@ class Simulation:
         shape = (self.num_envs, self.num_points(name), 2)
         if name in self._mobile:
             inputs = [self._index(name), what]
-            out = self._sense(("points", *inputs), "points", self.num_envs, [shape], self.dtype, *inputs)[0].clone()
+            found = self._sense(("points", *inputs), "points", self.num_envs, [shape], torch.float64, *inputs)[0]
+            out = found.to(self.dtype, copy=True)
         else:
             self._index(name)
             out = torch.zeros(shape, dtype=self.dtype, device=self.device)

@@ -25,7 +25,7 @@ def kernels_of_cuda(arithmetic, precision):
         step_kernel(arithmetic, precision, 1),
         action_kernel(precision),
         reset_kernel(precision),
-        *sensing.kernels(precision).values(),
+        *sensing.KERNELS.values(),
     ]
 
 
