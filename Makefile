@@ -6,6 +6,7 @@
 #   make packaging   install the wheel into clean environments of all Pythons that are found
 #   make audit       ask the advisory database about the pinned versions (pip-audit)
 #   make lock        make constraints.txt and locks/ anew (UPGRADE=1: with the newest versions)
+#   make tables      write the keys of all commands into docs/commands.md
 #   make docs        build the documentation into site/ and check its links
 #   make clean       remove what builds leave behind (make distclean: .venv as well)
 # PYTHON=python3.12 make demo   chooses the interpreter that .venv is made from.
@@ -23,11 +24,11 @@ COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test fast parity lint format licences packaging audit lock docs pictures clean distclean
+.PHONY: help install demo test fast parity lint format licences packaging audit lock docs tables pictures clean distclean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,11s/^# *//p' Makefile
+	@sed -n '2,12s/^# *//p' Makefile
 
 install: $(STAMP)
 
@@ -90,6 +91,9 @@ $(UV):
 docs: $(STAMP)
 	$(PIP) --quiet --no-deps --require-hashes -r locks/docs.txt
 	$(BIN)/python -m mkdocs build --strict
+
+tables: $(STAMP)
+	$(BIN)/python docs/key_tables.py
 
 # Makes the pictures of the documentation anew, of three runs of a walker; takes some minutes.
 pictures: $(STAMP)

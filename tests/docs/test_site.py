@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import subprocess
 import sys
+from dataclasses import is_dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from warpvox.cli import COMMANDS
+from warpvox.cli.help import flat_keys
+from warpvox.configs.schema import COMMANDS as SCHEMAS
 
 ROOT = Path(__file__).resolve().parents[2]
+SPEC = importlib.util.spec_from_file_location("key_tables", ROOT / "docs" / "key_tables.py")
+key_tables = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(key_tables)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 MEGABYTES = 2.0
 """Of all pictures together: everybody who clones the repository gets them."""
@@ -35,6 +42,20 @@ def test_every_picture_is_used_and_all_are_small() -> None:
     texts = "\n".join(page.read_text(encoding="utf-8") for page in own_pages())
     assert not [picture.name for picture in pictures if f"images/{picture.name}" not in texts]
     assert sum(picture.stat().st_size for picture in pictures) < MEGABYTES * 1e6
+
+
+@pytest.mark.parametrize("page", key_tables.pages(), ids=lambda path: path.name)
+def test_the_tables_of_keys_are_current(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert key_tables.with_tables(text) == text, "the keys of a command have changed: run `make tables`"
+
+
+def test_every_key_is_in_the_repository() -> None:
+    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    for command, schema in SCHEMAS.items():
+        section = text.split(f"\n## {command}\n")[1].split("\n## ")[0]
+        for name, key in flat_keys(schema):
+            assert is_dataclass(key.default) or f"| `{name}` |" in section, f"{command} {name}"
 
 
 @pytest.mark.skipif(find_spec("mkdocs") is None or find_spec("material") is None, reason="the extra docs is missing")

@@ -15,7 +15,7 @@ from warpvox.configs.schema import COMMANDS, GROUPS, MISSING, PRESET
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-__all__ = ["command_help", "flat_keys", "presets_of"]
+__all__ = ["Row", "command_help", "flat_keys", "help_rows", "presets_of"]
 
 OPTIONS = """\
 options:
@@ -57,6 +57,29 @@ def presets_of(command: str, config_dir: Path | None = None) -> dict[str, Traver
     return {name: found[name] for name in sorted(found) if found[name].is_file()}
 
 
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """A key as the help shows it; ``is_group``: its value is the name of a file, which sets several keys."""
+
+    name: str
+    value: str
+    meaning: str
+    is_group: bool = False
+
+
+def help_rows(command: str, values: dict[str, Any]) -> Iterator[Row]:
+    """The keys of a command; ``values``: see :func:`command_help`."""
+    for name, key in flat_keys(COMMANDS[command]):
+        if name in GROUPS:
+            folder = files("warpvox.configs") / name
+            options = sorted(file.name[:-5] for file in folder.iterdir() if file.name.endswith(".yaml"))
+            yield Row(name, "NAME", f"{key.help}: {', '.join(options)}", is_group=True)
+        elif name == PRESET:
+            yield Row(name, "null", f"{key.help}: {', '.join(presets_of(command))}")
+        elif not dataclasses.is_dataclass(key.default):
+            yield Row(name, _text(values.get(name, key.default)), _meaning(key))
+
+
 def command_help(command: str, summary: str, values: dict[str, Any]) -> str:
     """The help text of a command.
 
@@ -72,17 +95,9 @@ def command_help(command: str, summary: str, values: dict[str, Any]) -> str:
         "",
         "keys:",
     ]
-    for name, key in flat_keys(COMMANDS[command]):
-        if name in GROUPS:
-            options = sorted(
-                f.name[:-5] for f in (files("warpvox.configs") / name).iterdir() if f.name.endswith(".yaml")
-            )
-            lines += ["", *_entry(f"{name}=NAME", f"{key.help}: {', '.join(options)}", width)]
-        elif name == PRESET:
-            lines += _entry(f"{name}=null", f"{key.help}: {', '.join(presets_of(command))}", width)
-        elif not dataclasses.is_dataclass(key.default):
-            value = values.get(name, key.default)
-            lines += _entry(f"{name}={_text(value)}", _meaning(key), width)
+    for row in help_rows(command, values):
+        lines += [""] if row.is_group else []
+        lines += _entry(f"{row.name}={row.value}", row.meaning, width)
     return "\n".join([*lines, "", OPTIONS])
 
 

@@ -1,0 +1,84 @@
+"""Writes the tables of keys into the pages: ``python docs/key_tables.py`` (``make tables``).
+
+Not part of the library. What stands between ``<!-- help COMMAND -->`` and ``<!-- end of help -->`` is made anew from
+what ``warpvox COMMAND --help`` prints; between ``<!-- help of all others -->`` and that mark is a section for every
+command that the page does not mention. ``tests/docs`` says when a page is not up to date.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import re
+from pathlib import Path
+
+from warpvox.cli import COMMANDS, main
+from warpvox.cli.config import load
+from warpvox.cli.help import help_rows
+from warpvox.cli.train import flat
+from warpvox.configs.schema import COMMANDS as SCHEMAS
+from warpvox.files import write_text
+
+END = "<!-- end of help -->"
+OTHERS = "of all others"
+PART = re.compile(rf"^<!-- help (?P<what>\w+|{OTHERS}) -->\n(?:.*?^{END}$)?", re.DOTALL | re.MULTILINE)
+FOLDER = Path(__file__).resolve().parent
+
+
+def with_tables(text: str) -> str:
+    """A page with its tables as they should be."""
+    named = [match["what"] for match in PART.finditer(text)]
+
+    def part(match: re.Match[str]) -> str:
+        what = match["what"]
+        if what == OTHERS:
+            inside = "\n\n".join(f"## {name}\n\n{table_of(name)}" for name in COMMANDS if name not in named)
+        else:
+            inside = table_of(what)
+        return f"<!-- help {what} -->\n\n{inside}\n\n{END}"
+
+    return PART.sub(part, text)
+
+
+def table_of(command: str) -> str:
+    """The keys of a command as a table; of one without keys what it prints as its help."""
+    if command not in SCHEMAS:
+        return f"```text\n{_help_of(command)}\n```"
+    values = flat(dataclasses.asdict(load(command, [])))
+    lines = [f"`usage: warpvox {command} [KEY=VALUE ...]`", "", "| key | default | meaning |", "|---|---|---|"]
+    for row in help_rows(command, values):
+        default = "" if row.is_group else _code(row.value)
+        lines.append(f"| {_code(row.name)} | {default} | {_prose(row.meaning)} |")
+    return "\n".join(lines)
+
+
+def _help_of(command: str) -> str:
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text):
+        code = main([command, "--help"])
+    if code:
+        raise ValueError(f"warpvox {command} --help failed")
+    return text.getvalue().strip()
+
+
+def _code(text: str) -> str:
+    return f"`{text}`".replace("|", "\\|") if text else ""
+
+
+def _prose(text: str) -> str:
+    """Text outside of backticks without what Markdown would take for its own."""
+    parts = text.replace("|", "\\|").split("`")
+    for number in range(0, len(parts), 2):
+        parts[number] = re.sub(r"([*_\[\]])", r"\\\1", parts[number]).replace("<", "&lt;")
+    return "`".join(parts)
+
+
+def pages() -> list[Path]:
+    """The pages with tables."""
+    return [path for path in sorted(FOLDER.glob("*.md")) if PART.search(path.read_text(encoding="utf-8"))]
+
+
+if __name__ == "__main__":
+    for page in pages():
+        write_text(page, with_tables(page.read_text(encoding="utf-8")))
