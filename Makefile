@@ -15,6 +15,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# On all cores; `make test JOBS=0` in one process.
+JOBS ?= auto
+PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
 # Tools of the maintainers have an environment of their own: .venv cannot be made while the locks are out of date.
 TOOLS := build/tools
@@ -49,13 +52,13 @@ demo: $(STAMP)
 	$(BIN)/warpvox demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest
+	$(PYTEST)
 
 fast: $(STAMP)
-	$(BIN)/python -m pytest -m "not slow and not gpu and not packaging and not parity"
+	$(PYTEST) -m "not slow and not gpu and not packaging and not parity"
 
 parity: $(STAMP)
-	$(BIN)/python -m pytest -m parity
+	$(PYTEST) -m parity
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -40,7 +40,8 @@ class PopulationEvaluator:
     """Trains all candidates side by side; fitness is the best of their deterministic evaluations.
 
     With ``settings.rungs`` the least promising candidates leave the batch early, the survivors going on as they
-    would have anyway. A candidate whose learning diverges leaves it too, with the fitness it had reached (-inf: none).
+    would have anyway, up to rounding. A candidate whose learning diverges leaves it too, with the fitness it had
+    reached (-inf: none).
 
     Attributes:
         arena: where they are trained.

@@ -16,9 +16,8 @@ __all__ = ["WIDTH", "PopulationModel", "width_for"]
 WIDTH = 32
 """Outputs are padded to a multiple of this many columns.
 
-With a width that does not depend on who else is in the batch, and that fills vector registers, a design's numbers
-come out the same bit for bit whatever the others are: matrix products and loops over a remainder would otherwise be
-done in another way.
+It fills vector registers, and does not depend on who else is in the batch. The number of inputs does: a design's
+numbers are the same bits in the same batch, and the same up to rounding in another.
 """
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 

@@ -26,7 +26,7 @@ class PopulationPPO(PPO):
     """Our PPO with an axis for designs: losses, gradients' norms, learning rates and random numbers are per design.
 
     Rows of the storage are sorted by design. Up to rounding each design learns what :class:`warpvox.algos.ppo.PPO`
-    would teach it alone; which others are beside it changes nothing at all.
+    would teach it alone, whichever others are beside it. The same batch gives the same bits.
 
     Args:
         actor, critic: stacked networks.

@@ -167,7 +167,7 @@ class PopulationTraining:
     # ------------------------------------------------------------ state, parts
 
     def keep(self, index: Sequence[int]) -> None:
-        """Only these designs go on, in this order, exactly as they would have gone on with the others."""
+        """Only these designs go on, in this order, as they would have gone on with the others, up to rounding."""
         state = self.env.pick(index)
         self.bodies, self.seeds = [self.bodies[d] for d in index], [self.seeds[d] for d in index]
         self._make_environments()

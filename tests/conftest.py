@@ -10,9 +10,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import parallel
 import pytest
 from build_distributions import build, copy_sources
 from hypothesis import HealthCheck, settings
+
+parallel.one_thread_each()
 
 # The same examples on every run, and no time limit for one: a shared machine may stall at any moment.
 settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -21,6 +24,18 @@ settings.load_profile("repeatable")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE = 30.0  # seconds for anything in the browser; a shared machine may stall
 GRAVE = ("error", "warning")
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """How many processes ``-n auto`` starts."""
+    return parallel.workers()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kernels_are_compiled_once() -> Iterator[None]:
+    """Processes that need a kernel at the same time wait for the one that compiles it."""
+    with parallel.compiling_in_turn():
+        yield
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

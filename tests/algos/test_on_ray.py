@@ -6,10 +6,11 @@ import functools
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import parallel
 import pytest
 from codesign_toys import POPULATION, ToyEvaluator, make_loop
 
@@ -23,7 +24,7 @@ ray = pytest.importorskip("ray", reason="Ray is not installed")
 
 from warpvox.algos import on_ray  # noqa: E402
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.usefixtures("alone")
 
 
 class Mortal(ToyEvaluator):
@@ -42,6 +43,13 @@ class Mortal(ToyEvaluator):
         outcomes = super().evaluate(candidates, *more)
         (self.folder / f"done_{number}_{os.getpid()}").touch()
         return outcomes
+
+
+@pytest.fixture(scope="module")
+def alone() -> Iterator[None]:
+    """One cluster at a time, also where tests run in several processes: its head has a port that is its own."""
+    with parallel.turn("ray"):
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -6,12 +6,14 @@ import json
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from warpvox.algos.presets import training_preset
 from warpvox.cli.benchmarks import check, reference
 from warpvox.cli.benchmarks.bodies import full_body, sampled_or_full
 from warpvox.cli.benchmarks.report import number
@@ -379,8 +381,13 @@ def test_search_wants_names_of_searches(warpvox: Callable) -> None:
     assert "Did you mean 'ga'?" in outcome.err
 
 
-def test_options_spend_the_same(warpvox: Callable) -> None:
-    words = "options.seeds=1 options.steps=50000 options.population=3 options.iterations=4".split()
+def test_options_spend_the_same(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.cli.benchmarks import options as suite
+
+    tiny = {"steps": 4, "minibatches": 2, "epochs": 1}
+    monkeypatch.setattr(suite, "training_preset", partial(training_preset, ppo=tiny, envs=4))
+    monkeypatch.setattr(suite, "Arena", partial(suite.Arena, max_episode_steps=20))
+    words = f"options.seeds=1 options.steps={6 * 4 * 4 * 4} options.population=3 options.iterations=4".split()
     outcome = warpvox("bench", "suite=options", *words)
     assert outcome.code == 0, outcome.err
     _, figures = results("options")

@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import parallel
 import pytest
 import yaml
 from PIL import Image
@@ -269,9 +270,9 @@ def test_killed_three_times_the_real_search_is_the_undisturbed_one(tmp_path: Pat
     assert digest(folder) == digest(whole)
 
 
-@pytest.mark.slow
 def test_ray_finds_what_one_process_finds(search: Callable) -> None:
     pytest.importorskip("ray", reason="Ray is not installed")
     local = search("batch=2")
-    spread = search("batch=2", "executor=ray", "workers=2")
+    with parallel.turn("ray"):
+        spread = search("batch=2", "executor=ray", "workers=2")
     assert digest(spread) == digest(local)

@@ -1,0 +1,74 @@
+"""Tests in several processes at once: how many, with how many threads, and who compiles a kernel."""
+
+from __future__ import annotations
+
+import functools
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+MEMORY_OF_A_WORKER = 1.5 * 2**30
+"""Bytes; a process with torch, Warp, their kernels and a child that is one itself takes about a GiB."""
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+QUOTA = Path("/sys/fs/cgroup/cpu.max")
+LIMIT = Path("/sys/fs/cgroup/memory.max")
+
+
+def one_thread_each() -> None:
+    """Keep libraries of linear algebra, also those of children, to one thread, unless the environment says otherwise.
+
+    To be called before they are imported.
+    """
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
+
+
+def workers() -> int:
+    """As many processes as this one may use cores, and as have room in memory."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    share, _, period = _words(QUOTA).partition(" ")
+    if share.isdigit():
+        cores = min(cores, max(1, int(share) // int(period)))
+    room = [int(MEMORY_OF_A_WORKER) * cores]
+    if hasattr(os, "sysconf") and "SC_AVPHYS_PAGES" in os.sysconf_names:
+        room.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    if (limit := _words(LIMIT)).isdigit():
+        room.append(int(limit))
+    return max(1, min(cores, int(min(room) / MEMORY_OF_A_WORKER)))
+
+
+def _words(path: Path) -> str:
+    return path.read_text(encoding="ascii").strip() if path.is_file() else ""
+
+
+@contextmanager
+def turn(name: str) -> Iterator[None]:
+    """Within the block no other process of these tests is in a block of this name."""
+    from filelock import FileLock
+
+    user = os.getuid() if hasattr(os, "getuid") else "all"
+    place = Path(tempfile.gettempdir()) / f"warpvox-tests-{user}"
+    place.mkdir(exist_ok=True)
+    with FileLock(place / f"{name}.lock"):
+        yield
+
+
+@contextmanager
+def compiling_in_turn() -> Iterator[None]:
+    """Within the block a kernel that another process is compiling is waited for, and then read from the cache."""
+    from warp._src.context import Module
+
+    compile_one = Module._compile
+
+    @functools.wraps(compile_one)
+    def in_turn(module: Module, *words: object, **more: object) -> bool:
+        with turn(module.name):
+            return compile_one(module, *words, **more)
+
+    Module._compile = in_turn
+    try:
+        yield
+    finally:
+        Module._compile = compile_one
