@@ -171,8 +171,13 @@ def test_the_real_window() -> None:
         pytest.skip(reason)
     env = gymnasium.make("warpvox/Walker-v0", body="walker", render_mode="human", render_size=(160, 90))
     env.reset()
+    window = env.unwrapped._window
     env.step(env.action_space.sample())
+    assert window.visible
+    shown = {window._image.get(x, y) for x in range(0, 160, 4) for y in range(0, 90, 3)}
+    assert len(shown) > 1  # a robot before something else
     env.close()
+    assert window.closed
 
 
 def test_pictures_depend_on_the_state_alone() -> None:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -108,7 +107,8 @@ def test_values_that_are_not_finite_are_no_candidates(sim):
     assert candidates(sim, mark_grid) == sorted(brute_force(sim, x))
 
 
-def make_mixed():
+@pytest.fixture(scope="module")
+def mixed():
     """A robot above a body of soft and fixed cells: some voxels stand still, some share points with them."""
     world = World(30, 12)
     world.add_from_array("robot", np.full((3, 4), 3), 8, 6)
@@ -118,8 +118,8 @@ def make_mixed():
 
 @given(seed=st.integers(0, 10**6), spread=st.sampled_from([0.0, 0.01, 0.05, 0.2]))
 @settings(max_examples=25, deadline=None)
-def test_still_voxels_are_candidates_of_mobile_ones_only(seed, spread):
-    sim = MIXED
+def test_still_voxels_are_candidates_of_mobile_ones_only(mixed, seed, spread):
+    sim = mixed
     state, rng = sim._state, np.random.default_rng(seed)
     home, free = state.arrays["home"].numpy()[0], np.repeat(state.arrays["fixed"].numpy()[0] == 0, 2)
     pos = home[None, :, None] + free[None, :, None] * rng.normal(scale=spread, size=state.arrays["pos"].shape)
@@ -133,9 +133,6 @@ def test_still_voxels_are_candidates_of_mobile_ones_only(seed, spread):
     launch_stage(collect_pairs, state)
     count = int(state.arrays["pair_count"].numpy()[0])
     assert [tuple(p) for p in state.arrays["pairs"].numpy()[0, :count, :2].tolist()] == expected
-
-
-MIXED = make_mixed()
 
 
 @given(seed=st.integers(0, 10**6), drop=st.floats(-0.2, 0.6))
@@ -168,4 +165,3 @@ def test_candidates_know_their_shared_corners():
     assert pairs[(0, 1)] == (1 | 8, 2 | 4)  # side by side: the outer corners are their own
     assert pairs[(0, 2)] == (1 | 2, 4 | 8)  # one above the other
     assert pairs[(1, 2)] == (1 | 2 | 4, 1 | 4 | 8)  # diagonal neighbours share one corner
-    wp.synchronize()
