@@ -26,6 +26,7 @@ PATIENCE = 30.0  # seconds for anything in the browser; a shared machine may sta
 GRAVE = ("error", "warning")
 
 
+@pytest.hookimpl(optionalhook=True)  # of pytest-xdist
 def pytest_xdist_auto_num_workers() -> int:
     """How many processes ``-n auto`` starts."""
     return parallel.workers()

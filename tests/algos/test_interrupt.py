@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from warpvox.algos.interrupt import SIGNALS, Terminated, deferred_interrupts, terminable
+from warpvox.algos.interrupt import Terminated, deferred_interrupts, terminable
+from warpvox.system import stop_signals
 
-EACH = pytest.mark.parametrize("number", SIGNALS)
+SIGNALS = (signal.SIGINT, *stop_signals())
 IGNORED = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN); os.execv(sys.executable, sys.argv[1:])"
 """Becomes another program, as a job in the background of a shell script begins."""
 
@@ -25,7 +26,7 @@ def ignored() -> Iterator[None]:
         signal.signal(number, handler)
 
 
-@EACH
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_first_one_waits_and_the_second_does_not(number: int) -> None:
     before = signal.getsignal(number)
     with deferred_interrupts() as interrupt:
@@ -38,7 +39,7 @@ def test_the_first_one_waits_and_the_second_does_not(number: int) -> None:
 
 
 @pytest.mark.usefixtures("ignored")
-@EACH
+@pytest.mark.parametrize("number", SIGNALS)
 def test_what_the_parent_ignores_stays_ignored(number: int) -> None:
     with deferred_interrupts() as interrupt, terminable():
         signal.raise_signal(number)
