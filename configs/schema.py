@@ -42,6 +42,8 @@ SHOW = ("auto", "on", "off")
 OBSERVATIONS = ("task", "voxel")
 ARCHIVE_EXPORTS = ("csv", "parquet", "npz", "json")
 AUTO = "auto"
+MOST_THREADS = 1024
+"""More than any machine has cores; a stored file may not make a process start a million."""
 ARITHMETICS = ("fast", "exact")
 PPO = ("parallel", "evogym")
 CONFIG_FILE = "start from the values of a file, such as a run's config.yaml (or its folder); other keys go before them"
@@ -160,7 +162,7 @@ class _TrainingRunConfig:
     arithmetic: str | None = key(
         None, "fast, or exact: bit for bit as released (float64); null: by dtype", choices=ARITHMETICS
     )
-    threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
+    threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1, high=MOST_THREADS)
     lanes: int | None = key(None, "environments that a thread advances at once; null: chosen by size")
     cuda_graph: bool = key(False, "on CUDA launch each control step, rewards and resets included, as one graph")
     nan_guard: str = key(
@@ -168,7 +170,10 @@ class _TrainingRunConfig:
         "bad numbers end an environment (on), and its last 64 steps are written to the run's folder dumps (dump)",
         choices=("on", "dump"),
     )
-    torch_threads: int = key(1, "threads of PyTorch; more than 1 slows small networks and changes rounding", low=1)
+    torch_threads: int = key(
+        1, "threads of PyTorch; more than 1 slows small networks and changes rounding", low=1, high=MOST_THREADS
+    )
+    memory_check: bool = key(True, "refuse what does not fit into the memory that is free, before it is allocated")
     resume: str | None = key(None, "go on with a run: latest, its folder, or a checkpoint file in it", path="read")
     config: str | None = key(None, CONFIG_FILE, path="read")
     name: str | None = key(None, "appended to the name of the run's folder")
@@ -242,8 +247,12 @@ class CodesignConfig(PresetConfig):
     arithmetic: str | None = key(
         None, "fast, or exact: bit for bit as released (float64); null: by dtype", choices=ARITHMETICS
     )
-    threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores (executor=ray: one)", low=1)
-    torch_threads: int = key(1, "threads of PyTorch; more than 1 slows small networks and changes rounding", low=1)
+    threads: int | None = key(
+        None, "threads of the simulation on the CPU; null: all cores (executor=ray: one)", low=1, high=MOST_THREADS
+    )
+    torch_threads: int = key(
+        1, "threads of PyTorch; more than 1 slows small networks and changes rounding", low=1, high=MOST_THREADS
+    )
     executor: str = key("local", "where designs are trained: in this process, or on workers", choices=("local", "ray"))
     address: str | None = key(None, "of a running Ray cluster: auto or host:port; null: Ray is started on this machine")
     workers: int | None = key(None, "workers of executor=ray; null: one for each GPU, or what the CPUs allow", low=1)
@@ -251,6 +260,7 @@ class CodesignConfig(PresetConfig):
     export: list[str] = key(
         [], "what to write of the archive at the end: csv, parquet, npz and json (designs)", choices=ARCHIVE_EXPORTS
     )
+    memory_check: bool = key(True, "refuse what does not fit into the memory that is free, before it is allocated")
     resume: str | None = key(None, "go on with a search: latest or its folder", path="read")
     config: str | None = key(None, CONFIG_FILE, path="read")
     report: str | None = key(None, "only make report and exports of a search again: latest or its folder", path="read")
@@ -295,8 +305,8 @@ class _RolloutConfig:
         "of what episodes draw and of sampled actions; null: that of the run, whose evaluations are repeated",
         low=0,
     )
-    threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
-    torch_threads: int = key(1, "threads of PyTorch", low=1)
+    threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1, high=MOST_THREADS)
+    torch_threads: int = key(1, "threads of PyTorch", low=1, high=MOST_THREADS)
     name: str | None = key(None, "appended to the name of the result's folder")
     output_dir: str = key("outputs", "folder that runs are written to and looked up in", path="written")
 
@@ -452,8 +462,8 @@ class BenchConfig:
     device: str | None = key(None, "auto, cpu, cuda, cuda:<index>; null: cuda for suite=gpu, cpu for the others")
     dtype: str = key("float32", "precision that is timed", choices=("float32", "float64"))
     arithmetic: str | None = key(None, "arithmetic that is timed; null: by dtype", choices=ARITHMETICS)
-    threads: int = key(1, "threads of the simulation on the CPU", low=1)
-    torch_threads: int = key(1, "threads of PyTorch", low=1)
+    threads: int = key(1, "threads of the simulation on the CPU", low=1, high=MOST_THREADS)
+    torch_threads: int = key(1, "threads of PyTorch", low=1, high=MOST_THREADS)
     seed: int = key(0, "of the random actions", low=0)
     designs: int = key(50, "random bodies of suite=precision", low=2)
     frames: int = key(500, "control steps of the episode of suite=pictures", low=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,6 +18,7 @@ from warpvox.envs.dumps import DivergenceDump, check_guard
 from warpvox.envs.finite import FiniteGuard
 from warpvox.envs.graph import StepGraph, capture_on_cuda
 from warpvox.envs.layout import Layout
+from warpvox.envs.needs import check_environments
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.state import State
@@ -55,6 +57,7 @@ def make_vec(
     dump_folder: str | os.PathLike[str] = "dumps",
     body: object = None,
     arithmetic: str | None = None,
+    memory_check: bool = True,
 ) -> VoxelVecEnv:
     """Make ``num_envs`` environments of a task, ready to be stepped.
 
@@ -86,11 +89,12 @@ def make_vec(
         body: one body for all environments, as in ``gymnasium.make``: short for ``designs=[body]``. ``connections`` are
             then its own.
         arithmetic: ``fast`` or ``exact``, as for :class:`warpvox.Simulation`; None: what suits ``dtype``.
+        memory_check: refuse at once what does not fit into the memory that is free.
 
     Raises:
         TaskError: unknown task. DesignError: a body that is not valid. WorldError: a body that does not fit.
         ConfigError: a count or name out of range, an unknown argument, or both ``body`` and ``designs``.
-        DeviceError: no such device.
+        DeviceError: no such device. MemoryLimitError: more environments than fit.
     """
     spec, guard = get_task(task).under(rules), check_guard(nan_guard)
     if max_episode_steps is not None:
@@ -107,8 +111,8 @@ def make_vec(
     _check_seeds(seed, len(bodies), count)
     links = _load_connections(connections, len(bodies))
     worlds = [task_world(spec, body, links[d]) for d, body in enumerate(bodies)]
-    sim = Simulation(
-        [world for world in worlds for _ in range(count // len(bodies))],
+    make = functools.partial(
+        Simulation,
         device=device,
         physics=rules if physics is None else physics,
         dtype=dtype,
@@ -117,6 +121,9 @@ def make_vec(
         threads=threads,
         loose=spec.scattered,
     )
+    if memory_check:
+        check_environments(worlds, count // len(bodies), device, make)
+    sim = make([world for world in worlds for _ in range(count // len(bodies))])
     env = VoxelVecEnv(spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs, cuda_graph=cuda_graph)
     if guard == "dump":
         env.dump = DivergenceDump(env, dump_folder)

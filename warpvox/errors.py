@@ -23,6 +23,7 @@ __all__ = [
     "DeviceError",
     "DisplayError",
     "DivergenceError",
+    "MemoryLimitError",
     "RolloutError",
     "RunError",
     "SearchError",
@@ -77,6 +78,10 @@ class RolloutError(WarpvoxError, ValueError):
 
 class DeviceError(WarpvoxError, RuntimeError):
     """A compute device that does not exist on this machine or cannot be used."""
+
+
+class MemoryLimitError(DeviceError):
+    """More was asked for than fits into the memory that is free; the message says what fits."""
 
 
 class StorageError(WarpvoxError, OSError):

@@ -196,3 +196,17 @@ def test_help_and_mistakes_load_nothing_heavy(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
     assert done.stdout.splitlines()[-1].strip() == "LOADED"
+
+
+@pytest.mark.parametrize("key", ["threads", "torch_threads"])
+def test_a_million_threads_are_refused_also_where_a_file_asks_for_them(
+    key: str, train: Callable, warpvox: Callable
+) -> None:
+    run = train("max_iterations=1")
+    assert f"{key} must be at most 1024" in warpvox("train", f"{key}=1000000").err
+    config = run / "config.yaml"
+    lines = [f"{key}: 1000000\n" if line.startswith(f"{key}:") else line for line in config.open()]
+    config.write_text("".join(lines))
+    outcome = warpvox("play", f"run={run}", "window=off")
+    assert outcome.code == 2
+    assert f"{key} must be at most 1024" in outcome.err

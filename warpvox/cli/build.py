@@ -114,8 +114,8 @@ def make_env(config: Any, num_envs: int, *, auto_reset: bool, **changes: Any) ->
         "lanes": config.lanes,
         "obs": config.obs,
     }
-    bodies = load_bodies(config.design, config.seed)
-    return make_vec(config.task, bodies, num_envs, auto_reset=auto_reset, **(options | changes))
+    options |= {"designs": load_bodies(config.design, config.seed), "memory_check": config.memory_check}
+    return make_vec(config.task, num_envs=num_envs, auto_reset=auto_reset, **(options | changes))
 
 
 def training_lanes(config: Any, device: str) -> int | None:

@@ -48,6 +48,7 @@ CHANGEABLE = (
     "export",
     "name",
     "training.save_interval",
+    "memory_check",
     "resume",
     "report",
     "output_dir",
@@ -111,6 +112,7 @@ def check(config: CodesignConfig) -> None:
     """
     from warpvox.algos.sequential import SequentialEvaluator
     from warpvox.cli.build import physics_of
+    from warpvox.cli.needs import check_search
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
     from warpvox.sim import resolve_device
@@ -127,6 +129,8 @@ def check(config: CodesignConfig) -> None:
         for key in ("address", "workers"):
             if getattr(config, key) is not None:
                 raise ConfigError(f"{key} goes with executor=ray.")
+        alone = config.training.method == "sequential"
+        check_search(config, 1 if alone else config.batch or config.search.population or 1)
 
 
 def resolve(config: CodesignConfig) -> CodesignConfig:

@@ -52,6 +52,7 @@ CHANGEABLE = (
     "torch_threads",
     "cuda_graph",
     "nan_guard",
+    "memory_check",
     "resume",
     "output_dir",
 )
@@ -192,12 +193,14 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         from warpvox.algos.evaluate import evaluator
         from warpvox.algos.runner import Runner, Schedule, adapt
         from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes
+        from warpvox.cli.needs import check_training
 
         team = join_team(job.config.device)
         console.quiet = console.quiet or not team.leads
         prepare(job.config.torch_threads, team.seed(job.config.seed))
         config = resolve(share(job.config, team))
         designs = load_bodies(config.design, config.seed)
+        check_training(config, designs)
     advice = f"Train with fewer environments: num_envs={max(1, config.num_envs // 2)} instead of {config.num_envs}."
     preparing = console.status("preparing the simulation (the first time on a machine its kernels are compiled)")
     with preparing, enough_memory(advice):

@@ -1,0 +1,53 @@
+"""How much memory a training needs, known before it is allocated.
+
+PPO keeps a storage of transitions and, while it learns, copies of a minibatch and the activations of both networks for
+it. The factors were found by measuring processes; ``tests/algos/test_needs.py`` compares.
+"""
+
+from __future__ import annotations
+
+from warpvox.configs.schema import PpoConfig
+from warpvox.envs.needs import environment_bytes, simulation_bytes
+from warpvox.envs.vec_env import VoxelVecEnv
+
+__all__ = ["learning_bytes", "training_bytes"]
+
+FLOAT = 4
+"""Bytes of a number that networks work on."""
+SCALARS = 6
+"""Numbers of a transition besides observation, action, mean and deviation: reward, end, value, ..."""
+COPIES = 2.2
+"""Of a transition: the storage, and what learning makes of it."""
+ACTIVATIONS = 3.3
+"""Numbers that are kept for a unit of a network and a transition of a minibatch, gradients included."""
+ACTING = 2
+"""Numbers that are kept for a unit of a network and an environment when actions are chosen."""
+
+
+def learning_bytes(num_envs: int, num_obs: int, num_actions: int, itemsize: int, ppo: PpoConfig) -> int:
+    """Bytes that PPO takes at its peak, besides the environments.
+
+    Args:
+        num_obs, num_actions: of an environment; itemsize: bytes of a number of an observation.
+    """
+    units = 2 * sum(ppo.hidden)
+    transition = itemsize * num_obs + FLOAT * (3 * num_actions + SCALARS)
+    activations = ACTIVATIONS * FLOAT * units / ppo.minibatches
+    return round(num_envs * (ppo.steps * (COPIES * transition + activations) + ACTING * FLOAT * units))
+
+
+def training_bytes(probe: VoxelVecEnv, per_design: int, designs: int, ppo: PpoConfig, width: int | None = None) -> int:
+    """Bytes of environments and learning together.
+
+    Args:
+        probe: a few environments of the largest designs.
+        per_design, designs: environments of each design, and designs, that are asked for.
+        width: of the storage's actions, where it is not that of the environments.
+    """
+    count, itemsize = per_design * designs, probe.dtype.itemsize
+    sizes = (probe.num_obs, width or probe.num_actions, itemsize)
+    return (
+        simulation_bytes(probe.sim, designs, per_design)
+        + environment_bytes(count, *sizes)
+        + learning_bytes(count, *sizes, ppo)
+    )
