@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 import math
@@ -25,10 +26,13 @@ from rich.console import Console
 from warpvox.algos.archive import FILE, Archive, Finished
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoint import load_controller
+from warpvox.algos.search import settings_from
 from warpvox.cli.bodies import body_rows
+from warpvox.cli.codesign import _archive, resolve
 from warpvox.cli.codesign_watch import Results, Watch
 from warpvox.cli.config import load
 from warpvox.design import example_design, load_design, sample_design
+from warpvox.errors import RunError
 from warpvox.sketch import cell_colour
 
 TINY = (
@@ -222,6 +226,31 @@ def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None
         for cell in body[line]
         if cell
     ]
+
+
+def test_settings_that_an_algorithm_has_by_default_are_in_the_resolved_configuration() -> None:
+    for algorithm, name, value in (("bo", "acquisition", "paper"), ("ga", "survivor_rate", 0.6)):
+        asked = load("codesign", ["preset=paper", f"search.algorithm={algorithm}", "device=cpu"])
+        assert getattr(asked.search, name) is None
+        config = resolve(asked)
+        assert getattr(config.search, name) == value
+        assert config.search.descriptors is None  # of another search
+        assert settings_from(config.search) == settings_from(asked.search)
+
+
+def test_an_archive_with_settings_left_to_their_defaults_is_still_its_own(tmp_path: Path) -> None:
+    """And one that knows of no presets: it holds what they stand for."""
+    before = load("codesign", ["search=paper", "device=cpu"])
+    now = dataclasses.replace(resolve(before), preset="paper")
+    with _archive(tmp_path, now) as archive:
+        assert "preset" not in archive.settings
+        stored = archive.settings
+    stored["search"] |= {"mutation_rate": None, "survivor_rate": None}
+    (tmp_path / FILE).unlink()
+    Archive.create(tmp_path / FILE, stored).close()
+    _archive(tmp_path, now).close()
+    with pytest.raises(RunError, match="another value of 'search'"):
+        _archive(tmp_path, resolve(load("codesign", ["search=paper", "search.mutation_rate=0.2", "device=cpu"])))
 
 
 def test_presets_are_those_of_the_paper() -> None:

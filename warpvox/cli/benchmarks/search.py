@@ -88,7 +88,7 @@ def _show(config: Any, report: Report, found: dict[str, Any], final: dict[str, n
                 *(number(float(curves[:, mark - 1].mean())) for mark in marks),
                 number(float(final[name].std(ddof=1)) if len(curves) > 1 else None),
                 f"{np.count_nonzero(final[name] > SOLVED)} of {len(curves)}",
-                *(number(figure["p"].get(other), 1) for other in others),
+                *(_chance(figure["p"].get(other)) for other in others),
                 number(figure["cpu_seconds"]),
             ]
         )
@@ -104,6 +104,11 @@ def _show(config: Any, report: Report, found: dict[str, Any], final: dict[str, n
         "p: chance that a search that is no better would look at least so much better, from the differences of equal"
         " seeds. CPU seconds: of a whole search, without evaluations."
     )
+
+
+def _chance(p: float | None) -> str:
+    """One digit; none against itself."""
+    return "-" if p is None else f"{p:.1g}"
 
 
 def _show_origins(report: Report, found: dict[str, Any]) -> None:
