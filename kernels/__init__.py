@@ -1,4 +1,4 @@
-"""Stages of the physics, one per file: small Warp functions first, kernels, the host launch function last."""
+"""Stages of the physics, one per file; ``step.py`` has the table of all, ``kit.py`` what they are written with."""
 
 if __name__ != "warpvox.kernels":
     # The folder is also importable as `kernels` when the repository root is on sys.path; that would register

@@ -20,7 +20,7 @@ from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
 from warpvox.layout import choose_lanes, choose_threads, group, layout, resolve_arithmetic
 from warpvox.startup import start_warp
-from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, Physics
+from warpvox.types import ACTION_HIGH, ACTION_LOW, SIGHT, VOXEL, Physics
 from warpvox.world import World
 
 __all__ = ["STATE_FIELDS", "Simulation", "resolve_device"]
@@ -38,7 +38,6 @@ NUMBERS = {
 """Types that actions may have."""
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 _STOPPED, _OVERFLOW = int(UNSTABLE | DIVERGED), int(OVERFLOW)
-SIGHT = 5.0  # voxels that floor and ceiling scans see (tasks.md)
 
 
 class Simulation:
@@ -463,7 +462,7 @@ class Simulation:
         if listed not in self._scans:
             self._scans[listed] = _scan_tables(self, listed)
         shape = (self.num_envs, 2 * reach + 1)
-        inputs = [self._moving(name), reach, SIGHT, up]
+        inputs = [self._moving(name), reach, float(SIGHT), up]
         tables = self._scans[listed]
         found = self._sense(
             ("scans", *inputs, listed), "scans", self.num_envs, [shape], torch.float64, *inputs, *tables

@@ -8,10 +8,14 @@ from enum import IntEnum
 
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["ACTION_HIGH", "ACTION_LOW", "DT", "SUBSTEPS", "VOXEL", "Cell", "Physics"]
+__all__ = ["ACTION_HIGH", "ACTION_LOW", "AXES", "DT", "SIGHT", "SUBSTEPS", "VOXEL", "Cell", "Physics"]
 
 VOXEL = 0.1
 """Side of a voxel in simulator units."""
+SIGHT = 5
+"""Voxels that robots see up and down."""
+AXES = {"x": 0, "y": 1}
+"""Component of a vector by its name."""
 SUBSTEPS = 30
 """Sub-steps of a control step (paper section A.2), the default of ``Physics.substeps``."""
 DT = 1.0e-4

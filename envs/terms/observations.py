@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from warpvox.envs.about import ANGLE, LENGTH, NUMBER, SPEED, about
 from warpvox.envs.terms.goals import LONGEST, goal_x
-from warpvox.types import VOXEL
+from warpvox.types import SIGHT, VOXEL
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -33,7 +33,7 @@ __all__ = [
     "velocity",
 ]
 
-SIGHT = 5 * VOXEL  # how far robots see up and down in the release
+SCAN_RANGE = SIGHT * VOXEL  # how far robots see up and down, in simulator units
 
 
 def _count(reach: int, **_: object) -> int:
@@ -65,7 +65,9 @@ def separation(state: State, name: str, other: str) -> Tensor:
     return state.com(name) - state.com(other)
 
 
-@about("floor below {name}, voxels -{reach} to {reach} beside it", unit=LENGTH, entries=_count, low=0.0, high=SIGHT)
+@about(
+    "floor below {name}, voxels -{reach} to {reach} beside it", unit=LENGTH, entries=_count, low=0.0, high=SCAN_RANGE
+)
 def floor(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """How far the terrain lies below, as released: a distance in each of ``2 reach + 1`` windows.
 
@@ -75,7 +77,9 @@ def floor(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tens
     return state.floor_scan(name, reach, objects)
 
 
-@about("ceiling above {name}, voxels -{reach} to {reach} beside it", unit=LENGTH, entries=_count, low=0.0, high=SIGHT)
+@about(
+    "ceiling above {name}, voxels -{reach} to {reach} beside it", unit=LENGTH, entries=_count, low=0.0, high=SCAN_RANGE
+)
 def ceiling(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """The same as :func:`floor` upward, to the lowest point above."""
     return state.ceiling_scan(name, reach, objects)
@@ -102,7 +106,7 @@ def overhang(state: State, name: str, reach: int, objects: tuple[str, ...]) -> T
     far up it is. Reading of what the paper leaves open: without such a point it is 5 voxels above p, the distance
     that the released code gives where it finds none.
     """
-    return _windows(state, name, reach, objects, state.com(name)[:, 1:] + SIGHT, above=True)
+    return _windows(state, name, reach, objects, state.com(name)[:, 1:] + SCAN_RANGE, above=True)
 
 
 def _windows(state: State, name: str, reach: int, objects: tuple[str, ...], nothing: Tensor, above: bool) -> Tensor:

@@ -9,6 +9,7 @@ from math import pi
 from typing import TYPE_CHECKING
 
 from warpvox.envs.about import about
+from warpvox.types import AXES
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from warpvox.envs.state import State
 
 __all__ = [
-    "AXES",
     "away_from_start",
     "displacement",
     "distance",
@@ -28,8 +28,6 @@ __all__ = [
     "staged_drop",
     "turned",
 ]
-
-AXES = {"x": 0, "y": 1}
 
 
 @about("Δ{axis}_{name}")

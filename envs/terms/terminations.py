@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warpvox.envs.about import about
-from warpvox.envs.terms.rewards import AXES
+from warpvox.types import AXES
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpvox.types import AXES
+
 if TYPE_CHECKING:
     from warpvox.evogym.engine import Engine
 
 __all__ = ["OBSERVATIONS", "REWARDS", "TERMINATIONS", "Moment", "convex_hull", "polygon_area", "turn"]
-
-AXES = {"x": 0, "y": 1}
 
 
 class Moment:
