@@ -11,13 +11,13 @@ from warpvox.envs.layout import Layout
 from warpvox.envs.spec import TaskSpec
 from warpvox.sim import Simulation
 
-__all__ = ["FiniteGuard"]
+__all__ = ["FiniteGuard", "all_finite"]
 
 
 class FiniteGuard:
     """Keeps numbers that are not finite from what environments hand out, and counts whose they were.
 
-    On the CPU a sum of everything tells whether there is anything to do. Elsewhere looking would wait for the device:
+    On the CPU :func:`all_finite` tells whether there is anything to do. Elsewhere looking would wait for the device:
     masks are applied in every step, and counts stay on the device until somebody asks (:meth:`report`).
 
     Args:
@@ -50,7 +50,7 @@ class FiniteGuard:
 
     def first(self, obs: torch.Tensor, where: torch.Tensor | None, look: bool) -> torch.Tensor:
         """The observation of a beginning, with 0 for what is not finite; ``where`` as for :meth:`observation`."""
-        if look and _is_fine(obs):
+        if look and all_finite(obs):
             return obs
         obs, _ = self.observation(obs, where)
         if look:
@@ -59,25 +59,19 @@ class FiniteGuard:
 
     def step(
         self, obs: torch.Tensor, terms: dict[str, torch.Tensor], where: torch.Tensor, look: bool
-    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """The observation of a step as :meth:`observation` has it, and where the step gave something not finite.
 
         Args:
             terms: parts of the reward, ``[num_envs]`` each.
             where: as for :meth:`observation`.
-
-        Returns:
-            None in place of the mask where it is known that there is nothing.
         """
-        if look and _is_fine(obs, *terms.values()):
-            return obs, None
         obs, odd = self.observation(obs, where)
         if self._rewards:
-            bad = torch.stack([~torch.isfinite(terms[name]) for name in self._rewards])
-            bad = bad & where
+            bad = torch.stack([~torch.isfinite(terms[name]) for name in self._rewards]) & where
             self._of_rewards += bad.sum(1)
             odd = odd | bad.any(0)
-        if look:
+        if look and bool(odd.any()):
             self.report()
         return obs, odd
 
@@ -105,6 +99,6 @@ class FiniteGuard:
         return found
 
 
-def _is_fine(*values: torch.Tensor) -> bool:
-    """Whether all values are finite; a sum of finite ones that overflows only costs a second look."""
+def all_finite(*values: torch.Tensor) -> bool:
+    """Whether all values are finite, by one look at their sum; one that overflows gives False, too."""
     return math.isfinite(sum(value.sum() for value in values).item())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -15,7 +16,7 @@ from warpvox.design import Design, load_design
 from warpvox.envs.checks import check_fields, check_memory, check_terms
 from warpvox.envs.draws import Draws
 from warpvox.envs.dumps import DivergenceDump, check_guard
-from warpvox.envs.finite import FiniteGuard
+from warpvox.envs.finite import FiniteGuard, all_finite
 from warpvox.envs.graph import StepGraph, capture_on_cuda
 from warpvox.envs.layout import Layout
 from warpvox.envs.needs import check_environments
@@ -348,16 +349,16 @@ class VoxelVecEnv:
         going = None if self.auto_reset else ~(self._terminated | self._truncated)
         obs, after, remembered, unstable, terms, terminated = self._advance(going)
         diverged = self.sim.diverged & unstable
-        obs, odd = self._finite.step(obs, terms, ~diverged if going is None else going & ~diverged, self._may_look)
-        if odd is not None:
+        idle = diverged if going is None else diverged | ~going
+        reward = sum(terms.values())
+        if not (self._may_look and all_finite(obs, reward) and not idle.any()):
+            obs, odd = self._finite.step(obs, terms, ~idle, self._may_look)
             diverged, unstable, terminated = diverged | odd, unstable | odd, terminated | odd
             terms["unstable"] = unstable.double() * self.spec.unstable_penalty
-        # what bad numbers were before the step is no measure for a reward
-        stopped = diverged if going is None else diverged | ~going
-        if not self._may_look or bool(stopped.any()):
+            # what bad numbers were before the step is no measure for a reward
             for term in self.spec.rewards:
-                terms[term.name] = terms[term.name].masked_fill(stopped, 0.0)
-        reward = sum(terms.values())
+                terms[term.name] = terms[term.name].masked_fill(idle | odd, 0.0)
+            reward = sum(terms.values())
         self.episode_length = self.episode_length + (1 if going is None else going)
         self._return = self._return + reward
         truncated = self.episode_length >= self.max_episode_steps
@@ -408,10 +409,11 @@ class VoxelVecEnv:
         obs, self._before, self._memory, unstable, terms, terminated = self._advance(None)
         stopped, ended, values = unstable.item(), terminated.item(), {name: v.item() for name, v in terms.items()}
         diverged = stopped and self.sim.diverged.item()
-        obs, odd = self._finite.step(obs, terms, ~(unstable & diverged), self._may_look)
-        if odd is not None and odd.item():
-            stopped = ended = diverged = True
-            values["unstable"] = self.spec.unstable_penalty
+        if not (math.isfinite(sum(values.values())) and all_finite(obs)):
+            obs, odd = self._finite.step(obs, terms, ~(unstable & diverged), self._may_look)
+            if odd.item():
+                stopped = ended = diverged = True
+                values["unstable"] = self.spec.unstable_penalty
         if diverged:
             values |= {term.name: 0.0 for term in self.spec.rewards}
         self.episode_length = self.episode_length + 1

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -261,7 +261,7 @@ def record(
         "task": getattr(getattr(env, "spec", None), "id", None),
         "rules": getattr(env, "rules", None),
         "physics": env.sim.physics.label,
-        "seed": getattr(env, "seed", None),
+        "seed": _plain_seed(getattr(env, "seed", None)),
         "dtype": str(env.sim.dtype).removeprefix("torch."),
         "arithmetic": env.sim.arithmetic,
         "agent": label,
@@ -347,14 +347,13 @@ def _agent(name: str, env: Any) -> Callable[[Any], Any]:
         raise ConfigError(f"Unknown agent {name!r}; valid are {listing(AGENTS)}.{did_you_mean(name, AGENTS)}")
     import torch
 
-    shape = (env.num_envs, env.num_actions)
-    draw = torch.Generator().manual_seed(int(getattr(env, "seed", 0) or 0))
+    draw = _draws(env)
     if name == "zero":
-        return lambda obs: torch.ones(shape)
+        return lambda obs: torch.ones((env.num_envs, env.num_actions))
     if name == "random":
-        return lambda obs: ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * torch.rand(shape, generator=draw)
+        return lambda obs: ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * draw()
     # One second a cycle, each actuator with a phase of its own: enough for most bodies to get somewhere.
-    phase = 2 * torch.pi * torch.rand(shape, generator=draw)
+    phase = 2 * torch.pi * draw()
     steps = iter(range(2**62))
 
     def sine(obs: Any) -> Any:
@@ -362,6 +361,37 @@ def _agent(name: str, env: Any) -> Callable[[Any], Any]:
         return middle + swing * torch.sin(2 * torch.pi * FRAME_SECONDS * next(steps) + phase)
 
     return sine
+
+
+def _draws(env: Any) -> Callable[[], Any]:
+    """A function that draws numbers in [0, 1) for all actions, ``[num_envs, num_actions]``, by the seed of ``env``.
+
+    With several seeds, each for an equal block of environments, a block draws as if it were alone.
+    """
+    import torch
+
+    seed = _plain_seed(getattr(env, "seed", None))
+    if not isinstance(seed, list):
+        generator = torch.Generator().manual_seed((seed or 0) % 2**64)
+        return lambda: torch.rand((env.num_envs, env.num_actions), generator=generator)
+    generators = [torch.Generator().manual_seed(one % 2**64) for one in seed]
+    block = env.num_envs // len(seed)
+    counts = env.action_mask.sum(1)[env.design_index[::block]].tolist()
+
+    def draw() -> Any:
+        values = torch.zeros((env.num_envs, env.num_actions))
+        for number, (generator, count) in enumerate(zip(generators, counts, strict=True)):
+            values[number * block : (number + 1) * block, :count] = torch.rand((block, count), generator=generator)
+        return values
+
+    return draw
+
+
+def _plain_seed(seed: Any) -> int | list[int] | None:
+    """A seed, or the seeds of several blocks of environments, as JSON has them."""
+    if isinstance(seed, Sequence | np.ndarray):
+        return [int(one) for one in seed]
+    return None if seed is None else int(seed)
 
 
 # ------------------------------------------------------------------------------------------------------ files

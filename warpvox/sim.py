@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -490,11 +490,15 @@ class Simulation:
         views = {name: self._views[name] for name in STATE_FIELDS}
         least = max(2 * sum(len(body.points) for body in design.bodies) for design in self.designs)
         for name, view in views.items():
-            given = state.get(name)
-            fits = given is not None and given.dtype == view.dtype and given.ndim == view.ndim - 1
+            given = state.get(name) if isinstance(state, Mapping) else None
+            fits = isinstance(given, torch.Tensor) and given.dtype == view.dtype and given.ndim == view.ndim - 1
             if not fits or len(given) != self.num_envs or (given.ndim == 2 and given.shape[1] < least):
+                kind = str(view.dtype).removeprefix("torch.")
+                expected = f"{kind} [{self.num_envs}{f', {least} or more' if view.ndim == 3 else ''}]"
+                got = f"{given.dtype} {list(given.shape)}" if isinstance(given, torch.Tensor) else f"{given!r:.60}"
                 raise SimulationError(
-                    f"The state's {name!r} is not that of this simulation of {self.num_envs} environments."
+                    f"The state's {name!r} is not that of this simulation of {self.num_envs} environments: expected"
+                    f" {expected}, got {got.removeprefix('torch.')}."
                 )
         for name, view in views.items():
             if view.ndim == 2:

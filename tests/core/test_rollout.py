@@ -249,7 +249,7 @@ def test_agents_repeat_and_stay_in_bounds(agent: str) -> None:
 def test_a_rollout_names_the_constants_that_were_changed() -> None:
     physics = Physics.preset("paper", gravity=80.0)
     env = make_vec("Walker-v0", ["mini"], device="cpu", physics=physics, threads=1)
-    assert record(env, "zero", steps=1).metadata["physics"] == "paper, gravity=80.0"
+    assert record(env, "zero", num_steps=1).metadata["physics"] == "paper, gravity=80.0"
 
 
 def test_record_refuses_what_makes_no_sense() -> None:
@@ -274,3 +274,23 @@ def test_terrain_that_an_episode_moves_is_recorded_where_it_was() -> None:
         cells = (points.min(0) / 0.1).round() - [home.x, home.y]
         assert ((cells >= [-6, 0]) & (cells <= [4, 5])).all()
         np.testing.assert_allclose(points, rollout.positions[0, number, peg.first_point : peg.first_point + 12])
+
+
+@pytest.mark.parametrize("agent", ["random", "sine"])
+def test_blocks_with_seeds_of_their_own_act_as_if_they_were_alone(agent: str, tmp_path: Path) -> None:
+    designs, seeds = ["mini", "worm"], [np.int64(3), 2**70]
+
+    def made(designs: list[str], num_envs: int, seed: object) -> Rollout:
+        env = make_vec("Walker-v0", designs, num_envs, device="cpu", threads=1, seed=seed)
+        return record(env, agent, 4)
+
+    both = made(designs, 4, seeds)
+    for number, (design, seed) in enumerate(zip(designs, seeds, strict=True)):
+        alone = made([design], 2, seed)
+        count = alone.actions.shape[2]
+        np.testing.assert_array_equal(both.actions[:, 2 * number : 2 * number + 2, :count], alone.actions)
+        assert alone.metadata["seed"] == int(seed)
+    assert Rollout.load(both.save(tmp_path / "a.npz")).metadata["seed"] == [3, 2**70]
+    each = made(["mini"], 2, [np.int32(5), 6])  # a seed for each environment
+    assert not np.array_equal(each.actions[:, 0], each.actions[:, 1])
+    np.testing.assert_array_equal(each.actions[:, :1], made(["mini"], 1, 5).actions)

@@ -445,3 +445,15 @@ def test_a_single_environment_keeps_its_records() -> None:
     ours, theirs = one.state(), many.state()
     for name in ("length", "return", "terminated", "truncated"):
         assert torch.equal(ours[name], theirs[name]), name
+
+
+@pytest.mark.parametrize(
+    ("value", "got"),
+    [(None, "None"), ([[0.0]], r"\[\[0.0\]\]"), (torch.zeros(2, 9), r"float32 \[2, 9\]"), (np.zeros((3, 9)), "array")],
+)
+def test_the_state_of_a_simulation_is_refused_by_name(value: object, got: str) -> None:
+    sim = make(get_task("Walker-v0")).sim
+    with pytest.raises(SimulationError, match=rf"'vel' is not that .* expected float64 \[3, \d+ or more\], got {got}"):
+        sim.set_state(sim.state() | {"vel": value})
+    with pytest.raises(SimulationError, match="'pos' is not that"):
+        sim.set_state(None)
