@@ -9,16 +9,19 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 from rich.table import Table
 
+from warpvox.cli.build import prepare
 from warpvox.cli.config import load
 from warpvox.cli.runs import LONGEST_BYTES, as_name
 from warpvox.cli.say import cell, plain, say, typed
 from warpvox.envs.vec_env import make_vec
 from warpvox.rollout import Rollout, record
+from warpvox.startup import LOGGER
 
 EVIL = "[/bold]\x1b]0;owned\x07\x1b[2J\r[link=x]a\u202eb\x9b31m"
 """Markup that is not closed, a new title for the window, an empty screen, letters that run backwards."""
@@ -51,6 +54,13 @@ def test_a_rollout_of_somebody_elses(warpvox: Callable, tmp_path: Path) -> None:
     assert outcome.code == 0, outcome.err
     assert not set("\x1b\x07\x9b\r\u202e") & set(outcome.out + outcome.err)
     assert "[/bold]" in outcome.out.replace("\n", "")
+
+
+def test_what_the_library_tells_is_part_of_the_output(capsys: pytest.CaptureFixture) -> None:
+    for _ in range(2):
+        prepare(torch.get_num_threads(), 0)
+    LOGGER.warning("Compiling kernels")
+    assert capsys.readouterr() == ("Compiling kernels\n", "")
 
 
 def test_an_error_keeps_the_blanks_of_a_path_and_obeys_nothing(warpvox: Callable) -> None:

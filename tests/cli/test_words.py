@@ -168,6 +168,12 @@ def test_files_that_do_not_fit(text: str, phrase: str, tmp_path: Path) -> None:
     assert phrase in str(caught.value)
 
 
+def test_a_file_and_a_preset_are_two_beginnings(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text("seed: 1\n")
+    with pytest.raises(ConfigError, match="give one of them"):
+        load("train", [f"config={tmp_path / 'c.yaml'}", "preset=paper"])
+
+
 def test_no_such_file() -> None:
     with pytest.raises(ConfigError, match="There is no file"):
         load("train", ["config=nowhere.yaml"])

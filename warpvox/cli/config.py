@@ -129,17 +129,18 @@ def load(
     for override in parsed:
         _check_override(override, schema, config_dir)
     file = next((override.value() for override in parsed if override.key_or_group == "config"), None)
+    if file is not None and any(override.key_or_group == PRESET for override in parsed):
+        raise ConfigError(f"config={file} and {PRESET} both say where to start from: give one of them.")
     stored = base
     _register()
     words = [str(override.input_line) for override in parsed if override.key_or_group != PRESET]
-    if config_dir:
-        words.append(f"hydra.searchpath=[{quoted(f'file://{config_dir}')}]")
+    search = [f"hydra.searchpath=[{quoted(f'file://{config_dir}')}]"] if config_dir else []
     try:
         name = _primary(parsed, command, config_dir)
         with initialize_config_module("warpvox.configs", version_base="1.3"):
-            config = compose(config_name=name, overrides=words)
+            config = compose(config_name=name, overrides=[*words, *search])
             missing = OmegaConf.missing_keys(config)
-            defaults = compose(config_name=name) if missing or file is not None else None
+            defaults = compose(config_name=name, overrides=search) if missing or file is not None else None
         for key in missing:  # what a file of the user's own leaves open
             OmegaConf.update(config, key, OmegaConf.select(defaults, key))
         if file is not None:

@@ -69,7 +69,7 @@ def _read(words: list[str]) -> tuple[str | None, dict[str, Any]]:
             hint = did_you_mean(key, keys)
             place = "`warpvox tasks ID`" if names else "Without an ID `warpvox tasks`"
             raise ConfigError(f"{place} takes the keys {listing(keys)}, got '{word}'.{hint}")
-        keys[key] = value
+        keys[key] = value if key == "rules" else os.path.expanduser(value)
     for key in ("picture", "gallery"):
         if keys.get(key) is not None and Path(keys[key]).suffix.lower() != ".png":
             raise ConfigError(f"{key} must be a file ending in .png, got '{keys[key]}'.")

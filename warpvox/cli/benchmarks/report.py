@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from warpvox.cli.say import say
+from warpvox.cli.say import cell, say
 from warpvox.errors import ConfigError
 from warpvox.files import atomic_path, write_text
 
@@ -37,9 +37,9 @@ class Report:
         say(self.console, f"\n{title}")
         shown = Table()
         for column, heading in enumerate(headings):
-            shown.add_column(heading, justify="right" if column else "left")
+            shown.add_column(cell(heading), justify="right" if column else "left")
         for row in rows:
-            shown.add_row(*row)
+            shown.add_row(*map(cell, row))
         self.console.print(shown)
         lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]
         self._parts.append("\n".join([f"{title}:", "", *("| " + " | ".join(line) + " |" for line in lines)]))
