@@ -291,6 +291,7 @@ class _RolloutConfig:
     size: list[int] | None = key(
         None, "width and height of pictures in pixels, [640,360] for instance; null: what suits the format", low=16
     )
+    every: int = key(1, "show every n-th control step only; films run n times as fast", low=1)
     steps: int | None = key(None, "control steps to record; null: until the episode ends", low=1)
     device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
     dtype: str | None = key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))

@@ -41,6 +41,7 @@ LAYERS = (
         "warpvox.live",
         "warpvox.sketch",
         "warpvox.still",
+        "warpvox.gif",
         "warpvox.render",
         "warpvox.usd",
         "warpvox.player",

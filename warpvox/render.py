@@ -16,6 +16,7 @@ from PIL import Image, ImageDraw
 
 from warpvox.errors import RolloutError
 from warpvox.files import atomic_path
+from warpvox.gif import write_pictures
 from warpvox.painter import INK, Painter, font
 from warpvox.rollout import FRAME_SECONDS, Rollout
 from warpvox.system import own_group
@@ -28,6 +29,8 @@ MARGIN = 2  # pixels between tiles
 PAPER = (255, 255, 255)
 FAINT = (112, 118, 130)
 GIF_COLOURS = 255  # one of a GIF's 256 is left for "as before", which makes its frames small
+MOST_OF_GIF = 10_000
+"""Pictures of a GIF; those who show one keep all of them in memory."""
 MAX_PIXELS = 8192
 
 
@@ -229,6 +232,7 @@ def write_gif(
     hud: bool = True,
     voxels: float | None = None,
     on_frame: Callable[[int, int], None] | None = None,
+    every: int = 1,
 ) -> Path:
     """Write an animated GIF that loops.
 
@@ -238,11 +242,20 @@ def write_gif(
         fps: pictures per second, 1 to 50; time runs as in the simulation, whatever it is.
         start, stop: frames of the rollout, as in a slice; None: until the last episode ends.
         on_frame: called with the number of pictures drawn and of all there are.
+        every: time runs so many times as fast.
 
     Raises:
-        RolloutError: no such environment, or a size, rate or range that cannot be drawn.
+        RolloutError: no such environment, a size, rate or range that cannot be drawn, or more pictures than viewers
+            of GIFs can hold.
     """
-    film, frames = Film(rollout, envs, size, hud, voxels), _frames(rollout, envs, fps, start, stop, most=50)
+    frames = _frames(rollout, fps, start, stop, every, most=50)
+    if len(frames) > MOST_OF_GIF:
+        least = -(-len(frames) * every // MOST_OF_GIF)
+        raise RolloutError(
+            f"A GIF of {len(frames):,} pictures is more than viewers can hold ({MOST_OF_GIF:,}); show time"
+            f" {least} times as fast (every={least}), or write an MP4, which has no such limit."
+        )
+    film = Film(rollout, envs, size, hud, voxels)
     sample = [film.image(frames[k]) for k in np.linspace(0, len(frames) - 1, min(6, len(frames))).astype(int)]
     colours, table = _gif_palette(sample)
 
@@ -255,20 +268,9 @@ def write_gif(
             picture.putpalette(colours)
             yield picture
 
-    every = pictures()
-    first = next(every)
     pause = round(100 / fps) * 10  # a GIF counts in hundredths of a second
-    with atomic_path(path) as temporary:
-        first.save(
-            temporary,
-            "GIF",
-            save_all=True,
-            append_images=every,
-            duration=pause,
-            loop=0,
-            optimize=False,
-            disposal=1,
-        )
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        write_pictures(file, pictures(), pause)
     return Path(path)
 
 
@@ -283,6 +285,7 @@ def write_mp4(
     hud: bool = True,
     voxels: float | None = None,
     on_frame: Callable[[int, int], None] | None = None,
+    every: int = 1,
 ) -> Path:
     """Write an H.264 film; arguments as for :func:`write_gif`. Needs the extra ``view`` (imageio-ffmpeg).
 
@@ -298,7 +301,8 @@ def write_mp4(
     width, height = _check_size(size)
     if width % 2 or height % 2:
         raise RolloutError(f"The width and the height of an MP4 must be even, got {width} x {height}.")
-    film, frames = Film(rollout, envs, size, hud, voxels), _frames(rollout, envs, fps, start, stop, most=240)
+    frames = _frames(rollout, fps, start, stop, every, most=240)
+    film = Film(rollout, envs, size, hud, voxels)
     with atomic_path(path) as temporary:
         options = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
         options += ["-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"]
@@ -342,8 +346,10 @@ def _encoder(command: list[str], path: str | os.PathLike[str]) -> Iterator[Calla
 # ---------------------------------------------------------------------------------------------------- helpers
 
 
-def _frames(rollout: Rollout, envs: object, fps: float, start: int, stop: int | None, most: float) -> list[int]:
-    """Frames of the rollout to show, so that time runs as in the simulation."""
+def _frames(rollout: Rollout, fps: float, start: int, stop: int | None, every: int, most: float) -> list[int]:
+    """Frames of the rollout to show, so that time runs as in the simulation, or ``every`` times as fast."""
+    if not _is_whole(every) or every < 1:
+        raise RolloutError(f"every must be a whole number >= 1, got {every!r}.")
     if not 1 <= fps <= most:
         raise RolloutError(f"fps must lie in 1 to {most:g}, got {fps!r}.")
     if stop is None:
@@ -351,8 +357,8 @@ def _frames(rollout: Rollout, envs: object, fps: float, start: int, stop: int | 
     begin, end, _ = slice(start, stop).indices(rollout.num_frames)
     if begin >= end:
         raise RolloutError(f"There are no frames from {start} to {stop}; the rollout has {rollout.num_frames}.")
-    count = max(1, round((end - begin) * FRAME_SECONDS * fps))
-    return [min(end - 1, begin + round(k / (fps * FRAME_SECONDS))) for k in range(count)]
+    count = max(1, round((end - begin) * FRAME_SECONDS * fps / every))
+    return [min(end - 1, begin + round(k * every / (fps * FRAME_SECONDS))) for k in range(count)]
 
 
 def _gif_palette(sample: Sequence[Image.Image]) -> tuple[bytes, np.ndarray]:

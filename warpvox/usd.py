@@ -25,6 +25,7 @@ import numpy as np
 
 from warpvox.errors import RolloutError
 from warpvox.files import atomic_path
+from warpvox.memory import free_memory
 from warpvox.palette import RAMPS, colour_index, palette
 from warpvox.rollout import FRAME_SECONDS, Rollout
 from warpvox.types import VOXEL, Cell
@@ -45,6 +46,10 @@ VIEW = 14 * VOXEL  # height of what the following camera sees
 BEHIND = 0.001  # the terrain's distance behind the voxels, against flicker where they touch
 APERTURE = (20.955, 11.787)  # of the cameras, mm: 35 mm film cut to 16:9
 FOCAL = 50.0
+BYTES_OF_POINT, BYTES_OF_CELL = 26, 10
+"""Of a frame, at the peak: samples, and what they are made from."""
+SHARE = 0.9
+"""Of the memory that is free, what may be taken."""
 
 
 def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | None = None, stride: int = 1) -> Path:
@@ -57,7 +62,7 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
         stride: write every stride-th frame only; time codes stay those of the rollout.
 
     Raises:
-        RolloutError: another suffix, no such environment or a stride below 1.
+        RolloutError: another suffix, no such environment, a stride below 1, or a stage that does not fit into memory.
     """
     from pxr import Sdf, Tf, Usd, UsdGeom
 
@@ -70,6 +75,7 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     if not chosen:
         raise RolloutError("No environment was chosen to be written.")
     frames = list(range(0, rollout.num_frames, stride))
+    _check_fits(rollout, chosen, len(frames), stride)
     stage = Usd.Stage.CreateInMemory(f"rollout{suffix}")
     layer = stage.GetRootLayer()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -99,6 +105,19 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
         if not written:
             raise RolloutError(f"{path} cannot be written; is its disk full? USD says: {reason}.")
     return Path(path)
+
+
+def _check_fits(rollout: Rollout, envs: list[int], frames: int, stride: int) -> None:
+    """Raise RolloutError if the stage, which USD builds in memory, is larger than what is free."""
+    cells = sum(len(rollout.scene(env).cells) for env in envs)
+    points = sum(rollout.scene(env).num_points for env in envs)
+    needed, free = frames * (BYTES_OF_POINT * points + BYTES_OF_CELL * cells), free_memory("cpu")
+    if free is not None and needed > SHARE * free:
+        least = -(-stride * needed // int(SHARE * free))
+        raise RolloutError(
+            f"A USD stage of {frames:,} frames needs about {needed / 2**30:.3g} GiB, and {free / 2**30:.3g} GiB are"
+            f" free; write every {least}th frame (every={least}) or fewer environments."
+        )
 
 
 def _root(env: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -41,6 +42,11 @@ WRITERS = {
 }
 TILED = ("gif", "mp4", "png")
 SIZED = (*TILED, "strip")
+THINNED = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
+"""What a writer calls the key ``every``."""
+FILMS = ("gif", "mp4")
+MEASURED, LONG = 2.0, 20.0
+"""Seconds after which the rest of a film is estimated, and from which on that is worth a line."""
 TILES = 16
 """Environments that a picture shows at most."""
 
@@ -153,9 +159,17 @@ def record_agent(config: Any) -> Rollout:
 
 
 def write_exports(
-    rollout: Rollout, folder: Path, formats: list[str], console: Console, size: tuple[int, int] | None = None
+    rollout: Rollout,
+    folder: Path,
+    formats: list[str],
+    console: Console,
+    size: tuple[int, int] | None = None,
+    every: int = 1,
 ) -> list[Path]:
-    """Write each format, say what there is (the rollout itself, if it was written, first); returns the paths."""
+    """Write each format, say what there is (the rollout itself, if it was written, first); returns the paths.
+
+    ``every``: show every n-th control step only; films then run n times as fast.
+    """
     from warpvox.cli.build import shown
 
     written = [folder / ROLLOUT] if (folder / ROLLOUT).is_file() else []
@@ -165,11 +179,32 @@ def write_exports(
             options: dict[str, Any] = {"size": size} if size and name in SIZED else {}
             if name in TILED:
                 options["envs"] = list(range(min(rollout.num_envs, TILES)))
+            if name in THINNED:
+                options[THINNED[name]] = every
+            if name in FILMS:
+                options["on_frame"] = Estimate(file, console)
             getattr(import_module(module), function)(rollout, folder / file, **options)
         written.append(folder / file)
     for path in written:
         say(console, f"{shown(path)}  ({_size(path)})")
     return written
+
+
+class Estimate:
+    """Says how many pictures a film will have and how long it will take, if that is long; an ``on_frame`` of films."""
+
+    def __init__(self, file: str, console: Console) -> None:
+        self.file, self.console, self.began, self.told = file, console, time.monotonic(), False
+
+    def __call__(self, done: int, total: int) -> None:
+        seconds = time.monotonic() - self.began
+        if self.told or done < 2 or seconds < MEASURED:
+            return
+        self.told = True
+        left = seconds / done * (total - done)
+        if left >= LONG:
+            words = f"{left / 60:.0f} minutes" if left >= 120 else f"{left:.0f} seconds"
+            say(self.console, f"{self.file}: {total:,} pictures, about {words} more; every=N makes fewer")
 
 
 def _size(path: Path) -> str:

@@ -148,7 +148,7 @@ def write_results(
         print_returns(rollout, console)
         if keep:
             rollout.save(folder / ROLLOUT)
-        write_exports(rollout, folder, formats, console, check_size(config.size))
+        write_exports(rollout, folder, formats, console, check_size(config.size), config.every)
         write_summary(folder, summary_of(rollout, command, source))
     page = folder / "rollout.html"
     if page.is_file():

@@ -38,6 +38,8 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 __all__ = ["asset", "fill_template", "page_of", "write_html"]
 
 PRECISION = 4096  # steps per simulator unit: 0.24 % of a voxel
+MOST_NUMBERS = 1 << 28
+"""Coordinates of all points in all frames of a page, for which a browser takes about 2 GB."""
 SCRIPTS = ("data.js", "view.js", "player.js")
 
 
@@ -46,6 +48,7 @@ def write_html(
     path: str | os.PathLike[str],
     envs: Sequence[int] | None = None,
     title: str | None = None,
+    every: int = 1,
 ) -> Path:
     """Write a rollout as a page that plays it in a browser; return the path.
 
@@ -54,21 +57,23 @@ def write_html(
         path: where to; written whole or not at all.
         envs: environments to show; None: all.
         title: heading of the page; None: the task.
+        every: show every n-th frame only.
 
     Raises:
-        RolloutError: no such environment, or positions that are out of range.
+        RolloutError: no such environment, positions that are out of range, or more than a browser can hold.
     """
-    write_text(path, page_of(rollout, envs, title))
+    write_text(path, page_of(rollout, envs, title, every))
     return Path(path)
 
 
-def page_of(rollout: Rollout, envs: Sequence[int] | None = None, title: str | None = None) -> str:
+def page_of(rollout: Rollout, envs: Sequence[int] | None = None, title: str | None = None, every: int = 1) -> str:
     """The page that :func:`write_html` writes, as text."""
     chosen = [rollout.check_env(env) for env in (range(rollout.num_envs) if envs is None else envs)]
     if not chosen:
         raise RolloutError("No environment was chosen to be shown.")
-    scale, data = _pack(rollout, chosen)
-    meta = _describe(rollout, chosen, scale) | {"title": title or rollout.title}
+    _check_length(rollout, chosen, every)
+    scale, data = _pack(rollout, chosen, every)
+    meta = _describe(rollout, chosen, scale, every) | {"title": title or rollout.title}
     return fill_template(
         asset("player.html"),
         values={"meta": meta},
@@ -94,7 +99,7 @@ def asset(name: str) -> str:
     return files(__name__).joinpath(name).read_text(encoding="utf-8")
 
 
-def _describe(rollout: Rollout, envs: list[int], scale: int) -> dict[str, Any]:
+def _describe(rollout: Rollout, envs: list[int], scale: int, every: int) -> dict[str, Any]:
     """All but the trajectories, as JSON values."""
     used = sorted({int(rollout.design_index[env]) for env in envs})
     about = {
@@ -104,8 +109,8 @@ def _describe(rollout: Rollout, envs: list[int], scale: int) -> dict[str, Any]:
     }
     lengths = rollout.lengths
     return {
-        "frames": rollout.num_frames,
-        "dt": FRAME_SECONDS,
+        "frames": len(rollout.positions[::every]),
+        "dt": FRAME_SECONDS * every,
         "scale": scale,
         "voxel": VOXEL,
         "limits": [ACTION_LOW, ACTION_HIGH],
@@ -114,7 +119,7 @@ def _describe(rollout: Rollout, envs: list[int], scale: int) -> dict[str, Any]:
         "names": {int(cell): name for cell, name in CELL_NAMES.items()},
         "scenes": [_describe_scene(rollout.scenes[number]) for number in used],
         "envs": [
-            {"env": env, "scene": used.index(int(rollout.design_index[env])), "length": int(lengths[env])}
+            {"env": env, "scene": used.index(int(rollout.design_index[env])), "length": int(lengths[env]) // every}
             for env in envs
         ],
     }
@@ -139,25 +144,53 @@ def _describe_scene(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _pack(rollout: Rollout, envs: list[int]) -> tuple[int, bytes]:
-    """Steps per simulator unit, and the compressed arrays."""
-    tracks = [rollout.positions[:, env, : rollout.scene(env).num_points] for env in envs]
-    values = np.concatenate([track.reshape(len(track), -1).T for track in tracks]).astype(np.float64)
+def _pack(rollout: Rollout, envs: list[int], every: int) -> tuple[int, bytes]:
+    """Steps per simulator unit, and the compressed arrays; environment by environment, so that it takes little."""
+
+    def track(env: int) -> np.ndarray:
+        shown = rollout.positions[::every, env, : rollout.scene(env).num_points]
+        return shown.reshape(len(shown), -1).T.astype(np.float64)
+
     # Differences must fit into 16 bits, what they start from into 32.
-    jump = max(float(np.abs(np.diff(values, axis=1)).max(initial=0)), float(np.abs(values).max()) / 2**16)
+    jump = max(_jump(track(env)) for env in envs)
     scale = PRECISION
     # A leap too long for 16 bits costs precision everywhere; in a simulation there is none.
     while scale > 1 and jump * scale > 32766:
         scale //= 2
     if jump * scale > 32766:
         raise RolloutError(f"Points leap {jump:.3g} simulator units in a step: too far for the page's format.")
-    whole = np.rint(values * scale).astype(np.int32)
-    steps = np.diff(np.ascontiguousarray(whole), axis=1).astype("<i2", order="C")
-    arrays = (
-        whole[:, 0].astype("<i4"),
-        rollout.rewards[:, envs].T.astype("<f4"),
-        steps.astype(np.uint8),
-        (steps >> 8).astype(np.uint8),
-    )
     packer = zlib.compressobj(6, zlib.DEFLATED, -zlib.MAX_WBITS)
-    return scale, packer.compress(b"".join(array.tobytes() for array in arrays)) + packer.flush()
+    parts = []
+    for env in envs:
+        parts.append(packer.compress(np.rint(track(env)[:, 0] * scale).astype("<i4").tobytes()))
+    for env in envs:
+        parts.append(packer.compress(_thinned_rewards(rollout, env, every).astype("<f4").tobytes()))
+    for shift in (0, 8):
+        for env in envs:
+            steps = np.diff(np.rint(track(env) * scale).astype(np.int32)).astype("<i2", order="C")
+            parts.append(packer.compress((steps >> shift).astype(np.uint8).tobytes()))
+    return scale, b"".join([*parts, packer.flush()])
+
+
+def _jump(values: np.ndarray) -> float:
+    return max(float(np.abs(np.diff(values)).max(initial=0)), float(np.abs(values).max()) / 2**16)
+
+
+def _thinned_rewards(rollout: Rollout, env: int, every: int) -> np.ndarray:
+    """Rewards from one shown frame to the next."""
+    steps = len(rollout.positions[::every]) - 1
+    return rollout.rewards[: steps * every, env].reshape(steps, every).sum(axis=1)
+
+
+def _check_length(rollout: Rollout, envs: list[int], every: int) -> None:
+    """Raise RolloutError if a browser could not hold the page."""
+    if not isinstance(every, int | np.integer) or isinstance(every, bool) or every < 1:
+        raise RolloutError(f"every must be a whole number >= 1, got {every!r}.")
+    points = sum(rollout.scene(env).num_points for env in envs)
+    numbers = 2 * points * len(range(0, rollout.num_frames, every))
+    if numbers > MOST_NUMBERS:
+        least = -(-numbers * every // MOST_NUMBERS)
+        raise RolloutError(
+            f"A page with {points:,} points in {rollout.num_frames:,} frames is more than a browser can hold; show"
+            f" every {least}th frame (every={least}), fewer environments, or write an MP4."
+        )

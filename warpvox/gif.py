@@ -1,0 +1,68 @@
+"""GIFs that are written as their pictures are made.
+
+Pillow keeps all pictures of an animation until the last is there. Here it encodes some at a time; a GIF is a header
+with one palette and a row of blocks, so that the blocks of each part follow those of the part before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from io import BytesIO
+from itertools import chain, islice
+from typing import BinaryIO
+
+from PIL import Image
+
+__all__ = ["PART_BYTES", "write_pictures"]
+
+PART_BYTES = 1 << 24
+"""Of pictures that are encoded together (16 MiB)."""
+HEADER, TRAILER = 13, b";"
+"""Bytes of the fixed header; what ends a file."""
+
+
+def write_pictures(file: BinaryIO, pictures: Iterable[Image.Image], pause: int) -> None:
+    """Write an animation that loops.
+
+    Args:
+        file: open for binary writing.
+        pictures: one or more of mode P, of one size and with one palette.
+        pause: milliseconds from one to the next.
+    """
+    rest = iter(pictures)
+    for number, part in enumerate(_parts(rest)):
+        head, blocks = _encoded(part, pause, loops=number == 0)
+        if number == 0:
+            first = head
+            file.write(head)
+        elif head[HEADER:] != first[HEADER:]:
+            raise ValueError("The pictures of a GIF must have one palette.")
+        file.write(blocks)
+    file.write(TRAILER)
+
+
+def _parts(pictures: Iterator[Image.Image]) -> Iterator[list[Image.Image]]:
+    """The pictures in lists of about :data:`PART_BYTES`."""
+    for first in pictures:
+        count = max(1, PART_BYTES // (first.width * first.height))
+        yield list(islice(chain([first], pictures), count))
+
+
+def _encoded(part: list[Image.Image], pause: int, loops: bool) -> tuple[bytes, bytes]:
+    """Header with palette, and blocks, of some pictures as a GIF of their own."""
+    buffer = BytesIO()
+    options = {"loop": 0} if loops else {}
+    part[0].save(
+        buffer,
+        "GIF",
+        save_all=True,
+        append_images=part[1:],
+        duration=pause,
+        optimize=False,
+        disposal=1,
+        **options,
+    )
+    data = buffer.getvalue()
+    packed = data[10]
+    end = HEADER + (3 << ((packed & 7) + 1) if packed & 0x80 else 0)
+    return data[:end], data[end : -len(TRAILER)]
