@@ -138,6 +138,9 @@ def test_resuming_an_interrupted_run_to_less_than_it_has(train: Callable, warpvo
     folder = train("max_iterations=2")
     summary = json.loads((folder / "summary.json").read_text())
     (folder / "summary.json").write_text(json.dumps(summary | {"status": "interrupted"}))
+    assert "only the summary was missing; for more" in warpvox("train", "resume=latest", "max_iterations=2").out
+    assert json.loads((folder / "summary.json").read_text())["status"] == "done"
+    (folder / "summary.json").write_text(json.dumps(summary | {"status": "interrupted"}))
     before = (folder / "config.yaml").read_bytes()
     outcome = warpvox("train", "resume=latest", "max_iterations=1")
     assert (outcome.code, "already made 2 iterations" in outcome.err) == (2, True)

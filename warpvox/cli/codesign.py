@@ -203,6 +203,12 @@ def codesign(job: Job, console: Console) -> Path:
             done = f", {archive.trained()} of {settings.max_evaluations} designs done" if job.folder else ""
             say(console, f"{results.search} on {config.task}, {_where(config, executor)}{done}")
             say(console, f"run folder: {shown(folder)}")
+            if job.folder and archive.trained() >= settings.max_evaluations:
+                say(
+                    console,
+                    f"the search has spent its {settings.max_evaluations} evaluations: nothing is left to do. What it"
+                    " proposes depends on them, so that more make another search (search.max_evaluations=N)",
+                )
             _search(loop, watch, config, console)
     finally:
         executor.close()

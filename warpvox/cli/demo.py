@@ -7,18 +7,19 @@ from typing import Any
 
 from rich.console import Console
 
-from warpvox.cli.config import expand, load, read_arguments
+from warpvox.cli.config import load, read_arguments
 from warpvox.cli.exports import ROLLOUT, check_formats, load_run, record_run, write_exports
 from warpvox.cli.play import print_returns
 from warpvox.cli.runs import check_name, find_run
 from warpvox.cli.say import say
+from warpvox.cli.sweep import each, members
 from warpvox.cli.train import Job, describe, train
-from warpvox.configs.schema import PlayConfig
+from warpvox.configs.schema import DemoConfig, PlayConfig
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError
 from warpvox.files import check_writable
 
-__all__ = ["run"]
+__all__ = ["demo", "run"]
 
 
 def run(words: list[str]) -> None:
@@ -27,15 +28,25 @@ def run(words: list[str]) -> None:
     if describe("demo", arguments):
         return
     console = Console()
-    for overrides in expand(arguments, "demo"):
-        config = load("demo", overrides, arguments.config_dir)
-        if config.resume is not None:
-            raise ConfigError("A demo starts anew; go on with it by `warpvox train resume=FOLDER`.")
-        check_name(config.name)
-        check_writable(config.output_dir)
-        formats = check_formats(config.export, "export") if config.export else []
-        folder = train(Job(config), console, "demo")
-        _show(folder, config, formats, console)
+    runs = members(arguments, "demo")
+    configs = [load("demo", member.overrides, arguments.config_dir) for member in runs]
+    each("demo", runs, configs, lambda config: demo(config, console), console, configs[0].output_dir)
+
+
+def demo(config: DemoConfig, console: Console) -> Path:
+    """Make a demo; returns its folder.
+
+    Raises:
+        WarpvoxError: what is asked for is not valid, or the training has failed.
+    """
+    if config.resume is not None:
+        raise ConfigError("A demo starts anew; go on with it by `warpvox train resume=FOLDER`.")
+    check_name(config.name)
+    check_writable(config.output_dir)
+    formats = check_formats(config.export, "export") if config.export else []
+    folder = train(Job(config), console, "demo")
+    _show(folder, config, formats, console)
+    return folder
 
 
 def _show(folder: Path, config: Any, formats: list[str], console: Console) -> None:

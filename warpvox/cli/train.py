@@ -285,6 +285,12 @@ def _announce(console: Console, config: TrainConfig, runner: Any, folder: Path) 
     where = config.device if runner.team.size == 1 else f"{runner.team.size} processes, {config.device}"
     text = f"{verb}: {config.task}, {config.num_envs} environments on {where}, rules {config.rules}"
     say(console, f"{text}\nrun folder: {shown(folder)}")
+    if done and done == runner.schedule.total:
+        more = f"max_iterations={2 * done}"
+        say(
+            console,
+            f"all {done} iterations are made, only the summary was missing; for more of them resume with {more}",
+        )
 
 
 def _learn(runner: Any, console: Console, folder: Path, command: str, config: TrainConfig) -> None:
@@ -323,7 +329,6 @@ def _learn(runner: Any, console: Console, folder: Path, command: str, config: Tr
 
 def _conclude(console: Console, runner: Any, summary: dict[str, Any], seconds: float, folder: Path, keys: str) -> None:
     """Say how the run has ended and what one can do next."""
-
     command, status, best = summary["command"], summary["status"], summary["best_return"]
     done, saved = runner.current_learning_iteration, runner.saved_iteration
     words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
