@@ -134,6 +134,8 @@ class Memory:
         try:
             return self.start(draws)
         except Exception as error:
+            if shortage(error):
+                raise
             raise TaskError(f"The start of the memory '{self.name}' has failed: {_told(error)}") from error
 
     def advance(self, state: State) -> Tensor:
@@ -141,6 +143,8 @@ class Memory:
         try:
             return self.update(state)
         except Exception as error:
+            if shortage(error):
+                raise
             raise TaskError(f"The update of the memory '{self.name}' has failed: {_told(error)}") from error
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
+import warpvox as wv
 from warpvox.cli import consent
 from warpvox.cli.config import load
 from warpvox.errors import ConfigError
@@ -94,6 +95,7 @@ def test_no_command_imports_the_task_of_a_run(train: Callable, warpvox: Callable
     commands = [("play", f"run={run}", *PLAY)]
     more = [("train", f"resume={name}", *resume) for name in ("latest", run / "model_1.pt")]
     more += [("export", f"run={run}", "device=cpu"), ("train", "-m", f"resume={run}", "max_iterations=2,3")]
+    more += [("evaluate", f"runs=[{run}]", "device=cpu")]
     tasks = ["evil.py:X", f"{tmp_path}/evil.py:X", "evil_module:X", "evil.py:evil_module:X", "code/evil.py:X"]
     for number, task in enumerate(tasks):
         change_config(run, task=task)
@@ -107,6 +109,7 @@ def test_no_command_imports_the_task_of_a_run(train: Callable, warpvox: Callable
         for words in commands:
             assert_refused(warpvox(*words), words, "task=stored")
     shutil.rmtree(run / "code")
+    assert wv.load_policy(run).num_obs > 0  # needs no task
     assert not marker.exists()
     assert "evil_module" not in sys.modules
     assert {path for path in Path("outputs").rglob("*") if path.is_dir()} == before
@@ -220,6 +223,13 @@ def test_a_run_of_a_custom_task_plays_from_anywhere(
     assert resumed.code == 0, resumed.err
     assert "task=stored" in resumed.out
     assert yaml.safe_load((place / "config.yaml").read_text())["task"] == own_task
+    assert "not as it was" not in resumed.out
+    shutil.copytree(place / "code" / "task", "changed")
+    Path("changed/steps.py").write_text("def count(path):\n    return 1 + int(path.read_text())\n")
+    again = warpvox("train", f"resume={place}", "max_iterations=3", "device=cpu", "task=changed/own.py:MINE")
+    assert again.code == 0, again.err
+    assert "not as it was when the run began: steps.py" in again.out
+    assert "1 +" in (place / "code" / "task" / "steps.py").read_text()
     assert not list(place.rglob("__pycache__"))
 
 

@@ -85,8 +85,9 @@ def again(config: Any) -> str:
 
 
 def keep_code(config: Any, folder: Path, console: Console) -> None:
-    """Copy the code that ``config`` names into the folder of a run; says what is too large for that."""
+    """Copy the code that ``config`` names into the folder of a run; says what is too large, and what has changed."""
     left_out: list[str] = []
+    changed: list[str] = []
     for key, sub in CODE_KEYS.items():
         text = _value(config, key)
         if not is_code(text):
@@ -95,25 +96,29 @@ def keep_code(config: Any, folder: Path, console: Console) -> None:
         place = folder / FOLDER / sub
         if code.root is None or code.root == place.resolve():
             continue
-        left_out += _copy_files(code, place)
+        _copy_files(code, place, left_out, changed)
         if not split(text)[0].endswith(".py"):
             for above in code.source.relative_to(code.root).parents:
                 if str(above) != "." and not (place / above / "__init__.py").is_file():
                     write_bytes(place / above / "__init__.py", b"")  # so that the copy is a package, too
     for file in left_out:
         say(console, f"not copied into the run's folder, which needs it where it is: {file}")
+    if changed:
+        say(console, f"not as it was when the run began: {listing(changed)}; the run's copy has been replaced")
 
 
-def _copy_files(code: Code, place: Path) -> list[str]:
-    left_out, room = [], LARGEST_COPY
+def _copy_files(code: Code, place: Path, left_out: list[str], changed: list[str]) -> None:
+    room = LARGEST_COPY
     for file in code.files:
         size = file.stat().st_size
         if size > min(room, LARGEST_FILE):
             left_out.append(f"{file} ({size:,} bytes)")
             continue
         room -= size
-        write_bytes(place / file.relative_to(code.root), file.read_bytes())
-    return left_out
+        copy, content = place / file.relative_to(code.root), file.read_bytes()
+        if copy.is_file() and copy.read_bytes() != content:
+            changed.append(str(file.relative_to(code.root)))
+        write_bytes(copy, content)
 
 
 def _copy(home: Path, key: str, text: str) -> str | None:
