@@ -189,7 +189,8 @@ def test_a_design_that_diverges_leaves_the_others_alone() -> None:
 
 @pytest.mark.parametrize("threads", [2, 3, 8])
 def test_learning_is_the_same_bit_for_bit_with_any_number_of_threads(threads: int) -> None:
-    one, many = (PopulationTraining(arena(), bodies(4), SEEDS, training_preset("fast", {"steps": 4})) for _ in range(2))
+    how = training_preset("fast", {"steps": 4, "epochs": 2}, envs=8)
+    one, many = (PopulationTraining(arena(), bodies(4), SEEDS, how) for _ in range(2))
     many.algorithm.threads = threads
     for training in (one, many):
         for _ in range(2):
