@@ -138,6 +138,7 @@ class VoxelEnv(gymnasium.Env):
         self._next_frame = 0.0
         self._ended: np.ndarray | None = None  # the observation with which the episode has ended
         self._fast = fast_stepper(self._vec)
+        self._zeros = np.zeros(self.action_space.shape)
 
     def _check_mode(self, mode: str | None) -> None:
         """Refuse modes that there are not, or not here; ``metadata`` becomes that of this machine."""
@@ -204,7 +205,7 @@ class VoxelEnv(gymnasium.Env):
         if self._ended is not None:
             return self._ended.copy(), 0.0, True, False, {"unstable": False, "diverged": False, "reward_terms": {}}
         if self._fast is not None:
-            if not isfinite(action.sum()):
+            if not isfinite(action.dot(self._zeros)):
                 self.sim.take(action[None])  # names an entry that is not finite
             obs, terms, terminated, unstable, diverged = self._fast.step(action)
         else:

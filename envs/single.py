@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -209,6 +210,7 @@ class Sensors:
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
         self._senses: dict[tuple, Callable[[], Row]] = {}
+        self._points: dict[str, np.ndarray | None] = {}
         self._centres: tuple[Any, dict[str, Row], dict[str, Row]] | None = None
         self.moved = True
         """Whether something has moved since the centres were sensed."""
@@ -243,13 +245,34 @@ class Sensors:
             self._sense_centres()
         return self._centres[2][name].copy()
 
-    def __getattr__(self, method: str) -> Callable[..., Row]:
-        def ask(*args: Any) -> Row:
-            key = (method, *args)
-            if key not in self._senses:
-                self._senses[key] = self._sense(method, args)
-            return self._senses[key]()
+    def relative_positions(self, name: str) -> Row:
+        if name not in self._points:
+            self._points[name] = self._find_points(name)
+        points = self._points[name]
+        if points is None:
+            return self.launched("relative_positions", name)
+        return (points - self.com(name).view(np.ndarray)[..., None]).view(Row)
 
+    def _find_points(self, name: str) -> np.ndarray | None:
+        """A view ``[1, 2, points]`` on the simulation's own positions; None: they do not lie so."""
+        sim = self._sim
+        body = next((body for body in sim.designs[0].bodies if body.name == name), None)
+        places = sim._views["pos"].numpy()
+        if body is None or sim.dtype != torch.float64 or places.shape[::2] != (1, 1):
+            return None
+        points = places.reshape(-1, 2)[body.first_point :][: len(body.points)].T[None]
+        there = sim.object_positions(name).numpy().transpose(0, 2, 1)
+        return points if np.array_equal(points, there) else None
+
+    def launched(self, method: str, *args: Any) -> Row:
+        """A quantity by the launch that the simulation makes for it."""
+        key = (method, *args)
+        if key not in self._senses:
+            self._senses[key] = self._sense(method, args)
+        return self._senses[key]()
+
+    def __getattr__(self, method: str) -> Callable[..., Row]:
+        ask = partial(self.launched, method)
         setattr(self, method, ask)
         return ask
 
@@ -261,12 +284,13 @@ class Sensors:
         row = buffers[0].numpy().view(Row)
         if row.shape != tuple(value.shape):  # x and y apart
             row = row.transpose(0, 2, 1)
-        if not np.array_equal(row, value.numpy()):
+        kind = value.numpy().dtype
+        if not np.array_equal(row.astype(kind), value.numpy()):
             raise NotImplementedError(f"{method} is more than what one launch gives")
 
         def sense() -> Any:
             command.launch()
-            return row.copy() if row.ndim > 1 else Number(row.item())
+            return row.astype(kind) if row.ndim > 1 else Number(row.item())
 
         return sense
 
@@ -295,7 +319,9 @@ class SingleStepper:
     def begin(self) -> None:
         """Go on from where the environments stand: after a reset, or when something else has moved them."""
         self._sensors.moved = True
-        memory = {name: value.numpy().copy().view(Row) for name, value in self._env._memory.items()}
+        self._env._memory = {name: value.clone() for name, value in self._env._memory.items()}
+        self._memory = {name: value.numpy() for name, value in self._env._memory.items()}  # written to in every step
+        memory = {name: value.copy().view(Row) for name, value in self._memory.items()}
         self._before = State(self._sensors, memory).remember(self._env._needed_before)
         self._length, self._return = self._env.episode_length.numpy(), self._env._return.numpy()
         self._terminated = self._env._terminated.numpy()
@@ -314,17 +340,19 @@ class SingleStepper:
         obs = self.observe(after)
         self._env._drawn = False
         if self._updates:
-            remembered = after.update(self._spec.memory)
-            self._env._memory = {name: torch.from_numpy(np.array(value)) for name, value in remembered.items()}
-        status = self._status[self._slot]
+            remembered = after.update(self._updates)
+            for memory in self._updates:
+                self._memory[memory.name][...] = remembered[memory.name]
+        status = self._status.item(self._slot)  # a number of Python's: those of numpy are slow
         stopped, diverged = bool(status & _STOPPED), bool(status & _DIVERGED)
         terms, ended = self.judge(before, after, stopped)
         if diverged:
             terms |= {name: 0.0 for name, *_ in self._rewards}
         self._before = after
-        self._length[0] += 1
-        self._return[0] += sum(terms.values())
-        self._terminated[0] |= ended
+        self._length[0] = self._length.item() + 1
+        self._return[0] = self._return.item() + sum(terms.values())
+        if ended:
+            self._terminated[0] = True
         return obs, terms, ended, stopped, diverged
 
     def judge(self, before: State, after: State, stopped: bool) -> tuple[dict[str, float], bool]:

@@ -107,6 +107,7 @@ def test_it_ends_and_begins_again_as_before() -> None:
     assert not np.array_equal(obs, first)
 
 
+@pytest.mark.filterwarnings("error")
 def test_actions_are_checked_and_clipped_as_before() -> None:
     env, twin = VoxelEnv("Walker-v0", body="walker"), VoxelEnv("Walker-v0", body="walker")
     env.reset(), twin.reset()

@@ -15,6 +15,7 @@ from warpvox.cli.benchmarks.report import Report, middle, number, spread
 from warpvox.cli.benchmarks.step import HEADINGS, unit
 from warpvox.cli.benchmarks.subject import Subject, measure
 from warpvox.envs.gym import register
+from warpvox.envs.registry import released_id
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["run"]
@@ -36,12 +37,15 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         report.note(f"Checked: within {error:.1e} of the reference over {STEPS} steps in float64.")
         with report.status("measuring"):
             subject.settle()
-            alone, theirs = _Alone(config, body), _Theirs(config, reference, subject.env.num_actions)
-            rates = measure(subject, config.columns, config.repeats, lambda: (alone.measure(), theirs.measure()))
+            theirs = _Theirs(config, reference, subject.env.num_actions)
+            alone, drop_in = _alone(config, body), _drop_in(config, body)
+            turns = (alone, drop_in, theirs)
+            rates = measure(subject, config.columns, config.repeats, lambda: [one.measure() for one in turns])
     base = middle(theirs.rates)
     rows = {
         f"warpvox, {config.num_envs} environments": rates,
         "warpvox, one gymnasium environment": {"step": alone.rates},
+        "warpvox, one environment of the drop-in": {"step": drop_in.rates},
         reference.name: {"step": theirs.rates},
     }
     _show(config, report, rows, base)
@@ -52,19 +56,33 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         "steps": subject.steps,
         "rates": rates,
         "gymnasium": alone.rates,
+        "drop_in": drop_in.rates,
         "reference": theirs.rates,
         "versions": reference.versions,
         "ratio": {column: middle(values) / base for column, values in rates.items() if values},
         "ratio_gymnasium": middle(alone.rates) / base,
+        "ratio_drop_in": middle(drop_in.rates) / base,
     }
+
+
+def _alone(config: Any, body: np.ndarray) -> _Alone:
+    """One environment of gymnasium."""
+    register()
+    return _Alone(config, f"warpvox/{config.task}", body=body, device=config.device)
+
+
+def _drop_in(config: Any, body: np.ndarray) -> _Alone:
+    """One environment as scripts that were written for EvoGym make it."""
+    import warpvox.evogym.envs  # noqa: F401  (registers)
+
+    return _Alone(config, released_id(config.task), body=body.astype(float))
 
 
 class _Alone:
     """One environment of ours through gymnasium."""
 
-    def __init__(self, config: Any, body: np.ndarray) -> None:
-        register()
-        self._env = gymnasium.make(f"warpvox/{config.task}", body=body, device=config.device, disable_env_checker=True)
+    def __init__(self, config: Any, name: str, **options: Any) -> None:
+        self._env = gymnasium.make(name, **options, disable_env_checker=True)
         self._rng, self._steps, self.rates = np.random.default_rng(config.seed), config.steps, []
         self._env.reset()
         self._env.step(self._env.action_space.sample())
