@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import io
 import re
+import textwrap
 from pathlib import Path
 
 from warpvox.cli import COMMANDS, main
@@ -44,7 +45,7 @@ def with_tables(text: str) -> str:
 def table_of(command: str) -> str:
     """The keys of a command as a table; of one without keys what it prints as its help."""
     if command not in SCHEMAS:
-        return f"```text\n{_help_of(command)}\n```"
+        return textwrap.indent(_help_of(command), "    ")
     values = flat(dataclasses.asdict(load(command, [])))
     lines = [f"`usage: warpvox {command} [KEY=VALUE ...]`", "", "| key | default | meaning |", "|---|---|---|"]
     for row in help_rows(command, values):
