@@ -1,8 +1,8 @@
 """Starts Warp without its chatter, says when kernels are being compiled, and has their cache mended.
 
 Warp prints a banner when it starts and a line for every module that it loads, but nothing when it begins to compile,
-which takes half a minute. Who has set ``warp.config.log_level``, or started Warp, before the first simulation gets what
-was asked for.
+which takes 10 to 40 seconds. Who has set ``warp.config.log_level``, or started Warp, before the first simulation gets
+what was asked for.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def _announced(build: Callable[..., Any], where: str) -> Callable[..., Any]:
         nonlocal told
         if not told and _is_ours():
             told = True
-            LOGGER.warning("Compiling kernels for %s (once per version and machine; about half a minute)", where)
+            LOGGER.warning("Compiling kernels for %s (once per version and machine; 10 to 40 s)", where)
         return build(*args, **options)
 
     return call

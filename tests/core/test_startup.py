@@ -55,7 +55,7 @@ def test_compilation_is_announced_once_and_only_where_there_is_any(tmp_path: Pat
     cold = probe(tmp_path)
     lines = cold.stderr.splitlines()
     assert lines[0] == "somebody else's"
-    assert lines[1].startswith("Compiling kernels for the CPU (once per version and machine; about")
+    assert lines[1].startswith("Compiling kernels for the CPU (once per version and machine;")
     assert lines[2:] == ["ours"]
     assert cold.stdout == ""  # neither the banner nor a line for every module
     assert "Compiling" not in probe(tmp_path).stderr  # they are in the cache
