@@ -69,7 +69,7 @@ def test_connections_of_a_structure_file_are_pairs(tmp_path: Path) -> None:
     "weights", [[1, "x", 1, 1, 1], [1, 1e308, 1e308, 1e308, 1], [1, 1, 1, 1e-9, 0], Stranger(), "walker"]
 )
 def test_weights_without_a_chance(weights: object) -> None:
-    with pytest.raises(DesignError, match=r"must be"):
+    with pytest.raises(DesignError, match=r"must (be|leave)"):
         sample_design((3, 3), 0, weights)
     with pytest.raises(DesignError, match="shape"):
         sample_design((1, float("inf")))
