@@ -46,4 +46,5 @@ class Arena:
             lanes=lanes,
             threads=self.threads,
             max_episode_steps=self.max_episode_steps,
+            memory_check=False,  # the command has checked the whole; here the batch before may still hold memory
         )

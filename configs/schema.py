@@ -308,6 +308,7 @@ class _RolloutConfig:
     )
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1, high=MOST_THREADS)
     torch_threads: int = key(1, "threads of PyTorch", low=1, high=MOST_THREADS)
+    memory_check: bool = key(True, "refuse what does not fit into the memory that is free, before it is allocated")
     name: str | None = key(None, "appended to the name of the result's folder")
     output_dir: str = key("outputs", "folder that runs are written to and looked up in", path="written")
 

@@ -93,3 +93,24 @@ def test_a_search_that_does_not_fit_says_how_many_designs_do(warpvox: Callable, 
     fits = assert_refused(warpvox(*words, "training.method=sequential"), "training.envs=")
     assert 0 < fits < 4096
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_search_can_be_told_to_try(warpvox: Callable, free: Callable) -> None:
+    free(0.0001)
+    words = (
+        "codesign shape=[3,3] search.population=3 search.max_evaluations=3 training.envs=8 training.iterations=1"
+        " training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1 device=cpu threads=1"
+    ).split()
+    outcome = warpvox(*words)
+    assert outcome.code == 2
+    assert "memory_check=false" in outcome.err
+    assert warpvox(*words, "memory_check=false").code == 0
+
+
+def test_playing_many_is_refused_and_can_be_tried(warpvox: Callable, free: Callable) -> None:
+    free(0.0001)
+    words = "play agent=zero num_envs=64 steps=1 window=off export=[] record=false device=cpu threads=1".split()
+    outcome = warpvox(*words)
+    assert outcome.code == 2
+    assert "memory_check=false" in outcome.err
+    assert warpvox(*words, "memory_check=false").code == 0

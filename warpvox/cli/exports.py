@@ -95,6 +95,7 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
     path = run.find_checkpoint(config.checkpoint)
     trained = allow_code(load_values("train", run.config), run.config, {"task": config.task}, run.folder)
     changes = {"device": device, "threads": config.threads, "lanes": training_lanes(trained, device)}
+    changes["memory_check"] = config.memory_check
     if config.dtype is not None:
         changes |= {"dtype": config.dtype, "arithmetic": None}
     if config.arithmetic is not None:
@@ -154,6 +155,7 @@ def record_agent(config: Any) -> Rollout:
         seed=config.seed or 0,
         auto_reset=False,
         threads=config.threads,
+        memory_check=config.memory_check,
     )
     return record(env, config.agent, config.steps)
 
