@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import socket
+import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -212,11 +214,15 @@ def _start(address: str | None, cpus: int) -> Any:
     options: dict[str, Any] = {"address": address} if address else {}
     if address is None:
         options = {"include_dashboard": False, "num_cpus": max(cpus, os.cpu_count() or 1)}
+    before = signal.getsignal(signal.SIGTERM)
     try:
         ray.init(**options, logging_level=logging.ERROR, log_to_driver=False)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         reason = str(error).strip().splitlines() or [type(error).__name__]
         raise RunError(f"Ray cannot be reached {where}: {reason[0]}") from None
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)  # Ray's handler would end this process before anything is saved
     return ray
 
 

@@ -133,7 +133,9 @@ def test_started_here_and_without_room(tmp_path: Path, undisturbed: str, monkeyp
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
     with pytest.raises(RunError, match="a worker takes 1 and 64"):
         on_ray.RayExecutor(ToyEvaluator, gpus=64)
+    handler = signal.getsignal(signal.SIGTERM)
     executor = on_ray.RayExecutor(functools.partial(ToyEvaluator, 0.0), workers=2)
+    assert signal.getsignal(signal.SIGTERM) is handler  # a request to end is ours to answer, not Ray's
     loop = make_loop(tmp_path, executor=executor)
     loop.run()
     executor.close()
