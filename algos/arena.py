@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from warpvox.design import Design
+from warpvox.device import resolve_device
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
-from warpvox.layout import lanes_for
-from warpvox.sim import resolve_device
+from warpvox.packs import lanes_for
 from warpvox.types import Physics
 
 __all__ = ["Arena"]

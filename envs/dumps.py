@@ -52,6 +52,11 @@ class DivergenceDump:
         self._open = True
         self.clear()
 
+    def refresh(self) -> None:
+        """Forget all steps and look again at the bodies of the environments."""
+        self._scenes, self._points = points_of(self.env.sim)
+        self.clear()
+
     def clear(self) -> None:
         """Forget all steps: the next does not follow on them."""
         self._count = 0

@@ -24,13 +24,21 @@ class Layout:
     """
 
     def __init__(self, terms: tuple[Observation, ...], sim: Simulation, state: State) -> None:
-        self._terms = terms
-        self._dtype = sim.dtype
-        real = [self._real_columns(term, sim, state) for term in terms]
+        self._terms, self._sim, self._dtype = terms, sim, sim.dtype
+        self._values = [term(state) for term in terms]
+        self._gather: torch.Tensor | None = None
+        self._zeros = torch.zeros((sim.num_envs, 1), dtype=sim.dtype, device=sim.device)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Look again at how large the designs of the simulation are."""
+        sim, terms = self._sim, self._terms
+        real = [self._real_columns(term, value, sim) for term, value in zip(terms, self._values, strict=True)]
         counts = torch.stack([mask.sum(1) for mask in real], dim=1)  # [designs, terms]
         full = torch.cat(real, dim=1)
         totals = counts.sum(1)
-        self.num_obs = int(totals.max())
+        # Where bodies may be exchanged, there is room for the largest.
+        self.num_obs = int(totals.max()) if sim.grid is None else full.shape[1]
         self.mask = (torch.arange(self.num_obs) < totals[:, None]).to(sim.device)
         stops = counts.cumsum(1).tolist()
         names = [term.name for term in terms]
@@ -38,19 +46,18 @@ class Layout:
             {name: slice(begin, stop) for name, begin, stop in zip(names, [0, *row[:-1]], row, strict=True)}
             for row in stops
         ]
-        self._gather = None
-        if not bool(full.all()):
+        if sim.grid is not None or not bool(full.all()):
             # Column full.shape[1] is an extra one of zeros, which feeds the padding.
-            source = torch.full(self.mask.shape, full.shape[1], dtype=torch.long)
-            for design, mask in enumerate(full):
-                source[design, : int(totals[design])] = mask.nonzero()[:, 0]
-            self._gather = source.to(sim.device)[sim.design_index]
-            self._zeros = torch.zeros((sim.num_envs, 1), dtype=sim.dtype, device=sim.device)
+            source = torch.argsort((~full).to(torch.uint8), dim=1, stable=True)[:, : self.num_obs]
+            source = source.masked_fill(~self.mask.cpu(), full.shape[1]).to(sim.device)[sim.design_index]
+            if self._gather is None:
+                self._gather = source
+            else:
+                self._gather.copy_(source)  # in place: a captured step may read it
 
     @staticmethod
-    def _real_columns(term: Observation, sim: Simulation, state: State) -> torch.Tensor:
+    def _real_columns(term: Observation, value: torch.Tensor, sim: Simulation) -> torch.Tensor:
         """bool ``[designs, k]``: which of a term's flattened columns each design has."""
-        value = term(state)
         if value.ndim == 3:
             points = sim.point_mask(dict(term.params)["name"]).cpu()
             return torch.cat([points, points], dim=1)

@@ -11,11 +11,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from warpvox.device import resolve_device
 from warpvox.errors import MemoryLimitError
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.state import DATA
 from warpvox.memory import free_memory
-from warpvox.sim import Simulation, resolve_device
+from warpvox.sim import Simulation
 from warpvox.world import World
 
 __all__ = [
@@ -54,12 +55,17 @@ def simulation_bytes(probe: Simulation, designs: int, per_design: int) -> int:
         probe: a simulation of some environments of the largest worlds, as :func:`probe_of` makes.
         designs, per_design: the worlds, and environments of each, that are asked for.
     """
-    arrays, lanes = probe._state.arrays, probe._state.lanes
-    data = sum(arrays[name].capacity for name in DATA)
-    tables = sum(array.capacity for name, array in arrays.items() if name not in DATA)
-    # a pack takes as much when it is not full
-    filled, measured = (-(-count // lanes) * lanes for count in (per_design, probe.num_envs // probe.num_designs))
-    return round(data * designs * filled / (measured * probe.num_designs) + tables * designs / probe.num_designs)
+    state = probe._state
+    data = sum(state.arrays[name].capacity for name in DATA)
+    tables = sum(array.capacity for name, array in state.arrays.items() if name not in DATA)
+    # A pack takes as much when it is not full. In exact arithmetic it holds one design; in fast arithmetic any, and has
+    # tables of its own unless all packs are alike.
+    if probe.arithmetic == "exact":
+        packs, meshes = designs * -(-per_design // state.lanes), designs
+    else:
+        packs = -(-designs * per_design // state.lanes)
+        meshes = 1 if designs == 1 else packs
+    return round(data * packs / state.packs + tables * meshes / state.sizes["mesh"])
 
 
 def probed(worlds: Sequence[World], per_design: int) -> list[World]:

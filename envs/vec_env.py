@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.design import Design, load_design
+from warpvox.design import Design
+from warpvox.envs.bodies import check_grid, load_connections, load_designs, one_body
 from warpvox.envs.checks import check_fields, check_memory, check_terms
 from warpvox.envs.draws import Draws
 from warpvox.envs.dumps import DivergenceDump, check_guard
@@ -23,15 +24,14 @@ from warpvox.envs.needs import check_environments
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.state import State
-from warpvox.envs.voxels import voxel_layouts, voxel_observations
-from warpvox.envs.worlds import task_team, task_world
-from warpvox.errors import ConfigError, DesignError, did_you_mean, known_arguments, listing
+from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
+from warpvox.envs.worlds import task_world
+from warpvox.errors import ConfigError, did_you_mean, known_arguments, listing
 from warpvox.sim import Simulation
 from warpvox.types import Physics
 
 __all__ = ["VoxelVecEnv", "make_vec", "one_body"]
 
-DEFAULT_DESIGN = "walker"
 OBSERVATIONS = ("task", "voxel")
 
 StepResult = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
@@ -59,6 +59,7 @@ def make_vec(
     body: object = None,
     arithmetic: str | None = None,
     memory_check: bool = True,
+    grid: tuple[int, int] | None = None,
 ) -> VoxelVecEnv:
     """Make ``num_envs`` environments of a task, ready to be stepped.
 
@@ -90,6 +91,8 @@ def make_vec(
         body: one body for all environments, as in ``gymnasium.make``: short for ``designs=[body]``. ``connections`` are
             then its own.
         arithmetic: ``fast`` or ``exact``, as for :class:`warpvox.Simulation`; None: what suits ``dtype``.
+        grid: rows and columns up to which :meth:`VoxelVecEnv.set_designs` may bring other bodies. Observations and
+            actions have room for the largest of them. Needs fast arithmetic.
         memory_check: refuse at once what does not fit into the memory that is free.
 
     Raises:
@@ -101,7 +104,7 @@ def make_vec(
     if max_episode_steps is not None:
         spec = replace(spec, max_episode_steps=_whole("max_episode_steps", max_episode_steps))
     designs, connections = one_body(body, designs, connections)
-    bodies = _load_designs(spec, designs)
+    bodies = load_designs(spec, designs)
     count = _whole("num_envs", num_envs)
     if count % len(bodies):
         below = count - count % len(bodies)
@@ -110,7 +113,7 @@ def make_vec(
             f"num_envs must be a multiple of the number of designs ({len(bodies)}), got {count}; try {near}."
         )
     _check_seeds(seed, len(bodies), count)
-    links = _load_connections(connections, len(bodies))
+    links = load_connections(connections, len(bodies))
     worlds = [task_world(spec, body, links[d]) for d, body in enumerate(bodies)]
     make = functools.partial(
         Simulation,
@@ -121,6 +124,7 @@ def make_vec(
         lanes=lanes,
         threads=threads,
         loose=spec.scattered,
+        grid=check_grid(grid),
     )
     if memory_check:
         check_environments(worlds, count // len(bodies), device, make)
@@ -176,6 +180,7 @@ class VoxelVecEnv:
         self.device, self.dtype = sim.device, sim.dtype
         self.max_episode_steps = spec.max_episode_steps
         block = sim.num_envs // len(designs)
+        self._blocks = len(designs)  # of environments that may have seeds of their own
         self.design_index = torch.arange(len(designs), device=sim.device).repeat_interleave(block)
         self._draws = Draws(seed, self.num_envs, sim.device) if spec.memory else None
         self._memory: dict[str, torch.Tensor] = {}
@@ -192,11 +197,7 @@ class VoxelVecEnv:
         self._before = probe
         self._layout = Layout(spec.observations, sim, probe)
         self.num_obs, self.num_actions = self._layout.num_obs, sim.num_actions
-        compiled = sim.design_index[::block]  # equal designs share one entry of the simulation
-        self.obs_mask = self._layout.mask[compiled]
-        self.action_mask = sim.action_mask[compiled]
-        self.obs_columns = [self._layout.columns[d] for d in compiled.tolist()]
-        self.action_columns = [sim.action_columns[d] for d in compiled.tolist()]
+        self._describe(sim.design_index[::block])  # equal designs share one entry of the simulation
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
         # Looking at a mask to skip work is free on the CPU; elsewhere it would wait for the device.
         self._may_look = torch.device(sim.device).type == "cpu"
@@ -209,6 +210,14 @@ class VoxelVecEnv:
         """What terms see at this moment; those that are not ours get copies, which they may work on."""
         remembered = self._memory if remembered is None else remembered
         return State(self.sim, remembered, values, copies=self.spec.has_code)
+
+    def _describe(self, worlds: torch.Tensor) -> None:
+        """Sizes of the designs, from the simulation's world of each."""
+        self.obs_mask = self._layout.mask[worlds]
+        self.action_mask = self.sim.action_mask[worlds]
+        self.obs_columns = [self._layout.columns[d] for d in worlds.tolist()]
+        action_columns = self.sim.action_columns
+        self.action_columns = [action_columns[d] for d in worlds.tolist()]
 
     @property
     def num_designs(self) -> int:
@@ -255,7 +264,7 @@ class VoxelVecEnv:
         """
         mask = None if mask is None else self._check_mask(mask)
         if seed is not None:
-            _check_seeds(seed, self.num_designs, self.num_envs)
+            _check_seeds(seed, self._blocks, self.num_envs)
             self.seed = seed if mask is None else self.seed
         self.sim.reset(mask)
         if self._draws is not None:
@@ -274,6 +283,45 @@ class VoxelVecEnv:
         if self.dump is not None:
             self.dump.clear()
         return self._finite.first(self._layout.observe(self._before), mask, self._may_look), {}
+
+    def set_designs(
+        self, designs: object, mask: torch.Tensor | np.ndarray, connections: Sequence[object] | None = None
+    ) -> torch.Tensor:
+        """Give environments other bodies; they begin a new episode, the others go on.
+
+        Nothing is compiled and no array moves; sizes of observations and actions stay. ``designs``, ``design_index``,
+        the masks and columns follow: equal designs are one then.
+
+        Args:
+            designs: a body for each environment of the mask in their order, or one for all; as in :func:`make_vec`.
+            mask: bool ``[num_envs]``.
+            connections: for each of these designs, as in :func:`make_vec`.
+
+        Returns:
+            Observations ``[num_envs, num_obs]``, as :meth:`reset` with this mask gives.
+
+        Raises:
+            SimulationError: made without ``grid``, or a body that does not fit it. DesignError, WorldError: a body that
+                is not valid or does not fit the world. Nothing has changed then.
+        """
+        mask = self._check_mask(mask)
+        count, bodies = int(mask.sum()), load_designs(self.spec, designs)
+        if len(bodies) not in (1, count):
+            raise ConfigError(f"{count} environments need a design each, or one for all; got {len(bodies)}.")
+        links = load_connections(connections, len(bodies))
+        worlds = [task_world(self.spec, body, links[d]) for d, body in enumerate(bodies)]
+        self.sim.set_worlds(worlds if len(worlds) == count else worlds * count, mask)
+        self._layout.refresh()
+        for term in self.spec.observations:
+            if isinstance(term.function, VoxelGrid):
+                term.function.refresh()
+        teams = [{name: world.objects[name].grid for name in self.spec.robots} for world in self.sim.worlds]
+        self.designs = teams if self.spec.partners else [team[ROBOT] for team in teams]
+        self.design_index.copy_(self.sim.design_index)
+        self._describe(torch.arange(len(teams), device=self.device))
+        if self.dump is not None:
+            self.dump.refresh()
+        return self.reset(mask=mask)[0]
 
     def _check_mask(self, mask: torch.Tensor | np.ndarray) -> torch.Tensor:
         mask = torch.as_tensor(mask, device=self.device)
@@ -537,45 +585,6 @@ def _check_seeds(seed: int | Sequence[int], designs: int, num_envs: int) -> None
 def _where(mask: torch.Tensor, new: torch.Tensor, old: torch.Tensor) -> torch.Tensor:
     """Rows of ``new`` where the mask says so, else of ``old``."""
     return torch.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
-
-def one_body(body: object, designs: object, connections: object) -> tuple[object, object]:
-    """``designs`` and ``connections`` of several bodies from those of one; raises ConfigError if both are given."""
-    if body is None:
-        return designs, connections
-    if designs is not None:
-        raise ConfigError("Give one body for all environments (body=...) or a list of them (designs=[...]), not both.")
-    return [body], None if connections is None else [connections]
-
-
-def _load_designs(spec: TaskSpec, designs: object) -> list[Design | dict[str, Design]]:
-    """Valid bodies; for a task with several robots those of all, by name."""
-    if designs is None:
-        designs = [DEFAULT_DESIGN]
-    single = isinstance(designs, str | Mapping) or (isinstance(designs, np.ndarray) and designs.ndim == 2)
-    if not single and not isinstance(designs, Sequence | np.ndarray):
-        raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")
-    bodies = [designs] if single else list(designs)
-    if not bodies:
-        raise DesignError("The list of designs is empty: at least one body is needed.")
-    loaded = []
-    for number, body in enumerate(bodies):
-        try:
-            team = {name: load_design(given) for name, given in task_team(spec, body).items()}
-        except DesignError as error:
-            raise DesignError(f"Design {number}: {error}" if len(bodies) > 1 else str(error)) from None
-        loaded.append(team if spec.partners else team[ROBOT])
-    return loaded
-
-
-def _load_connections(connections: Sequence[object] | None, count: int) -> Sequence[object]:
-    if connections is None:
-        return [None] * count
-    if not isinstance(connections, Sequence | np.ndarray):
-        raise ConfigError(f"connections must be a list with one entry a design, got {type(connections).__name__}.")
-    if len(connections) != count:
-        raise ConfigError(f"connections must have one entry a design ({count}), got {len(connections)}.")
-    return connections
 
 
 def _whole(name: str, value: object) -> int:

@@ -73,9 +73,23 @@ class VoxelGrid:
 
     def __init__(self, sim: Simulation, name: str) -> None:
         grids = [sim.object_grid(name, design) for design in range(sim.num_designs)]
-        self.rows, self.columns = (max(grid.shape[axis] for grid in grids) for axis in (0, 1))
+        least = sim.grid or (0, 0)
+        self.rows, self.columns = (max(least[axis], *(grid.shape[axis] for grid in grids)) for axis in (0, 1))
         count = self.rows * self.columns
         self.about = About("voxels of {name}: corners, velocities, type, neighbours", NUMBER, count * NUM_FEATURES)
+        self._sim, self._name = sim, name
+        self._tables = self._look()
+        self.action_cell, self._corners, self._known, self._filled = self._tables
+
+    def refresh(self) -> None:
+        """Look again at the bodies of the simulation."""
+        for table, new in zip(self._tables, self._look(), strict=True):
+            table.copy_(new)  # in place: a captured step may read it
+
+    def _look(self) -> tuple[torch.Tensor, ...]:
+        """For every environment: the cells of its actions, the points of its cells, and what is known of them."""
+        sim, name, count = self._sim, self._name, self.rows * self.columns
+        grids = [sim.object_grid(name, design) for design in range(sim.num_designs)]
         corners = np.zeros((len(grids), count, 4), np.int64)
         known = np.zeros((len(grids), count, 9))
         actions = np.full((len(grids), sim.num_actions), -1, np.int64)
@@ -89,10 +103,10 @@ class VoxelGrid:
             driving = np.isin(grid[rows, columns], (int(Cell.H_ACT), int(Cell.V_ACT)))
             actions[design, body.first_action : body.first_action + driving.sum()] = cells[driving]
         index = sim.design_index.cpu()
-        self.action_cell = torch.as_tensor(actions)[index].to(sim.device)
-        self._corners = torch.as_tensor(corners)[index].flatten(1).to(sim.device)  # [num_envs, cells * 4]
-        self._known = torch.as_tensor(known)[index].to(sim.device, sim.dtype)
-        self._filled = (self._known[..., :1] == 0).to(sim.dtype)
+        action_cell = torch.as_tensor(actions)[index].to(sim.device)
+        corners = torch.as_tensor(corners)[index].flatten(1).to(sim.device)  # [num_envs, cells * 4]
+        known = torch.as_tensor(known)[index].to(sim.device, sim.dtype)
+        return action_cell, corners, known, (known[..., :1] == 0).to(sim.dtype)
 
     def _types(self, grid: np.ndarray) -> np.ndarray:
         """``[cells, 5]``: the types of a padded body, one 1 in every row."""

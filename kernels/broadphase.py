@@ -23,10 +23,10 @@ TORN = 5.0  # a voxel wider than this has exploded: its environment is lost, and
 
 @builder
 def voxel_box(kit: Kit):
-    """Function: axis-aligned bounds of a voxel, into ``box``."""
+    """Function: axis-aligned bounds of a voxel, into ``box``; inside out where it is no surface voxel."""
 
     @kit.func_native("native/voxel_box.h", precision="float64")
-    def enclose(model, data, design, pack, lane, v): ...
+    def enclose(model, data, mesh, pack, lane, v): ...
 
     return enclose
 
@@ -37,9 +37,9 @@ def boxes(kit: Kit):
     enclose = voxel_box(kit)
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
-        for n in range(model.mobiles[design]):
-            enclose(model, data, design, pack, lane, model.mobile[design, n])
+    def stage(model, data, mesh, pack, lane, unit, dt):
+        for n in range(model.mobiles[mesh]):
+            enclose(model, data, mesh, pack, lane, model.mobile[mesh, n])
 
     return stage
 
@@ -65,11 +65,11 @@ def mark_pair(kit: Kit):
     """Function: note that two voxels are candidates, in one bit for both orders; still ones never meet."""
 
     @kit.func
-    def mark(model, data, design, unit, v, w):
-        if model.still[design, v] == 1 and model.still[design, w] == 1:
+    def mark(model, data, mesh, unit, v, w):
+        if model.still[mesh, v] == 1 and model.still[mesh, w] == 1:
             return
         i, j = wp.min(v, w), wp.max(v, w)
-        word = i * ((model.voxels[design] + 31) // 32) + j // 32
+        word = i * ((model.voxels[mesh] + 31) // 32) + j // 32
         data.pair_bit[unit, word] = data.pair_bit[unit, word] | (1 << (j % 32))
 
     return mark
@@ -80,11 +80,11 @@ def mark_all(kit: Kit):
     """Stage: candidates among mobile voxels by comparing all boxes with all."""
 
     @kit.func_native("native/mark_all.h", precision="float64")
-    def mark(model, data, design, pack, lane, unit, margin): ...
+    def mark(model, data, mesh, pack, lane, unit, margin): ...
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
-        mark(model, data, design, pack, lane, unit, model.margin)
+    def stage(model, data, mesh, pack, lane, unit, dt):
+        mark(model, data, mesh, pack, lane, unit, model.margin)
 
     return stage
 
@@ -135,7 +135,7 @@ def mark_grid(kit: Kit):
         return 0, -1, 0, -1
 
     @kit.func
-    def enter(model, data, design, pack, k, unit, v, entries):
+    def enter(model, data, mesh, pack, k, unit, v, entries):
         """Meet the voxels that have entered the cells of voxel v, then enter it; the number of entries after that."""
         n = int(entries)
         x0, x1, y0, y1 = cells(data, pack, k, v, model.margin)
@@ -146,7 +146,7 @@ def mark_grid(kit: Kit):
                 while e >= 0:
                     w = data.grid_voxel[unit, e]
                     if w != v and meet(data, pack, k, w, v, model.margin):
-                        mark(model, data, design, unit, w, v)
+                        mark(model, data, mesh, unit, w, v)
                     e = data.grid_next[unit, e]
                 if n >= data.grid_next.shape[1]:
                     data.overflow[unit] = 1
@@ -158,14 +158,14 @@ def mark_grid(kit: Kit):
         return n
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
+    def stage(model, data, mesh, pack, lane, unit, dt):
         lanes = int(width)
         for k in range(lane, lane + lanes):
             for slot in range(data.grid_head.shape[1]):
                 data.grid_head[unit, slot] = -1
             entries = int(0)
-            for n in range(model.mobiles[design]):
-                entries = enter(model, data, design, pack, k, unit, model.mobile[design, n], entries)
+            for n in range(model.mobiles[mesh]):
+                entries = enter(model, data, mesh, pack, k, unit, model.mobile[mesh, n], entries)
 
     return stage
 
@@ -175,8 +175,8 @@ def lattice_range(kit: Kit):
     """Function: columns and rows of the terrain lattice under a box that is ``margin`` wider on every side."""
 
     @kit.func
-    def span(model, data, design, pack, k, v, margin):
-        size = model.terrain[design]
+    def span(model, data, mesh, pack, k, v, margin):
+        size = model.terrain[model.frame[mesh]]
         x0, x1 = data.box[pack, 4 * v, k] - margin, data.box[pack, 4 * v + 1, k] + margin
         y0, y1 = data.box[pack, 4 * v + 2, k] - margin, data.box[pack, 4 * v + 3, k] + margin
         if on_lattice(x0, x1, y0, y1):
@@ -200,22 +200,23 @@ def mark_still(kit: Kit):
     mark, meet, span = mark_pair(kit), meets(kit), lattice_range(kit)
 
     @kit.func
-    def look(model, data, design, pack, k, unit, v):
-        x0, x1, y0, y1 = span(model, data, design, pack, k, v, model.margin)
+    def look(model, data, mesh, pack, k, unit, v):
+        x0, x1, y0, y1 = span(model, data, mesh, pack, k, v, model.margin)
+        frame, first = model.frame[mesh], model.first_other[mesh]
         for y in range(y0, y1 + 1):
             for x in range(x0, x1 + 1):
-                w = model.still_at[design, y * model.terrain[design][0] + x]
-                if w >= 0 and meet(data, pack, k, w, v, model.margin):
-                    mark(model, data, design, unit, v, w)
+                w = model.still_at[frame, y * model.terrain[frame][0] + x]
+                if w >= 0 and meet(data, pack, k, first + w, v, model.margin):
+                    mark(model, data, mesh, unit, v, first + w)
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
-        if model.mobiles[design] == model.voxels[design]:
+    def stage(model, data, mesh, pack, lane, unit, dt):
+        if model.mobiles[mesh] == model.voxels[mesh]:
             return
         lanes = int(width)
-        for n in range(model.mobiles[design]):
+        for n in range(model.mobiles[mesh]):
             for k in range(lane, lane + lanes):
-                look(model, data, design, pack, k, unit, model.mobile[design, n])
+                look(model, data, mesh, pack, k, unit, model.mobile[mesh, n])
 
     return stage
 
@@ -228,41 +229,46 @@ def list_pairs(kit: Kit):
     def shares(corners: wp.vec4i, p: int):
         return corners[0] == p or corners[1] == p or corners[2] == p or corners[3] == p
 
-    @wp.func
-    def own_corners(mine: wp.vec4i, other: wp.vec4i):
-        """Bits of the corners that are not corners of the other voxel too."""
+    @kit.func
+    def own_corners(model, mesh, mine: wp.vec4i, other: wp.vec4i):
+        """Bits of the corners that are not corners of the other voxel too; 8 bits on, those that are in some lanes."""
         bits = int(0)
         four = int(4)
         for c in range(four):
             if not shares(other, mine[c]):
                 bits = bits | (1 << c)
+                twins = model.twin_range[mesh, mine[c]]
+                if twins[0] < twins[1]:
+                    for d in range(four):
+                        if model.twin_range[mesh, other[d]] == twins:
+                            bits = bits | (256 << c)
         return bits
 
     @kit.func
-    def add(model, data, design, unit, i, j):
+    def add(model, data, mesh, unit, i, j):
         n = data.pair_count[unit]
         if n >= data.pairs.shape[1]:
             data.overflow[unit] = 1
             return
-        ci = model.corner[design, i]
-        cj = model.corner[design, j]
-        bits = own_corners(ci, cj)
-        if model.robot[design, i] >= 0 and model.body[design, i] == model.body[design, j]:
-            away = model.grid[design, i] - model.grid[design, j]
+        ci = model.corner[mesh, i]
+        cj = model.corner[mesh, j]
+        bits = own_corners(model, mesh, ci, cj)
+        if model.robot[mesh, i] >= 0 and model.body[mesh, i] == model.body[mesh, j]:
+            away = model.grid[mesh, i] - model.grid[mesh, j]
             if wp.abs(away[0]) > 1 or wp.abs(away[1]) > 1:
                 bits = bits | DISTANT
-        data.pairs[unit, n] = wp.vec4i(i, j, bits, own_corners(cj, ci))
+        data.pairs[unit, n] = wp.vec4i(i, j, bits, own_corners(model, mesh, cj, ci))
         data.pair_count[unit] = n + 1
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
+    def stage(model, data, mesh, pack, lane, unit, dt):
         data.pair_count[unit] = 0
-        words = (model.voxels[design] + 31) // 32
-        for word in range(model.voxels[design] * words):
+        words = (model.voxels[mesh] + 31) // 32
+        for word in range(model.voxels[mesh] * words):
             bits = data.pair_bit[unit, word]
             data.pair_bit[unit, word] = 0
             while bits != 0:
-                add(model, data, design, unit, word // words, 32 * (word % words) + kit.first(bits))
+                add(model, data, mesh, unit, word // words, 32 * (word % words) + kit.first(bits))
                 bits = kit.drop(bits)
 
     return stage
@@ -275,48 +281,50 @@ def collect_near(kit: Kit):
     span = lattice_range(kit)
 
     @kit.func
-    def touches(model, data, design, pack, k, v):
-        x0, x1, y0, y1 = span(model, data, design, pack, k, v, model.margin)
+    def touches(model, data, mesh, pack, k, v):
+        frame = model.frame[mesh]
+        x0, x1, y0, y1 = span(model, data, mesh, pack, k, v, model.margin)
         for y in range(y0, y1 + 1):
             for x in range(x0, x1 + 1):
-                if model.terrain_side[design, y * model.terrain[design][0] + x] != 0:
+                if model.terrain_side[frame, y * model.terrain[frame][0] + x] != 0:
                     return 1
         return 0
 
     @kit.func
-    def bound(model, data, design, pack, k, v):
+    def bound(model, data, mesh, pack, k, v):
         """Bounds of the surface cells in reach, inside out where there are none."""
-        x0, x1, y0, y1 = span(model, data, design, pack, k, v, model.margin)
+        x0, x1, y0, y1 = span(model, data, mesh, pack, k, v, model.margin)
+        frame = model.frame[mesh]
         left, bottom = wp.float64(FARTHEST), wp.float64(FARTHEST)
         right, top = -left, -bottom
         for y in range(y0, y1 + 1):
             for x in range(x0, x1 + 1):
-                cell = y * model.terrain[design][0] + x
-                if model.terrain_side[design, cell] != 0:
-                    left = wp.min(left, model.terrain_box[design, cell, 0])
-                    right = wp.max(right, model.terrain_box[design, cell, 1])
-                    bottom = wp.min(bottom, model.terrain_box[design, cell, 2])
-                    top = wp.max(top, model.terrain_box[design, cell, 3])
+                cell = y * model.terrain[frame][0] + x
+                if model.terrain_side[frame, cell] != 0:
+                    left = wp.min(left, model.terrain_box[frame, cell, 0])
+                    right = wp.max(right, model.terrain_box[frame, cell, 1])
+                    bottom = wp.min(bottom, model.terrain_box[frame, cell, 2])
+                    top = wp.max(top, model.terrain_box[frame, cell, 3])
         data.near_box[pack, 4 * v, k] = left
         data.near_box[pack, 4 * v + 1, k] = right
         data.near_box[pack, 4 * v + 2, k] = bottom
         data.near_box[pack, 4 * v + 3, k] = top
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
+    def stage(model, data, mesh, pack, lane, unit, dt):
         n = int(0)
-        for m in range(model.mobiles[design]):
-            v = model.mobile[design, m]
+        for m in range(model.mobiles[mesh]):
+            v = model.mobile[mesh, m]
             found = int(0)
             k = int(lane)
             while found == 0 and k < lane + int(width):
-                found = touches(model, data, design, pack, k, v)
+                found = touches(model, data, mesh, pack, k, v)
                 k += 1
             if found == 1:
                 data.near[unit, n] = v
                 n += 1
                 for e in range(lane, lane + int(width)):
-                    bound(model, data, design, pack, e, v)
+                    bound(model, data, mesh, pack, e, v)
         data.near_count[unit] = n
 
     return stage
@@ -330,16 +338,16 @@ def collect_pairs(kit: Kit):
     by_grid, by_all, by_lattice, listed = (build(kit) for build in (mark_grid, mark_all, mark_still, list_pairs))
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
-        if model.mobiles[design] < model.voxels[design]:
-            for v in range(model.voxels[design]):
-                enclose(model, data, design, pack, lane, v)
-        if model.mobiles[design] >= grid_from:
-            by_grid(model, data, design, pack, lane, unit, dt)
+    def stage(model, data, mesh, pack, lane, unit, dt):
+        if model.mobiles[mesh] < model.voxels[mesh]:
+            for v in range(model.voxels[mesh]):
+                enclose(model, data, mesh, pack, lane, v)
+        if model.mobiles[mesh] >= grid_from:
+            by_grid(model, data, mesh, pack, lane, unit, dt)
         else:
-            by_all(model, data, design, pack, lane, unit, dt)
-        by_lattice(model, data, design, pack, lane, unit, dt)
-        listed(model, data, design, pack, lane, unit, dt)
+            by_all(model, data, mesh, pack, lane, unit, dt)
+        by_lattice(model, data, mesh, pack, lane, unit, dt)
+        listed(model, data, mesh, pack, lane, unit, dt)
 
     return stage
 
@@ -350,11 +358,11 @@ def collect(kit: Kit):
     pairs, near = collect_pairs(kit), collect_near(kit)
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
+    def stage(model, data, mesh, pack, lane, unit, dt):
         if data.drift[unit] + data.drift[unit] >= model.margin:
             data.overflow[unit] = 0
-            pairs(model, data, design, pack, lane, unit, dt)
-            near(model, data, design, pack, lane, unit, dt)
+            pairs(model, data, mesh, pack, lane, unit, dt)
+            near(model, data, mesh, pack, lane, unit, dt)
             data.drift[unit] = wp.float64(0.0)
 
     return stage

@@ -6,10 +6,11 @@ Vector code finds the few lanes where a corner is in a voxel; the rest is scalar
 """
 
 import functools
+from types import SimpleNamespace
 
 import warp as wp
 
-from warpvox.kernels.broadphase import DISTANT, lattice_range
+from warpvox.kernels.broadphase import lattice_range
 from warpvox.kernels.kit import Kit, builder
 from warpvox.kernels.lanes import text
 
@@ -153,7 +154,7 @@ def apply(kit: Kit):
 
     @kit.func
     def act(
-        model, data, design, pack, k, i, j, c, p, ends: wp.vec2i, normal: wp.vec3d, times: real
+        model, data, mesh, pack, k, i, j, c, p, ends: wp.vec2i, normal: wp.vec3d, times: real
     ):  # fmt: skip
         forces(model.contact, data.true_vel, data.contact, pack, k, p, ends[0], ends[1], normal, times)
 
@@ -169,7 +170,7 @@ def corner_contact(kit: Kit, act):
 
     @kit.func
     def meet(
-        model, data, design, pack, k, i, m: quad, m_sides, p, c, j, r: quad, r_sides, r_points: wp.vec4i, times: real,
+        model, data, mesh, pack, k, i, m: quad, m_sides, p, c, j, r: quad, r_sides, r_points: wp.vec4i, times: real,
     ):  # fmt: skip
         side, depth = nearest_side(m, m_sides, c, r, r_sides)
         if side >= 0:
@@ -177,7 +178,7 @@ def corner_contact(kit: Kit, act):
             ux, uy = r[2 * f] - r[2 * side], r[2 * f + 1] - r[2 * side + 1]
             length = wp.sqrt(ux * ux + uy * uy)
             ends, normal = wp.vec2i(r_points[side], r_points[f]), wp.vec3d(-uy / length, ux / length, depth)
-            act(model, data, design, pack, k, i, j, c, p, ends, normal, times)
+            act(model, data, mesh, pack, k, i, j, c, p, ends, normal, times)
 
     return meet
 
@@ -192,62 +193,109 @@ def voxel_quad(kit: Kit):
     return of
 
 
+@builder
+def lane_views(kit: Kit):
+    """Functions: what one lane makes of the tables that the lanes of a pack have in common."""
+
+    @kit.func
+    def sides(model, mesh, v, k):
+        """Bits of the surface sides of a voxel in lane k."""
+        lanes = model.side_lanes[mesh, v]
+        low = ((lanes[0] >> k) & 1) | (((lanes[1] >> k) & 1) << 1)
+        return low | (((lanes[2] >> k) & 1) << 2) | (((lanes[3] >> k) & 1) << 3)
+
+    @kit.func
+    def leader(model, mesh, p, k):
+        """The point that stands for point p (-1: none) in lane k."""
+        found = int(p)
+        if p >= 0:
+            twins = model.twin_range[mesh, p]
+            for e in range(twins[0], twins[1]):
+                if model.twin[mesh, e][0] == p and ((model.twin_lanes[mesh, e] >> k) & 1) == 1:
+                    found = model.twin[mesh, e][1]
+        return found
+
+    @kit.func
+    def leaders(model, mesh, p: wp.vec4i, k):
+        """The same for the corners of a voxel."""
+        if model.twins[mesh] == 0:
+            return p
+        return wp.vec4i(
+            leader(model, mesh, p[0], k), leader(model, mesh, p[1], k),
+            leader(model, mesh, p[2], k), leader(model, mesh, p[3], k),
+        )  # fmt: skip
+
+    return SimpleNamespace(sides=sides, leader=leader, leaders=leaders)
+
+
 @functools.cache
 def voxel_contacts(kit: Kit, act):
     """Function: contacts of the candidate pairs."""
 
-    meet, quad_of = corner_contact(kit, act), voxel_quad(kit)
-    load, at_most = kit.wide.load, kit.wide.at_most
+    meet, quad_of, views = corner_contact(kit, act), voxel_quad(kit), lane_views(kit)
+    sides, leader, leaders = views.sides, views.leader, views.leaders
 
     @kit.func_native("native/inside.h", "native/triangles.h", precision="float64")
-    def inside(data, pack, lane, p, r: wp.vec4i) -> int:
-        """The lanes in which a point is in a voxel, boundary included."""
+    def inside(data, pack, lane, p, j, r: wp.vec4i) -> int:
+        """The lanes in which a point is in voxel j, boundary included."""
         ...
 
     @kit.func
-    def in_box(data, pack, lane, p, r):
-        """The lanes in which point p is in the box of voxel r."""
-        x, y = load(data.pos, pack, 2 * p, lane), load(data.pos, pack, 2 * p + 1, lane)
-        lanes = at_most(load(data.box, pack, 4 * r, lane), x) & at_most(x, load(data.box, pack, 4 * r + 1, lane))
-        if lanes == 0:
-            return 0
-        lanes = lanes & at_most(load(data.box, pack, 4 * r + 2, lane), y)
-        return lanes & at_most(y, load(data.box, pack, 4 * r + 3, lane))
+    def shared(model, mesh, p, corners: wp.vec4i):
+        """The lanes in which point p is one of the corners of a voxel by another number."""
+        lanes = int(0)
+        twins = model.twin_range[mesh, p]
+        for e in range(twins[0], twins[1]):
+            one = model.twin[mesh, e]
+            for c in range(int(4)):
+                q = corners[c]
+                if (one[0] == p and one[1] == q) or (one[0] == q and one[1] == p):
+                    lanes = lanes | model.twin_lanes[mesh, e]
+                for f in range(twins[0], twins[1]):
+                    two = model.twin[mesh, f]
+                    if one[0] == p and two[0] == q and one[1] == two[1]:
+                        lanes = lanes | (model.twin_lanes[mesh, e] & model.twin_lanes[mesh, f])
+        return lanes
 
     @kit.func
-    def touch(model, data, design, pack, k, i, j, c, times: real):
+    def touch(model, data, mesh, pack, k, i, j, c, times: real):
         """One lane in which corner c of voxel i is in voxel j."""
-        m, r = quad_of(data, pack, k, model.corner[design, i]), quad_of(data, pack, k, model.corner[design, j])
+        m, r = quad_of(data, pack, k, model.corner[mesh, i]), quad_of(data, pack, k, model.corner[mesh, j])
         meet(
-            model, data, design, pack, k, i, m, model.side[design, i], model.pushed[design, i][c], c, j, r,
-            model.side[design, j], model.pushed[design, j], times,
+            model, data, mesh, pack, k, i, m, sides(model, mesh, i, k),
+            leader(model, mesh, model.pushed[mesh, i][c], k), c, j, r, sides(model, mesh, j, k),
+            leaders(model, mesh, model.pushed[mesh, j], k), times,
         )  # fmt: skip
 
     @kit.func
-    def one_way(model, data, design, pack, lane, i, j, corners, times: real, active):
+    def one_way(model, data, mesh, pack, lane, i, j, corners, times: real, active):
         """Corners of voxel i in voxel j."""
         four = int(4)
+        lanes_of = model.side_lanes[mesh, i]
+        there = active & ((lanes_of[0] | lanes_of[1] | lanes_of[2] | lanes_of[3]) >> lane)
         for c in range(four):
             if ((corners >> c) & 1) == 1:
-                p = model.corner[design, i][c]
-                lanes = active & in_box(data, pack, lane, p, j)
+                p = model.corner[mesh, i][c]
+                lanes = int(there)
+                if ((corners >> (8 + c)) & 1) == 1:
+                    lanes = lanes & ~(shared(model, mesh, p, model.corner[mesh, j]) >> lane)
                 if lanes != 0:
-                    lanes = lanes & inside(data, pack, lane, p, model.corner[design, j])
+                    lanes = lanes & inside(data, pack, lane, p, j, model.corner[mesh, j])
                 while lanes != 0:
-                    touch(model, data, design, pack, lane + kit.first(lanes), i, j, c, times)
+                    touch(model, data, mesh, pack, lane + kit.first(lanes), i, j, c, times)
                     lanes = kit.drop(lanes)
 
     @kit.func
-    def all_pairs(model, data, design, pack, lane, unit, active):
+    def all_pairs(model, data, mesh, pack, lane, unit, active):
         for n in range(data.pair_count[unit]):
             pair = data.pairs[unit, n]
             i, j = pair[0], pair[1]
             # Inside one object each pair is met twice.
-            times = wp.where(model.body[design, i] == model.body[design, j], real(2.0), real(1.0))
-            corners = pair[2] & (DISTANT - 1)
+            times = wp.where(model.body[mesh, i] == model.body[mesh, j], real(2.0), real(1.0))
+            corners = int(pair[2])
             ways = int(2)
             for way in range(ways):
-                one_way(model, data, design, pack, lane, i, j, corners, times, active)
+                one_way(model, data, mesh, pack, lane, i, j, corners, times, active)
                 i, j, corners = pair[1], pair[0], pair[3]
 
     return all_pairs
@@ -264,48 +312,49 @@ def terrain_contacts(kit: Kit, act):
     """Function: contacts of the near voxels with the cells of the terrain lattice."""
     meet, quad_of, span = corner_contact(kit, act), voxel_quad(kit), lattice_range(kit)
     load, at_most = kit.wide.load, kit.wide.at_most
+    sides, leaders = lane_views(kit).sides, lane_views(kit).leaders
 
     @kit.func
-    def cell_quad(model, design, cell):
+    def cell_quad(model, frame, cell):
         """A cell of the terrain as a quad."""
-        x0, x1 = model.terrain_box[design, cell, 0], model.terrain_box[design, cell, 1]
-        y0, y1 = model.terrain_box[design, cell, 2], model.terrain_box[design, cell, 3]
+        x0, x1 = model.terrain_box[frame, cell, 0], model.terrain_box[frame, cell, 1]
+        y0, y1 = model.terrain_box[frame, cell, 2], model.terrain_box[frame, cell, 3]
         return quad(x0, y1, x1, y1, x1, y0, x0, y0)
 
     @kit.func
-    def with_cell(model, data, design, pack, k, v, m: quad, mc: wp.vec4i, cell, r: quad):
+    def with_cell(model, data, mesh, pack, k, v, m: quad, mc: wp.vec4i, cell, r: quad):
         """Corners of the voxel in the cell and of the cell in the voxel; each behind a test of boxes."""
         none = wp.vec4i(-1, -1, -1, -1)
         x0, x1 = wp.min(wp.min(m[0], m[2]), wp.min(m[4], m[6])), wp.max(wp.max(m[0], m[2]), wp.max(m[4], m[6]))
         y0, y1 = wp.min(wp.min(m[1], m[3]), wp.min(m[5], m[7])), wp.max(wp.max(m[1], m[3]), wp.max(m[5], m[7]))
         if x1 < r[0] or r[2] < x0 or y1 < r[5] or r[1] < y0:
             return
-        m_sides, r_sides, one = model.side[design, v], model.terrain_side[design, cell], real(1.0)
+        m_sides, r_sides, one = sides(model, mesh, v, k), model.terrain_side[model.frame[mesh], cell], real(1.0)
         four = int(4)
         for c in range(four):
             x, y = m[2 * c], m[2 * c + 1]
             if holds(r[0], r[2], r[5], r[1], x, y) and inside_quad(x, y, r):
-                meet(model, data, design, pack, k, v, m, m_sides, mc[c], c, -1 - cell, r, r_sides, none, one)
+                meet(model, data, mesh, pack, k, v, m, m_sides, mc[c], c, -1 - cell, r, r_sides, none, one)
         for c in range(four):
             x, y = r[2 * c], r[2 * c + 1]
             if holds(x0, x1, y0, y1, x, y) and inside_quad(x, y, m):
-                meet(model, data, design, pack, k, -1 - cell, r, r_sides, -1, c, v, m, m_sides, mc, one)
+                meet(model, data, mesh, pack, k, -1 - cell, r, r_sides, -1, c, v, m, m_sides, mc, one)
 
     @kit.func
-    def with_terrain(model, data, design, pack, k, v):
+    def with_terrain(model, data, mesh, pack, k, v):
         """Contacts of one voxel in one lane."""
-        cx0, cx1, cy0, cy1 = span(model, data, design, pack, k, v, real(0.0))
-        loaded = int(0)
-        mc = model.corner[design, v]
+        cx0, cx1, cy0, cy1 = span(model, data, mesh, pack, k, v, real(0.0))
+        loaded, frame = int(0), model.frame[mesh]
+        mc = leaders(model, mesh, model.corner[mesh, v], k)
         m = quad()
         for cy in range(cy0, cy1 + 1):
             for cx in range(cx0, cx1 + 1):
-                cell = cy * model.terrain[design][0] + cx
-                if model.terrain_side[design, cell] != 0:
+                cell = cy * model.terrain[frame][0] + cx
+                if model.terrain_side[frame, cell] != 0:
                     if loaded == 0:
                         m = quad_of(data, pack, k, mc)
                         loaded = 1
-                    with_cell(model, data, design, pack, k, v, m, mc, cell, cell_quad(model, design, cell))
+                    with_cell(model, data, mesh, pack, k, v, m, mc, cell, cell_quad(model, frame, cell))
 
     @kit.func
     def meets(data, pack, lane, v, axis):
@@ -317,14 +366,14 @@ def terrain_contacts(kit: Kit, act):
         return lanes
 
     @kit.func
-    def all_near(model, data, design, pack, lane, unit, active):
+    def all_near(model, data, mesh, pack, lane, unit, active):
         for n in range(data.near_count[unit]):
             v = data.near[unit, n]
             lanes = active & meets(data, pack, lane, v, 2)
             if lanes != 0:
                 lanes = lanes & meets(data, pack, lane, v, 0)
             while lanes != 0:
-                with_terrain(model, data, design, pack, lane + kit.first(lanes), v)
+                with_terrain(model, data, mesh, pack, lane + kit.first(lanes), v)
                 lanes = kit.drop(lanes)
 
     return all_near
@@ -346,12 +395,12 @@ def find(kit: Kit, act):
         return mask
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
-        for n in range(2 * model.actives[design]):
-            kit.store(data.contact, pack, model.active[design, n], lane, kit.splat(kit.real(0.0)))
+    def stage(model, data, mesh, pack, lane, unit, dt):
+        for n in range(2 * model.actives[mesh]):
+            kit.store(data.contact, pack, model.active[mesh, n], lane, kit.splat(kit.real(0.0)))
         active = active_lanes(data, pack, lane)
-        with_voxels(model, data, design, pack, lane, unit, active)
-        with_terrain(model, data, design, pack, lane, unit, active)
+        with_voxels(model, data, mesh, pack, lane, unit, active)
+        with_terrain(model, data, mesh, pack, lane, unit, active)
 
     return stage
 

@@ -24,29 +24,29 @@ def check(kit: Kit):
                 data.folds[pack, robot, k] = 0
 
     @kit.func
-    def judge(model, data, design, pack, lane):
+    def judge(model, data, mesh, pack, lane):
         """Compare the counts with their limits."""
-        for robot in range(model.robots[design]):
+        for robot in range(model.robots[mesh]):
             for k in range(lane, lane + int(width)):
-                if data.folds[pack, robot, k] > model.fold_limit[design, robot]:
+                if data.folds[pack, robot, k] > model.fold_limit[mesh, robot, k]:
                     data.status[pack, k] = data.status[pack, k] | UNSTABLE
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
+    def stage(model, data, mesh, pack, lane, unit, dt):
         found = int(0)
         for n in range(data.pair_count[unit]):
             pair = data.pairs[unit, n]
             if (pair[2] & DISTANT) != 0:
                 lanes = overlap(data, pack, lane, pair[0], pair[1], wp.float64(0.0))
                 if lanes != 0 and found == 0:
-                    clear(data, pack, lane, model.robots[design])
+                    clear(data, pack, lane, model.robots[mesh])
                     found = 1
                 while lanes != 0:
                     k = lane + kit.first(lanes)
-                    robot = model.robot[design, pair[0]]
+                    robot = model.robot[mesh, pair[0]]
                     data.folds[pack, robot, k] = data.folds[pack, robot, k] + 2
                     lanes = kit.drop(lanes)
         if found == 1:
-            judge(model, data, design, pack, lane)
+            judge(model, data, mesh, pack, lane)
 
     return stage

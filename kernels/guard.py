@@ -25,10 +25,10 @@ def diverged(kit: Kit):
     width, full = kit.width, kit.full
 
     @kit.func
-    def mark(model, data, design, pack, lane):
+    def mark(model, data, mesh, pack, lane):
         sound = int(full)
         far, fast = kit.wide.splat(wp.float64(FARTHEST)), kit.wide.splat(wp.float64(FASTEST))
-        for r in range(2 * model.points[design]):
+        for r in range(2 * model.points[mesh]):
             sound = sound & kit.wide.within(kit.wide.load(data.pos, pack, r, lane), far)
             sound = sound & kit.wide.within(kit.wide.load(data.vel, pack, r, lane), fast)
             sound = sound & kit.wide.within(kit.wide.load(data.true_vel, pack, r, lane), fast)
@@ -46,9 +46,9 @@ def restore(kit: Kit):
     """Function: one lane goes back to the start of the control step."""
 
     @kit.func
-    def back(model, data, design, pack, k):
-        for n in range(2 * model.actives[design]):
-            r = model.active[design, n]
+    def back(model, data, mesh, pack, k):
+        for n in range(2 * model.actives[mesh]):
+            r = model.active[mesh, n]
             data.pos[pack, r, k] = data.saved_pos[pack, r, k]
             data.vel[pack, r, k] = data.saved_vel[pack, r, k]
             data.true_vel[pack, r, k] = data.saved_true_vel[pack, r, k]

@@ -13,11 +13,11 @@ def runge_kutta(kit: Kit):
     """Stage: displacement and new velocity of every free point after dt."""
 
     @kit.func_native("native/integrate.h")
-    def substep(model, data, design, pack, lane, dt): ...
+    def substep(model, data, mesh, pack, lane, dt): ...
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
-        substep(model, data, design, pack, lane, dt)
+    def stage(model, data, mesh, pack, lane, unit, dt):
+        substep(model, data, mesh, pack, lane, dt)
 
     return stage
 
@@ -27,10 +27,10 @@ def advance(kit: Kit):
     """Stage: positions move; true velocity and drift follow."""
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
+    def stage(model, data, mesh, pack, lane, unit, dt):
         path = kit.wide.splat(wp.float64(0.0))
-        for n in range(2 * model.actives[design]):
-            r = model.active[design, n]
+        for n in range(2 * model.actives[mesh]):
+            r = model.active[mesh, n]
             move = kit.wide.load(data.move, pack, r, lane)
             kit.wide.store(data.pos, pack, r, lane, kit.wide.load(data.pos, pack, r, lane) + move)
             kit.wide.store(data.true_vel, pack, r, lane, move * (wp.float64(1.0) / dt))

@@ -1,6 +1,6 @@
 """How stages run: alone, a kernel each (tests, per-stage times), or fused into a control step (``step.py``).
 
-A stage is a Warp function ``(model, data, design, pack, lane, unit, dt)`` that serves the ``width`` environments
+A stage is a Warp function ``(model, data, mesh, pack, lane, unit, dt)`` that serves the ``width`` environments
 at ``lane`` of a pack. A *unit* is the thread that does so.
 """
 
@@ -23,13 +23,13 @@ def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
     @wp.kernel(enable_backward=False, module="unique", module_options=EXACT)
     def kernel(model: kit.Model, data: kit.Data, units: int, dt: wp.float64):
         pack, part = wp.tid()
-        stage(model, data, model.pack_design[pack], pack, part * width, pack * units + part, dt)
+        stage(model, data, model.pack_mesh[pack], pack, part * width, pack * units + part, dt)
 
     return kernel
 
 
 def launch_stage(build, state) -> None:
-    """Run one stage for every environment of a :class:`warpvox.layout.State`."""
+    """Run one stage for every environment of a :class:`warpvox.packs.State`."""
     kernel = stage_kernel(build, state.precision, state.width)
     wp.launch(
         kernel,

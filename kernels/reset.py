@@ -16,21 +16,21 @@ def save(kit: Kit):
     mark = diverged(kit)
 
     @kit.func
-    def go_home(model, data, design, pack, k):
-        for r in range(2 * model.points[design]):
-            data.pos[pack, r, k] = model.home[design, r]
+    def go_home(model, data, mesh, pack, k):
+        for r in range(2 * model.points[mesh]):
+            data.pos[pack, r, k] = model.home[mesh, r, k]
             data.vel[pack, r, k] = wp.float64(0.0)
             data.true_vel[pack, r, k] = wp.float64(0.0)
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
-        if mark(model, data, design, pack, lane) != int(full):
+    def stage(model, data, mesh, pack, lane, unit, dt):
+        if mark(model, data, mesh, pack, lane) != int(full):
             for k in range(lane, lane + int(width)):
                 if (data.status[pack, k] & DIVERGED) != 0:
-                    go_home(model, data, design, pack, k)
+                    go_home(model, data, mesh, pack, k)
                     data.drift[unit] = wp.float64(STALE)
-        for n in range(2 * model.actives[design]):
-            r = model.active[design, n]
+        for n in range(2 * model.actives[mesh]):
+            r = model.active[mesh, n]
             kit.wide.store(data.saved_pos, pack, r, lane, kit.wide.load(data.pos, pack, r, lane))
             kit.wide.store(data.saved_vel, pack, r, lane, kit.wide.load(data.vel, pack, r, lane))
             kit.wide.store(data.saved_true_vel, pack, r, lane, kit.wide.load(data.true_vel, pack, r, lane))
@@ -45,15 +45,15 @@ def settle(kit: Kit):
     mark, undo = diverged(kit), restore(kit)
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
-        mark(model, data, design, pack, lane)
+    def stage(model, data, mesh, pack, lane, unit, dt):
+        mark(model, data, mesh, pack, lane)
         for e in range(lane, lane + int(width)):
             if data.overflow[unit] == 1:
                 data.status[pack, e] = data.status[pack, e] | OVERFLOW
             if data.frozen[pack, e] == 1:
                 data.status[pack, e] = 0
             if data.frozen[pack, e] == 1 or (data.status[pack, e] & (UNSTABLE | DIVERGED)) != 0:
-                undo(model, data, design, pack, e)
+                undo(model, data, mesh, pack, e)
                 data.drift[unit] = wp.float64(STALE)
             else:
                 data.time[pack, e] = data.time[pack, e] + 1
@@ -74,10 +74,10 @@ def reset_kernel(kit: Kit):
         if not mask[env]:
             return
         pack, k = env_pack[env], env_lane[env]
-        design = model.pack_design[pack]
+        mesh = model.pack_mesh[pack]
         zero = wp.float64(0.0)
-        for r in range(2 * model.points[design]):
-            data.pos[pack, r, k] = model.home[design, r]
+        for r in range(2 * model.points[mesh]):
+            data.pos[pack, r, k] = model.home[mesh, r, k]
             data.vel[pack, r, k] = zero
             data.true_vel[pack, r, k] = zero
         data.time[pack, k] = 0
@@ -96,3 +96,29 @@ def launch(state, mask):
         [state.model, state.data, state.units, state.width, state.env_pack, state.env_lane, mask],
         device=state.device,
     )
+
+
+@builder
+def follow_kernel(kit: Kit) -> wp.Kernel:
+    """Kernel over (packs, lanes): twins take over the state of their leaders."""
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def follow(model: kit.Model, data: kit.Data):
+        pack, k = wp.tid()
+        mesh = model.pack_mesh[pack]
+        for e in range(model.twins[mesh]):
+            if ((model.twin_lanes[mesh, e] >> k) & 1) == 1:
+                pair = model.twin[mesh, e]
+                for axis in range(int(2)):
+                    r, leader = 2 * pair[0] + axis, 2 * pair[1] + axis
+                    data.pos[pack, r, k] = data.pos[pack, leader, k]
+                    data.vel[pack, r, k] = data.vel[pack, leader, k]
+                    data.true_vel[pack, r, k] = data.true_vel[pack, leader, k]
+
+    return follow
+
+
+def launch_follow(state):
+    """Complete a state that was written for leaders only."""
+    inputs = [state.model, state.data]
+    wp.launch(follow_kernel(state.precision), (state.packs, state.lanes), inputs, device=state.device)

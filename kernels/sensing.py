@@ -16,22 +16,37 @@ kernel = wp.kernel(enable_backward=False, module="unique")
 
 @wp.struct
 class Batch:
-    """What all sensing kernels read; fields as in :mod:`warpvox.kernels.state` and :class:`warpvox.layout.State`."""
+    """What all sensing kernels read; fields as in :mod:`warpvox.kernels.state` and :class:`warpvox.packs.State`."""
 
     pos: wp.array3d(dtype=wp.float64)
     vel: wp.array3d(dtype=wp.float64)
-    home: wp.array2d(dtype=wp.float64)
-    pack_design: wp.array(dtype=int)
+    home: wp.array3d(dtype=wp.float64)
+    order: wp.array3d(dtype=int)
+    object_range: wp.array3d(dtype=wp.vec2i)
+    frame: wp.array(dtype=int)
+    pack_mesh: wp.array(dtype=int)
     env_pack: wp.array(dtype=int)
     env_lane: wp.array(dtype=int)
-    ranges: wp.array2d(dtype=wp.vec2i)  # first point of an object of a design, and one past the last
+
+
+@wp.func
+def span_of(batch: Batch, pack: int, o: int, k: int):
+    """Where the points of an object lie in the order of observations: from, to."""
+    return batch.object_range[batch.pack_mesh[pack], o, k]
+
+
+@wp.func
+def row(batch: Batch, pack: int, i: int, k: int):
+    """The row of the i-th point in the order of observations."""
+    return batch.order[batch.pack_mesh[pack], i, k]
 
 
 @wp.func
 def centre(batch: Batch, pack: int, k: int, begin: int, end: int):
     """Centre of mass of the points of an object."""
     x, y = wp.float64(0.0), wp.float64(0.0)
-    for p in range(begin, end):
+    for i in range(begin, end):
+        p = row(batch, pack, i, k)
         x += batch.pos[pack, 2 * p, k]
         y += batch.pos[pack, 2 * p + 1, k]
     n = wp.float64(end - begin)
@@ -43,12 +58,13 @@ def centres(batch: Batch, com: wp.array2d(dtype=wp.vec2d), velocity: wp.array2d(
     """Centre of mass and its velocity of every object [environment, object]."""
     env, o = wp.tid()
     pack, k = batch.env_pack[env], batch.env_lane[env]
-    span = batch.ranges[batch.pack_design[pack], o]
+    span = span_of(batch, pack, o, k)
     if span[1] <= span[0]:
         return
     x, y = centre(batch, pack, k, span[0], span[1])
     vx, vy = wp.float64(0.0), wp.float64(0.0)
-    for p in range(span[0], span[1]):
+    for i in range(span[0], span[1]):
+        p = row(batch, pack, i, k)
         vx += batch.vel[pack, 2 * p, k]
         vy += batch.vel[pack, 2 * p + 1, k]
     n = wp.float64(span[1] - span[0])
@@ -57,15 +73,17 @@ def centres(batch: Batch, com: wp.array2d(dtype=wp.vec2d), velocity: wp.array2d(
 
 
 @wp.func
-def place(batch: Batch, pack: int, p: int, k: int):
-    """Position of a point."""
+def place(batch: Batch, pack: int, i: int, k: int):
+    """Position of the i-th point."""
+    p = row(batch, pack, i, k)
     return wp.vec2d(batch.pos[pack, 2 * p, k], batch.pos[pack, 2 * p + 1, k])
 
 
 @wp.func
-def rest(batch: Batch, design: int, p: int):
-    """Position of a point at time 0."""
-    return wp.vec2d(batch.home[design, 2 * p], batch.home[design, 2 * p + 1])
+def rest(batch: Batch, pack: int, i: int, k: int):
+    """Position of the i-th point at time 0."""
+    p, mesh = row(batch, pack, i, k), batch.pack_mesh[pack]
+    return wp.vec2d(batch.home[mesh, 2 * p, k], batch.home[mesh, 2 * p + 1, k])
 
 
 @wp.func
@@ -87,36 +105,32 @@ def orientations(batch: Batch, o: int, out: wp.array(dtype=wp.float64)):
     """Orientation of one object [environment], counter-clockwise in [0, 2 pi)."""
     env = wp.tid()
     pack, k = batch.env_pack[env], batch.env_lane[env]
-    design = batch.pack_design[pack]
-    begin, end = batch.ranges[design, o][0], batch.ranges[design, o][1]
+    span = span_of(batch, pack, o, k)
+    begin, end = span[0], span[1]
     if end <= begin:
         return
     # The released simulator sums the first point, then four at a time in two pairs, then the rest. At time 0, where
     # rounding decides what the guard does, only this order gives its value.
-    now, home = place(batch, pack, begin, k), rest(batch, design, begin)
+    now, home = place(batch, pack, begin, k), rest(batch, pack, begin, k)
     q = begin + 1
     while q + 3 < end:
         now += (place(batch, pack, q, k) + place(batch, pack, q + 1, k)) + (
             place(batch, pack, q + 2, k) + place(batch, pack, q + 3, k)
         )
-        home += (rest(batch, design, q) + rest(batch, design, q + 1)) + (
-            rest(batch, design, q + 2) + rest(batch, design, q + 3)
+        home += (rest(batch, pack, q, k) + rest(batch, pack, q + 1, k)) + (
+            rest(batch, pack, q + 2, k) + rest(batch, pack, q + 3, k)
         )
         q += 4
     while q < end:
         now += place(batch, pack, q, k)
-        home += rest(batch, design, q)
+        home += rest(batch, pack, q, k)
         q += 1
     n = wp.float64(end - begin)
     x, y, hx, hy = now[0] / n, now[1] / n, home[0] / n, home[1] / n
     angle, weight, crosses = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
-    for p in range(begin, end):
-        a, c, w = turn(
-            batch.pos[pack, 2 * p, k] - x,
-            batch.pos[pack, 2 * p + 1, k] - y,
-            batch.home[design, 2 * p] - hx,
-            batch.home[design, 2 * p + 1] - hy,
-        )
+    for i in range(begin, end):
+        point, origin = place(batch, pack, i, k), rest(batch, pack, i, k)
+        a, c, w = turn(point[0] - x, point[1] - y, origin[0] - hx, origin[1] - hy)
         angle += a * w
         weight += w
         crosses += c
@@ -131,12 +145,12 @@ def points(batch: Batch, o: int, what: int, out: wp.array3d(dtype=wp.float64)):
     """Positions (what 0), velocities (1) or positions about the centre of mass (2): [environment, point, axis]."""
     env = wp.tid()
     pack, k = batch.env_pack[env], batch.env_lane[env]
-    span = batch.ranges[batch.pack_design[pack], o]
+    span = span_of(batch, pack, o, k)
     x, y = wp.float64(0.0), wp.float64(0.0)
     if what == 2:
         x, y = centre(batch, pack, k, span[0], span[1])
-    for p in range(span[0], span[1]):
-        n = p - span[0]
+    for i in range(span[0], span[1]):
+        n, p = i - span[0], row(batch, pack, i, k)
         if what == 1:
             out[env, n, 0] = batch.vel[pack, 2 * p, k]
             out[env, n, 1] = batch.vel[pack, 2 * p + 1, k]
@@ -162,7 +176,7 @@ def extents(batch: Batch, o: int, out: wp.array(dtype=wp.vec2d)):
     """Width and height of the bounding box of one object [environment]."""
     env = wp.tid()
     pack, k = batch.env_pack[env], batch.env_lane[env]
-    span = batch.ranges[batch.pack_design[pack], o]
+    span = span_of(batch, pack, o, k)
     if span[1] <= span[0]:
         return
     low = place(batch, pack, span[0], k)
@@ -182,7 +196,7 @@ def hulls(batch: Batch, o: int, out: wp.array(dtype=wp.float64)):
     """
     env = wp.tid()
     pack, k = batch.env_pack[env], batch.env_lane[env]
-    span = batch.ranges[batch.pack_design[pack], o]
+    span = span_of(batch, pack, o, k)
     if span[1] <= span[0]:
         return
     low = place(batch, pack, span[0], k)
@@ -232,20 +246,20 @@ def edge(window: int, reach: int, side: int):
 @kernel
 def scans(
     batch: Batch, o: int, reach: int, sight: wp.float64, up: int,
-    column: wp.array2d(dtype=int), still: wp.array2d(dtype=wp.vec2d), moving: wp.array2d(dtype=int),
+    column: wp.array2d(dtype=int), still: wp.array2d(dtype=wp.vec2d), moving: wp.array(dtype=int),
     out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
     """Distance to the nearest listed point in centred windows one voxel wide: [environment, window].
 
     ``still`` are static points in voxels sorted by lattice column, ``column`` where each column starts;
-    ``moving`` lists points of bodies (ends with -1). In voxels until the last line, as released.
+    ``moving`` lists objects that can move (-1: none). In voxels until the last line, as released.
     """
     env = wp.tid()
     pack, k = batch.env_pack[env], batch.env_lane[env]
-    design = batch.pack_design[pack]
-    span = batch.ranges[design, o]
+    frame, span = batch.frame[batch.pack_mesh[pack]], span_of(batch, pack, o, k)
     x, y = wp.float64(0.0), wp.float64(0.0)
-    for p in range(span[0], span[1]):
+    for i in range(span[0], span[1]):
+        p = row(batch, pack, i, k)
         x += batch.pos[pack, 2 * p, k] / VOXEL
         y += batch.pos[pack, 2 * p + 1, k] / VOXEL
     n = wp.float64(span[1] - span[0])
@@ -257,13 +271,16 @@ def scans(
         if left < wp.float64(last + 1) and right > wp.float64(-1.0):
             begin = wp.clamp(int(wp.floor(left)), 0, last)
             stop = wp.clamp(int(wp.floor(right)) + 1, 0, last)
-            for i in range(column[design, begin], column[design, stop + 1]):
-                if still[design, i][0] > left and still[design, i][0] < right:
-                    best = seen(still[design, i][1], y, best, up)
+            for i in range(column[frame, begin], column[frame, stop + 1]):
+                if still[frame, i][0] > left and still[frame, i][0] < right:
+                    best = seen(still[frame, i][1], y, best, up)
         out[env, window] = best
-    for i in range(moving.shape[1]):
-        p = moving[design, i]
-        if p >= 0:
+    for m in range(moving.shape[0]):
+        listed = wp.vec2i(0, 0)
+        if moving[m] >= 0:
+            listed = span_of(batch, pack, moving[m], k)
+        for i in range(listed[0], listed[1]):
+            p = row(batch, pack, i, k)
             px = batch.pos[pack, 2 * p, k] / VOXEL
             if wp.abs(px - x) < wp.float64(reach + 1):
                 # Rounding may put it into a neighbour of the window that its distance says.
@@ -281,8 +298,8 @@ KERNELS = {k.func.__name__: k for k in (centres, orientations, points, extents, 
 def record(state, name: str, dim, *inputs) -> wp.Launch:
     """A command that runs one sensing kernel; ``inputs`` follow the batch, which all of them take."""
     batch = Batch()
-    for field in ("pos", "vel", "home", "pack_design"):
+    for field in ("pos", "vel", "home", "order", "object_range", "frame", "pack_mesh"):
         setattr(batch, field, state.arrays[field])
-    for field in ("env_pack", "env_lane", "ranges"):
+    for field in ("env_pack", "env_lane"):
         setattr(batch, field, getattr(state, field))
     return wp.launch(KERNELS[name], dim, [batch, *inputs], device=state.device, record_cmd=True)

@@ -1,10 +1,14 @@
-"""What the kernels read and write: Model (topology, per design) and Data (state, per environment).
+"""What the kernels read and write: Model (what bodies and worlds are) and Data (state, per environment).
 
 The tables below say every array's type, shape and meaning once; structs and allocations follow from them. Shape
-symbols: ``design``; ``point, active, joint, spring, rigid, voxel, mobile, robot, cell, action`` are capacities over the
-designs of a model; ``pack, lane`` number environments (see :mod:`warpvox.kernels.lanes`); ``unit`` is one thread's
-share of a pack; ``pair, entry, slot, word`` are capacities of the broad phase. ``2*`` rows hold x and y alternately.
+symbols: a ``mesh`` is what one pack holds, or several alike; ``point, active, joint, spring, link, rigid, twin, voxel,
+mobile, robot, row, object, cell, action`` are capacities over the meshes of a model; a ``frame`` is a terrain;
+``pack, lane`` number environments (see :mod:`warpvox.kernels.lanes`); ``unit`` is one thread's share of a pack;
+``pair, entry, slot, word`` are capacities of the broad phase. ``2*`` rows hold x and y alternately.
 ``node, leaf, plot, hit`` are capacities of what keeps the released order of contacts, in exact arithmetic only.
+
+Lanes of a pack may hold different bodies. A mesh lists what some lane has; fields named ``lanes`` are masks, bit k of
+an int for lane k of the pack, -1 for all (see :mod:`warpvox.grid_mesh`, also for twins). Not in exact arithmetic.
 
 The arithmetic is ``fast`` or ``exact``; exact repeats every sum and product of the released simulator in its order, in
 float64. Three fields mean something else there, because it works on positions where fast works on displacements since
@@ -27,56 +31,66 @@ TOP, RIGHT, BOTTOM, LEFT = (wp.constant(1 << k) for k in range(4))
 UNSTABLE, DIVERGED, OVERFLOW = wp.constant(1), wp.constant(2), wp.constant(4)
 
 MODEL = {
-    "points": (int, "design", "points in use"),
-    "actives": (int, "design", "points that are free or hang on a spring; all others stay where they are"),
-    "active": (int, "design 2*active", "their rows, x and y, in ascending order"),
-    "springs": (int, "design", "springs in use"),
-    "rigids": (int, "design", "entries of rigid_spring in use"),
-    "voxels": (int, "design", "surface voxels in use"),
-    "robots": (int, "design", "robots"),
-    "actions": (int, "design", "actuators of all robots"),
-    "pack_design": (int, "pack", "the design of a pack's environments"),
-    "home": (STATE, "design 2*point", "position at time 0"),
-    "fixed": (int, "design point", "1: the point never moves"),
-    "spring_ends": (wp.vec2i, "design spring", "the two points"),
-    "spring_rest": (STATE, "design spring", "rest length"),
-    "spring_k": (REAL, "design spring", "stiffness"),
-    "spring_drive": (wp.vec2i, "design spring", "the one or two actions that drive its length, else -1"),
-    "link_start": (int, "design joint", "where in `link` the springs of a point begin; one entry more than points"),
-    "link": (int, "design 2*spring", "springs of the points in ascending order: s where it pulls on, -1 - s where off"),
-    "rigid_spring": (int, "design rigid", "sides of rigid voxels in the order of the second strain pass"),
+    "pack_mesh": (int, "pack", "the tables of a pack: those with the dimension ``mesh``"),
+    "frame": (int, "mesh", "its terrain"),
+    "points": (int, "mesh", "points in use"),
+    "actives": (int, "mesh", "points that are free or hang on a spring; all others stay where they are"),
+    "active": (int, "mesh 2*active", "their rows, x and y, in ascending order"),
+    "springs": (int, "mesh", "springs in use"),
+    "rigids": (int, "mesh", "entries of rigid_spring in use"),
+    "twins": (int, "mesh", "entries of twin in use"),
+    "voxels": (int, "mesh", "surface voxels in use"),
+    "robots": (int, "mesh", "robots"),
+    "home": (STATE, "mesh 2*point lane", "position at time 0"),
+    "free_lanes": (int, "mesh point", "where the point can move"),
+    "twin_range": (wp.vec2i, "mesh point", "entries of twin about the point's grid node: from, to"),
+    "twin": (wp.vec2i, "mesh twin", "a point and that whose position it shares in some lanes, its leader"),
+    "twin_lanes": (int, "mesh twin", "where it does"),
+    "spring_ends": (wp.vec2i, "mesh spring", "the two points"),
+    "spring_rest": (STATE, "mesh spring", "rest length"),
+    "spring_lanes": (int, "mesh spring", "where there is the spring"),
+    "spring_k": (REAL, "mesh spring lane", "stiffness; 0 where there is no spring"),
+    "spring_drive": (int, "mesh spring lane", "the one or two actions that drive its length, plus 1, 16 bits each"),
+    "link_start": (int, "mesh joint", "where in `link` the springs of a point begin; one entry more than points"),
+    "link": (int, "mesh link", "springs of the points in a fixed order: s where it pulls on, -1 - s where off"),
+    "link_lanes": (int, "mesh link", "where it pulls at this point; -1 also where there is no such spring"),
+    "rigid_spring": (int, "mesh rigid", "sides of rigid voxels in the order of the second strain pass"),
+    "rigid_lanes": (int, "mesh rigid", "where the voxel is rigid and has this side"),
     "corner": (
         wp.vec4i,
-        "design voxel",
+        "mesh voxel",
         "points of a surface voxel: top left, top right, bottom right, bottom left",
     ),
-    "pushed": (wp.vec4i, "design voxel", "the same, -1 where the point is not active: nothing it feels matters"),
-    "side": (int, "design voxel", "bits of its surface sides"),
-    "body": (int, "design voxel", "index of its object"),
-    "robot": (int, "design voxel", "index of its robot, or -1"),
-    "grid": (wp.vec2i, "design voxel", "column and row in its object"),
-    "still": (int, "design voxel", "1: all four corners are fixed"),
-    "mobiles": (int, "design", "entries of `mobile` in use"),
-    "mobile": (int, "design mobile", "surface voxels that are not in `still_at`, in ascending order"),
-    "still_at": (int, "design cell", "the still surface voxel in a cell of the terrain lattice, or -1"),
+    "pushed": (wp.vec4i, "mesh voxel", "the same, -1 where the point is not active: nothing it feels matters"),
+    "side_lanes": (wp.vec4i, "mesh voxel", "where its top, right, bottom and left are surface sides"),
+    "body": (int, "mesh voxel", "index of its object"),
+    "robot": (int, "mesh voxel", "index of its robot, or -1"),
+    "grid": (wp.vec2i, "mesh voxel", "column and row in its object"),
+    "still": (int, "mesh voxel", "1: all four corners are fixed"),
+    "mobiles": (int, "mesh", "entries of `mobile` in use"),
+    "mobile": (int, "mesh mobile", "surface voxels that are not in `still_at`, in ascending order"),
+    "first_other": (int, "mesh", "the surface voxel from which `still_at` counts"),
     "fold_limit": (
         int,
-        "design robot",
+        "mesh robot lane",
         "surface voxels of the robot: more folded pairs than these stop the step",
     ),
-    "objects": (int, "design", "bodies and terrain; this and the rest about trees only in exact arithmetic"),
-    "nodes": (int, "design", "nodes of the box trees of bodies; those of terrain come after them in `node`"),
+    "order": (int, "mesh row lane", "points in the order in which observations list them, object by object"),
+    "object_range": (wp.vec2i, "mesh object lane", "where the points of an object lie in `order`: from, to"),
+    "objects": (int, "mesh", "bodies and terrain; this and the rest about trees only in exact arithmetic"),
+    "nodes": (int, "mesh", "nodes of the box trees of bodies; those of terrain come after them in `node`"),
     "node": (
         wp.vec4i,
-        "design node",
+        "mesh node",
         "children and leaves before the second; of a leaf -1 - its voxel, its rank, object, root",
     ),
-    "node_area": (STATE, "design node", "area of the box of a terrain node"),
-    "leaf": (int, "design leaf", "leaf of a surface voxel"),
-    "cell_leaf": (int, "design plot", "leaf of a surface cell of the terrain"),
-    "terrain": (wp.vec2i, "design", "columns and rows of the terrain lattice"),
-    "terrain_side": (int, "design cell", "bits of the surface sides; 0: empty or buried cell"),
-    "terrain_box": (STATE, "design cell 4", "left, right, bottom, top of the cell"),
+    "node_area": (STATE, "mesh node", "area of the box of a terrain node"),
+    "leaf": (int, "mesh leaf", "leaf of a surface voxel"),
+    "cell_leaf": (int, "mesh plot", "leaf of a surface cell of the terrain"),
+    "still_at": (int, "frame cell", "the still surface voxel in a cell of the terrain lattice, or -1"),
+    "terrain": (wp.vec2i, "frame", "columns and rows of the terrain lattice"),
+    "terrain_side": (int, "frame cell", "bits of the surface sides; 0: empty or buried cell"),
+    "terrain_box": (STATE, "frame cell 4", "left, right, bottom, top of the cell"),
 }
 
 # Of these, ``weight`` is the force of gravity on a point and ``inverse_mass`` turns a force into an acceleration.

@@ -51,19 +51,19 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
         unit = pack * units + part
         if idle(data, pack, lane) == 1:
             return
-        design = model.pack_design[pack]
-        begin(model, data, design, pack, lane, unit, dt)
-        aim(model, data, design, pack, lane, unit, dt)
+        mesh = model.pack_mesh[pack]
+        begin(model, data, mesh, pack, lane, unit, dt)
+        aim(model, data, mesh, pack, lane, unit, dt)
         for _ in range(substeps):
-            bound(model, data, design, pack, lane, unit, dt)
-            gather(model, data, design, pack, lane, unit, dt)
-            touch(model, data, design, pack, lane, unit, dt)
-            pull(model, data, design, pack, lane, unit, dt)
-            move(model, data, design, pack, lane, unit, dt)
-            strain(model, data, design, pack, lane, unit, dt)
-            place(model, data, design, pack, lane, unit, dt)
-            fold(model, data, design, pack, lane, unit, dt)
-        end(model, data, design, pack, lane, unit, dt)
+            bound(model, data, mesh, pack, lane, unit, dt)
+            gather(model, data, mesh, pack, lane, unit, dt)
+            touch(model, data, mesh, pack, lane, unit, dt)
+            pull(model, data, mesh, pack, lane, unit, dt)
+            move(model, data, mesh, pack, lane, unit, dt)
+            strain(model, data, mesh, pack, lane, unit, dt)
+            place(model, data, mesh, pack, lane, unit, dt)
+            fold(model, data, mesh, pack, lane, unit, dt)
+        end(model, data, mesh, pack, lane, unit, dt)
 
     return control_step
 

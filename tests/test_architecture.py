@@ -32,7 +32,11 @@ LAYERS = (
     (
         "warpvox.contact_order",
         "warpvox.compile",
-        "warpvox.layout",
+        "warpvox.device",
+        "warpvox.grid_mesh",
+        "warpvox.frames",
+        "warpvox.packs",
+        "warpvox.objects",
         "warpvox.sim",
         "warpvox.palette",
         "warpvox.scene",

@@ -102,7 +102,7 @@ def load_policy(
     from warpvox.algos.policy import read_policy
     from warpvox.algos.policy_files import read_exported
     from warpvox.cli.runs import find_run
-    from warpvox.sim import resolve_device
+    from warpvox.device import resolve_device
 
     device, path = resolve_device(device), Path(source).expanduser()
     if str(source) != "latest" and path.is_file():

@@ -6,17 +6,26 @@ each by name; inside an object points in the order in which its voxels, row by r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from warpvox.contact_order import no_order, order_arrays
+from warpvox.contact_order import order_arrays
 from warpvox.errors import SimulationError
 from warpvox.types import VOXEL, Cell, Physics
 from warpvox.world import World, WorldObject
 
-__all__ = ["Body", "Design", "compile_world", "model_arrays"]
+__all__ = [
+    "Body",
+    "CompiledWorld",
+    "compile_others",
+    "compile_world",
+    "exact_tables",
+    "pack_drives",
+    "pad",
+    "world_arrays",
+]
 
 # Corners and sides of a voxel in clockwise order; side k runs from corner k to corner k + 1.
 TL, TR, BR, BL = range(4)
@@ -27,6 +36,9 @@ SIDE_ENDS = (
     (TL, BL),
     (TR, BR),
 )  # top, bottom, left, right: the order in which sides are made
+FILL = {"pushed": -1, "still_at": -1, "order": -1}
+"""What pads tables, if not 0."""
+NOTHING_MOVES = "The world has nothing that can move: add a robot or an object with a cell that is not fixed."
 SIDE_BIT = {"top": 1, "right": 2, "bottom": 4, "left": 8}
 
 
@@ -59,12 +71,13 @@ class Body:
 
 
 @dataclass
-class Design:
-    """A compiled world: its bodies (objects with a cell that can move) and its static terrain."""
+class CompiledWorld:
+    """A compiled world: its bodies (objects with a cell that can move), its static terrain, and its size in cells."""
 
-    world: World
     bodies: list[Body]
     statics: list[Body]
+    width: int
+    height: int
 
     @property
     def robots(self) -> list[Body]:
@@ -75,27 +88,36 @@ class Design:
         return next((body for body in self.bodies + self.statics if body.name == name), None)
 
 
-def compile_world(world: World, physics: Physics, loose: Sequence[str] = ()) -> Design:
+def compile_world(world: World, physics: Physics, loose: Sequence[str] = ()) -> CompiledWorld:
     """Mesh every object of a world; those named in ``loose`` become bodies even if none of their cells can move.
 
     Raises:
         SimulationError: the world has no object that can move.
     """
-    ordered = sorted(world.objects.values(), key=lambda o: (not o.is_robot, o.name))
+    compiled = _compile(world.objects.values(), (world.width, world.height), physics, loose)
+    if not compiled.bodies:
+        raise SimulationError(NOTHING_MOVES)
+    return compiled
+
+
+def compile_others(world: World, size: tuple[int, int], physics: Physics, loose: Sequence[str] = ()) -> CompiledWorld:
+    """The same for the objects that are no robots, on a grid of ``size`` (columns, rows)."""
+    return _compile([obj for obj in world.objects.values() if not obj.is_robot], size, physics, loose)
+
+
+def _compile(
+    objects: Iterable[WorldObject], size: tuple[int, int], physics: Physics, loose: Sequence[str]
+) -> CompiledWorld:
+    ordered = sorted(objects, key=lambda o: (not o.is_robot, o.name))
     terrain = {o.name for o in ordered if o.is_static and o.name not in loose}
     bodies = [mesh(o, physics) for o in ordered if o.name not in terrain]
-    for body in bodies:
-        body.loose = body.name in loose
-    if not bodies:
-        raise SimulationError(
-            "The world has nothing that can move: add a robot or an object with a cell that is not fixed."
-        )
     point = action = 0
     for body in bodies:
+        body.loose = body.name in loose
         body.first_point, body.first_action = point, action
         point += len(body.points)
         action += body.source.num_actuators
-    return Design(world, bodies, [mesh(o, physics) for o in ordered if o.name in terrain])
+    return CompiledWorld(bodies, [mesh(o, physics) for o in ordered if o.name in terrain], *size)
 
 
 def mesh(source: WorldObject, physics: Physics) -> Body:
@@ -220,43 +242,63 @@ def _set_drives(body: Body) -> None:
             action += 1
 
 
-def model_arrays(designs: list[Design], ordered: bool) -> tuple[dict[str, np.ndarray], dict[str, int]]:
-    """The Model's arrays for a list of designs, padded to common capacities, and those capacities.
+def exact_tables(designs: list[CompiledWorld], lanes: int) -> dict[str, np.ndarray]:
+    """The tables of packs whose lanes all hold one world, for the exact arithmetic: an entry for each world.
 
-    ``ordered``: with what keeps the released order of contacts.
+    Points and springs stand in the order in which the released simulator makes them.
     """
-    parts = [_design_arrays(d) | (order_arrays(d) if ordered else no_order()) for d in designs]
-    count = {
-        "point": "home",
-        "active": "active",
-        "joint": "link_start",
-        "spring": "spring_rest",
-        "rigid": "rigid_spring",
-        "voxel": "side",
-        "mobile": "mobile",
-        "robot": "fold_limit",
-        "node": "node",
-        "leaf": "leaf",
-        "plot": "cell_leaf",
-    }
-    sizes = {symbol: max(len(part[name]) for part in parts) for symbol, name in count.items()}
-    for symbol in ("point", "active"):  # two rows each
-        sizes[symbol] //= 2
-    sizes["cell"] = max(len(part["terrain_side"]) for part in parts)
-    sizes["action"] = max(int(part["actions"]) for part in parts)
-    sizes["design"] = len(designs)
-    out = {}
-    for name, first in parts[0].items():
-        values = [np.asarray(part[name]) for part in parts]
-        shape = np.max([v.shape for v in values], axis=0) if first.ndim else ()
-        stacked = np.full((len(parts), *shape), -1 if name in ("spring_drive", "still_at") else 0, dtype=first.dtype)
-        for index, value in enumerate(values):
-            stacked[(index, *(slice(n) for n in value.shape))] = value
-        out[name] = stacked
-    return out, sizes
+    parts = [_exact_table(design, lanes) for design in designs]
+    return {name: pad([part[name] for part in parts], FILL.get(name, 0)) for name in parts[0]}
 
 
-def _design_arrays(design: Design) -> dict[str, np.ndarray]:
+def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
+    out = world_arrays(design)
+    tree = order_arrays(design)
+    points, springs = len(out["fixed"]), len(out["spring_rest"])
+
+    def in_lanes(values: np.ndarray) -> np.ndarray:
+        return np.repeat(values[:, None], lanes, axis=1)
+
+    bits = out.pop("side")[:, None] >> np.arange(4) & 1
+    out |= dict(
+        free_lanes=np.where(out.pop("fixed") == 0, -1, 0).astype(np.int32),
+        spring_lanes=np.full(springs, -1, np.int32),
+        link_lanes=np.full(len(out["link"]), -1, np.int32),
+        rigid_lanes=np.full(len(out["rigid_spring"]), -1, np.int32),
+        side_lanes=(-bits).astype(np.int32),
+        home=in_lanes(out["home"]),
+        spring_k=in_lanes(out["spring_k"]),
+        spring_drive=in_lanes(pack_drives(out["spring_drive"], axis=1)),
+        fold_limit=in_lanes(out["fold_limit"]),
+        order=in_lanes(np.arange(points, dtype=np.int32)),
+        object_points=in_lanes(np.array([len(body.points) for body in design.bodies], np.int32)),
+        twin_range=np.zeros((points, 2), np.int32),
+        twin=np.zeros((0, 2), np.int32),
+        twin_lanes=np.zeros(0, np.int32),
+    )
+    scalars = dict(twins=0, first_other=0, actions=int(out["actions"]))
+    return out | tree | {name: np.asarray(value, np.int32) for name, value in scalars.items()}
+
+
+def pack_drives(drives: np.ndarray, axis: int) -> np.ndarray:
+    """int32: the one or two actions (-1: none) along an axis in one number each, plus one, low half first."""
+    one, two = np.take(drives, 0, axis=axis) + 1, np.take(drives, 1, axis=axis) + 1
+    return (one | two << 16).astype(np.int32)
+
+
+def pad(parts: Sequence[np.ndarray], fill: int = 0) -> np.ndarray:
+    """Arrays of different sizes as one, stacked along a new first axis."""
+    if not parts[0].ndim:
+        return np.array(parts)
+    shape = np.max([part.shape for part in parts], axis=0).astype(int)
+    whole = np.full((len(parts), *shape), fill, parts[0].dtype)
+    for row, part in zip(whole, parts, strict=True):
+        row[tuple(slice(n) for n in part.shape)] = part
+    return whole
+
+
+def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
+    """Arrays of one compiled world, named as in :data:`warpvox.kernels.state.MODEL` where they mean the same."""
     bodies = design.bodies
     ends, rests, stiffness, drives, rigid, corner, side, owner, robot, grid, still = ([] for _ in range(11))
     robots = design.robots
@@ -326,7 +368,7 @@ def _design_arrays(design: Design) -> dict[str, np.ndarray]:
     )
     out = {name: np.asarray(value, dtype=np.int32) for name, value in (whole | arrays).items()}
     out |= {name: np.asarray(value, dtype=np.float64) for name, value in reals.items()}
-    out["terrain"] = np.array([design.world.width, design.world.height], dtype=np.int32)
+    out["terrain"] = np.array([design.width, design.height], dtype=np.int32)
     out["terrain_side"] = lattice[0]
     return out
 
@@ -338,9 +380,9 @@ def _links_of_points(ends: list[list[int]]) -> np.ndarray:
     return np.where(order % 2 == 0, order // 2, -1 - order // 2)
 
 
-def _still_voxels(design: Design, still: list[bool], owner: list[int], grid: list[list[int]]) -> np.ndarray:
+def _still_voxels(design: CompiledWorld, still: list[bool], owner: list[int], grid: list[list[int]]) -> np.ndarray:
     """For every cell of the terrain lattice the surface voxel that always stays there, or -1."""
-    width, height = design.world.width, design.world.height
+    width, height = design.width, design.height
     at = np.full(width * height, -1)
     for v, (column, row) in enumerate(grid):
         body = design.bodies[owner[v]]
@@ -350,9 +392,9 @@ def _still_voxels(design: Design, still: list[bool], owner: list[int], grid: lis
     return at
 
 
-def _lattice(design: Design) -> tuple[np.ndarray, np.ndarray]:
+def _lattice(design: CompiledWorld) -> tuple[np.ndarray, np.ndarray]:
     """Surface bits and bounds of the static cells, on the world's grid with row 0 at the bottom."""
-    width, height = design.world.width, design.world.height
+    width, height = design.width, design.height
     bits = np.zeros(width * height, dtype=np.int32)
     bounds = np.zeros((width * height, 4))
     for body in design.statics:

@@ -178,19 +178,18 @@ def _merge(tree: Tree, near: list[HashSet]) -> None:
 
 
 def order_arrays(design) -> dict[str, np.ndarray]:
-    """The Model's arrays about trees for a :class:`warpvox.compile.Design`: nodes of bodies, then of terrain.
+    """The Model's arrays about trees for a :class:`warpvox.compile.CompiledWorld`: nodes of bodies, then of terrain.
 
     Raises:
         SimulationError: the world has more objects, or objects of deeper trees, than a contact's place in the order
             can tell apart.
     """
-    world = design.world
     trees = {body.name: tree_of(body) for body in design.bodies + design.statics}
     _check_places(design, trees)
-    ordered = sorted(world.objects.values(), key=lambda o: (not o.is_robot, o.name))
+    ordered = sorted((b.source for b in design.bodies + design.statics), key=lambda o: (not o.is_robot, o.name))
     place = {o.name: n for n, o in enumerate(ordered)}
     rows, areas, leaf, moving = [], [], [], 0
-    cell_leaf = np.zeros(world.width * world.height, dtype=np.int32)
+    cell_leaf = np.zeros(design.width * design.height, dtype=np.int32)
     for body in design.bodies + design.statics:
         tree, base = trees[body.name], len(rows)
         rank, middle = tree.ranks()
@@ -210,7 +209,7 @@ def order_arrays(design) -> dict[str, np.ndarray]:
             moving = len(rows)
         else:
             for row, column in body.surface:
-                at = (source.y + source.height - 1 - row) * world.width + source.x + column
+                at = (source.y + source.height - 1 - row) * design.width + source.x + column
                 cell_leaf[at] = leaves[row, column]
     return dict(
         objects=np.int32(len(ordered)),

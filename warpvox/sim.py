@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,19 +10,20 @@ import numpy as np
 import torch
 import warp as wp
 
-from warpvox.compile import Body, compile_world
-from warpvox.errors import ActionError, DeviceError, SimulationError, did_you_mean, listing
+from warpvox.compile import Body
+from warpvox.device import resolve_device
+from warpvox.errors import ActionError, SimulationError
 from warpvox.kernels import reset as reset_stage
 from warpvox.kernels import sensing
 from warpvox.kernels import step as step_stage
 from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
-from warpvox.layout import choose_lanes, choose_threads, group, layout, resolve_arithmetic
-from warpvox.startup import start_warp
+from warpvox.objects import CompiledWorlds, Objects
+from warpvox.packs import Batch, choose_threads, group, lay_out, put_tables, resolve_arithmetic
 from warpvox.types import ACTION_HIGH, ACTION_LOW, SIGHT, VOXEL, Physics
 from warpvox.world import World
 
-__all__ = ["STATE_FIELDS", "Simulation", "resolve_device"]
+__all__ = ["STATE_FIELDS", "Simulation"]
 
 NUMBERS = {
     torch.float32,
@@ -41,7 +41,7 @@ _STOPPED, _OVERFLOW = int(UNSTABLE | DIVERGED), int(OVERFLOW)
 
 
 class Simulation:
-    """Worlds stepped together, one environment each; equal worlds share one compiled design.
+    """Worlds stepped together, one environment each.
 
     Args:
         worlds: one :class:`World` per environment.
@@ -52,6 +52,8 @@ class Simulation:
         lanes: environments that one CPU thread advances at once (1, 8, 16 or 32); None chooses.
         threads: CPU threads; None takes all cores. Also an attribute.
         loose: names of objects that :meth:`shift` may move; terrain among them is not merged with the rest.
+        grid: rows and columns up to which :meth:`set_worlds` may bring other bodies; arrays have room for them.
+            Only in fast arithmetic.
         action_range: to what actions are clipped.
         arithmetic: 'fast', or 'exact' (float64 only), which repeats the released simulator bit for bit: the same
             physics, every sum in its order. None: 'fast' in float32, 'exact' in float64.
@@ -75,6 +77,7 @@ class Simulation:
         loose: Sequence[str] = (),
         action_range: tuple[float, float] = (ACTION_LOW, ACTION_HIGH),
         arithmetic: str | None = None,
+        grid: tuple[int, int] | None = None,
     ):
         if not isinstance(worlds, Sequence) or not worlds or not all(isinstance(world, World) for world in worlds):
             raise SimulationError(f"Simulation needs a list of one World or more, got {worlds!r:.80}.")
@@ -86,17 +89,19 @@ class Simulation:
         self.device = resolve_device(device)
         self.physics = physics if isinstance(physics, Physics) else Physics.preset(physics)
         self.dtype = DTYPES[dtype]
-        index = group(worlds)
-        self.worlds = [worlds[index.index(d)] for d in range(max(index) + 1)]
-        self.designs = [compile_world(world, self.physics, loose) for world in self.worlds]
-        self.num_envs, self.num_designs = len(worlds), len(self.worlds)
+        different, index = group(worlds)
+        self._batch = Batch(
+            different, index, self.physics, self.arithmetic, self.device, lanes, tuple(loose), grid,
+        )  # fmt: skip
+        self.designs = CompiledWorlds(self._batch)
+        self.num_envs = len(worlds)
         self.design_index = torch.tensor(index, dtype=torch.long, device=self.device)
-        lanes = choose_lanes(index, lanes, self.device)
-        self._state = layout(self.designs, index, self.physics, self.arithmetic, dtype, lanes, self.device)
-        self.num_actions = max(sum(b.source.num_actuators for b in design.bodies) for design in self.designs)
-        self._name_objects()
+        self._state = lay_out(self._batch, dtype)
+        self.num_actions = self._state.sizes["action"]
+        self._objects = Objects(self._batch, self._state)
+        self.object_names = self._objects.names
         self.loose = tuple(loose)
-        self._loose = _loose_points(self, self.loose)
+        self._loose = self._objects.loose_points(self.loose)
         self.threads = choose_threads(threads)
         self._pool = ThreadPoolExecutor(self.threads)
         self._shares: list[wp.Launch] = []
@@ -111,6 +116,7 @@ class Simulation:
         self._scans: dict[tuple, tuple] = {}
         self._fixed: dict[tuple[str, bool], tuple[torch.Tensor, torch.Tensor]] = {}
         self._centres_are_new = False
+        self._follow_worlds()
         self._views["frozen"].fill_(1)  # lanes that belong to no environment stay so
         self.reset()
 
@@ -219,7 +225,7 @@ class Simulation:
         cells = torch.as_tensor(cells, device=self.device)
         if tuple(cells.shape) != (self.num_envs, 2) or cells.dtype.is_floating_point:
             raise SimulationError(f"Shifts must be whole numbers [{self.num_envs}, 2], got {list(cells.shape)}.")
-        point, corner, height, inside = (table[self.design_index] for table in self._loose)
+        point, corner, height, inside = self._loose
         # The expressions with which a world is compiled, one operation at a time: the last bit matters.
         x, y = (corner + cells[:, None]).double().unbind(-1)
         across, down = inside.double().unbind(-1)
@@ -290,66 +296,66 @@ class Simulation:
 
     # ----------------------------------------------------------------- objects
 
-    def _name_objects(self) -> None:
-        names = {body.name: body.source.is_robot for design in self.designs for body in design.bodies + design.statics}
-        self.object_names = sorted(names, key=lambda name: (not names[name], name))
-        ranges = np.zeros((self.num_designs, len(self.object_names), 2), dtype=np.int32)
-        for d, design in enumerate(self.designs):
-            for body in design.bodies:
-                begin = body.first_point
-                ranges[d, self.object_names.index(body.name)] = begin, begin + len(body.points)
-        self._state.ranges = wp.array(ranges, dtype=wp.vec2i, device=self.device)
-        self._found: dict[str, list[Body | None]] = {}
-        self._mobile = {body.name for design in self.designs for body in design.bodies}
-        self._terrain = {body.name for design in self.designs for body in design.statics}
-        self._action_mask = torch.zeros((self.num_designs, self.num_actions), dtype=torch.bool, device=self.device)
-        for d, design in enumerate(self.designs):
-            self._action_mask[d, : sum(body.source.num_actuators for body in design.bodies)] = True
+    @property
+    def worlds(self) -> list[World]:
+        """The different worlds; ``design_index`` says which of them an environment has."""
+        return self._batch.worlds
+
+    @property
+    def grid(self) -> tuple[int, int] | None:
+        """Rows and columns up to which bodies may be exchanged."""
+        return self._batch.grid
+
+    @property
+    def num_designs(self) -> int:
+        """How many different worlds there are."""
+        return len(self._batch.worlds)
 
     @property
     def action_mask(self) -> torch.Tensor:
         """bool [num_designs, num_actions]: which actions a design has."""
-        return self._action_mask.clone()
+        counts = [sum(obj.num_actuators for obj in world.objects.values()) for world in self.worlds]
+        counts = torch.tensor(counts, device=self.device)
+        return torch.arange(self.num_actions, device=self.device) < counts[:, None]
 
     @property
     def action_columns(self) -> list[dict[str, slice]]:
         """For each design where the actions of its robots lie, ``{name: slice}``."""
-        return [
-            {body.name: slice(body.first_action, body.first_action + body.source.num_actuators) for body in d.robots}
-            for d in self.designs
-        ]
+        columns = []
+        for world in self.worlds:
+            robots = sorted((obj for obj in world.objects.values() if obj.is_robot), key=lambda obj: obj.name)
+            stops = list(itertools.accumulate(robot.num_actuators for robot in robots))
+            begins = [0, *stops][: len(robots)]
+            columns.append({robot.name: slice(*at) for robot, *at in zip(robots, begins, stops, strict=True)})
+        return columns
 
-    def _index(self, name: str) -> int:
-        if name not in self.object_names:
-            hint = did_you_mean(name, self.object_names)
-            raise SimulationError(f"No object named {name!r}; there are {listing(self.object_names)}.{hint}")
-        return self.object_names.index(name)
-
-    def _bodies(self, name: str) -> list[Body | None]:
-        if name not in self._found:
-            self._index(name)
-            self._found[name] = [design.body(name) for design in self.designs]
-        return self._found[name]
+    @property
+    def mobile_names(self) -> set[str]:
+        """Names of the objects that can move in some world."""
+        return set(self._objects.mobile)
 
     def num_points(self, name: str) -> int:
         """Points of an object, the most over the designs."""
-        return max(len(body.points) for body in self._bodies(name) if body)
+        self._objects.index(name)
+        return self._objects.num_points[name]
 
     def point_mask(self, name: str) -> torch.Tensor:
         """bool [num_designs, points]: which points a design's object has."""
-        counts = [len(body.points) if body else 0 for body in self._bodies(name)]
-        return torch.arange(max(counts)) < torch.tensor(counts)[:, None]
+        return self._objects.point_mask(name)
 
     def object_grid(self, name: str, design: int = 0) -> np.ndarray:
         """int8 [rows, columns], row 0 on top: the cells of an object."""
-        return self._body(name, design).source.grid.copy()
+        if name not in self.worlds[design].objects:
+            self._body(name, design)
+        return self.worlds[design].objects[name].grid.copy()
 
     def voxel_corners(self, name: str, design: int = 0) -> np.ndarray:
         """int32 [voxels, 4]: points at the top left, top right, bottom right and bottom left of every voxel."""
         return np.array(list(self._body(name, design).corners.values()), dtype=np.int32)
 
     def _body(self, name: str, design: int) -> Body:
-        body = self._bodies(name)[design]
+        self._objects.index(name)
+        body = self.designs[design].body(name)
         if body is None:
             raise SimulationError(f"Design {design} has no object named {name!r}.")
         return body
@@ -380,45 +386,28 @@ class Simulation:
         return buffers
 
     def _points(self, name: str, what: int) -> torch.Tensor:
-        shape = (self.num_envs, self.num_points(name), 2)
-        if name in self._mobile:
-            inputs = [self._index(name), what]
+        objects = self._objects
+        inputs = [objects.index(name), what]
+        shape = (self.num_envs, objects.num_points[name], 2)
+        if name in objects.mobile:
             found = self._sense(("points", *inputs), "points", self.num_envs, [shape], torch.float64, *inputs)[0]
             out = found.to(self.dtype, copy=True)
         else:
-            self._index(name)
             out = torch.zeros(shape, dtype=self.dtype, device=self.device)
-        if name in self._terrain and what != 1:
-            fixed, is_fixed = self._fixed_points(name, what == 2)
-            out = torch.where(is_fixed[self.design_index], fixed[self.design_index], out)
+        if name in objects.terrain and what != 1:
+            if (name, what) not in self._fixed:
+                self._fixed[name, what] = objects.still_points(name, self.dtype, what == 2)
+            fixed, is_fixed = self._fixed[name, what]
+            out = torch.where(is_fixed, fixed, out)
         return out
-
-    def _fixed_points(self, name: str, relative: bool) -> tuple[torch.Tensor, torch.Tensor]:
-        """Points of an object that never moves, ``[num_designs, points, 2]``, and bool: of which designs it is one."""
-        if (name, relative) not in self._fixed:
-            fixed = torch.zeros((self.num_designs, self.num_points(name), 2), dtype=torch.float64)
-            is_fixed = torch.zeros((self.num_designs, self.num_points(name), 1), dtype=torch.bool)
-            for d, design in enumerate(self.designs):
-                for body in (body for body in design.statics if body.name == name):
-                    points = torch.tensor(body.points, dtype=torch.float64)
-                    fixed[d, : len(points)] = points - points.mean(0) if relative else points
-                    is_fixed[d, : len(points)] = True
-            self._fixed[name, relative] = fixed.to(self.device, self.dtype), is_fixed.to(self.device)
-        return self._fixed[name, relative]
 
     def com(self, name: str) -> torch.Tensor:
         """float64 [num_envs, 2]: centre of mass of an object that can move (B.1)."""
-        return self._centres()[0][:, self._moving(name)].clone()
+        return self._centres()[0][:, self._objects.moving(name)].clone()
 
     def velocity(self, name: str) -> torch.Tensor:
         """float64 [num_envs, 2]: velocity of the centre of mass (B.1)."""
-        return self._centres()[1][:, self._moving(name)].clone()
-
-    def _moving(self, name: str) -> int:
-        index = self._index(name)
-        if name not in self._mobile:
-            raise SimulationError(f"The object {name!r} is made of fixed cells only: it never moves.")
-        return index
+        return self._centres()[1][:, self._objects.moving(name)].clone()
 
     def _centres(self) -> list[torch.Tensor]:
         shape = (self.num_envs, len(self.object_names), 2)
@@ -429,19 +418,19 @@ class Simulation:
 
     def orientation(self, name: str) -> torch.Tensor:
         """float64 [num_envs]: orientation in [0, 2 pi), counter-clockwise since time 0 (B.1)."""
-        index = self._moving(name)
+        index = self._objects.moving(name)
         shape = (self.num_envs,)
         return self._sense(("orientations", index), "orientations", shape, [shape], torch.float64, index)[0].clone()
 
     def extent(self, name: str) -> torch.Tensor:
         """float64 [num_envs, 2]: width and height of the box about all points of an object that can move."""
-        index = self._moving(name)
+        index = self._objects.moving(name)
         shape = (self.num_envs, 2)
         return self._sense(("extents", index), "extents", shape[:1], [shape], torch.float64, index)[0].clone()
 
     def hull_area(self, name: str) -> torch.Tensor:
         """float64 [num_envs]: area of the convex hull of all points of an object that can move (B.6.1)."""
-        index = self._moving(name)
+        index = self._objects.moving(name)
         shape = (self.num_envs,)
         return self._sense(("hulls", index), "hulls", shape, [shape], torch.float64, index)[0].clone()
 
@@ -460,9 +449,9 @@ class Simulation:
     def _scan(self, name: str, reach: int, objects: Sequence[str] | None, up: int) -> torch.Tensor:
         listed = tuple(objects) if objects is not None else None
         if listed not in self._scans:
-            self._scans[listed] = _scan_tables(self, listed)
+            self._scans[listed] = self._objects.scan_tables(listed)
         shape = (self.num_envs, 2 * reach + 1)
-        inputs = [self._moving(name), reach, float(SIGHT), up]
+        inputs = [self._objects.moving(name), reach, float(SIGHT), up]
         tables = self._scans[listed]
         found = self._sense(
             ("scans", *inputs, listed), "scans", self.num_envs, [shape], torch.float64, *inputs, *tables
@@ -472,10 +461,33 @@ class Simulation:
     # ---------------------------------------------------------------- state io
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Everything that changes, a row for every environment: what :meth:`set_state` takes back."""
+        """Everything that changes, a row for every environment: what :meth:`set_state` takes back.
+
+        Positions and velocities list the points as observations do, x and y alternately, padded with 0.
+        """
         pack, lane = self._env
-        views = {name: self._views[name] for name in STATE_FIELDS}
-        return {name: view[pack, :, lane] if view.ndim == 3 else view[pack, lane] for name, view in views.items()}
+        state = {}
+        for name in STATE_FIELDS:
+            view = self._views[name]
+            if view.ndim == 2:
+                state[name] = view[pack, lane]
+            else:
+                values = view[pack[:, None], self._rows, lane[:, None]]
+                state[name] = values.masked_fill(~self._has_row, 0.0)
+        return state
+
+    @property
+    def fixed_rows(self) -> torch.Tensor:
+        """bool [num_envs, rows]: which entries of the positions in :meth:`state` belong to points that never move."""
+        mesh = _torch(self._state.arrays["pack_mesh"])[self._env[0]]
+        free = wp.to_torch(self._state.arrays["free_lanes"])[mesh[:, None], self._rows // 2]
+        return ((free >> self._env[1][:, None]) & 1 == 0) & self._has_row
+
+    def rows_of(self, name: str) -> torch.Tensor:
+        """bool [num_envs, rows]: which entries of the positions in :meth:`state` belong to an object."""
+        span = self._objects.span[:, self._objects.index(name), :, None]
+        point = torch.arange(self._rows.shape[1], device=self.device) // 2
+        return (point >= span[:, 0]) & (point < span[:, 1])
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
         """Restore what :meth:`state` gave: of the same worlds, or of environments of theirs picked row by row.
@@ -486,11 +498,9 @@ class Simulation:
         Raises:
             SimulationError: fields or shapes that are not this simulation's.
         """
-        pack, lane = self._env
-        views = {name: self._views[name] for name in STATE_FIELDS}
-        least = max(2 * sum(len(body.points) for body in design.bodies) for design in self.designs)
-        for name, view in views.items():
-            given = state.get(name) if isinstance(state, Mapping) else None
+        least = 2 * int(self._objects.total.max())
+        for name in STATE_FIELDS:
+            view, given = self._views[name], state.get(name) if isinstance(state, Mapping) else None
             fits = isinstance(given, torch.Tensor) and given.dtype == view.dtype and given.ndim == view.ndim - 1
             if not fits or len(given) != self.num_envs or (given.ndim == 2 and given.shape[1] < least):
                 kind = str(view.dtype).removeprefix("torch.")
@@ -500,38 +510,68 @@ class Simulation:
                     f"The state's {name!r} is not that of this simulation of {self.num_envs} environments: expected"
                     f" {expected}, got {got.removeprefix('torch.')}."
                 )
-        for name, view in views.items():
+        self._write(state, torch.arange(self.num_envs, device=self.device))
+
+    def _write(self, state: dict[str, torch.Tensor], envs: torch.Tensor) -> None:
+        """Put rows of a state into environments, whose other points stay as they are."""
+        pack, lane = (index[envs] for index in self._env)
+        rows, real = self._rows[envs], self._has_row[envs]
+        env, column = real.nonzero(as_tuple=True)
+        place = pack[env], rows[env, column], lane[env]
+        for name in STATE_FIELDS:
+            view, values = self._views[name], state[name][envs]
             if view.ndim == 2:
-                view[pack, lane] = state[name]
+                view[pack, lane] = values
             else:
-                rows = min(view.shape[1], state[name].shape[1])
-                view[pack, :rows, lane] = state[name][:, :rows]
-        self.invalidate()
+                view[place] = values[env, column]
+        reset_stage.launch_follow(self._state)
+        self._views["drift"].fill_(STALE)
+        self._centres_are_new = False
+
+    def set_worlds(self, worlds: Sequence[World], mask: torch.Tensor) -> None:
+        """Give environments other worlds, which differ from their own in the bodies of robots alone; they begin anew.
+
+        Arrays stay where they are and no kernel is compiled. ``worlds``, ``designs`` and ``design_index`` follow.
+
+        Args:
+            worlds: one for each environment of the mask.
+            mask: bool ``[num_envs]``.
+
+        Raises:
+            SimulationError: the simulation was made without ``grid``, or a world that is not of this kind.
+        """
+        mask = self._check_mask(mask)
+        envs = mask.nonzero()[:, 0]
+        if len(worlds) != len(envs):
+            raise SimulationError(f"{len(envs)} environments need a world each, got {len(worlds)}.")
+        if not len(envs):
+            return
+        packs = self._batch.replace(envs.tolist(), worlds)
+        before = self.state()
+        tables, which = self._batch.tables(packs)
+        put_tables(self._state, {name: values[which] for name, values in tables.items()}, packs)
+        self._follow_worlds()
+        touched = torch.isin(self._env[0], torch.as_tensor(packs, device=self.device))
+        self.reset(touched)
+        self._write(before, (touched & ~mask).nonzero()[:, 0])
+
+    def _follow_worlds(self) -> None:
+        """Take over where the points of the environments' worlds lie."""
+        self._objects.refresh()
+        self.designs.forget()
+        self.design_index.copy_(torch.as_tensor(self._batch.index))
+        for _, buffers in self._sensors.values():  # entries of points that there are no more
+            for buffer in buffers:
+                buffer.zero_()
+        rows = self._objects.rows
+        self._rows = torch.stack([2 * rows, 2 * rows + 1], dim=-1).flatten(1)
+        count = torch.arange(rows.shape[1], device=rows.device) < self._objects.total[:, None]
+        self._has_row = count.repeat_interleave(2, dim=1)
+        for mine, new in zip(self._loose, self._objects.loose_points(self.loose), strict=True):
+            mine.copy_(new)  # in place: a captured step may read it
 
 
 STATE_FIELDS = ("pos", "vel", "true_vel", "frozen", "status", "time")
-
-
-def resolve_device(device: str) -> str:
-    """The torch name of a device: 'auto', 'cpu', 'cuda', 'cuda:<index>'.
-
-    Raises:
-        DeviceError: no such device here.
-    """
-    start_warp()
-    name = str(device)[:80]
-    if name == "auto":
-        return "cuda:0" if torch.cuda.is_available() and wp.is_cuda_available() else "cpu"
-    if name == "cpu":
-        return name
-    kind, _, number = name.partition(":")
-    if kind != "cuda" or not re.fullmatch("[0-9]{0,4}", number):
-        raise DeviceError(f"Unknown device {name!r}; valid are 'auto', 'cpu', 'cuda' and 'cuda:<index>'.")
-    found = torch.cuda.device_count() if torch.cuda.is_available() and wp.is_cuda_available() else 0
-    if int(number or 0) >= found:
-        have = f"this machine has {found} CUDA device(s)" if found else "no CUDA device was found"
-        raise DeviceError(f"Device {device!r} is not available: {have}. Use device=cpu or device=auto.")
-    return f"cuda:{int(number or 0)}"
 
 
 def _torch(array: wp.array) -> torch.Tensor:
@@ -551,49 +591,3 @@ def _check_range(action_range: tuple[float, float]) -> tuple[float, float]:
     if not low <= high:  # NaN, too
         raise SimulationError(f"action_range must be two numbers low <= high, got {action_range!r:.80}.")
     return low, high
-
-
-def _loose_points(sim: Simulation, names: Sequence[str]) -> tuple[torch.Tensor, ...]:
-    """Of all points of the loose objects, for every design: index, cell and height of the object, column and row."""
-    tables: list[list[list[int]]] = []
-    for design in sim.designs:
-        rows = []
-        for name in names:
-            body = design.body(name)
-            if body is None:
-                raise SimulationError(f"All worlds need the loose object {name!r}; one has no object of that name.")
-            source = body.source
-            for p, (x, y) in enumerate(body.points):
-                column, row = round(x / VOXEL) - source.x, source.y + source.height - round(y / VOXEL)
-                rows.append([body.first_point + p, source.x, source.y, source.height, column, row])
-        tables.append(rows)
-    if len({len(rows) for rows in tables}) != 1:
-        raise SimulationError(f"The loose objects {listing(names)} must have the same cells in all worlds.")
-    table = torch.tensor(tables, dtype=torch.long, device=sim.device).reshape(len(tables), -1 if tables[0] else 0, 6)
-    return table[..., 0], table[..., 1:3], table[..., 3], table[..., 4:6]
-
-
-def _scan_tables(sim: Simulation, objects: tuple[str, ...] | None) -> tuple[wp.array, wp.array, wp.array]:
-    """Static points in voxels by lattice column, where each column starts, and points of listed bodies."""
-    for name in objects or ():
-        sim._index(name)
-    still, moving = [], []
-    for design in sim.designs:
-        listed = [b for b in design.statics if objects is None or b.name in objects]
-        points = [(x / VOXEL, y / VOXEL) for body in listed for x, y in body.points]
-        still.append(sorted(points, key=lambda p: round(p[0])))
-        bodies = [b for b in design.bodies if objects is not None and b.name in objects]
-        moving.append([b.first_point + p for b in bodies for p in range(len(b.points))])
-    columns = max(design.world.width for design in sim.designs) + 1
-    start = np.zeros((sim.num_designs, columns + 1), dtype=np.int32)
-    table = np.zeros((sim.num_designs, max(1, *(len(p) for p in still)), 2))
-    body_points = np.full((sim.num_designs, max(1, *(len(p) for p in moving))), -1, dtype=np.int32)
-    for d, points in enumerate(still):
-        start[d] = np.searchsorted([round(x) for x, _ in points], np.arange(columns + 1))
-        table[d, : len(points)] = np.reshape(points, (-1, 2))
-        body_points[d, : len(moving[d])] = moving[d]
-    return (
-        wp.array(start, dtype=int, device=sim.device),
-        wp.array(table, dtype=wp.vec2d, device=sim.device),
-        wp.array(body_points, dtype=int, device=sim.device),
-    )

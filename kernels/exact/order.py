@@ -39,16 +39,16 @@ def note(kit: Kit):
     add = note_one(kit)
 
     @kit.func
-    def leaf(model, design, v):
+    def leaf(model, mesh, v):
         """Leaf of a surface voxel or, below 0, of a terrain cell."""
         if v < 0:
-            return model.cell_leaf[design, -1 - v]
-        return model.leaf[design, v]
+            return model.cell_leaf[mesh, -1 - v]
+        return model.leaf[mesh, v]
 
     @kit.func
-    def act(model, data, design, pack, k, i, j, c, p, ends: wp.vec2i, normal: wp.vec3d, times: real):
-        m, r = leaf(model, design, i), leaf(model, design, j)
-        mine, other = model.node[design, m][2], model.node[design, r][2]
+    def act(model, data, mesh, pack, k, i, j, c, p, ends: wp.vec2i, normal: wp.vec3d, times: real):
+        m, r = leaf(model, mesh, i), leaf(model, mesh, j)
+        mine, other = model.node[mesh, m][2], model.node[mesh, r][2]
         if mine <= other:
             add(data, pack, k, wp.vec4i(m, r, c, p), ends, normal)
         if mine >= other:
@@ -63,9 +63,9 @@ def tree_boxes(kit: Kit):
     load = kit.load
 
     @kit.func
-    def boxes(model, data, design, pack, lane):
-        for n in range(model.nodes[design]):
-            node = model.node[design, n]
+    def boxes(model, data, mesh, pack, lane):
+        for n in range(model.nodes[mesh]):
+            node = model.node[mesh, n]
             for axis in range(int(2)):
                 low = 2 * axis
                 if node[0] < 0:
@@ -87,23 +87,23 @@ def path_key(kit: Kit):
     """Function: a number for the place of two leaves in the descent."""
 
     @kit.func
-    def area(model, data, design, pack, k, n):
-        if n >= model.nodes[design]:
-            return model.node_area[design, n]
+    def area(model, data, mesh, pack, k, n):
+        if n >= model.nodes[mesh]:
+            return model.node_area[mesh, n]
         wide = data.node_box[pack, 4 * n + 1, k] - data.node_box[pack, 4 * n, k]
         return wide * (data.node_box[pack, 4 * n + 3, k] - data.node_box[pack, 4 * n + 2, k])
 
     @kit.func
-    def key(model, data, design, pack, k, first, second, last):
-        to_a, to_b = model.node[design, first], model.node[design, second]
+    def key(model, data, mesh, pack, k, first, second, last):
+        to_a, to_b = model.node[mesh, first], model.node[mesh, second]
         a, b = int(to_a[3]), int(to_b[3])  # the roots
-        path = wp.int64(to_a[2] * model.objects[design] + to_b[2])
+        path = wp.int64(to_a[2] * model.objects[mesh] + to_b[2])
         for _ in range(int(PATH)):
-            at_a, at_b = model.node[design, a], model.node[design, b]
+            at_a, at_b = model.node[mesh, a], model.node[mesh, b]
             path = path << wp.int64(1)
             into_b = at_a[0] < 0
             if at_a[0] >= 0 and at_b[0] >= 0:
-                into_b = area(model, data, design, pack, k, a) < area(model, data, design, pack, k, b)
+                into_b = area(model, data, mesh, pack, k, a) < area(model, data, mesh, pack, k, b)
             if into_b:
                 if at_b[0] >= 0:
                     b = at_b[0]
@@ -127,11 +127,11 @@ def take(kit: Kit):
     boxes, key, forces = tree_boxes(kit), path_key(kit), contact_forces(kit)
 
     @kit.func
-    def sort(model, data, design, pack, k):
+    def sort(model, data, mesh, pack, k):
         """Keys in ascending order, and which contact each is of."""
         for n in range(data.hits[pack, k]):
             hit = data.hit[pack, n, k]
-            mine = key(model, data, design, pack, k, hit[0], hit[1], hit[2])
+            mine = key(model, data, mesh, pack, k, hit[0], hit[1], hit[2])
             at = int(n)
             while at > 0 and data.hit_key[pack, at - 1, k] > mine:
                 data.hit_key[pack, at, k] = data.hit_key[pack, at - 1, k]
@@ -141,15 +141,15 @@ def take(kit: Kit):
             data.hit_rank[pack, at, k] = n
 
     @kit.func
-    def stage(model, data, design, pack, lane):
+    def stage(model, data, mesh, pack, lane):
         most = int(0)
         for k in range(lane, lane + int(width)):
             most = wp.max(most, data.hits[pack, k])
         if most == 0:
             return
-        boxes(model, data, design, pack, lane)
+        boxes(model, data, mesh, pack, lane)
         for k in range(lane, lane + int(width)):
-            sort(model, data, design, pack, k)
+            sort(model, data, mesh, pack, k)
             for n in range(data.hits[pack, k]):
                 h = data.hit_rank[pack, n, k]
                 ends = data.hit_ends[pack, h, k]
@@ -168,10 +168,10 @@ def contacts(kit: Kit):
     search, in_order = find(kit, note(kit)), take(kit)
 
     @kit.func
-    def stage(model, data, design, pack, lane, unit, dt):
+    def stage(model, data, mesh, pack, lane, unit, dt):
         for k in range(lane, lane + int(width)):
             data.hits[pack, k] = 0
-        search(model, data, design, pack, lane, unit, dt)
-        in_order(model, data, design, pack, lane)
+        search(model, data, mesh, pack, lane, unit, dt)
+        in_order(model, data, mesh, pack, lane)
 
     return stage

@@ -1,17 +1,17 @@
-// Body of a function (model, data, design, pack, lane, dt): one sub-step by RK4 in float64 for the lanes of a unit.
+// Body of a function (model, data, mesh, pack, lane, dt): one sub-step by RK4 in float64 for the lanes of a unit.
 //
 // The physics of integrate.h, rounded as the released simulator rounds: the unknown is the position, and every sum and
 // product is taken in its order. At a point that is the springs that begin there, those that end there (the order of
 // link), drag, gravity, contact, floor.
 
-const int actives = 2 * wp::index(model.actives, design);
-const int springs = wp::index(model.springs, design);
-const int* active = &wp::index(model.active, design, 0);
-const int* fixed = &wp::index(model.fixed, design, 0);
-const int* link = &wp::index(model.link, design, 0);
-const int* link_start = &wp::index(model.link_start, design, 0);
-const wp::vec_t<2, int>* spring_ends = &wp::index(model.spring_ends, design, 0);
-const double* spring_k = &wp::index(model.spring_k, design, 0);
+const int actives = 2 * wp::index(model.actives, mesh);
+const int springs = wp::index(model.springs, mesh);
+const int* active = &wp::index(model.active, mesh, 0);
+const int* free_lanes = &wp::index(model.free_lanes, mesh, 0);
+const int* link = &wp::index(model.link, mesh, 0);
+const int* link_start = &wp::index(model.link_start, mesh, 0);
+const wp::vec_t<2, int>* spring_ends = &wp::index(model.spring_ends, mesh, 0);
+const auto spring_k = lane_table(model.spring_k, mesh);
 
 const auto place = values(data.disp);
 const auto stage_vel = values(data.stage_vel);
@@ -92,7 +92,7 @@ for (int stage = 0; stage < 4; ++stage) {
 for (int n = 0; n < actives; ++n) {
     const unsigned r = active[n];
     // A fixed point takes part in the stages; only its update is dropped.
-    const double free = fixed[r / 2] ? 0.0 : 1.0;
+    const double free = free_lanes[r / 2] ? 1.0 : 0.0;
     place[r] = pos[r] + sum_path[r] * free / 6.0;
     vel[r] = vel[r] + sum_vel[r] * free / 6.0;
 }

@@ -1,4 +1,4 @@
-// Body of a function (model, data, design, pack, lane, dt): one sub-step by RK4 for the lanes of a unit.
+// Body of a function (model, data, mesh, pack, lane, dt): one sub-step by RK4 for the lanes of a unit.
 //
 // In C++ because it is most of the work: values are vectors of the compiler, which stay in registers. Real, Value,
 // Wide and the functions row, widen, narrow, root and lanes_below come from lanes.py and fit the width.
@@ -6,14 +6,16 @@
 // The unknown is the displacement since the sub-step's start, never the position: a spring's stretch comes from
 // small differences, so that float32 keeps its relative precision wherever the robot stands.
 
-const int actives = 2 * wp::index(model.actives, design);
-const int springs = wp::index(model.springs, design);
-const int* active = &wp::index(model.active, design, 0);
-const int* fixed = &wp::index(model.fixed, design, 0);
-const int* link = &wp::index(model.link, design, 0);
-const int* link_start = &wp::index(model.link_start, design, 0);
-const wp::vec_t<2, int>* spring_ends = &wp::index(model.spring_ends, design, 0);
-const Real* spring_k = &wp::index(model.spring_k, design, 0);
+const int actives = 2 * wp::index(model.actives, mesh);
+const int springs = wp::index(model.springs, mesh);
+const int* active = &wp::index(model.active, mesh, 0);
+const int* free_lanes = &wp::index(model.free_lanes, mesh, 0);
+const int* link = &wp::index(model.link, mesh, 0);
+const int* link_lanes = &wp::index(model.link_lanes, mesh, 0);
+const int* link_start = &wp::index(model.link_start, mesh, 0);
+const wp::vec_t<2, int>* spring_ends = &wp::index(model.spring_ends, mesh, 0);
+const auto spring_k = lane_table(model.spring_k, mesh);
+const Real tiny = Real(1e-30);  // where there is no spring its length may be 0
 
 const auto disp = values(data.disp);
 const auto height = values(data.height);
@@ -33,7 +35,7 @@ const auto move = wides(data.move);
 // Hooke force k (l - l_eq) of every spring on its first end; at the start l is its length there and l - l_eq = -pull.
 auto stretch_at_start = [&]() {
     for (int s = 0; s < springs; ++s) {
-        const Value force = -pull[s] * spring_k[s] / rest[s];
+        const Value force = -pull[s] * spring_k[s] / (rest[s] + tiny);
         tension[2 * s] = force * span[2 * s];
         tension[2 * s + 1] = force * span[2 * s + 1];
     }
@@ -48,7 +50,7 @@ auto stretch_springs = [&]() {
         // l - l0 = (|e|^2 - |d|^2) / (l + l0), without the cancellation, and both divisions in one
         const Value both = length + rest[s];
         const Value excess = (dx + ex) * ux + (dy + ey) * uy - pull[s] * both;
-        const Value force = excess * spring_k[s] / (both * length);
+        const Value force = excess * spring_k[s] / (both * length + tiny);
         tension[2 * s] = force * ex;
         tension[2 * s + 1] = force * ey;
     }
@@ -76,26 +78,41 @@ auto point_force = [&](unsigned x, Value& fx, Value& fy) {
     const Value above = height[p] + disp[y];
     if (any_below(above)) stand(fx, fy, stage_vel[x], above);
     for (int n = link_start[p]; n < link_start[p + 1]; ++n) {
-        const int s = link[n];
-        if (s >= 0) {
-            fx = fx + tension[2 * s];
-            fy = fy + tension[2 * s + 1];
+        const int s = link[n], lanes = link_lanes[n];
+        const unsigned t = 2 * (s >= 0 ? s : -1 - s);
+        if (lanes != -1) {
+            const Value part = weights(lanes) * (s >= 0 ? Real(1) : Real(-1));
+            fx = fx + tension[t] * part;
+            fy = fy + tension[t + 1] * part;
+        } else if (s >= 0) {
+            fx = fx + tension[t];
+            fy = fy + tension[t + 1];
         } else {
-            fx = fx - tension[-2 * s - 2];
-            fy = fy - tension[-2 * s - 1];
+            fx = fx - tension[t];
+            fy = fy - tension[t + 1];
         }
     }
 };
 
 // x += dt v + dt^2 / 6 (a1 + a2 + a3) and v += dt / 6 (a1 + 2 a2 + 2 a3 + a4), in float64.
-auto finish = [&](unsigned r, double free) {
+auto finish = [&](unsigned r, auto free) {
     const Wide velocity = vel[r];
-    const double sixth = free * dt / 6.0;
+    const auto sixth = free * dt / 6.0;
     const Wide step = velocity * (free * dt) + widen(sum_bend[r]) * (sixth * dt);
     move[r] = step;
     disp[r] = narrow(step);
     vel[r] = velocity + widen(sum_vel[r]) * sixth;
 };
+
+// A twin feels what its leader feels.
+for (int e = 0; e < wp::index(model.twins, mesh); ++e) {
+    const wp::vec_t<2, int> pair = wp::index(model.twin, mesh, e);
+    const Value follows = weights(wp::index(model.twin_lanes, mesh, e));
+    for (unsigned axis = 0; axis < 2; ++axis) {
+        const unsigned r = 2 * pair[0] + axis;
+        contact[r] = contact[r] + contact[2 * pair[1] + axis] * follows;
+    }
+}
 
 for (int n = 0; n < actives; ++n) {
     const unsigned r = active[n];
@@ -133,4 +150,11 @@ for (int stage = 0; stage < 4; ++stage) {
     }
 }
 // A fixed point takes part in the stages; only its update is dropped.
-for (int n = 0; n < actives; ++n) finish(active[n], fixed[active[n] / 2] ? 0.0 : 1.0);
+for (int n = 0; n < actives; ++n) {
+    const int lanes = free_lanes[active[n] / 2];
+    if (lanes == -1) {
+        finish(active[n], 1.0);
+    } else {
+        finish(active[n], widen(weights(lanes)));
+    }
+}

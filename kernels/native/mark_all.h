@@ -1,10 +1,10 @@
-// Body of a function (model, data, design, pack, lane, unit, margin): candidates among mobile voxels, by boxes around all
+// Body of a function (model, data, mesh, pack, lane, unit, margin): candidates among mobile voxels, by boxes around all
 // lanes first: while lanes are alike that is nearly enough.
 
 const auto box = wides(data.box);
-const int n = wp::index(model.mobiles, design), words = (wp::index(model.voxels, design) + 31) / 32;
-const int* mobile = &wp::index(model.mobile, design, 0);
-const int* still = &wp::index(model.still, design, 0);
+const int n = wp::index(model.mobiles, mesh), words = (wp::index(model.voxels, mesh) + 31) / 32;
+const int* mobile = &wp::index(model.mobile, mesh, 0);
+const int* still = &wp::index(model.still, mesh, 0);
 double* hull = &wp::index(data.hull, unit, 0);
 int* bits = &wp::index(data.pair_bit, unit, 0);
 for (int a = 0; a < n; ++a) {

@@ -10,6 +10,7 @@ auto any_below = [](Value a) -> bool { return a <= Real(0); };
 auto each_lane = [](auto&& act) { act(0); };
 auto lane_of = [](const Value& a, int) -> Real { return a; };
 auto set_lane = [](Value& a, int, Real x) { a = x; };
+auto weights = [&](int mask) -> Value { return Value((mask >> lane) & 1); };
 auto bits_of = [](bool a) -> int { return a ? 1 : 0; };
 auto least = [](Wide a) -> double { return a; };
 auto largest = [](Wide a) -> double { return a; };
@@ -30,7 +31,11 @@ auto values = [&](const wp::array_t<Real>& a) -> Values {
 auto wides = [&](const wp::array_t<double>& a) -> Wides {
     return {&wp::index(a, pack, 0, lane), a.strides[1] / sizeof(Wide)};
 };
+auto lane_table = [&](const wp::array_t<Real>& a, int row) -> Values {
+    return {&wp::index(a, row, 0, lane), a.strides[1] / sizeof(Value)};
+};
 #else
 auto values = [&](const wp::array_t<Real>& a) -> Value* { return &wp::index(a, pack, 0, lane); };
 auto wides = [&](const wp::array_t<double>& a) -> Wide* { return &wp::index(a, pack, 0, lane); };
+auto lane_table = [&](const wp::array_t<Real>& a, int row) -> Value* { return &wp::index(a, row, 0, lane); };
 #endif

@@ -10,6 +10,12 @@ auto any_below = [](Value a) -> bool { return __builtin_reduce_min(a) <= Real(0)
 auto each_lane = [](auto&& act) { for (int k = 0; k < WIDTH; ++k) act(k); };
 auto lane_of = [](const Value& a, int k) -> Real { return a[k]; };
 auto set_lane = [](Value& a, int k, Real x) { a[k] = x; };
+auto weights = [&](int mask) -> Value {  // 1 in the lanes of a mask, else 0
+    typedef bool Bits __attribute__((ext_vector_type(WIDTH)));
+    Bits bits;
+    __builtin_memcpy(&bits, &mask, WIDTH / 8);
+    return __builtin_convertvector(bits, Value);
+};
 auto least = [](Wide a) -> double { return __builtin_reduce_min(a); };
 auto largest = [](Wide a) -> double { return __builtin_reduce_max(a); };
 auto bits_of = [](auto a) -> int {
@@ -21,3 +27,5 @@ auto bits_of = [](auto a) -> int {
 };
 auto values = [&](const wp::array_t<Real>& a) { return reinterpret_cast<Value*>(&wp::index(a, pack, 0, lane)); };
 auto wides = [&](const wp::array_t<double>& a) { return reinterpret_cast<Wide*>(&wp::index(a, pack, 0, lane)); };
+// A table of the Model that differs from lane to lane.
+auto lane_table = [&](const wp::array_t<Real>& a, int row) { return reinterpret_cast<Value*>(&wp::index(a, row, 0, lane)); };

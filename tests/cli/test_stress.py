@@ -53,7 +53,7 @@ def test_the_suite_says_what_it_found(warpvox: Callable) -> None:
 
 def test_what_must_not_be_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     env = make_vec("BridgeWalker-v0", num_envs=2, device="cpu", threads=1)
-    step, fixed = env.step, torch.as_tensor(env.sim._state.arrays["fixed"].numpy()[0]).nonzero()[0, 0]
+    step, fixed = env.step, env.sim.fixed_rows[0, ::2].nonzero()[0, 0]
 
     def worse(actions: torch.Tensor) -> tuple:
         result = step(actions)

@@ -69,6 +69,6 @@ def test_who_asked_for_messages_of_warp_gets_them(tmp_path: Path, before: str) -
 
 
 def test_a_simulation_starts_without_a_banner(tmp_path: Path) -> None:
-    code = "from warpvox.sim import resolve_device; print(resolve_device('cpu'))"
+    code = "from warpvox.device import resolve_device; print(resolve_device('cpu'))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
     assert (done.stdout, done.stderr) == ("cpu\n", "")

@@ -18,6 +18,7 @@ class Puppet:
 
     device = "cpu"
     num_actions = 3
+    grid = None  # bodies cannot be exchanged
 
     def __init__(self, points: list[int], objects: tuple[str, ...] = (), dtype: torch.dtype = torch.float64):
         self.num_envs = self.num_designs = len(points)

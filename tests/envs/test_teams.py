@@ -145,3 +145,25 @@ def test_mistakes_are_named() -> None:
         make(TEAM, [B, {"robot": A, "mate": B, "third": [[1]]}], 2)
     with pytest.raises(WorldError, match=r"1x2 body does not fit the world of Team-v0.*'third' .* overlaps 'mate'"):
         make(TEAM, [{"robot": A, "mate": np.full((1, 20), 3), "third": C}])
+
+
+def test_teams_of_different_bodies_share_packs_and_may_change() -> None:
+    """Fast arithmetic; each team against a batch of it alone, bit for bit."""
+    options = dict(dtype="float32", lanes=8, auto_reset=False)
+    teams = [
+        {name: sample_design((4, 4), seed=10 * k + n) for n, name in enumerate(("robot", "mate", "third"))}
+        for k in range(8)
+    ]
+    env = make(TEAM, teams[:4] * 2, 8, grid=(4, 4), **options)
+    mask = torch.arange(8) >= 4
+    env.set_designs(teams[4:], mask)
+    assert env.sim._state.packs == 1
+    env.reset()
+    draws = np.random.default_rng(0).uniform(0.6, 1.6, (4, 8, env.num_actions)).astype(np.float32)
+    seen = [env.step(torch.as_tensor(move))[0] for move in draws]
+    for k in (1, 6):
+        alone = make(TEAM, [teams[k]], 8, **options)
+        alone.reset()
+        for move, found in zip(draws, seen, strict=True):
+            own = torch.as_tensor(move[k, : alone.num_actions]).expand(8, -1)
+            assert torch.equal(found[k, : alone.num_obs], alone.step(own)[0][k])

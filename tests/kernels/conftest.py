@@ -35,12 +35,13 @@ class Scene:
         self.law = self.sim._state.model
         self.springs, self.points = int(self.model.springs), int(self.model.points)
         self.active = self.model.active[: 2 * int(self.model.actives) : 2] // 2
-        self.free = self.model.fixed[: self.points] == 0
+        self.free = self.model.free_lanes[: self.points] != 0
+        self.order = self.model.order[: self.points, 0]  # of points in states and observations
 
     def scatter(self, seed, squeeze=0.8, noise=0.02, speed=3.0, drop=0.0):
         """Random positions and velocities of what can move."""
         rng, state = np.random.default_rng(seed), self.sim.state()
-        moving = torch.as_tensor(np.repeat(self.free, 2))
+        moving = torch.as_tensor(np.repeat(self.free[self.order], 2))
         self.sim.reset()
         home = self.sim.state()["pos"]
         pos = home * squeeze + torch.as_tensor(rng.normal(0, noise, home.shape))

@@ -16,7 +16,8 @@ def test_lengths_relax_toward_the_mean_of_the_actions_that_drive_them(scenes, dt
     scene.write("action", actions)
     launch_stage(goals, sim._state)
     step.launch(sim._state, "creep")
-    ends, drives = model.spring_ends[: scene.springs], model.spring_drive[: scene.springs]
+    ends, packed = model.spring_ends[: scene.springs], model.spring_drive[: scene.springs, 0]
+    drives = np.stack([packed & 0xFFFF, packed >> 16], axis=1) - 1
     assert {int((drive >= 0).sum()) for drive in drives} == {0, 1, 2}
     factor = [np.ones(len(actions)) if d[0] < 0 else actions[:, d[d >= 0]].mean(1) for d in drives]
     goal = np.stack(factor, 1) * model.spring_rest[: scene.springs]

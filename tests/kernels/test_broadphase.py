@@ -15,7 +15,7 @@ from warpvox.kernels.broadphase import (
     mark_grid,
 )
 from warpvox.kernels.launch import launch_stage
-from warpvox.layout import MARGIN
+from warpvox.packs import MARGIN
 from warpvox.sim import Simulation
 from warpvox.world import World
 
@@ -41,7 +41,7 @@ def scatter(sim, seed, spread):
     """Throw every point of every lane somewhere near its place; the bounds that follow, [lanes, voxels, 4]."""
     state, rng = sim._state, np.random.default_rng(seed)
     home = state.arrays["home"].numpy()[0]
-    pos = home[None, :, None] + rng.normal(scale=spread, size=state.arrays["pos"].shape)
+    pos = home[None] + rng.normal(scale=spread, size=state.arrays["pos"].shape)
     state.arrays["pos"].assign(pos)
     launch_stage(boxes, state)
     corners = state.arrays["corner"].numpy()[0]
@@ -121,8 +121,8 @@ def mixed():
 def test_still_voxels_are_candidates_of_mobile_ones_only(mixed, seed, spread):
     sim = mixed
     state, rng = sim._state, np.random.default_rng(seed)
-    home, free = state.arrays["home"].numpy()[0], np.repeat(state.arrays["fixed"].numpy()[0] == 0, 2)
-    pos = home[None, :, None] + free[None, :, None] * rng.normal(scale=spread, size=state.arrays["pos"].shape)
+    home, free = state.arrays["home"].numpy()[0], np.repeat(state.arrays["free_lanes"].numpy()[0] != 0, 2)
+    pos = home[None] + free[None, :, None] * rng.normal(scale=spread, size=state.arrays["pos"].shape)
     state.arrays["pos"].assign(pos)
     launch_stage(boxes, state)
     x, y = (pos[0, axis::2][state.arrays["corner"].numpy()[0]] for axis in (0, 1))

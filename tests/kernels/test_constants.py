@@ -90,7 +90,7 @@ def test_two_control_steps_of_half_the_sub_steps_make_one(dtype: str) -> None:
 
 def limited(sim: Simulation, pos: np.ndarray) -> np.ndarray:
     """Positions after strain limiting, written plainly (paper section A.4)."""
-    law, arrays = sim.physics, {name: sim._state.arrays[name].numpy()[0] for name in ("spring_rest", "fixed")}
+    law, arrays = sim.physics, {name: sim._state.arrays[name].numpy()[0] for name in ("spring_rest", "free_lanes")}
     ends, rigid = sim._state.arrays["spring_ends"].numpy()[0], sim._state.arrays["rigid_spring"].numpy()[0]
 
     def excess(pos, s, limit):
@@ -101,7 +101,7 @@ def limited(sim: Simulation, pos: np.ndarray) -> np.ndarray:
 
     def move(out, s, step):
         for point, way in zip(ends[s], (1, -1), strict=True):
-            if not arrays["fixed"][point]:
+            if arrays["free_lanes"][point]:
                 out[point] += way * step
 
     after = pos.copy()
@@ -120,7 +120,7 @@ def limited(sim: Simulation, pos: np.ndarray) -> np.ndarray:
 def test_strain_is_limited_as_the_plain_formula_does(dtype: str, tolerance: float, limits: dict) -> None:
     sim = scene(dataclasses.replace(DEFAULT, **limits), dtype, np.array([[5, 1, 3], [1, 1, 4], [2, 2, 3]]))
     rng, state = np.random.default_rng(0), sim.state()
-    moving = ~torch.as_tensor(sim._state.arrays["fixed"].numpy() == 1).repeat_interleave(2, dim=1)
+    moving = ~sim.fixed_rows
     for _ in range(5):
         noise = torch.as_tensor(rng.normal(0, 0.02, state["pos"].shape))
         sim.set_state(state | {"pos": state["pos"] + noise * moving})

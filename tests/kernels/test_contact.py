@@ -50,7 +50,13 @@ def voxels(scene, pos):
     model = scene.model
     for v in range(int(model.voxels)):
         corners = model.corner[v]
-        yield pos[corners], corners, int(model.side[v]), int(model.body[v]), bool(model.still[v])
+        yield (
+            pos[corners],
+            corners,
+            int((model.side_lanes[v] & 1) @ [1, 2, 4, 8]),
+            int(model.body[v]),
+            bool(model.still[v]),
+        )
     for side, (left, right, bottom, top) in zip(model.terrain_side, model.terrain_box, strict=True):
         if side:
             quad = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])

@@ -107,7 +107,8 @@ def forces(sim: Simulation) -> tuple[np.ndarray, int]:
 
 def found(sim: Simulation) -> np.ndarray:
     """``[points, 2]``: the forces as the kernels have them."""
-    return sim._state.arrays["contact"].numpy()[0, :, 0].reshape(-1, 2).astype(np.float64)
+    rows = sim._state.arrays["contact"].numpy()[0, :, 0].reshape(-1, 2).astype(np.float64)
+    return rows[sim._state.arrays["order"].numpy()[0, :, 0]]
 
 
 @pytest.mark.parametrize("speed", [0.0, 3.0])
@@ -122,7 +123,7 @@ def test_contact_forces_follow_the_law(
     sim = touching(dtype, arithmetic, Physics.preset("evogym", **changes), speed)
     expected, count = forces(sim)
     assert count > 10
-    fixed = sim._state.arrays["fixed"].numpy()[0][:, None] == 1
+    fixed = sim.fixed_rows[0, ::2, None].numpy()
     scale = max(np.abs(expected).max(), 1.0)
     forced = np.where(fixed, 0, found(sim))
     np.testing.assert_allclose(forced, np.where(fixed, 0, expected), rtol=0, atol=tolerance * scale)

@@ -38,8 +38,8 @@ class Descent:
     def __init__(self, design, pos):
         self.node = order_arrays(design)["node"]
         self.box, self.roots = [], {}
-        world = design.world
-        names = sorted(world.objects, key=lambda name: (not world.objects[name].is_robot, name))
+        objects = [body.source for body in design.bodies + design.statics]
+        names = [obj.name for obj in sorted(objects, key=lambda obj: (not obj.is_robot, obj.name))]
         for body in design.bodies + design.statics:
             points = np.array(body.points)
             if body in design.bodies:

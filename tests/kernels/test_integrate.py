@@ -15,7 +15,7 @@ def acceleration(scene, pos, vel, rest, contact):
     force[..., 1] -= law.weight
     vector = pos[:, ends[:, 1]] - pos[:, ends[:, 0]]
     length = np.linalg.norm(vector, axis=-1)
-    pull = (scene.model.spring_k[: scene.springs] * (length - rest) / length)[..., None] * vector
+    pull = (scene.model.spring_k[: scene.springs, 0] * (length - rest) / length)[..., None] * vector
     for s, (a, b) in enumerate(ends):
         force[:, a] += pull[:, s]
         force[:, b] -= pull[:, s]

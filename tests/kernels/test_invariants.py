@@ -19,12 +19,6 @@ def step_all(sim: Simulation, actions: torch.Tensor | None = None) -> None:
     sim.step(torch.ones((sim.num_envs, sim.num_actions)) if actions is None else actions)
 
 
-def fixed_rows(sim: Simulation) -> torch.Tensor:
-    """bool [num_envs, rows]: coordinates that must not move."""
-    fixed = torch.as_tensor(sim._state.arrays["fixed"].numpy() == 1)
-    return fixed.repeat_interleave(2, dim=1)[sim.design_index]
-
-
 # -------------------------------------------------------------------------------------------------- momentum
 
 
@@ -120,7 +114,7 @@ def test_bodies_do_not_go_through_terrain(thickness: int, dtype: str) -> None:
     for speed, most in IMPACTS:
         sim.reset()
         state = sim.state()
-        rows = ~fixed_rows(sim)
+        rows = ~sim.fixed_rows
         rows[:, 0::2] = False
         for name in ("vel", "true_vel"):
             state[name] = torch.where(rows, state[name] - speed, state[name])
@@ -160,7 +154,7 @@ def batter(seed: int, largest: int, steps: int, dtype: str) -> int:
     rng = np.random.default_rng(seed)
     world = random_world(rng, largest)
     sim = Simulation([world] * 4, device="cpu", dtype=dtype, threads=1)
-    fixed = fixed_rows(sim)
+    fixed = sim.fixed_rows
     home, stopped = sim.state()["pos"], 0
     for step in range(steps):
         if step % 12 == 11:  # each environment its own: pushed together, thrown, torn, mixed up

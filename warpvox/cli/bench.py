@@ -49,7 +49,7 @@ def measure(config: Any, console: Console) -> Path:
         from warpvox.cli.benchmarks.machine import machine, machine_line
         from warpvox.cli.benchmarks.report import Document, Report
         from warpvox.cli.build import prepare
-        from warpvox.sim import resolve_device
+        from warpvox.device import resolve_device
 
         suite = import_module(f"warpvox.cli.benchmarks.{config.suite}")
         prepare(config.torch_threads, config.seed)

@@ -13,11 +13,11 @@ import numpy as np
 import torch
 
 from warpvox.design import load_design
+from warpvox.device import resolve_device
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import DesignError
-from warpvox.layout import lanes_for
-from warpvox.sim import resolve_device
+from warpvox.packs import lanes_for
 from warpvox.startup import LOGGER, start_warp
 from warpvox.types import Physics
 

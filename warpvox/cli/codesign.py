@@ -29,7 +29,7 @@ from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.files import check_writable
-from warpvox.layout import lanes_for
+from warpvox.packs import lanes_for
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import DesignEvaluator
@@ -113,9 +113,9 @@ def check(config: CodesignConfig) -> None:
     from warpvox.algos.sequential import SequentialEvaluator
     from warpvox.cli.build import physics_of
     from warpvox.cli.needs import check_search
+    from warpvox.device import resolve_device
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
-    from warpvox.sim import resolve_device
 
     if len(config.shape) != 2:
         raise ConfigError(f"shape must be [rows,columns], such as [5,5]; got {config.shape}.")
@@ -136,7 +136,7 @@ def check(config: CodesignConfig) -> None:
 def resolve(config: CodesignConfig) -> CodesignConfig:
     """A copy with what its names stand for: settings, constants and, where it is this machine's, the device."""
     from warpvox.cli.build import physics_of
-    from warpvox.sim import resolve_device
+    from warpvox.device import resolve_device
 
     constants = dataclasses.asdict(physics_of(config))
     preset = constants.pop("name")
@@ -301,7 +301,7 @@ def make_evaluator(config: CodesignConfig) -> DesignEvaluator:
     from warpvox.algos.population import PopulationEvaluator
     from warpvox.algos.sequential import SequentialEvaluator
     from warpvox.cli.build import physics_of, prepare
-    from warpvox.sim import resolve_device
+    from warpvox.device import resolve_device
 
     prepare(config.torch_threads, config.seed)
     device = resolve_device(config.device)

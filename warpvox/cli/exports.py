@@ -89,7 +89,7 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
     from warpvox.cli.build import make_env, training_lanes
     from warpvox.cli.config import load_values
     from warpvox.cli.consent import allow_code
-    from warpvox.sim import resolve_device
+    from warpvox.device import resolve_device
 
     device = resolve_device(config.device)
     path = run.find_checkpoint(config.checkpoint)

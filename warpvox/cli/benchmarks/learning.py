@@ -16,7 +16,7 @@ from warpvox.cli.benchmarks.reference import open_reference
 from warpvox.cli.benchmarks.report import Report, middle, number
 from warpvox.cli.config import load
 from warpvox.envs.vec_env import make_vec
-from warpvox.layout import lanes_for
+from warpvox.packs import lanes_for
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["learn", "run"]

@@ -63,7 +63,7 @@ class Depths:
 
     def __init__(self, env: VoxelVecEnv) -> None:
         self.sim = env.sim
-        self.names = [name for name in env.sim.object_names if name in env.sim._mobile]
+        self.names = [name for name in env.sim.object_names if name in env.sim.mobile_names]
         size = [max(getattr(world, side) for world in env.sim.worlds) + 2 * DEEPEST for side in ("width", "height")]
         self.solid = np.zeros((len(env.sim.worlds), *size), bool)
         self.solid[:, :, :DEEPEST] = True  # under the world is the floor: nothing leaves that way
@@ -73,7 +73,7 @@ class Depths:
                 rows, columns = item.grid.nonzero()
                 solid[DEEPEST + item.x + columns, DEEPEST + item.y + item.grid.shape[0] - 1 - rows] = True
         self.design = env.sim.design_index.cpu().numpy()
-        self.free = {name: _free_points(env.sim, name)[self.design] for name in self.names}
+        self.free = {name: _free_points(env.sim, name) for name in self.names}
 
     def __call__(self) -> np.ndarray:
         """float64 ``[num_envs]``: the deepest point of all that can move; :data:`DEEPEST` means that or deeper."""
@@ -108,14 +108,12 @@ def _gap(part: np.ndarray, cells: int) -> np.ndarray:
 
 
 def _free_points(sim: Any, name: str) -> np.ndarray:
-    """bool ``[num_designs, points]``: points of an object that can move."""
-    found = np.zeros((sim.num_designs, sim.num_points(name)), bool)
-    fixed = sim._state.arrays["fixed"].numpy()
-    for row, design in enumerate(sim.designs):
-        for body in (body for body in design.bodies if body.name == name):
-            count = len(body.points)
-            found[row, :count] = fixed[row, body.first_point : body.first_point + count] == 0
-    return found
+    """bool ``[num_envs, points]``: points of an object that can move."""
+    free, points = np.zeros((sim.num_envs, sim.num_points(name)), bool), sim.rows_of(name)[:, ::2]
+    real = points.cumsum(1) - 1
+    env, column = points.nonzero(as_tuple=True)
+    free[env, real[env, column]] = ~sim.fixed_rows[:, ::2][env, column]
+    return free
 
 
 def bodies_for(task: str, count: int, largest: int, seed: int) -> list[np.ndarray]:
@@ -159,30 +157,27 @@ def _throw(env: VoxelVecEnv, draw: torch.Generator) -> None:
     vel = state["vel"]
     kick = THROW_SPEED * (2 * torch.rand((env.num_envs, 1, 2), generator=draw, dtype=torch.float64) - 1)
     chosen = torch.rand((env.num_envs, 1), generator=draw) < 1 / 8
-    free = torch.as_tensor(_rows(env.sim, 0))[env.sim.design_index]
+    free = _rows(env.sim, False)
     whole = kick.expand(-1, vel.shape[1] // 2, -1).reshape(env.num_envs, -1)
     state["vel"] = torch.where(chosen & free, vel + whole, vel)
     env.sim.set_state(state)
 
 
-def _rows(sim: Any, fixed: int) -> np.ndarray:
-    """bool ``[num_designs, rows of the state]``: coordinates of points that are fixed (1) or can move (0).
+def _rows(sim: Any, fixed: bool) -> torch.Tensor:
+    """bool ``[num_envs, rows of the state]``: coordinates of points that are fixed or can move.
 
     Those of objects that episodes begin in another place are neither.
     """
-    chosen = sim._state.arrays["fixed"].numpy() == fixed
-    for row, design in enumerate(sim.designs):
-        chosen[row, sum(len(body.points) for body in design.bodies) :] = False
-        for body in (body for body in design.bodies if body.name in sim.loose):
-            chosen[row, body.first_point : body.first_point + len(body.points)] = False
-    return np.repeat(chosen, 2, axis=1)
+    names = [name for name in sim.object_names if name not in sim.loose]
+    chosen = torch.stack([sim.rows_of(name) for name in names]).any(0)
+    return chosen & (sim.fixed_rows == fixed)
 
 
 def stress(env: VoxelVecEnv, control_steps: int, seed: int) -> Findings:
     """Take at least so many control steps, of all environments together, and say what was found."""
     found, actions, depths = Findings(), _Actions(env, seed), Depths(env)
     draw = torch.Generator().manual_seed(seed + 1)
-    fixed = torch.as_tensor(_rows(env.sim, 1))[env.sim.design_index]
+    fixed = _rows(env.sim, True)
     env.reset(seed)
     home = env.sim.state()["pos"][fixed].clone()
     began = time.perf_counter()

@@ -1,0 +1,69 @@
+"""Bodies as :func:`warpvox.make_vec` takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from warpvox.design import Design, load_design
+from warpvox.envs.spec import ROBOT, TaskSpec
+from warpvox.envs.worlds import task_team
+from warpvox.errors import ConfigError, DesignError
+
+__all__ = ["check_grid", "load_connections", "load_designs", "one_body"]
+
+DEFAULT_DESIGN = "walker"
+
+
+def one_body(body: object, designs: object, connections: object) -> tuple[object, object]:
+    """``designs`` and ``connections`` of several bodies from those of one; raises ConfigError if both are given."""
+    if body is None:
+        return designs, connections
+    if designs is not None:
+        raise ConfigError("Give one body for all environments (body=...) or a list of them (designs=[...]), not both.")
+    return [body], None if connections is None else [connections]
+
+
+def load_designs(spec: TaskSpec, designs: object) -> list[Design | dict[str, Design]]:
+    """Valid bodies; for a task with several robots those of all, by name."""
+    if designs is None:
+        designs = [DEFAULT_DESIGN]
+    single = isinstance(designs, str | Mapping) or (isinstance(designs, np.ndarray) and designs.ndim == 2)
+    if not single and not isinstance(designs, Sequence | np.ndarray):
+        raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")
+    bodies = [designs] if single else list(designs)
+    if not bodies:
+        raise DesignError("The list of designs is empty: at least one body is needed.")
+    loaded = []
+    for number, body in enumerate(bodies):
+        try:
+            team = {name: load_design(given) for name, given in task_team(spec, body).items()}
+        except DesignError as error:
+            raise DesignError(f"Design {number}: {error}" if len(bodies) > 1 else str(error)) from None
+        loaded.append(team if spec.partners else team[ROBOT])
+    return loaded
+
+
+def load_connections(connections: Sequence[object] | None, count: int) -> Sequence[object]:
+    if connections is None:
+        return [None] * count
+    if not isinstance(connections, Sequence | np.ndarray):
+        raise ConfigError(f"connections must be a list with one entry a design, got {type(connections).__name__}.")
+    if len(connections) != count:
+        raise ConfigError(f"connections must have one entry a design ({count}), got {len(connections)}.")
+    return connections
+
+
+def check_grid(grid: object) -> tuple[int, int] | None:
+    """Rows and columns, or None.
+
+    Raises:
+        ConfigError: something else.
+    """
+    if grid is None:
+        return None
+    sizes = list(grid) if isinstance(grid, Sequence) and not isinstance(grid, str) else []
+    if len(sizes) != 2 or not all(isinstance(n, int) and not isinstance(n, bool) and n >= 1 for n in sizes):
+        raise ConfigError(f"grid must be two integers >= 1, (rows, columns), got {grid!r:.80}.")
+    return tuple(sizes)

@@ -1,0 +1,19 @@
+// Body of a function (model, data, mesh, pack, lane): the goals of all springs from the actions.
+
+const auto action = wides(data.action);
+const auto goal = wides(data.goal);
+const int springs = wp::index(model.springs, mesh);
+for (int s = 0; s < springs; ++s) {
+    const double rest = wp::index(model.spring_rest, mesh, s);
+    const int* drive = &wp::index(model.spring_drive, mesh, s, lane);
+    each_lane([&](int k) {
+        const int first = (drive[k] & 0xffff) - 1, second = (drive[k] >> 16) - 1;
+        double length = rest;
+        if (second >= 0) {
+            length = (lane_of(action[first], k) + lane_of(action[second], k)) * (rest * 0.5);
+        } else if (first >= 0) {
+            length = lane_of(action[first], k) * rest;
+        }
+        set_lane(goal[s], k, length);
+    });
+}

@@ -1,0 +1,104 @@
+// Body of a function (model, data, mesh, pack, lane): both strain passes for the lanes of a unit, on displacements.
+
+const int springs = wp::index(model.springs, mesh), rigids = wp::index(model.rigids, mesh);
+const int actives = 2 * wp::index(model.actives, mesh);
+const int* active = &wp::index(model.active, mesh, 0);
+const int* free_lanes = &wp::index(model.free_lanes, mesh, 0);
+const int* spring_lanes = &wp::index(model.spring_lanes, mesh, 0);
+const int* rigid_spring = &wp::index(model.rigid_spring, mesh, 0);
+const int* rigid_lanes = &wp::index(model.rigid_lanes, mesh, 0);
+const int* twin_lanes = &wp::index(model.twin_lanes, mesh, 0);
+const wp::vec_t<2, int>* spring_ends = &wp::index(model.spring_ends, mesh, 0);
+const wp::vec_t<2, int>* twin_range = &wp::index(model.twin_range, mesh, 0);
+const wp::vec_t<2, int>* twin = &wp::index(model.twin, mesh, 0);
+const double* spring_rest = &wp::index(model.spring_rest, mesh, 0);
+
+const auto disp = values(data.disp);
+const auto span = values(data.span);
+const auto moved = values(data.force);  // corrections of a pass; forces are not needed any more
+const auto move = wides(data.move);
+
+// Whether spring s is beyond the bound in some of the lanes; then how far its first end moves, toward the second where
+// the spring is too long.
+auto correction = [&](int s, int lanes, Real bound, Real share, Value& dx, Value& dy) -> bool {
+    const unsigned a = 2 * spring_ends[s][0], b = 2 * spring_ends[s][1];
+    const Value ex = span[2 * s] + (disp[b] - disp[a]), ey = span[2 * s + 1] + (disp[b + 1] - disp[a + 1]);
+    const Value square = ex * ex + ey * ey;
+    const Real rest = static_cast<Real>(spring_rest[s]);
+    const Real longest = rest * (Real(1) + bound), shortest = rest * (Real(1) - bound);
+    if (!(bits_of((square >= longest * longest) | (square <= shortest * shortest)) & (lanes >> lane))) return false;
+    const Value length = root(square), zero = length * Real(0);
+    const Value over = length - longest, under = length - shortest;
+    const Value excess = (over > zero ? over : zero) + (under < zero ? under : zero);
+    Value part = excess * (Real(0.5) * share) / length;
+    if (lanes != -1) part = weights(lanes) > zero ? part : zero;
+    dx = ex * part;
+    dy = ey * part;
+    return true;
+};
+
+// Move a point where it is free, in the corrections alone or in the displacements, too; twins move with their leader.
+auto shift = [&](int p, Value x, Value y, bool in_place) {
+    const int free = free_lanes[p], begin = twin_range[p][0], end = twin_range[p][1];
+    if (free == 0) return;
+    if (free != -1) {
+        x = x * weights(free);
+        y = y * weights(free);
+    }
+    for (int k = 0; k < (in_place ? 2 : 1); ++k) {
+        const auto rows = k ? disp : moved;
+        Value own_x = x, own_y = y;
+        for (int e = begin; e < end; ++e) {
+            if (twin[e][0] == p) {
+                const Value follows = weights(twin_lanes[e]);
+                const unsigned leader = 2 * twin[e][1];
+                rows[leader] = rows[leader] + own_x * follows;
+                rows[leader + 1] = rows[leader + 1] + own_y * follows;
+                own_x = own_x * (Real(1) - follows);
+                own_y = own_y * (Real(1) - follows);
+            }
+        }
+        rows[2 * p] = rows[2 * p] + own_x;
+        rows[2 * p + 1] = rows[2 * p + 1] + own_y;
+        for (int e = begin; e < end; ++e) {
+            const Value follows = weights(twin_lanes[e]), own = Real(1) - follows;
+            for (unsigned axis = 0; axis < 2; ++axis) {
+                const unsigned row = 2 * twin[e][0] + axis, leader = 2 * twin[e][1] + axis;
+                rows[row] = rows[row] * own + rows[leader] * follows;
+            }
+        }
+    }
+};
+
+Value dx, dy;
+bool any = false;
+auto begin_pass = [&]() {
+    for (int n = 0; !any && n < actives; ++n) moved[active[n]] = disp[active[n]] * Real(0);
+    any = true;
+};
+
+// All springs from one snapshot.
+for (int s = 0; s < springs; ++s) {
+    if (correction(s, spring_lanes[s], model.strain_limit, model.strain_share, dx, dy)) {
+        begin_pass();
+        shift(spring_ends[s][0], dx, dy, false);
+        shift(spring_ends[s][1], -dx, -dy, false);
+    }
+}
+for (int n = 0; any && n < actives; ++n) {
+    const unsigned r = active[n];
+    disp[r] = disp[r] + moved[r];
+    move[r] = move[r] + widen(moved[r]);
+}
+
+// The sides of rigid voxels one after another, in place.
+any = false;
+for (int n = 0; n < rigids; ++n) {
+    const int s = rigid_spring[n];
+    if (correction(s, rigid_lanes[n], model.rigid_strain_limit, model.rigid_strain_share, dx, dy)) {
+        begin_pass();
+        shift(spring_ends[s][0], dx, dy, true);
+        shift(spring_ends[s][1], -dx, -dy, true);
+    }
+}
+for (int n = 0; any && n < actives; ++n) move[active[n]] = move[active[n]] + widen(moved[active[n]]);

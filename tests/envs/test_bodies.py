@@ -1,0 +1,153 @@
+"""A different body in every environment, and other bodies for environments that run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from warpvox.design import full_connections, sample_design
+from warpvox.envs.registry import task_ids
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.errors import ConfigError, DesignError, SimulationError, WorldError
+from warpvox.rollout import record
+
+LANES = 8
+OPTIONS = dict(device="cpu", threads=1, lanes=LANES)
+
+
+def sampled(count: int, first: int = 0, shape: tuple[int, int] = (5, 5)) -> list[np.ndarray]:
+    return [sample_design(shape, seed=first + k) for k in range(count)]
+
+
+def actions_of(env: VoxelVecEnv, steps: int, seed: int = 0) -> torch.Tensor:
+    """[steps, environments, actions]; the same for an environment however many there are."""
+    draws = [np.random.default_rng([seed, k]).uniform(0.6, 1.6, (steps, 64)) for k in range(env.num_envs)]
+    return torch.as_tensor(np.stack(draws, 1)[..., : env.num_actions], dtype=env.dtype)
+
+
+@pytest.mark.parametrize("task", task_ids())
+def test_a_body_does_the_same_whatever_the_others_of_its_pack_are(task: str) -> None:
+    """Bit for bit, at one lane width: bodies that share a pack against a pack of one body."""
+    designs = sampled(LANES, 3)
+    mixed = make_vec(task, designs, LANES, seed=list(range(LANES)), auto_reset=False, **OPTIONS)
+    assert mixed.sim._state.packs == 1
+    moves = actions_of(mixed, 6)
+    results = [mixed.reset()[0], *(mixed.step(move)[0] for move in moves)]
+    for k in (0, 5):
+        alone = make_vec(task, [designs[k]], LANES, seed=[k] * LANES, auto_reset=False, **OPTIONS)
+        own = [move[k, : alone.num_actions].expand(LANES, -1) for move in moves]
+        expected = [alone.reset()[0], *(alone.step(move)[0] for move in own)]
+        for found, wanted in zip(results, expected, strict=True):
+            assert torch.equal(found[k, : alone.num_obs], wanted[k])
+            assert not found[k, alone.num_obs :].any()
+
+
+def cut_body(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A body some of whose neighbouring cells are not connected."""
+    rng, body = np.random.default_rng(seed), sample_design((4, 4), seed=seed)
+    pairs = full_connections(body)
+    return body, pairs[rng.random(len(pairs)) < 0.75].T
+
+
+def test_cut_connections_share_packs_with_whole_bodies() -> None:
+    designs, links = zip(*(cut_body(seed) for seed in range(4)), strict=True)
+    designs, links = [*designs, *sampled(4, 1, (4, 4))], [*links, *[None] * 4]
+    mixed = make_vec("Walker-v0", designs, LANES, connections=links, dtype="float64", arithmetic="fast", **OPTIONS)
+    exact = make_vec("Walker-v0", designs, LANES, connections=links, dtype="float64", device="cpu", threads=1, lanes=1)
+    assert (mixed.sim._state.packs, exact.sim._state.packs) == (1, LANES)
+    for move in actions_of(mixed, 3):
+        for env in (mixed, exact):
+            env.step(move)
+        gap = mixed.sim.object_positions("robot") - exact.sim.object_positions("robot")
+        assert gap.abs().max() < 1e-10
+
+
+@pytest.mark.parametrize("obs", ["task", "voxel"])
+@pytest.mark.parametrize("task", ["Walker-v0", "Traverser-v0", "Climber-v2"])
+def test_a_changed_batch_is_a_new_one_bit_for_bit(task: str, obs: str) -> None:
+    designs, others = sampled(16), sampled(5, 100, (4, 5))
+    env = make_vec(task, designs, 16, grid=(5, 5), obs=obs, **OPTIONS)
+    sizes = env.num_obs, env.num_actions
+    env.reset()
+    moves = actions_of(env, 12)
+    for move in moves[:4]:
+        env.step(move)
+    mask = torch.zeros(16, dtype=torch.bool)
+    mask[[0, 3, 7, 8, 15]] = True
+    before, memory = env.sim.state(), env.memory
+    arrays = {name: array.ptr for name, array in env.sim._state.arrays.items()}
+    env.set_designs(others, mask)
+    assert arrays == {name: array.ptr for name, array in env.sim._state.arrays.items()}
+    assert (env.num_obs, env.num_actions) == sizes
+    after = env.sim.state()
+    for name in before:
+        width = min(before[name].shape[-1], after[name].shape[-1]) if before[name].ndim == 2 else None
+        assert torch.equal(before[name][~mask][..., :width], after[name][~mask][..., :width]), name
+    assert all(torch.equal(env.memory[name][~mask], memory[name][~mask]) for name in memory)
+    for k, body in zip(mask.nonzero()[:, 0].tolist(), others, strict=True):
+        designs[k] = body
+    assert all(np.array_equal(env.designs[env.design_index[k]], designs[k]) for k in range(16))
+
+    fresh = make_vec(task, designs, 16, grid=(5, 5), obs=obs, **OPTIONS)
+    found, expected = env.reset(seed=7)[0], fresh.reset(seed=7)[0]
+    assert torch.equal(found, expected)
+    for move in moves:
+        found, expected = env.step(move), fresh.step(move)
+        for a, b in zip(found[:4], expected[:4], strict=True):
+            assert torch.equal(a, b)
+    assert torch.equal(env.obs_mask[env.design_index], fresh.obs_mask[fresh.design_index])
+    assert torch.equal(env.action_mask[env.design_index], fresh.action_mask[fresh.design_index])
+
+
+def test_a_change_begins_an_episode_and_leaves_the_others_alone() -> None:
+    env = make_vec("Walker-v0", sampled(4), 8, grid=(5, 5), device="cpu", threads=1)
+    env.reset()
+    for move in actions_of(env, 3):
+        env.step(move)
+    mask = torch.tensor([True, False] * 4)
+    env.set_designs([np.array([[3, 4]])], mask)
+    assert env.episode_length.tolist() == [0, 3] * 4
+    assert env.sim.time.tolist() == [0, 3] * 4
+    info = env.step(actions_of(env, 1)[0])[4]
+    assert info["episode"]["length"].tolist() == [1, 4] * 4
+    rollout = record(env, "sine", num_steps=2)
+    assert len(rollout.scenes) == len(env.designs)
+
+
+def test_what_cannot_be_given_is_refused_before_anything_changes() -> None:
+    env = make_vec("Walker-v0", sampled(2), 4, grid=(5, 5), device="cpu", threads=1)
+    all_of_them = torch.ones(4, dtype=torch.bool)
+    state = env.state()
+    body, links = cut_body(0)
+    for designs, options, error, words in (
+        (sampled(3), {}, ConfigError, "4 environments need a design each, or one for all; got 3"),
+        (np.full((6, 6), 3), {}, SimulationError, "6x6 body .* does not fit the simulation's grid of 5x5"),
+        (np.zeros((5, 5)), {}, DesignError, "empty|cells"),
+        ([body], {"connections": [links]}, SimulationError, "not connected"),
+        (np.full((4, 70), 3), {}, (SimulationError, WorldError), "4x70"),
+    ):
+        with pytest.raises(error, match=words):
+            env.set_designs(designs, all_of_them, **options)
+    with pytest.raises(ConfigError, match=r"mask must be bool \[4\]"):
+        env.set_designs(sampled(1), torch.ones(3, dtype=torch.bool))
+    after = env.state()
+    assert all(torch.equal(after["sim"][name], value) for name, value in state["sim"].items())
+    with pytest.raises(SimulationError, match=r"made with grid=\(rows, columns\)"):
+        make_vec("Walker-v0", sampled(1), 1, device="cpu").set_designs(sampled(1, 5), torch.ones(1, dtype=torch.bool))
+    with pytest.raises(SimulationError, match="arithmetic='fast'"):
+        make_vec("Walker-v0", sampled(1), 1, device="cpu", dtype="float64", grid=(5, 5))
+    for grid in (5, (5,), "5x5", (0, 5), (5.0, 5)):
+        with pytest.raises(ConfigError, match="grid must be two integers"):
+            make_vec("Walker-v0", sampled(1), 1, device="cpu", grid=grid)
+
+
+def test_rewards_and_resets_of_a_changed_environment_are_its_own() -> None:
+    """Auto-reset after the change begins with the new body."""
+    env = make_vec("Walker-v0", sampled(1), 2, grid=(5, 5), max_episode_steps=3, **OPTIONS | {"lanes": 8})
+    env.reset()
+    first = env.set_designs(sampled(1, 9), torch.tensor([False, True]))
+    for move in actions_of(env, 3):
+        obs, _, _, truncated, _ = env.step(move)
+    assert truncated.all()
+    assert torch.equal(obs[1], first[1])

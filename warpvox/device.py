@@ -1,0 +1,35 @@
+"""Devices by name."""
+
+from __future__ import annotations
+
+import re
+
+import torch
+import warp as wp
+
+from warpvox.errors import DeviceError
+from warpvox.startup import start_warp
+
+__all__ = ["resolve_device"]
+
+
+def resolve_device(device: str) -> str:
+    """The torch name of a device: 'auto', 'cpu', 'cuda', 'cuda:<index>'.
+
+    Raises:
+        DeviceError: no such device here.
+    """
+    start_warp()
+    name = str(device)[:80]
+    if name == "auto":
+        return "cuda:0" if torch.cuda.is_available() and wp.is_cuda_available() else "cpu"
+    if name == "cpu":
+        return name
+    kind, _, number = name.partition(":")
+    if kind != "cuda" or not re.fullmatch("[0-9]{0,4}", number):
+        raise DeviceError(f"Unknown device {name!r}; valid are 'auto', 'cpu', 'cuda' and 'cuda:<index>'.")
+    found = torch.cuda.device_count() if torch.cuda.is_available() and wp.is_cuda_available() else 0
+    if int(number or 0) >= found:
+        have = f"this machine has {found} CUDA device(s)" if found else "no CUDA device was found"
+        raise DeviceError(f"Device {device!r} is not available: {have}. Use device=cpu or device=auto.")
+    return f"cuda:{int(number or 0)}"
