@@ -195,6 +195,6 @@ def resume(victim: Victim, folder: Path, command: str, whole: Path) -> None:
         assert "not a run" in result.err or "start it again" in result.err
         result = victim(folder / "again", COMMANDS[command])
         run = only(folder / "again", command)
-    if "iterations already" not in result.err:  # it was killed when all was done
+    if "has already made" not in result.err:  # it was killed when all was done
         assert (result.code, result.err) == (0, ""), result
     WHEN_DONE[command](run or only(folder, command), whole)

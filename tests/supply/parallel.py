@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-MEMORY_OF_A_WORKER = 1.5 * 2**30
-"""Bytes; a process with torch, Warp, their kernels and a child that is one itself takes about a GiB."""
+MEMORY_OF_A_WORKER = 2.5 * 2**30
+"""Bytes; a process with torch, Warp, their kernels and a child that is one itself take about that much."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
 LIMIT = Path("/sys/fs/cgroup/memory.max")
