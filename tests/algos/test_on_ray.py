@@ -67,12 +67,14 @@ def cluster(monkeypatch: pytest.MonkeyPatch):
 
     # workers find the modules of the tests as this process does
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
+    handler = signal.getsignal(signal.SIGTERM)  # a node takes it over
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
     nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
     cluster.wait_for_nodes()
     yield cluster, nodes
     ray.shutdown()
     cluster.shutdown()
+    signal.signal(signal.SIGTERM, handler)
 
 
 def test_two_nodes_with_dying_workers_give_the_results_of_one_process(
