@@ -22,11 +22,11 @@ TORN = 5.0  # a voxel wider than this has exploded: its environment is lost, and
 
 
 @builder
-def voxel_box(kit: Kit):
-    """Function: axis-aligned bounds of a voxel, into ``box``; inside out where it is no surface voxel."""
+def voxel_boxes(kit: Kit):
+    """Function: axis-aligned bounds of voxels, into ``box``: of those that may have moved (``mobile`` 1) or of all."""
 
-    @kit.func_native("native/voxel_box.h", precision="float64")
-    def enclose(model, data, mesh, pack, lane, v): ...
+    @kit.func_native("native/voxel_boxes.h", precision="float64")
+    def enclose(model, data, mesh, pack, lane, mobile): ...
 
     return enclose
 
@@ -34,12 +34,11 @@ def voxel_box(kit: Kit):
 @builder
 def boxes(kit: Kit):
     """Stage: bounds of the surface voxels that may have moved."""
-    enclose = voxel_box(kit)
+    enclose = voxel_boxes(kit)
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
-        for n in range(model.mobiles[mesh]):
-            enclose(model, data, mesh, pack, lane, model.mobile[mesh, n])
+        enclose(model, data, mesh, pack, lane, 1)
 
     return stage
 
@@ -333,15 +332,14 @@ def collect_near(kit: Kit):
 @builder
 def collect_pairs(kit: Kit):
     """Stage: the candidate pairs anew."""
-    enclose = voxel_box(kit)
+    enclose = voxel_boxes(kit)
     grid_from = GRID_FROM if kit.width == 1 else WIDE_GRID_FROM
     by_grid, by_all, by_lattice, listed = (build(kit) for build in (mark_grid, mark_all, mark_still, list_pairs))
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
         if model.mobiles[mesh] < model.voxels[mesh]:
-            for v in range(model.voxels[mesh]):
-                enclose(model, data, mesh, pack, lane, v)
+            enclose(model, data, mesh, pack, lane, 0)
         if model.mobiles[mesh] >= grid_from:
             by_grid(model, data, mesh, pack, lane, unit, dt)
         else:

@@ -188,7 +188,7 @@ def voxel_quad(kit: Kit):
     """Function: a voxel of one lane as a quad."""
 
     @wp.func_native(text("native/quad.h"))
-    def of(data: kit.Data, pack: int, k: int, c: wp.vec4i) -> quad: ...
+    def of(places: points3, pack: int, k: int, c: wp.vec4i) -> quad: ...
 
     return of
 
@@ -236,7 +236,7 @@ def voxel_contacts(kit: Kit, act):
     sides, leader, leaders = views.sides, views.leader, views.leaders
 
     @kit.func_native("native/inside.h", "native/triangles.h", precision="float64")
-    def inside(data, pack, lane, p, j, r: wp.vec4i) -> int:
+    def inside(places: points3, boxes: points3, pack, lane, p, j, r: wp.vec4i) -> int:
         """The lanes in which a point is in voxel j, boundary included."""
         ...
 
@@ -260,7 +260,7 @@ def voxel_contacts(kit: Kit, act):
     @kit.func
     def touch(model, data, mesh, pack, k, i, j, c, times: real):
         """One lane in which corner c of voxel i is in voxel j."""
-        m, r = quad_of(data, pack, k, model.corner[mesh, i]), quad_of(data, pack, k, model.corner[mesh, j])
+        m, r = quad_of(data.pos, pack, k, model.corner[mesh, i]), quad_of(data.pos, pack, k, model.corner[mesh, j])
         meet(
             model, data, mesh, pack, k, i, m, sides(model, mesh, i, k),
             leader(model, mesh, model.pushed[mesh, i][c], k), c, j, r, sides(model, mesh, j, k),
@@ -280,7 +280,7 @@ def voxel_contacts(kit: Kit, act):
                 if ((corners >> (8 + c)) & 1) == 1:
                     lanes = lanes & ~(shared(model, mesh, p, model.corner[mesh, j]) >> lane)
                 if lanes != 0:
-                    lanes = lanes & inside(data, pack, lane, p, j, model.corner[mesh, j])
+                    lanes = lanes & inside(data.pos, data.box, pack, lane, p, j, model.corner[mesh, j])
                 while lanes != 0:
                     touch(model, data, mesh, pack, lane + kit.first(lanes), i, j, c, times)
                     lanes = kit.drop(lanes)
@@ -352,7 +352,7 @@ def terrain_contacts(kit: Kit, act):
                 cell = cy * model.terrain[frame][0] + cx
                 if model.terrain_side[frame, cell] != 0:
                     if loaded == 0:
-                        m = quad_of(data, pack, k, mc)
+                        m = quad_of(data.pos, pack, k, mc)
                         loaded = 1
                     with_cell(model, data, mesh, pack, k, v, m, mc, cell, cell_quad(model, frame, cell))
 

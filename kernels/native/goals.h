@@ -6,6 +6,19 @@ const int springs = wp::index(model.springs, mesh);
 for (int s = 0; s < springs; ++s) {
     const double rest = wp::index(model.spring_rest, mesh, s);
     const int* drive = &wp::index(model.spring_drive, mesh, s, lane);
+    bool alike = true;  // as in lanes of one body
+    each_lane([&](int k) { alike &= drive[k] == drive[0]; });
+    if (alike) {
+        const int first = (drive[0] & 0xffff) - 1, second = (drive[0] >> 16) - 1;
+        if (second >= 0) {
+            goal[s] = (action[first] + action[second]) * (rest * 0.5);
+        } else if (first >= 0) {
+            goal[s] = action[first] * rest;
+        } else {
+            goal[s] = (Wide)rest;
+        }
+        continue;
+    }
     each_lane([&](int k) {
         const int first = (drive[k] & 0xffff) - 1, second = (drive[k] >> 16) - 1;
         double length = rest;

@@ -1,8 +1,8 @@
-// Body of a function (data, pack, lane, p, j, r) -> int: the lanes in which point p is in the box of voxel j and in the
-// voxel, whose points are r.
+// Body of a function (places, boxes, pack, lane, p, j, r) -> int: the lanes in which point p is in the box of voxel j and
+// in the voxel, whose points are r. Arrays instead of Data, which would be copied where the call is not inlined.
 
-const auto pos = wides(data.pos);
-const auto box = wides(data.box);
+const auto pos = wides(places);
+const auto box = wides(boxes);
 const Wide x = pos[2 * p], y = pos[2 * p + 1];
 const auto in_box = (box[4 * j] <= x) & (x <= box[4 * j + 1]) & (box[4 * j + 2] <= y) & (y <= box[4 * j + 3]);
 if (!bits_of(in_box)) return 0;

@@ -1,8 +1,8 @@
-// Body of a function (data, pack, k, c) -> quad: the points c of a lane. Constant places: with a loop over them it would go
+// Body of a function (places, pack, k, c) -> quad: the points c of a lane. Constant places: with a loop over them it would go
 // through memory, twice.
 
-const double* at = &wp::index(data.pos, pack, 0, k);
-const size_t gap = data.pos.strides[1] / sizeof(double);
+const double* at = &wp::index(places, pack, 0, k);
+const size_t gap = places.strides[1] / sizeof(double);
 wp::vec_t<8, double> q;
 q[0] = at[2 * c[0] * gap];
 q[1] = at[(2 * c[0] + 1) * gap];
