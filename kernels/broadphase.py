@@ -228,18 +228,18 @@ def list_pairs(kit: Kit):
     def shares(corners: wp.vec4i, p: int):
         return corners[0] == p or corners[1] == p or corners[2] == p or corners[3] == p
 
-    @kit.func
-    def own_corners(model, mesh, mine: wp.vec4i, other: wp.vec4i):
+    @wp.func
+    def own_corners(twin_range: wp.array2d(dtype=wp.vec2i), mesh: int, mine: wp.vec4i, other: wp.vec4i):
         """Bits of the corners that are not corners of the other voxel too; 8 bits on, those that are in some lanes."""
         bits = int(0)
         four = int(4)
         for c in range(four):
             if not shares(other, mine[c]):
                 bits = bits | (1 << c)
-                twins = model.twin_range[mesh, mine[c]]
+                twins = twin_range[mesh, mine[c]]
                 if twins[0] < twins[1]:
                     for d in range(four):
-                        if model.twin_range[mesh, other[d]] == twins:
+                        if twin_range[mesh, other[d]] == twins:
                             bits = bits | (256 << c)
         return bits
 
@@ -251,12 +251,12 @@ def list_pairs(kit: Kit):
             return
         ci = model.corner[mesh, i]
         cj = model.corner[mesh, j]
-        bits = own_corners(model, mesh, ci, cj)
+        bits = own_corners(model.twin_range, mesh, ci, cj)
         if model.robot[mesh, i] >= 0 and model.body[mesh, i] == model.body[mesh, j]:
             away = model.grid[mesh, i] - model.grid[mesh, j]
             if wp.abs(away[0]) > 1 or wp.abs(away[1]) > 1:
                 bits = bits | DISTANT
-        data.pairs[unit, n] = wp.vec4i(i, j, bits, own_corners(model, mesh, cj, ci))
+        data.pairs[unit, n] = wp.vec4i(i, j, bits, own_corners(model.twin_range, mesh, cj, ci))
         data.pair_count[unit] = n + 1
 
     @kit.func

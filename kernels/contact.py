@@ -6,7 +6,6 @@ Vector code finds the few lanes where a corner is in a voxel; the rest is scalar
 """
 
 import functools
-from types import SimpleNamespace
 
 import warp as wp
 
@@ -193,79 +192,81 @@ def voxel_quad(kit: Kit):
     return of
 
 
-@builder
-def lane_views(kit: Kit):
-    """Functions: what one lane makes of the tables that the lanes of a pack have in common."""
+# ------------------------------------------------------------------------- one lane's view of the tables of a pack
+# These take arrays, not the Model: called from several places they may not be inlined, and structs go by value.
 
-    @kit.func
-    def sides(model, mesh, v, k):
-        """Bits of the surface sides of a voxel in lane k."""
-        lanes = model.side_lanes[mesh, v]
-        low = ((lanes[0] >> k) & 1) | (((lanes[1] >> k) & 1) << 1)
-        return low | (((lanes[2] >> k) & 1) << 2) | (((lanes[3] >> k) & 1) << 3)
+masks, pairs = wp.array2d(dtype=int), wp.array2d(dtype=wp.vec2i)
 
-    @kit.func
-    def leader(model, mesh, p, k):
-        """The point that stands for point p (-1: none) in lane k."""
-        found = int(p)
-        if p >= 0:
-            twins = model.twin_range[mesh, p]
-            for e in range(twins[0], twins[1]):
-                if model.twin[mesh, e][0] == p and ((model.twin_lanes[mesh, e] >> k) & 1) == 1:
-                    found = model.twin[mesh, e][1]
-        return found
 
-    @kit.func
-    def leaders(model, mesh, p: wp.vec4i, k):
-        """The same for the corners of a voxel."""
-        if model.twins[mesh] == 0:
-            return p
-        return wp.vec4i(
-            leader(model, mesh, p[0], k), leader(model, mesh, p[1], k),
-            leader(model, mesh, p[2], k), leader(model, mesh, p[3], k),
-        )  # fmt: skip
+@wp.func
+def surface_sides(side_lanes: wp.array2d(dtype=wp.vec4i), mesh: int, v: int, k: int):
+    """Bits of the surface sides of a voxel in lane k."""
+    lanes = side_lanes[mesh, v]
+    low = ((lanes[0] >> k) & 1) | (((lanes[1] >> k) & 1) << 1)
+    return low | (((lanes[2] >> k) & 1) << 2) | (((lanes[3] >> k) & 1) << 3)
 
-    return SimpleNamespace(sides=sides, leader=leader, leaders=leaders)
+
+@wp.func
+def leader(twin_range: pairs, twin: pairs, twin_lanes: masks, mesh: int, p: int, k: int):
+    """The point that stands for point p (-1: none) in lane k."""
+    found = int(p)
+    if p >= 0:
+        twins = twin_range[mesh, p]
+        for e in range(twins[0], twins[1]):
+            if twin[mesh, e][0] == p and ((twin_lanes[mesh, e] >> k) & 1) == 1:
+                found = twin[mesh, e][1]
+    return found
+
+
+@wp.func
+def leaders(twin_range: pairs, twin: pairs, twin_lanes: masks, mesh: int, p: wp.vec4i, k: int):
+    """The same for the corners of a voxel."""
+    return wp.vec4i(
+        leader(twin_range, twin, twin_lanes, mesh, p[0], k), leader(twin_range, twin, twin_lanes, mesh, p[1], k),
+        leader(twin_range, twin, twin_lanes, mesh, p[2], k), leader(twin_range, twin, twin_lanes, mesh, p[3], k),
+    )  # fmt: skip
+
+
+@wp.func
+def shared(twin: pairs, twin_lanes: masks, twins: wp.vec2i, mesh: int, p: int, corners: wp.vec4i):
+    """The lanes in which point p is one of the corners of a voxel by another number."""
+    lanes = int(0)
+    for e in range(twins[0], twins[1]):
+        one = twin[mesh, e]
+        for c in range(int(4)):
+            q = corners[c]
+            if (one[0] == p and one[1] == q) or (one[0] == q and one[1] == p):
+                lanes = lanes | twin_lanes[mesh, e]
+            for f in range(twins[0], twins[1]):
+                two = twin[mesh, f]
+                if one[0] == p and two[0] == q and one[1] == two[1]:
+                    lanes = lanes | (twin_lanes[mesh, e] & twin_lanes[mesh, f])
+    return lanes
 
 
 @functools.cache
 def voxel_contacts(kit: Kit, act):
     """Function: contacts of the candidate pairs."""
 
-    meet, quad_of, views = corner_contact(kit, act), voxel_quad(kit), lane_views(kit)
-    sides, leader, leaders = views.sides, views.leader, views.leaders
+    meet, quad_of = corner_contact(kit, act), voxel_quad(kit)
 
     @kit.func_native("native/inside.h", "native/triangles.h", precision="float64")
-    def inside(places: points3, boxes: points3, pack, lane, p, j, r: wp.vec4i) -> int:
+    def inside(places: points3, boxes: points3, pack, lane, p, j, r: wp.vec4i, lanes) -> int:
         """The lanes in which a point is in voxel j, boundary included."""
         ...
-
-    @kit.func
-    def shared(model, mesh, p, corners: wp.vec4i):
-        """The lanes in which point p is one of the corners of a voxel by another number."""
-        lanes = int(0)
-        twins = model.twin_range[mesh, p]
-        for e in range(twins[0], twins[1]):
-            one = model.twin[mesh, e]
-            for c in range(int(4)):
-                q = corners[c]
-                if (one[0] == p and one[1] == q) or (one[0] == q and one[1] == p):
-                    lanes = lanes | model.twin_lanes[mesh, e]
-                for f in range(twins[0], twins[1]):
-                    two = model.twin[mesh, f]
-                    if one[0] == p and two[0] == q and one[1] == two[1]:
-                        lanes = lanes | (model.twin_lanes[mesh, e] & model.twin_lanes[mesh, f])
-        return lanes
 
     @kit.func
     def touch(model, data, mesh, pack, k, i, j, c, times: real):
         """One lane in which corner c of voxel i is in voxel j."""
         m, r = quad_of(data.pos, pack, k, model.corner[mesh, i]), quad_of(data.pos, pack, k, model.corner[mesh, j])
-        meet(
-            model, data, mesh, pack, k, i, m, sides(model, mesh, i, k),
-            leader(model, mesh, model.pushed[mesh, i][c], k), c, j, r, sides(model, mesh, j, k),
-            leaders(model, mesh, model.pushed[mesh, j], k), times,
-        )  # fmt: skip
+        p, ends = int(model.pushed[mesh, i][c]), model.pushed[mesh, j]
+        r_points = wp.vec4i(ends[0], ends[1], ends[2], ends[3])
+        if model.twins[mesh] > 0:
+            p = leader(model.twin_range, model.twin, model.twin_lanes, mesh, p, k)
+            r_points = leaders(model.twin_range, model.twin, model.twin_lanes, mesh, r_points, k)
+        m_sides = surface_sides(model.side_lanes, mesh, i, k)
+        r_sides = surface_sides(model.side_lanes, mesh, j, k)
+        meet(model, data, mesh, pack, k, i, m, m_sides, p, c, j, r, r_sides, r_points, times)
 
     @kit.func
     def one_way(model, data, mesh, pack, lane, i, j, corners, times: real, active):
@@ -278,9 +279,10 @@ def voxel_contacts(kit: Kit, act):
                 p = model.corner[mesh, i][c]
                 lanes = int(there)
                 if ((corners >> (8 + c)) & 1) == 1:
-                    lanes = lanes & ~(shared(model, mesh, p, model.corner[mesh, j]) >> lane)
+                    twins, other = model.twin_range[mesh, p], model.corner[mesh, j]
+                    lanes = lanes & ~(shared(model.twin, model.twin_lanes, twins, mesh, p, other) >> lane)
                 if lanes != 0:
-                    lanes = lanes & inside(data.pos, data.box, pack, lane, p, j, model.corner[mesh, j])
+                    lanes = inside(data.pos, data.box, pack, lane, p, j, model.corner[mesh, j], lanes)
                 while lanes != 0:
                     touch(model, data, mesh, pack, lane + kit.first(lanes), i, j, c, times)
                     lanes = kit.drop(lanes)
@@ -312,7 +314,6 @@ def terrain_contacts(kit: Kit, act):
     """Function: contacts of the near voxels with the cells of the terrain lattice."""
     meet, quad_of, span = corner_contact(kit, act), voxel_quad(kit), lattice_range(kit)
     load, at_most = kit.wide.load, kit.wide.at_most
-    sides, leaders = lane_views(kit).sides, lane_views(kit).leaders
 
     @kit.func
     def cell_quad(model, frame, cell):
@@ -329,7 +330,11 @@ def terrain_contacts(kit: Kit, act):
         y0, y1 = wp.min(wp.min(m[1], m[3]), wp.min(m[5], m[7])), wp.max(wp.max(m[1], m[3]), wp.max(m[5], m[7]))
         if x1 < r[0] or r[2] < x0 or y1 < r[5] or r[1] < y0:
             return
-        m_sides, r_sides, one = sides(model, mesh, v, k), model.terrain_side[model.frame[mesh], cell], real(1.0)
+        m_sides, r_sides, one = (
+            surface_sides(model.side_lanes, mesh, v, k),
+            model.terrain_side[model.frame[mesh], cell],
+            real(1.0),
+        )
         four = int(4)
         for c in range(four):
             x, y = m[2 * c], m[2 * c + 1]
@@ -345,7 +350,10 @@ def terrain_contacts(kit: Kit, act):
         """Contacts of one voxel in one lane."""
         cx0, cx1, cy0, cy1 = span(model, data, mesh, pack, k, v, real(0.0))
         loaded, frame = int(0), model.frame[mesh]
-        mc = leaders(model, mesh, model.corner[mesh, v], k)
+        corners = model.corner[mesh, v]
+        mc = wp.vec4i(corners[0], corners[1], corners[2], corners[3])
+        if model.twins[mesh] > 0:
+            mc = leaders(model.twin_range, model.twin, model.twin_lanes, mesh, mc, k)
         m = quad()
         for cy in range(cy0, cy1 + 1):
             for cx in range(cx0, cx1 + 1):
