@@ -25,7 +25,7 @@ points3 = wp.array3d(dtype=real)
 # Comparisons and their order of evaluation follow the released simulator: at time 0 they decide ties in the last bit.
 
 
-@wp.func_native(text("native/inside_quad.h", "native/triangles.h"))
+@wp.func_native(text("native/triangles.h", "native/inside_quad.h"))
 def inside_quad(x: real, y: real, r: quad) -> bool:
     """Whether a point is in a quad, boundary included."""
     ...
@@ -227,33 +227,27 @@ def leaders(twin_range: pairs, twin: pairs, twin_lanes: masks, mesh: int, p: wp.
     )  # fmt: skip
 
 
-@wp.func
-def shared(twin: pairs, twin_lanes: masks, twins: wp.vec2i, mesh: int, p: int, corners: wp.vec4i):
-    """The lanes in which point p is one of the corners of a voxel by another number."""
-    lanes = int(0)
-    for e in range(twins[0], twins[1]):
-        one = twin[mesh, e]
-        for c in range(int(4)):
-            q = corners[c]
-            if (one[0] == p and one[1] == q) or (one[0] == q and one[1] == p):
-                lanes = lanes | twin_lanes[mesh, e]
-            for f in range(twins[0], twins[1]):
-                two = twin[mesh, f]
-                if one[0] == p and two[0] == q and one[1] == two[1]:
-                    lanes = lanes | (twin_lanes[mesh, e] & twin_lanes[mesh, f])
-    return lanes
-
-
 @functools.cache
 def voxel_contacts(kit: Kit, act):
     """Function: contacts of the candidate pairs."""
 
     meet, quad_of = corner_contact(kit, act), voxel_quad(kit)
 
-    @kit.func_native("native/inside.h", "native/triangles.h", precision="float64")
-    def inside(places: points3, boxes: points3, pack, lane, p, j, r: wp.vec4i, lanes) -> int:
-        """The lanes in which a point is in voxel j, boundary included."""
+    @kit.func_native("native/triangles.h", "native/next_touch.h", precision="float64")
+    def next_touch(
+        pairs: wp.array2d(dtype=wp.vec4i), corners: wp.array2d(dtype=wp.vec4i), side_lanes: wp.array2d(dtype=wp.vec4i),
+        twin_range: wp.array2d(dtype=wp.vec2i), twin: wp.array2d(dtype=wp.vec2i), twin_lanes: wp.array2d(dtype=int),
+        places: points3, boxes: points3, touching: wp.array(dtype=int), mesh, pack, lane, unit, count, active, begin,
+    ) -> int:  # fmt: skip
+        """The next corner of a candidate that is in the other voxel in some lane; these go into ``touching``."""
         ...
+
+    @kit.func
+    def touch_from(model, data, mesh, pack, lane, unit, active, begin):
+        return next_touch(
+            data.pairs, model.corner, model.side_lanes, model.twin_range, model.twin, model.twin_lanes, data.pos,
+            data.box, data.touching, mesh, pack, lane, unit, data.pair_count[unit], active, begin,
+        )  # fmt: skip
 
     @kit.func
     def touch(model, data, mesh, pack, k, i, j, c, times: real):
@@ -269,36 +263,19 @@ def voxel_contacts(kit: Kit, act):
         meet(model, data, mesh, pack, k, i, m, m_sides, p, c, j, r, r_sides, r_points, times)
 
     @kit.func
-    def one_way(model, data, mesh, pack, lane, i, j, corners, times: real, active):
-        """Corners of voxel i in voxel j."""
-        four = int(4)
-        lanes_of = model.side_lanes[mesh, i]
-        there = active & ((lanes_of[0] | lanes_of[1] | lanes_of[2] | lanes_of[3]) >> lane)
-        for c in range(four):
-            if ((corners >> c) & 1) == 1:
-                p = model.corner[mesh, i][c]
-                lanes = int(there)
-                if ((corners >> (8 + c)) & 1) == 1:
-                    twins, other = model.twin_range[mesh, p], model.corner[mesh, j]
-                    lanes = lanes & ~(shared(model.twin, model.twin_lanes, twins, mesh, p, other) >> lane)
-                if lanes != 0:
-                    lanes = inside(data.pos, data.box, pack, lane, p, j, model.corner[mesh, j], lanes)
-                while lanes != 0:
-                    touch(model, data, mesh, pack, lane + kit.first(lanes), i, j, c, times)
-                    lanes = kit.drop(lanes)
-
-    @kit.func
     def all_pairs(model, data, mesh, pack, lane, unit, active):
-        for n in range(data.pair_count[unit]):
-            pair = data.pairs[unit, n]
-            i, j = pair[0], pair[1]
+        at = touch_from(model, data, mesh, pack, lane, unit, active, 0)
+        while at < 8 * data.pair_count[unit]:
+            pair = data.pairs[unit, at >> 3]
+            way = (at >> 2) & 1
+            i, j = pair[way], pair[1 - way]
             # Inside one object each pair is met twice.
             times = wp.where(model.body[mesh, i] == model.body[mesh, j], real(2.0), real(1.0))
-            corners = int(pair[2])
-            ways = int(2)
-            for way in range(ways):
-                one_way(model, data, mesh, pack, lane, i, j, corners, times, active)
-                i, j, corners = pair[1], pair[0], pair[3]
+            lanes = data.touching[unit]
+            while lanes != 0:
+                touch(model, data, mesh, pack, lane + kit.first(lanes), i, j, at & 3, times)
+                lanes = kit.drop(lanes)
+            at = touch_from(model, data, mesh, pack, lane, unit, active, at + 1)
 
     return all_pairs
 

@@ -141,6 +141,7 @@ DATA = {
         "candidate voxels i < j, and which corners of i (of j) are not the other's too",
     ),
     "pair_count": (int, "unit", ""),
+    "touching": (int, "unit", "lanes in which the corner of a candidate that was found last is in the other voxel"),
     "near": (int, "unit voxel", "voxels that may touch terrain"),
     "near_count": (int, "unit", ""),
     "near_box": (STATE, "pack 4*voxel lane", "bounds of the terrain cells that a near voxel may touch, as box"),

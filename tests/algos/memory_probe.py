@@ -52,7 +52,7 @@ def main(task: str, method: str, envs: int, designs: int, *keys: str) -> None:
     torch.set_num_threads(1)
     ppo = load("train", [f"ppo.{key}" for key in keys]).ppo
     work = {"train": train, "population": search}[method]
-    work(task, 8, min(designs, 2), ppo)  # libraries and kernels
+    work(task, min(envs, 32), min(designs, 2), ppo)  # libraries and the kernels of these lanes
     gc.collect()
     before = status("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
