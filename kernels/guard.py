@@ -1,4 +1,4 @@
-"""Bad numbers: which environments have diverged, looked for at the start and at the end of a control step.
+"""Divergence: environments whose state is not finite or out of bounds, at the start and at the end of a control step.
 
 An environment that has diverged goes on being computed until the control step is over and is then undone. It disturbs
 no other: lanes meet in the candidates of contacts alone, whose list has room for all pairs where lanes share it.

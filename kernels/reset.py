@@ -1,4 +1,4 @@
-"""Masked reset, frozen environments and state in and out, without host synchronisation."""
+"""Masked reset, and the way back to the start of a step for frozen and stopped environments; the host never waits."""
 
 import warp as wp
 
@@ -11,12 +11,12 @@ STALE = 1.0e9  # a drift that makes the next sub-step collect its candidates ane
 
 @builder
 def save(kit: Kit):
-    """Stage, at the start of a control step: remember the state; bad numbers that were put there go home first."""
+    """Stage, at the start of a control step: save the state; environments that have diverged are put at rest first."""
     width, full = kit.width, kit.full
     mark = diverged(kit)
 
     @kit.func
-    def go_home(model, data, mesh, pack, k):
+    def put_at_rest(model, data, mesh, pack, k):
         for r in range(2 * model.points[mesh]):
             data.pos[pack, r, k] = model.home[mesh, r, k]
             data.vel[pack, r, k] = wp.float64(0.0)
@@ -27,7 +27,7 @@ def save(kit: Kit):
         if mark(model, data, mesh, pack, lane) != int(full):
             for k in range(lane, lane + int(width)):
                 if (data.status[pack, k] & DIVERGED) != 0:
-                    go_home(model, data, mesh, pack, k)
+                    put_at_rest(model, data, mesh, pack, k)
                     data.drift[unit] = wp.float64(STALE)
         for n in range(2 * model.actives[mesh]):
             r = model.active[mesh, n]

@@ -1,7 +1,7 @@
 // Body of a function (model, data, mesh, pack, lane, dt): one sub-step by RK4 for the lanes of a unit.
 //
-// In C++ because it is most of the work: values are vectors of the compiler, which stay in registers. Real, Value,
-// Wide and the functions row, widen, narrow, root and lanes_below come from lanes.py and fit the width.
+// In C++ because it is most of the work: values are vectors of the compiler, which stay in registers. The types and
+// operations on them (Value, Wide, widen, root, weights, any_below, ...) are those of scalar.h or vector.h.
 //
 // The unknown is the displacement since the sub-step's start, never the position: a spring's stretch comes from
 // small differences, so that float32 keeps its relative precision wherever the robot stands.
