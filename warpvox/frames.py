@@ -246,11 +246,10 @@ class _PackTables:
     def _table(self, count: str, *more: int, kind: type = np.int32, fill: int = 0) -> np.ndarray:
         return np.full((self.packs, max(1, int(self.arrays[count].max())), *more), fill, kind)
 
-    def _rest_of(self, table: np.ndarray, first: np.ndarray, values: np.ndarray) -> None:
-        """The rows of the other objects, the same in every pack; lanes, if any, are the last axis of the table."""
-        if len(values):
-            rows = first[:, None] + np.arange(len(values))
-            table[np.arange(self.packs)[:, None], rows] = values
+    def _append(self, table: np.ndarray, first: np.ndarray, count: int, values: np.ndarray | int) -> None:
+        """The rows of the other objects, ``count`` from ``first`` on in every pack; lanes are the last axis."""
+        if count:
+            table[np.arange(self.packs)[:, None], first[:, None] + np.arange(count)] = values
 
     def _points(self) -> None:
         home, free = self._table("points", 2, self.lanes, kind=np.float64), self._table("points")
@@ -261,11 +260,11 @@ class _PackTables:
             numbers.put(tied, mesh.link.any((2, 3)))
         others = self.others
         places = others["home"].reshape(-1, 2, 1)
-        self._rest_of(home, self.first_point, np.broadcast_to(places, (*places.shape[:2], self.lanes)))
-        self._rest_of(free, self.first_point, np.where(others["fixed"] == 0, -1, 0))
+        self._append(home, self.first_point, len(places), places)
+        self._append(free, self.first_point, len(places), np.where(others["fixed"] == 0, -1, 0))
         held = np.zeros(len(others["fixed"]), bool)
         held[others["spring_ends"].ravel()] = True
-        self._rest_of(tied, self.first_point, held)
+        self._append(tied, self.first_point, len(held), held)
         self.active = (free != 0) | tied
         numbers = _Numbers(self.active, np.zeros(self.packs, int))
         self.arrays["actives"] = numbers.stop.astype(np.int32)
@@ -321,13 +320,11 @@ class _PackTables:
             numbers.put(drive, pack_drives(drives, axis=2))
             actions = actions + mesh.actions
         others = self.others
-        self._rest_of(ends, self.first_spring, np.zeros((0, 2)))
-        shifted = self.first_point[:, None, None] + others["spring_ends"]
-        rows = self.first_spring[:, None] + np.arange(len(others["spring_rest"]))
-        ends[np.arange(self.packs)[:, None], rows] = shifted
-        self._rest_of(rest, self.first_spring, others["spring_rest"])
-        self._rest_of(lanes, self.first_spring, np.full(len(others["spring_rest"]), -1))
-        self._rest_of(stiffness, self.first_spring, others["spring_k"][:, None])
+        first, count = self.first_spring, len(others["spring_rest"])
+        self._append(ends, first, count, self.first_point[:, None, None] + others["spring_ends"])
+        self._append(rest, first, count, others["spring_rest"])
+        self._append(lanes, first, count, -1)
+        self._append(stiffness, first, count, others["spring_k"][:, None])
         self.arrays |= dict(
             spring_ends=ends, spring_rest=rest, spring_lanes=lanes, spring_k=stiffness, spring_drive=drive
         )
@@ -345,9 +342,8 @@ class _PackTables:
         for mesh, springs, part in zip(self.meshes, self.springs, numbers, strict=True):
             part.put(which, springs.row[:, mesh.springs.of_cell].reshape(self.packs, -1))
             part.put(lanes, pack_bits(mesh.rigid).reshape(self.packs, -1))
-        rows = start[:, None] + np.arange(len(others))
-        which[np.arange(self.packs)[:, None], rows] = self.first_spring[:, None] + others
-        lanes[np.arange(self.packs)[:, None], rows] = -1
+        self._append(which, start, len(others), self.first_spring[:, None] + others)
+        self._append(lanes, start, len(others), -1)
         self.arrays |= dict(rigid_spring=which, rigid_lanes=lanes)
 
     def _links(self) -> None:
@@ -373,10 +369,8 @@ class _PackTables:
             part.put(lanes, np.where(mesh.partial, pack_bits(mesh.link), -1).reshape(self.packs, -1))
         first = self.first_spring[:, None]
         signed = np.where(others["link"] >= 0, others["link"] + first, others["link"] - first)
-        link[np.arange(self.packs)[:, None], start[:, None] + np.arange(len(others["link"]))] = signed
-        count = len(others["link_start"])
-        rows = self.first_point[:, None] + np.arange(count)
-        begin[np.arange(self.packs)[:, None], rows] = start[:, None] + others["link_start"]
+        self._append(link, start, len(others["link"]), signed)
+        self._append(begin, self.first_point, len(others["link_start"]), start[:, None] + others["link_start"])
         self.arrays |= dict(link_start=begin, link=link, link_lanes=lanes)
         del self.arrays["links"]
 
@@ -397,14 +391,13 @@ class _PackTables:
                 voxels.put(table, np.full(voxels.row.shape, number))
             limits.append(mesh.side.any(2).sum(1))
         others, start, robots = self.others, self.first_voxel, len(self.meshes)
-        rows = start[:, None] + np.arange(len(others["body"]))
-        corner[np.arange(self.packs)[:, None], rows] = others["corner"] + self.first_point[:, None, None]
         bits = others["side"][:, None] >> np.arange(4) & 1
-        self._rest_of(sides, start, -bits)
-        self._rest_of(grid, start, others["grid"])
-        self._rest_of(body, start, others["body"] + robots)
-        self._rest_of(robot, start, np.full(len(others["body"]), -1))
-        self._rest_of(still, start, others["still"])
+        corners = others["corner"] + self.first_point[:, None, None]
+        for table, values in (
+            (corner, corners), (sides, -bits), (grid, others["grid"]), (body, others["body"] + robots), (robot, -1),
+            (still, others["still"]),
+        ):  # fmt: skip
+            self._append(table, start, len(others["body"]), values)
         is_active = self.active[pack, corner]
         pushed = np.where(is_active, corner, -1)
         mobile_rows = [np.arange(int(n)) for n in start]
