@@ -12,7 +12,7 @@ from warpvox.kernels.kit import Kit, builder
 def limit(kit: Kit):
     """Stage: both passes."""
 
-    @kit.func_native("native/strain.h")
+    @kit.func_native("native/springs.h", "native/strain.h")
     def passes(model, data, mesh, pack, lane): ...
 
     @kit.func

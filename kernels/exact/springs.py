@@ -45,7 +45,7 @@ def creep(kit: Kit):
 def runge_kutta(kit: Kit):
     """Stage: position and new velocity of every free point after dt."""
 
-    @kit.func_native("exact/substep.h")
+    @kit.func_native("native/springs.h", "exact/substep.h")
     def substep(model, data, mesh, pack, lane, dt): ...
 
     @kit.func

@@ -1,17 +1,8 @@
-// Body of a function (model, data, mesh, pack, lane, dt): one sub-step by RK4 in float64 for the lanes of a unit.
+// Body of a function (model, data, mesh, pack, lane, dt), after springs.h: one sub-step by RK4 in float64 for the lanes of a unit.
 //
 // The physics of integrate.h, rounded as the released simulator rounds: the unknown is the position, and every sum and
 // product is taken in its order. At a point that is the springs that begin there, those that end there (the order of
 // link), drag, gravity, contact, floor.
-
-const int actives = 2 * wp::index(model.actives, mesh);
-const int springs = wp::index(model.springs, mesh);
-const int* active = &wp::index(model.active, mesh, 0);
-const int* free_lanes = &wp::index(model.free_lanes, mesh, 0);
-const int* link = &wp::index(model.link, mesh, 0);
-const int* link_start = &wp::index(model.link_start, mesh, 0);
-const wp::vec_t<2, int>* spring_ends = &wp::index(model.spring_ends, mesh, 0);
-const auto spring_k = lane_table(model.spring_k, mesh);
 
 const auto place = values(data.disp);
 const auto stage_vel = values(data.stage_vel);

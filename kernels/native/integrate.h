@@ -1,4 +1,4 @@
-// Body of a function (model, data, mesh, pack, lane, dt): one sub-step by RK4 for the lanes of a unit.
+// Body of a function (model, data, mesh, pack, lane, dt), after springs.h: one sub-step by RK4 for the lanes of a unit.
 //
 // In C++ because it is most of the work: values are vectors of the compiler, which stay in registers. The types and
 // operations on them (Value, Wide, widen, root, weights, any_below, ...) are those of scalar.h or vector.h.
@@ -6,15 +6,7 @@
 // The unknown is the displacement since the sub-step's start, never the position: a spring's stretch comes from
 // small differences, so that float32 keeps its relative precision wherever the robot stands.
 
-const int actives = 2 * wp::index(model.actives, mesh);
-const int springs = wp::index(model.springs, mesh);
-const int* active = &wp::index(model.active, mesh, 0);
-const int* free_lanes = &wp::index(model.free_lanes, mesh, 0);
-const int* link = &wp::index(model.link, mesh, 0);
 const int* link_lanes = &wp::index(model.link_lanes, mesh, 0);
-const int* link_start = &wp::index(model.link_start, mesh, 0);
-const wp::vec_t<2, int>* spring_ends = &wp::index(model.spring_ends, mesh, 0);
-const auto spring_k = lane_table(model.spring_k, mesh);
 const Real tiny = Real(1e-30);  // where there is no spring its length may be 0
 
 const auto disp = values(data.disp);

@@ -1,14 +1,10 @@
-// Body of a function (model, data, mesh, pack, lane): both strain passes for the lanes of a unit, on displacements.
+// Body of a function (model, data, mesh, pack, lane), after springs.h: both strain passes for the lanes of a unit, on displacements.
 
-const int springs = wp::index(model.springs, mesh), rigids = wp::index(model.rigids, mesh);
-const int actives = 2 * wp::index(model.actives, mesh);
-const int* active = &wp::index(model.active, mesh, 0);
-const int* free_lanes = &wp::index(model.free_lanes, mesh, 0);
+const int rigids = wp::index(model.rigids, mesh);
 const int* spring_lanes = &wp::index(model.spring_lanes, mesh, 0);
 const int* rigid_spring = &wp::index(model.rigid_spring, mesh, 0);
 const int* rigid_lanes = &wp::index(model.rigid_lanes, mesh, 0);
 const int* twin_lanes = &wp::index(model.twin_lanes, mesh, 0);
-const wp::vec_t<2, int>* spring_ends = &wp::index(model.spring_ends, mesh, 0);
 const wp::vec_t<2, int>* twin_range = &wp::index(model.twin_range, mesh, 0);
 const wp::vec_t<2, int>* twin = &wp::index(model.twin, mesh, 0);
 const double* spring_rest = &wp::index(model.spring_rest, mesh, 0);
