@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import errno
 import os
-import tempfile
+import secrets
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from warpvox.errors import RunError, StorageError
-from warpvox.system import flush_to_disk, folder_lock, umask
+from warpvox.system import flush_to_disk, folder_lock
 
 __all__ = [
     "MARK",
@@ -67,13 +67,11 @@ def atomic_path(path: str | os.PathLike[str], make_folders: bool = True) -> Iter
     with writing(target):
         if make_folders:
             target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f"{MARK}{target.stem}-", suffix=target.suffix, dir=target.parent)
-        os.close(handle)
-        temporary = Path(name)
+        # Named before it is made: an interrupt that comes with the making finds the name, and removes the file.
+        temporary = target.with_name(f"{MARK}{target.stem}-{secrets.token_hex(4)}{target.suffix}")
         try:
+            temporary.touch(exist_ok=False)
             yield temporary
-            # mkstemp makes files private (0600); a result file should get the permissions any new file gets.
-            temporary.chmod(0o666 & ~umask())
             # Without this a power failure may keep the new name and lose what was written under it.
             flush_to_disk(temporary)
             os.replace(temporary, target)

@@ -32,7 +32,6 @@ __all__ = [
     "processor_name",
     "python_of",
     "stop_signals",
-    "umask",
     "usable_cores",
     "usage_of",
 ]
@@ -135,13 +134,6 @@ def flush_to_disk(path: Path) -> None:
             raise
     finally:
         os.close(handle)
-
-
-def umask() -> int:
-    """The permissions that new files are denied."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def python_of(environment: Path) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import pathlib
 import resource
 import shutil
 import subprocess
@@ -17,12 +18,16 @@ from typing import Any
 import pytest
 from fault_cases import CODESIGN, TRAIN, check_training, only, same
 
+from warpvox import files, system
 from warpvox.algos.checkpoint import load_checkpoint, save_checkpoint
 from warpvox.algos.metrics import TAGS, Events
+from warpvox.cli.runs import going_on
 from warpvox.errors import RolloutError, RunError, StorageError
 from warpvox.files import MARK, claimed, sweep, write_text
 
 LARGE_ENOUGH = 50_000_000
+OURS = {files.__file__, pathlib.__file__, system.__file__}
+"""The modules whose code writes a file."""
 PAGE = 4096
 """Of a file system in memory: what every file takes at least."""
 
@@ -61,7 +66,7 @@ def test_what_is_renamed_is_on_the_disk_and_so_is_the_name(tmp_path: Path, monke
     assert done[1:] == ["rename", f"flush {tmp_path.name}"]
 
 
-@pytest.mark.parametrize("call", ["fsync", "replace", "mkstemp", "chmod"])
+@pytest.mark.parametrize("call", ["fsync", "replace", "touch"])
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO, errno.EROFS, errno.EDQUOT, errno.EACCES, errno.ENOENT])
 def test_a_refused_write_leaves_the_old_file_and_says_what_to_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, number: int
@@ -73,13 +78,56 @@ def test_a_refused_write_leaves_the_old_file_and_says_what_to_do(
         raise OSError(number, os.strerror(number))
 
     with monkeypatch.context() as patch:
-        place = {"mkstemp": "tempfile.mkstemp", "chmod": "pathlib.Path.chmod"}.get(call, f"os.{call}")
-        patch.setattr(place, refuse)
+        patch.setattr("pathlib.Path.touch" if call == "touch" else f"os.{call}", refuse)
         with pytest.raises(StorageError, match=r"a\.txt cannot be written: .*(;|\?)") as caught:
             write_text(target, "new")
     assert caught.value.errno == number
     assert os.strerror(number) not in str(caught.value)
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("a.txt", "old")]
+
+
+def test_an_interrupt_leaves_one_of_the_two_files_whenever_it_comes(tmp_path: Path) -> None:
+    """Once before every line that Python runs for it; only what runs between two frames is left to the run's end."""
+    target, lines = tmp_path / "a.txt", 0
+
+    def write(interrupted: int | None) -> None:
+        nonlocal lines
+        lines = 0
+
+        def trace(frame: Any, event: str, _: Any) -> Any:
+            nonlocal lines
+            if frame.f_code.co_filename not in OURS:
+                return None
+            lines += event == "line"
+            if lines == interrupted and event == "line":
+                sys.settrace(None)
+                raise KeyboardInterrupt
+            return trace
+
+        sys.settrace(trace)
+        try:
+            write_text(target, "new")
+        finally:
+            sys.settrace(None)
+
+    write(None)
+    count = lines
+    assert count > 15
+    for number in range(1, count + 1):
+        write_text(target, "old")
+        with pytest.raises(KeyboardInterrupt):
+            write(number)
+        assert [file.name for file in tmp_path.iterdir()] == ["a.txt"], number
+        assert target.read_text() in ("old", "new")
+
+
+def test_what_an_interrupt_has_left_is_removed_when_the_run_ends(tmp_path: Path) -> None:
+    (tmp_path / f"{MARK}before.pt").touch()
+    with pytest.raises(KeyboardInterrupt), going_on(tmp_path, "task: Walker-v0\n"):
+        assert not list(tmp_path.glob(f"{MARK}*"))
+        (tmp_path / f"{MARK}state.pt").touch()
+        raise KeyboardInterrupt
+    assert not list(tmp_path.glob(f"{MARK}*"))
 
 
 @contextmanager

@@ -245,7 +245,7 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
     made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
     folder = _make(parent, stamp, "".join(f"_{part}" for part in (name, label.get()) if part))
     try:
-        with claimed(folder):
+        with _ours(folder):
             write_config(folder, config)
             yield folder
     except BaseException:
@@ -300,10 +300,21 @@ def going_on(folder: Path, config: str) -> Iterator[Path]:
     Raises:
         RunError: another process is writing to it. StorageError: it cannot be written.
     """
-    with claimed(folder):
-        sweep(folder)
+    with _ours(folder):
         write_config(folder, config)
         yield folder
+
+
+@contextmanager
+def _ours(folder: Path) -> Iterator[None]:
+    """Claim ``folder`` within the block; nothing half written is there when it begins or ends."""
+    with claimed(folder):
+        sweep(folder)
+        try:
+            yield
+        finally:
+            # an interrupt may come when a temporary file is made and the block that would remove it has not begun
+            sweep(folder)
 
 
 def is_summed_up(folder: Path) -> bool:
