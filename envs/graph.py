@@ -30,12 +30,9 @@ def capture_on_cuda(device: str) -> Capture:
         stream = torch.cuda.Stream(device)
         ours = wp.stream_from_torch(stream)
         graph = torch.cuda.CUDAGraph()
+        # Within, torch's current stream is this one, and kernels are launched on it (warpvox.kernels.device).
         # thread_local: what other threads do meanwhile (data loaders, loggers) cannot spoil the capture.
-        # sync_enter=False: the stream that Warp has used so far is not part of it and must not be waited for.
-        with (
-            torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local"),
-            wp.ScopedStream(ours, sync_enter=False),
-        ):
+        with torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local"):
             wp.capture_begin(stream=ours, external=True)
             try:
                 body()

@@ -83,7 +83,7 @@ def make_vec(
         obs: ``task`` (what the task observes) or ``voxel`` (every cell of the body, then the rest of what the task
             observes; see :mod:`warpvox.envs.voxels`).
         cuda_graph: on CUDA launch a whole control step, from the physics to rewards and resets, as one graph (see
-            :mod:`warpvox.envs.graph`). Without, the physics alone is one. Means nothing on the CPU.
+            :mod:`warpvox.envs.graph`). Means nothing on the CPU.
         nan_guard: ``on``: a simulation that diverges is ended and reset, which costs nothing and cannot be switched
             off; ``dump``: its last 64 control steps are written to a rollout file besides (see
             :class:`warpvox.envs.dumps.DivergenceDump`), which ``warpvox play rollout=FILE`` shows.

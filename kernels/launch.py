@@ -8,10 +8,8 @@ import functools
 
 import warp as wp
 
+from warpvox.kernels.device import kernel, launch
 from warpvox.kernels.kit import kit_of
-
-# Contacts at time 0 hang on the last bit of a double: round as the formulas are written, without fused operations.
-EXACT = {"fuse_fp": False}
 
 
 @functools.cache
@@ -20,20 +18,15 @@ def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
     kit = kit_of(precision, width)
     stage = build(kit)
 
-    @wp.kernel(enable_backward=False, module="unique", module_options=EXACT)
-    def kernel(model: kit.Model, data: kit.Data, units: int, dt: wp.float64):
+    @kernel
+    def run_stage(model: kit.Model, data: kit.Data, units: int, dt: wp.float64):
         pack, part = wp.tid()
         stage(model, data, model.pack_mesh[pack], pack, part * width, pack * units + part, dt)
 
-    return kernel
+    return run_stage
 
 
 def launch_stage(build, state) -> None:
     """Run one stage for every environment of a :class:`warpvox.packs.State`."""
-    kernel = stage_kernel(build, state.precision, state.width)
-    wp.launch(
-        kernel,
-        (state.packs, state.units),
-        [state.model, state.data, state.units, state.dt],
-        device=state.device,
-    )
+    alone = stage_kernel(build, state.precision, state.width)
+    launch(alone, (state.packs, state.units), [state.model, state.data, state.units, state.dt], state.device)

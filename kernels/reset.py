@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from warpvox.kernels import device
+from warpvox.kernels.device import kernel
 from warpvox.kernels.guard import diverged, restore
 from warpvox.kernels.kit import Kit, builder
 from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
@@ -65,7 +67,7 @@ def settle(kit: Kit):
 def reset_kernel(kit: Kit):
     """Kernel over environments: those with a mask go back to time 0."""
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel
     def reset(
         model: kit.Model, data: kit.Data, units: int, width: int,
         env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int), mask: wp.array(dtype=wp.bool),
@@ -90,19 +92,15 @@ def reset_kernel(kit: Kit):
 
 def launch(state, mask):
     """Reset the environments of a mask, a Warp bool array [environment]."""
-    wp.launch(
-        reset_kernel(state.precision),
-        state.num_envs,
-        [state.model, state.data, state.units, state.width, state.env_pack, state.env_lane, mask],
-        device=state.device,
-    )
+    inputs = [state.model, state.data, state.units, state.width, state.env_pack, state.env_lane, mask]
+    device.launch(reset_kernel(state.precision), state.num_envs, inputs, state.device)
 
 
 @builder
 def follow_kernel(kit: Kit) -> wp.Kernel:
     """Kernel over (packs, lanes): twins take over the state of their leaders."""
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel
     def follow(model: kit.Model, data: kit.Data):
         pack, k = wp.tid()
         mesh = model.pack_mesh[pack]
@@ -121,4 +119,4 @@ def follow_kernel(kit: Kit) -> wp.Kernel:
 def launch_follow(state):
     """Complete a state that was written for leaders only."""
     inputs = [state.model, state.data]
-    wp.launch(follow_kernel(state.precision), (state.packs, state.lanes), inputs, device=state.device)
+    device.launch(follow_kernel(state.precision), (state.packs, state.lanes), inputs, state.device)

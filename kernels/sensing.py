@@ -5,13 +5,14 @@ One thread an environment, results in the order of the environments. Sums run in
 
 import warp as wp
 
+from warpvox.kernels import device
+from warpvox.kernels.device import kernel
 from warpvox.types import VOXEL as SIDE
 
 NEARLY_ONE = wp.constant(wp.float64(0.99999))  # the released simulator's guard of its arc cosine
 TINY = wp.constant(wp.float64(1.0e-7))
 TWO_PI = wp.constant(wp.float64(2.0 * 3.1415926))  # as released
 VOXEL = wp.constant(wp.float64(SIDE))
-kernel = wp.kernel(enable_backward=False, module="unique")
 
 
 @wp.struct
@@ -295,11 +296,11 @@ def scans(
 KERNELS = {k.func.__name__: k for k in (centres, orientations, points, extents, hulls, scans)}
 
 
-def record(state, name: str, dim, *inputs) -> wp.Launch:
+def record(state, name: str, dim, *inputs) -> wp.Launch | device.Command:
     """A command that runs one sensing kernel; ``inputs`` follow the batch, which all of them take."""
     batch = Batch()
     for field in ("pos", "vel", "home", "order", "object_range", "frame", "pack_mesh"):
         setattr(batch, field, state.arrays[field])
     for field in ("env_pack", "env_lane"):
         setattr(batch, field, getattr(state, field))
-    return wp.launch(KERNELS[name], dim, [batch, *inputs], device=state.device, record_cmd=True)
+    return device.record(KERNELS[name], dim, [batch, *inputs], state.device)

@@ -20,6 +20,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from warpvox.kernels.device import zeros
 from warpvox.kernels.lanes import REALS
 
 REAL = "real"  # the precision of the springs, float32 or float64
@@ -183,6 +184,6 @@ def allocate(table, sizes, precision, device) -> dict[str, wp.array]:
     """Zeroed arrays for every field of a table."""
     real = REALS[precision]
     return {
-        name: wp.zeros(rows(shape, sizes), dtype=real if kind is REAL else kind, device=device)
+        name: zeros(rows(shape, sizes), real if kind is REAL else kind, device)
         for name, (kind, shape, _) in table.items()
     }

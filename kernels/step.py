@@ -10,11 +10,12 @@ import warp as wp
 from warpvox.kernels.actuation import creep, goals
 from warpvox.kernels.broadphase import boxes, collect
 from warpvox.kernels.contact import contacts
+from warpvox.kernels.device import Command, kernel, record
 from warpvox.kernels.exact import order, springs
 from warpvox.kernels.folding import check
 from warpvox.kernels.integrate import advance, runge_kutta
 from warpvox.kernels.kit import Kit, builder, kit_of
-from warpvox.kernels.launch import EXACT, launch_stage
+from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.reset import save, settle
 from warpvox.kernels.strain import limit
 
@@ -43,7 +44,7 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
             data.status[pack, k] = 0
         return still
 
-    @wp.kernel(enable_backward=False, module="unique", module_options=EXACT)
+    @kernel
     def control_step(model: kit.Model, data: kit.Data, first_pack: int, units: int, substeps: int, dt: wp.float64):
         row, part = wp.tid()
         pack = first_pack + row
@@ -72,7 +73,7 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
 def action_kernel(kit: Kit) -> wp.Kernel:
     """Kernel over (environments, actions): clip the actions and sort them into the lanes."""
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel
     def place_actions(
         data: kit.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int),
         actions: wp.array2d(dtype=kit.real), low: wp.float64, high: wp.float64,
@@ -93,14 +94,14 @@ def launch(state, *names: str) -> None:
         launch_stage(stages[name], state)
 
 
-def record_actions(state, actions, low: float, high: float) -> wp.Launch:
+def record_actions(state, actions, low: float, high: float) -> wp.Launch | Command:
     """A command that takes the actions of all environments, a Warp array [environment, action]."""
     inputs = [state.data, state.env_pack, state.env_lane, actions, low, high]
-    return wp.launch(action_kernel(state.precision), actions.shape, inputs, device=state.device, record_cmd=True)
+    return record(action_kernel(state.precision), actions.shape, inputs, state.device)
 
 
-def record(state, substeps: int, first: int, packs: int) -> wp.Launch:
+def record_step(state, substeps: int, first: int, packs: int) -> wp.Launch | Command:
     """A command that does one control step of the packs ``first`` to ``first + packs`` from the actions taken."""
-    kernel = step_kernel(state.arithmetic, state.precision, state.width)
+    fused = step_kernel(state.arithmetic, state.precision, state.width)
     inputs = [state.model, state.data, first, state.units, substeps, state.dt]
-    return wp.launch(kernel, (packs, state.units), inputs, device=state.device, record_cmd=True)
+    return record(fused, (packs, state.units), inputs, state.device)

@@ -11,6 +11,7 @@ import warp as wp
 from warpvox.compile import Body, CompiledWorld, compile_world
 from warpvox.errors import SimulationError, did_you_mean, listing
 from warpvox.grid_mesh import most_points
+from warpvox.kernels.device import from_numpy
 from warpvox.packs import Batch, State
 from warpvox.types import VOXEL
 from warpvox.world import World
@@ -177,7 +178,7 @@ class Objects:
             start[row] = np.searchsorted([round(x) for x, _ in points], np.arange(columns + 1))
             table[row, : len(points)] = np.reshape(points, (-1, 2))
         return (
-            wp.array(start, dtype=int, device=self.device),
-            wp.array(table, dtype=wp.vec2d, device=self.device),
-            wp.array(np.array(moving or [-1], np.int32), dtype=int, device=self.device),
+            from_numpy(start, int, self.device),
+            from_numpy(table, wp.vec2d, self.device),
+            from_numpy(moving or [-1], int, self.device),
         )

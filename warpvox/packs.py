@@ -14,6 +14,7 @@ from warpvox.contact_order import no_order
 from warpvox.errors import SimulationError, did_you_mean, listing
 from warpvox.frames import Frame, capacities, frame_key, is_cut, join
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
+from warpvox.kernels.device import from_numpy
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, allocate, structs
@@ -366,13 +367,13 @@ def lay_out(batch: Batch, precision: str) -> State:
     state = State(
         batch.arithmetic, precision, device, width, lanes, units, packs, len(batch.index), batch.physics.dt, sizes,
         types.Model(), types.Data(), model | data,
-        wp.array(batch.env_pack, dtype=int, device=device), wp.array(batch.env_lane, dtype=int, device=device),
+        from_numpy(batch.env_pack, int, device), from_numpy(batch.env_lane, int, device),
     )  # fmt: skip
     for struct, arrays in ((state.model, model), (state.data, data)):
         for name, array in arrays.items():
             setattr(struct, name, array)
     _set_constants(state, batch.physics)
-    model["pack_mesh"].assign(which.astype(np.int32))
+    _fill(state, "pack_mesh", which.astype(np.int32))
     for name, values in frames.items():
         _fill(state, name, values)
     put_tables(state, tables)

@@ -112,7 +112,6 @@ class Simulation:
         self._action_range = low, high
         self._actions = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
         self._action_array = wp.from_torch(self._actions)
-        self._graph = None
         self._scans: dict[tuple, tuple] = {}
         self._fixed: dict[tuple[str, bool], tuple[torch.Tensor, torch.Tensor]] = {}
         self._centres_are_new = False
@@ -162,14 +161,7 @@ class Simulation:
         return self._actions.clone()
 
     def advance(self) -> None:
-        """The second half of :meth:`step`; on CUDA it can be part of a graph that is being captured."""
-        if self.device == "cpu" or torch.cuda.is_current_stream_capturing():
-            self._control_step()
-        else:
-            self._replay()
-        self._centres_are_new = False
-
-    def _control_step(self) -> None:
+        """The second half of :meth:`step`; on CUDA it goes to torch's current stream, and a graph may capture it."""
         if not self._shares:
             self._shares = self._record_shares()
             self._take = step_stage.record_actions(self._state, self._action_array, *self._action_range)
@@ -179,25 +171,15 @@ class Simulation:
         self._shares[0].launch()
         for job in jobs:
             job.result()
+        self._centres_are_new = False
 
     def _record_shares(self) -> list[wp.Launch]:
         """On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs."""
         packs = self._state.packs
         count = min(self.threads, packs) if self.device == "cpu" else 1
         cuts = [packs * k // count for k in range(count + 1)]
-        substeps = self.physics.substeps
-        return [step_stage.record(self._state, substeps, begin, end - begin) for begin, end in itertools.pairwise(cuts)]
-
-    def _replay(self) -> None:
-        """The control step as a CUDA graph, captured on first use; arrays never move afterwards."""
-        with wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(self.device))):
-            if self._graph is None:
-                self._control_step()  # loads the modules; this first step is not captured
-                with wp.ScopedCapture(device=self.device) as capture:
-                    self._control_step()
-                self._graph = capture.graph
-            else:
-                wp.capture_launch(self._graph)
+        state, substeps = self._state, self.physics.substeps
+        return [step_stage.record_step(state, substeps, begin, end - begin) for begin, end in itertools.pairwise(cuts)]
 
     def reset(self, mask: torch.Tensor | None = None) -> None:
         """Put environments back to time 0 and thaw them.

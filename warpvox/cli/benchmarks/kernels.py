@@ -20,6 +20,7 @@ from warpvox.cli.benchmarks.report import Report, middle, number
 from warpvox.cli.benchmarks.step import HEADINGS
 from warpvox.cli.benchmarks.subject import Subject, clock
 from warpvox.errors import SimulationError
+from warpvox.kernels.device import Command, kernel, record
 from warpvox.kernels.launch import stage_kernel
 from warpvox.kernels.step import STAGES as STAGES_OF
 
@@ -111,20 +112,19 @@ def stage_times(subject: Subject, config: Any) -> dict[str, float]:
     return {name: max(middle(values or [0.0]) - empty, 0.0) * share for name, values in times.items()}
 
 
-def _record(build: Callable, state: Any) -> wp.Launch:
-    kernel = stage_kernel(build, state.precision, state.width)
+def _record(build: Callable, state: Any) -> wp.Launch | Command:
     inputs = [state.model, state.data, state.units, state.dt]
-    return wp.launch(kernel, (state.packs, state.units), inputs, device=state.device, record_cmd=True)
+    return record(stage_kernel(build, state.precision, state.width), (state.packs, state.units), inputs, state.device)
 
 
-@wp.kernel(enable_backward=False, module="unique")
+@kernel
 def _nothing():
     pass
 
 
 def _launch_seconds(device: str) -> float:
     """What launching takes and reading the clock."""
-    command = wp.launch(_nothing, 1, [], device=device, record_cmd=True)
+    command = record(_nothing, 1, [], device)
     times = []
     for _ in range(200):
         began = clock(device)

@@ -1,0 +1,93 @@
+"""The one way to a device: what every kernel is compiled with, and where it is launched and arrays are allocated.
+
+On CUDA a launch goes to torch's current stream of the device, so that it is in order with torch's operations whichever
+stream they are on, and can be part of a graph that torch captures. Memory is torch's, which does not reuse it while
+work on that stream is pending. Warp's own streams, allocator and copies are not used.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+__all__ = ["BLOCK", "Command", "current_stream", "from_numpy", "kernel", "launch", "on_cuda", "record", "zeros"]
+
+kernel = wp.kernel(enable_backward=False, module="unique", module_options={"fuse_fp": False})
+"""Decorator: a kernel in a module of its own. Contacts at time 0 and thresholds of tasks hang on the last bit of a
+double: round as the formulas are written, without fused multiply-add, whose places differ between devices."""
+
+BLOCK = 64
+"""Threads of a CUDA block. With one thread an environment the step takes 240 registers a thread: one block of Warp's
+256 fits into a multiprocessor, and a batch of 4,096 environments would keep 16 multiprocessors busy."""
+
+_streams: dict[tuple[str, int], wp.Stream] = {}
+
+
+def on_cuda(device: str) -> bool:
+    """Whether a device (``cpu``, ``cuda:<index>``) has streams."""
+    return device != "cpu"
+
+
+def current_stream(device: str) -> wp.Stream:
+    """Torch's current stream of a CUDA device, as Warp's; made once for each stream."""
+    import torch
+
+    stream = torch.cuda.current_stream(device)
+    key = device, stream.cuda_stream
+    if key not in _streams:
+        _streams[key] = wp.stream_from_torch(stream)
+    return _streams[key]
+
+
+class Command:
+    """A recorded launch for CUDA: goes to the stream that is torch's current one when it is launched."""
+
+    def __init__(self, command: wp.Launch, device: str) -> None:
+        self._command, self._device = command, device
+
+    def launch(self) -> None:
+        """Launch the kernel."""
+        self._command.launch(stream=current_stream(self._device))
+
+
+def launch(kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], device: str) -> None:
+    """Launch a kernel over ``dim`` threads."""
+    if on_cuda(device):
+        wp.launch(kernel, dim, inputs, device=device, stream=current_stream(device), block_dim=BLOCK)
+    else:
+        wp.launch(kernel, dim, inputs, device=device)
+
+
+def record(kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], device: str) -> wp.Launch | Command:
+    """A launch that can be repeated by ``launch()`` for a fraction of its cost; arrays must stay where they are."""
+    if on_cuda(device):
+        return Command(wp.launch(kernel, dim, inputs, device=device, record_cmd=True, block_dim=BLOCK), device)
+    return wp.launch(kernel, dim, inputs, device=device, record_cmd=True)
+
+
+def zeros(shape: tuple[int, ...], dtype: Any, device: str) -> wp.array:
+    """A zeroed array ``shape`` of a scalar or vector type."""
+    if not on_cuda(device):
+        return wp.zeros(shape, dtype=dtype, device=device)
+    import torch
+
+    dtype = {int: wp.int32, float: wp.float32}.get(dtype, dtype)
+    scalar, inner = getattr(dtype, "_wp_scalar_type_", dtype), getattr(dtype, "_shape_", ())
+    return wp.from_torch(torch.zeros((*shape, *inner), dtype=wp.dtype_to_torch(scalar), device=device), dtype=dtype)
+
+
+def from_numpy(values: Any, dtype: Any, device: str) -> wp.array:
+    """An array on the device with these values, whose last axis is a vector's if ``dtype`` is one."""
+    values = np.ascontiguousarray(values)
+    inner = len(getattr(dtype, "_shape_", ()))
+    array = zeros(values.shape[: values.ndim - inner], dtype, device)
+    if math.prod(values.shape):
+        import torch
+
+        view = wp.to_torch(array)
+        view.copy_(torch.from_numpy(values).to(view.dtype))
+    return array
