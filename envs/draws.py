@@ -42,8 +42,8 @@ class Draws:
     def begin(self, seed: int | Sequence[int], mask: torch.Tensor | None = None) -> None:
         """Begin the streams anew, from other seeds; ``mask`` (bool ``[num_envs]``): only these."""
         keys = _keys(seed, self.num_envs).to(self.keys.device)
-        self.keys = keys if mask is None else torch.where(mask, keys, self.keys)
-        self.episode = self.episode.masked_fill(torch.ones_like(keys, dtype=torch.bool) if mask is None else mask, 0)
+        self.keys.copy_(keys if mask is None else torch.where(mask, keys, self.keys))
+        self.episode.masked_fill_(torch.ones_like(keys, dtype=torch.bool) if mask is None else mask, 0)
 
     def rewind(self) -> Draws:
         """Begin an episode's numbers; return this object."""

@@ -31,9 +31,11 @@ class FiniteGuard:
     def __init__(self, spec: TaskSpec, sim: Simulation, layout: Layout) -> None:
         self._task = spec.id
         self._rewards = [term.name for term in spec.rewards]
-        self._columns, self._design = layout.columns, sim.design_index
+        self._layout, self._columns, self._design = layout, layout.columns, sim.design_index
+        rows = sim.num_designs if sim.grid is None else sim.num_envs  # as many designs as there may be
         self._of_rewards = torch.zeros(len(self._rewards), dtype=torch.long, device=sim.device)
-        self._of_columns = torch.zeros((sim.num_designs, layout.num_obs), dtype=torch.long, device=sim.device)
+        self._of_columns = torch.zeros((rows, layout.num_obs), dtype=torch.int32, device=sim.device)
+        self._earlier: dict[str, int] = {}  # counted under columns of earlier designs
         self._named: set[str] = set()
 
     def observation(self, obs: torch.Tensor, where: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
@@ -45,7 +47,7 @@ class FiniteGuard:
         odd = ~torch.isfinite(obs)
         counted = odd if where is None else odd & where[:, None]
         # in place: a graph that has been captured goes on counting in the same memory
-        self._of_columns.index_add_(0, self._design, counted.long())
+        self._of_columns.index_add_(0, self._design, counted.int())
         return obs.masked_fill(odd, 0.0), counted.any(1)
 
     def first(self, obs: torch.Tensor, where: torch.Tensor | None, look: bool) -> torch.Tensor:
@@ -75,17 +77,28 @@ class FiniteGuard:
             self.report()
         return obs, odd
 
+    def refresh(self) -> None:
+        """Count by the columns of other designs from now on; waits for the device."""
+        self._earlier = self._counts()
+        self._of_rewards.zero_()
+        self._of_columns.zero_()
+        self._columns = self._layout.columns
+
+    def _counts(self) -> dict[str, int]:
+        """In how many environments each term was not finite so far, all terms."""
+        found = dict(zip((f"reward {name}" for name in self._rewards), self._of_rewards.tolist(), strict=True))
+        for columns, counts in zip(self._columns, self._of_columns.cpu(), strict=False):
+            for name, place in columns.items():
+                count = int(counts[place].max()) if place.stop > place.start else 0
+                found[f"observation {name}"] = found.get(f"observation {name}", 0) + count
+        return {name: count + self._earlier.get(name, 0) for name, count in found.items()}
+
     def report(self) -> dict[str, int]:
         """In how many environments each term was not finite so far; warns of terms that it has not named before.
 
         Waits for the device.
         """
-        found = dict(zip((f"reward {name}" for name in self._rewards), self._of_rewards.tolist(), strict=True))
-        for columns, counts in zip(self._columns, self._of_columns.cpu(), strict=True):
-            for name, place in columns.items():
-                count = int(counts[place].max()) if place.stop > place.start else 0
-                found[f"observation {name}"] = found.get(f"observation {name}", 0) + count
-        found = {name: count for name, count in found.items() if count}
+        found = {name: count for name, count in self._counts().items() if count}
         for name in [name for name in found if name not in self._named]:
             self._named.add(name)
             kind, _, term = name.partition(" ")

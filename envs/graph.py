@@ -1,32 +1,29 @@
 """The control step of environments as one CUDA graph: physics, sensing, observations, rewards, ends and resets.
 
-A graph repeats launches on fixed addresses. So what an environment carries from step to step is copied into tensors of
-the graph's own before a replay and left there after it, and what a step returns is cloned: results stay fresh.
+A graph repeats launches on fixed addresses. What an environment carries from step to step lives in tensors that are
+written to in place (:mod:`warpvox.envs.episodes`), so the step is captured as it stands; what it returns is cloned.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Hashable
+from typing import Any
 
 import torch
 import warp as wp
 
-if TYPE_CHECKING:
-    from warpvox.envs.vec_env import VoxelVecEnv
+__all__ = ["EAGER_STEPS", "StepGraph", "capture_on_cuda"]
 
-__all__ = ["StepGraph", "capture_on_cuda"]
-
-Capture = Callable[[Callable[[], None]], Callable[[], None]]
-"""Records what a function launches, without doing it; returns what does it, again and again."""
+Capture = Callable[[Callable[[], Any]], tuple[Callable[[], None], Any]]
+"""Records what a function launches, without doing it; returns what does it, again and again, and what it returned."""
 EAGER_STEPS = 2
 """Steps before the capture: they load the kernels and make the buffers, which a capture must not."""
 
 
 def capture_on_cuda(device: str) -> Capture:
-    """A :data:`Capture` of torch operations and Warp launches on one CUDA device."""
+    """A :data:`Capture` of torch operations and Warp launches on one CUDA device, on a stream of its own."""
 
-    def capture(body: Callable[[], None]) -> Callable[[], None]:
+    def capture(step: Callable[[], Any]) -> tuple[Callable[[], None], Any]:
         stream = torch.cuda.Stream(device)
         ours = wp.stream_from_torch(stream)
         graph = torch.cuda.CUDAGraph()
@@ -35,7 +32,7 @@ def capture_on_cuda(device: str) -> Capture:
         with torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local"):
             wp.capture_begin(stream=ours, external=True)
             try:
-                body()
+                results = step()
             finally:
                 kept = wp.capture_end(stream=ours)  # keeps the kernels' modules loaded
 
@@ -43,55 +40,47 @@ def capture_on_cuda(device: str) -> Capture:
             graph.replay()
 
         replay.keeps = (graph, kept, stream)  # type: ignore[attr-defined]
-        return replay
+        return replay, results
 
     return capture
 
 
 class StepGraph:
-    """Stands in for the part of ``VoxelVecEnv.step`` that runs on the device.
+    """Stands in for a function that steps environments on the device.
 
-    The first steps run as they are; the next is captured, and from then on replayed. Between steps the environment may
-    be reset or given another state: whatever it then carries is copied into the graph's tensors.
+    Under settings that it meets for the first time some steps run as they are; the next is captured, and from then on
+    replayed. Each settings have a recording of their own, so that a change of them is never missed and costs nothing
+    when they come back.
 
     Args:
-        env: must keep its number of environments; has ``_whole_step``, ``_carried`` and ``_carry``.
+        step: takes no arguments, reads and writes tensors that stay where they are.
         capture: how launches are recorded.
     """
 
-    def __init__(self, env: VoxelVecEnv, capture: Capture) -> None:
-        self._env, self._capture = env, capture
-        self._steps = 0
-        self._replay: Callable[[], None] | None = None
-        self._fixed: dict[Any, torch.Tensor] = {}
-        self._results: Any = None
+    def __init__(self, step: Callable[[], Any], capture: Capture) -> None:
+        self._step, self._capture = step, capture
+        self._eager: dict[Hashable, int] = {}
+        self._recorded: dict[Hashable, tuple[Callable[[], None], Any]] = {}
 
-    def __call__(self) -> Any:
-        """One control step from the actions that the simulation has taken; returns what ``_whole_step`` returns."""
-        self._steps += 1
-        if self._steps <= EAGER_STEPS:
-            return self._env._whole_step()
-        if self._replay is None:
-            self._fixed = {name: tensor.clone() for name, tensor in self._env._carried().items()}
-            self._env._carry(self._fixed)
-            self._replay = self._capture(self._body)
-        else:
-            for name, tensor in self._env._carried().items():
-                if tensor is not self._fixed[name]:
-                    self._fixed[name].copy_(tensor)
-        self._env._carry(self._fixed)
-        self._replay()
-        self._env._carry(self._fixed)
-        return _cloned(self._results)
+    def __call__(self, settings: Hashable) -> Any:
+        """One step; returns fresh tensors.
 
-    def _body(self) -> None:
-        """What is recorded: a step, and what it leaves for the next."""
-        self._results = self._env._whole_step()
-        own = set(map(id, self._fixed.values()))
-        # Of a fixed tensor that is left as another one's next value a copy is made first: copying goes one by one.
-        left = {name: t.clone() if id(t) in own else t for name, t in self._env._carried().items()}
-        for name, tensor in left.items():
-            self._fixed[name].copy_(tensor)
+        Args:
+            settings: all that the step depends on besides tensors.
+        """
+        if settings not in self._recorded:
+            done = self._eager[settings] = self._eager.get(settings, 0) + 1
+            if done <= EAGER_STEPS:
+                return self._step()
+            self._recorded[settings] = self._capture(self._step)
+        replay, results = self._recorded[settings]
+        replay()
+        return _cloned(results)
+
+    @property
+    def recorded(self) -> tuple[Hashable, ...]:
+        """The settings under which a step is replayed."""
+        return tuple(self._recorded)
 
 
 def _cloned(value: Any) -> Any:

@@ -55,7 +55,7 @@ def simulation_bytes(probe: Simulation, designs: int, per_design: int) -> int:
         probe: a simulation of some environments of the largest worlds, as :func:`probe_of` makes.
         designs, per_design: the worlds, and environments of each, that are asked for.
     """
-    state = probe._state
+    state = probe.buffers
     data = sum(state.arrays[name].capacity for name in DATA)
     tables = sum(array.capacity for name, array in state.arrays.items() if name not in DATA)
     # A pack takes as much when it is not full. In exact arithmetic it holds one design; in fast arithmetic any, and has

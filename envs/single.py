@@ -217,13 +217,9 @@ class Sensors:
 
     def _record(self, method: str, args: tuple) -> tuple[torch.Tensor, Any, list[torch.Tensor]]:
         """What a method of the simulation gives, the launch that it makes for it (None: none), and its buffers."""
-        sim = self._sim
-        kept, sim._sensors, sim._centres_are_new = sim._sensors, {}, False
-        try:
-            value = getattr(sim, method)(*args)
-            command, buffers = next(iter(sim._sensors.values()), (None, []))
-        finally:
-            sim._sensors, sim._centres_are_new = kept, False
+        with self._sim.sensing_anew() as launches:
+            value = getattr(self._sim, method)(*args)
+        command, buffers = next(iter(launches.values()), (None, []))
         return value, command, buffers
 
     def _sense_centres(self) -> None:
@@ -257,7 +253,7 @@ class Sensors:
         """A view ``[1, 2, points]`` on the simulation's own positions; None: they do not lie so."""
         sim = self._sim
         body = next((body for body in sim.designs[0].bodies if body.name == name), None)
-        places = sim._views["pos"].numpy()
+        places = sim.array("pos").numpy()
         if body is None or sim.arithmetic != "exact" or places.shape[::2] != (1, 1):
             return None
         points = places.reshape(-1, 2)[body.first_point :][: len(body.points)].T[None]
@@ -304,32 +300,37 @@ class SingleStepper:
 
     def __init__(self, env: VoxelVecEnv) -> None:
         sim, spec = env.sim, env.spec
-        self._env, self._sim, self._spec = env, sim, spec
+        self._sim, self._spec = sim, spec
         self._sensors = Sensors(sim)
         self._dtype = np.dtype(str(env.dtype).removeprefix("torch."))
-        self._actions = sim._actions.numpy()[0]
-        self._status = sim._views["status"].numpy().reshape(-1)
-        self._slot = int(sim._slot[0])
+        self._actions = sim.action_buffer.numpy()[0]
+        self._status = sim.array("status").numpy().reshape(-1)
+        self._slot = int(sim.slot[0])
         self._looks = [(term.function, dict(term.params)) for term in spec.observations]
         self._rewards = [(term.name, term.function, dict(term.params), term.weight) for term in spec.rewards]
         self._ends = [(term.name, term.function, dict(term.params), term.bonus) for term in spec.terminations]
         self._updates = [memory for memory in spec.memory if memory.update is not None]
+        episodes = self._episodes = env.episodes
+        self._memory = {name: value.numpy() for name, value in episodes.memory.items()}
+        self._length, self._return = episodes.length.numpy(), episodes.returns.numpy()
+        self._terminated = episodes.terminated.numpy()
         self.begin()
 
     def begin(self) -> None:
         """Go on from where the environments stand: after a reset, or when something else has moved them."""
         self._sensors.moved = True
-        self._env._memory = {name: value.clone() for name, value in self._env._memory.items()}
-        self._memory = {name: value.numpy() for name, value in self._env._memory.items()}  # written to in every step
         memory = {name: value.copy().view(Row) for name, value in self._memory.items()}
-        self._before = State(self._sensors, memory).remember(self._env._needed_before)
-        self._length, self._return = self._env.episode_length.numpy(), self._env._return.numpy()
-        self._terminated = self._env._terminated.numpy()
+        self._before = State(self._sensors, memory).remember(self._episodes.before)
 
     def observe(self, state: State) -> np.ndarray:
         """A fresh observation ``[num_obs]``."""
         parts = [look(state, **params).reshape(-1) for look, params in self._looks]
         return np.concatenate(parts, dtype=self._dtype, casting="same_kind").view(np.ndarray)
+
+    def look(self) -> tuple[np.ndarray, tuple[dict[str, float], bool]]:
+        """What is observed and judged where the environment stands, without a step."""
+        state = State(self._sensors, self._before.remembered)
+        return self.observe(state), self.judge(self._before, state, False)
 
     def step(self, action: np.ndarray) -> Result:
         """One control step: what :meth:`warpvox.envs.vec_env.VoxelVecEnv.step_one` returns; ``action`` is finite."""
@@ -338,7 +339,7 @@ class SingleStepper:
         self._sensors.moved = True
         before, after = self._before, State(self._sensors, self._before.remembered)
         obs = self.observe(after)
-        self._env._drawn = False
+        self._episodes.drawn = False
         if self._updates:
             remembered = after.update(self._updates)
             for memory in self._updates:
@@ -376,12 +377,11 @@ def fast_stepper(env: VoxelVecEnv) -> SingleStepper | None:
         return None
     try:
         stepper = SingleStepper(env)
-        state = State(stepper._sensors, stepper._before.remembered)
-        obs, judged = stepper.observe(state), stepper.judge(stepper._before, state, False)
+        obs, judged = stepper.look()
     except (AttributeError, TypeError, ValueError, IndexError, NotImplementedError):
         return None  # an operation that rows do not have
-    there = State(env.sim, env._memory)
-    theirs = env._layout.observe(there)[0].numpy()
-    parts, ended = env._judge(there, there, torch.zeros(1, dtype=torch.bool), None)
+    there = State(env.sim, env.episodes.memory)
+    theirs = env.observe(there)[0].numpy()
+    parts, ended = env.judge(there, there, torch.zeros(1, dtype=torch.bool))
     same = judged == ({name: part.item() for name, part in parts.items()}, ended.item())
     return stepper if same and obs.dtype == theirs.dtype and np.array_equal(obs, theirs) else None

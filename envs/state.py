@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from warpvox.envs.spec import Memory
     from warpvox.sim import Simulation
 
-__all__ = ["State"]
+__all__ = ["Quantity", "State"]
 
 Quantity = tuple[object, ...]
+"""A method of the simulation and its arguments."""
 
 
 class State:
@@ -49,7 +50,7 @@ class State:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """What has been asked for: the simulator's method and its arguments."""
+        """What has been asked for."""
         return tuple(self._values)
 
     def remember(self, quantities: Iterable[Quantity]) -> State:
@@ -64,7 +65,7 @@ class State:
         return self._memory
 
     def value(self, quantity: Quantity) -> Tensor:
-        """One of :attr:`quantities`."""
+        """One of :attr:`quantities`, itself: not to be written to."""
         return self._values[quantity]
 
     def update(self, memories: Iterable[Memory]) -> dict[str, Tensor]:

@@ -17,13 +17,14 @@ from warpvox.envs.bodies import check_grid, load_connections, load_designs, one_
 from warpvox.envs.checks import check_fields, check_memory, check_terms
 from warpvox.envs.draws import Draws
 from warpvox.envs.dumps import DivergenceDump, check_guard
+from warpvox.envs.episodes import Episodes
 from warpvox.envs.finite import FiniteGuard, all_finite
 from warpvox.envs.graph import StepGraph, capture_on_cuda
 from warpvox.envs.layout import Layout
 from warpvox.envs.needs import check_environments
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import ROBOT, TaskSpec
-from warpvox.envs.state import State
+from warpvox.envs.state import Quantity, State
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, did_you_mean, known_arguments, listing
@@ -139,7 +140,7 @@ class VoxelVecEnv:
     """Environments of one task on one simulation; made by :func:`make_vec`.
 
     All tensors that are returned are fresh: keeping them is safe, changing them has no effect on the
-    environments.
+    environments. What they carry from step to step is in ``episodes``: tensors that stay where they are.
 
     Attributes:
         spec: the task under the rules chosen; ``rules`` names those.
@@ -152,8 +153,8 @@ class VoxelVecEnv:
         obs_columns: per design where each observation term lies, ``{term name: slice}``.
         action_columns: per design where the actions of each robot lie, ``{robot name: slice}``.
         voxels: with ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name.
-        episode_length: long ``[num_envs]``, control steps of the episode so far; may be assigned.
-        max_episode_steps: time limit.
+        episodes: length, return, memory of the running episodes (:class:`warpvox.envs.episodes.Episodes`).
+        auto_reset: whether environments are reset in the step in which they end; may be changed between steps.
         device: torch's name of the device; ``dtype``: of observations and rewards.
     """
 
@@ -175,26 +176,25 @@ class VoxelVecEnv:
         if obs == "voxel":
             spec = replace(spec, observations=voxel_observations(spec.observations, tuple(spec.robots), sim))
         self.spec, self.rules, self.sim, self.seed, self.auto_reset = spec, rules, sim, seed, auto_reset
+        self._has_code = spec.has_code
         self.designs = designs
         self.num_envs = sim.num_envs
         self.device, self.dtype = sim.device, sim.dtype
-        self.max_episode_steps = spec.max_episode_steps
+        self.episodes = Episodes(sim.num_envs, sim.device, spec.max_episode_steps)
+        self._limit = spec.max_episode_steps
         block = sim.num_envs // len(designs)
         self._blocks = len(designs)  # of environments that may have seeds of their own
         self.design_index = torch.arange(len(designs), device=sim.device).repeat_interleave(block)
         self._draws = Draws(seed, self.num_envs, sim.device) if spec.memory else None
-        self._memory: dict[str, torch.Tensor] = {}
-        self._drawn = True  # the first episode is drawn; a reset before it begins keeps it
         if spec.memory:
             check_memory(spec, sim, self._draws)
             self._start_memory(None)
         check_terms(spec, sim, self._look())
         # Rewards compare with the state before a step: find out once which quantities they need.
-        probe = self._look()
+        before, probe = self._look(), self._look()
         for term in spec.rewards:
-            term(probe, probe)
-        self._needed_before = probe.quantities
-        self._before = probe
+            term(before, probe)
+        self.episodes.before = {quantity: before.value(quantity).clone() for quantity in before.quantities}
         self._layout = Layout(spec.observations, sim, probe)
         self.num_obs, self.num_actions = self._layout.num_obs, sim.num_actions
         self._describe(sim.design_index[::block])  # equal designs share one entry of the simulation
@@ -203,13 +203,13 @@ class VoxelVecEnv:
         self._may_look = torch.device(sim.device).type == "cpu"
         self._finite = FiniteGuard(spec, sim, self._layout)
         self.dump: DivergenceDump | None = None
-        self._graph = StepGraph(self, capture_on_cuda(sim.device)) if cuda_graph and not self._may_look else None
-        self._clear_episodes()
+        self._graph: StepGraph | None = None
+        if cuda_graph and not self._may_look:
+            self._graph = StepGraph(self._whole_step, capture_on_cuda(sim.device))
 
-    def _look(self, remembered: Mapping[str, torch.Tensor] | None = None, values: Any = None) -> State:
+    def _look(self, values: Mapping[Quantity, torch.Tensor] | None = None) -> State:
         """What terms see at this moment; those that are not ours get copies, which they may work on."""
-        remembered = self._memory if remembered is None else remembered
-        return State(self.sim, remembered, values, copies=self.spec.has_code)
+        return State(self.sim, self.episodes.memory, values, copies=self._has_code)
 
     def _describe(self, worlds: torch.Tensor) -> None:
         """Sizes of the designs, from the simulation's world of each."""
@@ -224,21 +224,36 @@ class VoxelVecEnv:
         """Number of designs."""
         return len(self.designs)
 
-    def _clear_episodes(self, mask: torch.Tensor | None = None) -> None:
-        if mask is None:
-            self.episode_length = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
-            self._return = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
-            self._terminated = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-            self._truncated = self._terminated.clone()
-        else:
-            self.episode_length = self.episode_length.masked_fill(mask, 0)
-            self._return = self._return.masked_fill(mask, 0.0)
-            self._terminated, self._truncated = self._terminated & ~mask, self._truncated & ~mask
+    @property
+    def episode_length(self) -> torch.Tensor:
+        """long ``[num_envs]``, control steps of the episode so far: the tensor in use, which steps write to.
+
+        May be assigned, or written to.
+        """
+        return self.episodes.length
+
+    @episode_length.setter
+    def episode_length(self, lengths: torch.Tensor | Sequence[int]) -> None:
+        lengths = torch.as_tensor(lengths, device=self.device)
+        if tuple(lengths.shape) != (self.num_envs,) or lengths.dtype.is_floating_point:
+            got = f"{lengths.dtype} {list(lengths.shape)}"
+            raise ConfigError(f"episode_length must be integers [{self.num_envs}], got {got}.")
+        self.episodes.length.copy_(lengths)
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Control steps after which an episode is truncated; may be assigned."""
+        return self._limit
+
+    @max_episode_steps.setter
+    def max_episode_steps(self, steps: int) -> None:
+        self._limit = _whole("max_episode_steps", steps)
+        self.episodes.limit.fill_(self._limit)
 
     @property
     def memory(self) -> dict[str, torch.Tensor]:
         """What the environments remember, by name (``spec.memory``): fresh tensors ``[num_envs, ...]``."""
-        return {name: value.clone() for name, value in self._memory.items()}
+        return {name: value.clone() for name, value in self.episodes.memory.items()}
 
     def reset(
         self,
@@ -271,18 +286,19 @@ class VoxelVecEnv:
             if seed is not None:
                 self._draws.begin(seed, mask)
             elif mask is not None:
-                self._draws.episode = self._draws.episode + mask
-            elif not self._drawn:
-                self._draws.episode = self._draws.episode + 1
-            self._drawn = False
+                self._draws.episode.add_(mask)
+            elif not self.episodes.drawn:
+                self._draws.episode.add_(1)
+            self.episodes.drawn = False
             self._start_memory(mask, memory)
         elif memory:
             raise ConfigError(f"{self.spec.id} remembers nothing: there is no {listing(memory)} to set.")
-        self._clear_episodes(mask)
-        self._before = self._look().remember(self._needed_before)
+        self.episodes.clear(mask)
+        now = self._look()
+        self.episodes.keep(now)
         if self.dump is not None:
             self.dump.clear()
-        return self._finite.first(self._layout.observe(self._before), mask, self._may_look), {}
+        return self._finite.first(self.observe(now), mask, self._may_look), {}
 
     def set_designs(
         self, designs: object, mask: torch.Tensor | np.ndarray, connections: Sequence[object] | None = None
@@ -312,6 +328,7 @@ class VoxelVecEnv:
         worlds = [task_world(self.spec, body, links[d]) for d, body in enumerate(bodies)]
         self.sim.set_worlds(worlds if len(worlds) == count else worlds * count, mask)
         self._layout.refresh()
+        self._finite.refresh()
         for term in self.spec.observations:
             if isinstance(term.function, VoxelGrid):
                 term.function.refresh()
@@ -335,9 +352,7 @@ class VoxelVecEnv:
         fresh = {memory.name: memory.begin(draws) for memory in self.spec.memory}
         for name, values in (given or {}).items():
             fresh[name] = self._given(name, values, fresh)
-        if mask is not None:
-            fresh = {name: _where(mask, value, self._memory[name]) for name, value in fresh.items()}
-        self._memory = fresh
+        self.episodes.remember(fresh, mask)
         if self.spec.scattered:
             self.sim.shift(fresh["offset"], mask)
 
@@ -384,17 +399,22 @@ class VoxelVecEnv:
                 then. On CUDA an environment with such entries becomes unstable.
         """
         self.sim.take(actions)
-        self._drawn = False
-        if self.dump is None:
-            return self._whole_step() if self._graph is None else self._graph()
-        self.dump.before(self.sim.actions)
-        result = self._whole_step() if self._graph is None else self._graph()
-        self.dump.after(result[1], result[4])
+        self.episodes.drawn = False
+        if self.dump is not None:
+            self.dump.before(self.sim.actions)
+        if self._graph is None:
+            result = self._whole_step()
+        else:
+            result = self._graph(self.auto_reset)
+            self.sim.forget_sensed()
+        if self.dump is not None:
+            self.dump.after(result[1], result[4])
         return result
 
     def _whole_step(self) -> StepResult:
         """The part of :meth:`step` that runs on the device, without waiting for it."""
-        going = None if self.auto_reset else ~(self._terminated | self._truncated)
+        episodes = self.episodes
+        going = None if self.auto_reset else ~(episodes.terminated | episodes.truncated)
         obs, after, remembered, unstable, terms, terminated = self._advance(going)
         diverged = self.sim.diverged & unstable
         idle = diverged if going is None else diverged | ~going
@@ -407,43 +427,44 @@ class VoxelVecEnv:
             for term in self.spec.rewards:
                 terms[term.name] = terms[term.name].masked_fill(idle | odd, 0.0)
             reward = sum(terms.values())
-        self.episode_length = self.episode_length + (1 if going is None else going)
-        self._return = self._return + reward
-        truncated = self.episode_length >= self.max_episode_steps
+        episodes.length.add_(1 if going is None else going)
+        episodes.returns.add_(reward)
+        truncated = episodes.length >= episodes.limit
         done = terminated | truncated
         if going is not None:
             done = done & going
         info = {
             "final_obs": obs,
             "episode": {
-                "return": self._return.to(self.dtype),
-                "length": self.episode_length.to(self.dtype),
+                "return": episodes.returns.to(self.dtype, copy=True),
+                "length": episodes.length.to(self.dtype),
                 "done": done,
             },
             "unstable": unstable,
             "diverged": diverged,
             "reward_terms": terms,
         }
+        episodes.keep(after)
         if going is None:
-            self._memory = remembered
-            obs = self._restart(done, after, obs)
+            episodes.remember(remembered)
+            obs = self._restart(done, obs)
         else:
             # An ended environment remembers what its last observation was made of.
-            self._memory = {name: _where(going & ~done, new, self._memory[name]) for name, new in remembered.items()}
-            terminated = self._terminated = self._terminated | terminated
-            truncated = self._truncated = self._truncated | (truncated & going)
-            self._before = after
+            episodes.remember(remembered, going & ~done)
+            terminated, truncated = episodes.terminated | terminated, episodes.truncated | (truncated & going)
+            episodes.terminated.copy_(terminated)
+            episodes.truncated.copy_(truncated)
             self.sim.set_frozen(terminated | truncated)
         return obs, reward.to(self.dtype), terminated, truncated, info
 
     def _advance(self, going: torch.Tensor | None):
         """The step without what follows at the end of an episode."""
         self.sim.advance()
-        after = self._look()
-        obs = self._layout.observe(after)
+        before, after = self._look(self.episodes.before), self._look()
+        obs = self.observe(after)
         remembered = after.update(self.spec.memory)
         unstable = self.sim.unstable if going is None else self.sim.unstable & going
-        return obs, after, remembered, unstable, *self._judge(self._before, after, unstable, going)
+        return obs, after, remembered, unstable, *self.judge(before, after, unstable, going)
 
     def step_one(self, actions: torch.Tensor | np.ndarray) -> tuple[torch.Tensor, dict[str, float], bool, bool, bool]:
         """:meth:`step` for a single environment that waits at its end, without statistics: half of what they cost.
@@ -453,8 +474,10 @@ class VoxelVecEnv:
             stopped, and whether by bad numbers. What follows after the end means nothing, until :meth:`reset`.
         """
         self.sim.take(actions)
-        self._drawn = False
-        obs, self._before, self._memory, unstable, terms, terminated = self._advance(None)
+        self.episodes.drawn = False
+        obs, after, remembered, unstable, terms, terminated = self._advance(None)
+        self.episodes.keep(after)
+        self.episodes.remember(remembered)
         stopped, ended, values = unstable.item(), terminated.item(), {name: v.item() for name, v in terms.items()}
         diverged = stopped and self.sim.diverged.item()
         if not (math.isfinite(sum(values.values())) and all_finite(obs)):
@@ -464,10 +487,10 @@ class VoxelVecEnv:
                 values["unstable"] = self.spec.unstable_penalty
         if diverged:
             values |= {term.name: 0.0 for term in self.spec.rewards}
-        self.episode_length = self.episode_length + 1
-        self._return = self._return + sum(values.values())
-        self._terminated = self._terminated | ended
-        self._truncated = self.episode_length >= self.max_episode_steps
+        self.episodes.length.add_(1)
+        self.episodes.returns.add_(sum(values.values()))
+        self.episodes.terminated.logical_or_(terminated)
+        torch.ge(self.episodes.length, self.episodes.limit, out=self.episodes.truncated)
         return obs[0], values, ended, stopped, diverged
 
     def not_finite(self) -> dict[str, int]:
@@ -477,38 +500,20 @@ class VoxelVecEnv:
         """
         return self._finite.report()
 
-    def _carried(self) -> dict[Any, torch.Tensor]:
-        """What a step leaves for the next, besides the simulation's own state; the inverse of :meth:`_carry`."""
-        carried: dict[Any, torch.Tensor] = {
-            "length": self.episode_length,
-            "return": self._return,
-            "terminated": self._terminated,
-            "truncated": self._truncated,
-        }
-        carried |= {("memory", name): value for name, value in self._memory.items()}
-        carried |= {("remembered", name): value for name, value in self._before.remembered.items()}
-        carried |= {("before", quantity): self._before.value(quantity) for quantity in self._needed_before}
-        if self._draws is not None:
-            carried |= {"keys": self._draws.keys, "episode": self._draws.episode}
-        return carried
+    def observe(self, state: State) -> torch.Tensor:
+        """The observation ``[num_envs, num_obs]`` that a state gives, as it is: also what is not finite."""
+        return self._layout.observe(state)
 
-    def _carry(self, carried: Mapping[Any, torch.Tensor]) -> None:
-        def part(kind: str) -> dict[Any, torch.Tensor]:
-            return {name[1]: value for name, value in carried.items() if isinstance(name, tuple) and name[0] == kind}
-
-        self.episode_length, self._return = carried["length"], carried["return"]
-        self._terminated, self._truncated = carried["terminated"], carried["truncated"]
-        self._memory = part("memory")
-        self._before = self._look(part("remembered"), part("before"))
-        if self._draws is not None:
-            self._draws.keys, self._draws.episode = carried["keys"], carried["episode"]
-
-    def _judge(
-        self, before: State, after: State, unstable: torch.Tensor, going: torch.Tensor | None
+    def judge(
+        self, before: State, after: State, unstable: torch.Tensor, going: torch.Tensor | None = None
     ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
         """The parts of the reward (float64 ``[num_envs]`` each) and where the episode terminates.
 
         Tests for the end look at the state after the step, or, where the step was stopped, at that before it.
+
+        Args:
+            unstable: bool ``[num_envs]``, where the step was stopped.
+            going: bool ``[num_envs]``, environments that have not ended; None: all.
         """
         terms = {term.name: term(before, after) * term.weight for term in self.spec.rewards}
         terms["unstable"] = unstable.double() * self.spec.unstable_penalty
@@ -519,20 +524,19 @@ class VoxelVecEnv:
             terminated = terminated | hit
         return terms, terminated
 
-    def _restart(self, done: torch.Tensor, after: State, obs: torch.Tensor) -> torch.Tensor:
+    def _restart(self, done: torch.Tensor, obs: torch.Tensor) -> torch.Tensor:
         """Reset where ``done``; return the observations with which to go on."""
         if self._may_look and not bool(done.any()):
-            self._before = after
             return obs
         self.sim.reset(done)
         if self._draws is not None:
-            self._draws.episode = self._draws.episode + done
+            self._draws.episode.add_(done)
             self._start_memory(done)
-        self.episode_length = self.episode_length.masked_fill(done, 0)
-        self._return = self._return.masked_fill(done, 0.0)
-        self._before = self._look().remember(self._needed_before)
+        self.episodes.clear(done)
+        now = self._look()
+        self.episodes.keep(now)
         # An episode that goes on keeps its observation, which was made before the memory was updated.
-        fresh = self._finite.first(self._layout.observe(self._before), done, self._may_look)
+        fresh = self._finite.first(self.observe(now), done, self._may_look)
         return torch.where(done[:, None], fresh, obs)
 
     def state(self) -> dict[str, Any]:
@@ -541,10 +545,7 @@ class VoxelVecEnv:
             "sim": self.sim.state(),
             "memory": self.memory,
             "draws": None if self._draws is None else self._draws.episode.clone(),
-            "length": self.episode_length.clone(),
-            "return": self._return.clone(),
-            "terminated": self._terminated.clone(),
-            "truncated": self._truncated.clone(),
+            **self.episodes.state(),
         }
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -557,15 +558,12 @@ class VoxelVecEnv:
         like = self.state()
         check_fields(state, like | {"sim": dict.fromkeys(like["sim"], torch.Tensor)})
         self.sim.set_state({name: value.to(self.device) for name, value in state["sim"].items()})
-        self._memory = {name: value.to(self.device) for name, value in state["memory"].items()}
+        self.episodes.remember({name: state["memory"][name].to(self.device) for name in self.episodes.memory})
         if self._draws is not None:
-            self._draws.episode = state["draws"].to(self.device)
-        self._drawn = False
-        self.episode_length = state["length"].to(self.device)
-        self._return = state["return"].to(self.device)
-        self._terminated = state["terminated"].to(self.device)
-        self._truncated = state["truncated"].to(self.device)
-        self._before = self._look().remember(self._needed_before)
+            self._draws.episode.copy_(state["draws"])
+        self.episodes.drawn = False
+        self.episodes.set_state(state)
+        self.episodes.keep(self._look())
         if self.dump is not None:
             self.dump.clear()
 
@@ -580,11 +578,6 @@ def _check_seeds(seed: int | Sequence[int], designs: int, num_envs: int) -> None
     for one in seed if several else [seed]:
         if not isinstance(one, int | np.integer) or isinstance(one, bool) or one < 0:
             raise ConfigError(f"seed must be a whole number >= 0, got {one!r:.80}.")
-
-
-def _where(mask: torch.Tensor, new: torch.Tensor, old: torch.Tensor) -> torch.Tensor:
-    """Rows of ``new`` where the mask says so, else of ``old``."""
-    return torch.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
 def _whole(name: str, value: object) -> int:

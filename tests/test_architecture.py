@@ -37,6 +37,7 @@ LAYERS = (
         "warpvox.frames",
         "warpvox.packs",
         "warpvox.objects",
+        "warpvox.sensors",
         "warpvox.sim",
         "warpvox.palette",
         "warpvox.scene",
@@ -160,3 +161,17 @@ def test_the_core_imports_nothing_heavy(module: str) -> None:
 @pytest.mark.parametrize("module", sorted(SOURCES))
 def test_every_module_says_what_it_is_for(module: str) -> None:
     assert ast.get_docstring(parse(SOURCES[module]))
+
+
+@pytest.mark.parametrize("module", sorted(SOURCES))
+def test_simulations_and_environments_are_used_by_their_doors(module: str) -> None:
+    """What begins with an underscore is the affair of the class alone."""
+    path, owners = SOURCES[module], {"sim", "env", "vec", "_sim", "_env", "_vec", "simulation", "engine"}
+    found = [
+        f"{path.relative_to(ROOT)}:{node.lineno} {node.attr}"
+        for node in ast.walk(parse(path))
+        if isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__")
+        and getattr(node.value, "attr", getattr(node.value, "id", None)) in owners
+        and node.attr != "_engine"  # of EvoGym's EvoSim, which is called sim as well
+    ]  # fmt: skip
+    assert not found

@@ -14,13 +14,13 @@ from warpvox.compile import Body
 from warpvox.device import resolve_device
 from warpvox.errors import ActionError, SimulationError
 from warpvox.kernels import reset as reset_stage
-from warpvox.kernels import sensing
 from warpvox.kernels import step as step_stage
 from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
 from warpvox.objects import CompiledWorlds, Objects
-from warpvox.packs import Batch, choose_threads, group, lay_out, put_tables, resolve_arithmetic
-from warpvox.types import ACTION_HIGH, ACTION_LOW, SIGHT, VOXEL, Physics
+from warpvox.packs import Batch, State, choose_threads, group, lay_out, put_tables, resolve_arithmetic
+from warpvox.sensors import Recorded, Sensing
+from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, Physics
 from warpvox.world import World
 
 __all__ = ["STATE_FIELDS", "Simulation"]
@@ -36,11 +36,12 @@ NUMBERS = {
     torch.int8,
 }
 """Types that actions may have."""
+
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 _STOPPED, _OVERFLOW = int(UNSTABLE | DIVERGED), int(OVERFLOW)
 
 
-class Simulation:
+class Simulation(Sensing):
     """Worlds stepped together, one environment each.
 
     Args:
@@ -104,17 +105,14 @@ class Simulation:
         self._loose = self._objects.loose_points(self.loose)
         self.threads = choose_threads(threads)
         self._pool = ThreadPoolExecutor(self.threads)
-        self._shares: list[wp.Launch] = []
-        self._sensors: dict[tuple, tuple[wp.Launch, list[torch.Tensor]]] = {}
+        self._shares: list[Recorded] = []
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
         self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
         self._slot = self._env[0] * self._state.lanes + self._env[1]
         self._action_range = low, high
         self._actions = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
         self._action_array = wp.from_torch(self._actions)
-        self._scans: dict[tuple, tuple] = {}
-        self._fixed: dict[tuple[str, bool], tuple[torch.Tensor, torch.Tensor]] = {}
-        self._centres_are_new = False
+        self._begin_sensing()
         self._follow_worlds()
         self._views["frozen"].fill_(1)  # lanes that belong to no environment stay so
         self.reset()
@@ -173,7 +171,7 @@ class Simulation:
             job.result()
         self._centres_are_new = False
 
-    def _record_shares(self) -> list[wp.Launch]:
+    def _record_shares(self) -> list[Recorded]:
         """On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs."""
         packs = self._state.packs
         count = min(self.threads, packs) if self.device == "cpu" else 1
@@ -226,6 +224,25 @@ class Simulation:
         """Drop what is derived from the points (contact candidates, centres): for code that has written to them."""
         self._views["drift"].fill_(STALE)
         self._centres_are_new = False
+
+    @property
+    def buffers(self) -> State:
+        """What kernels read and write, and how environments lie in it; for tools that launch kernels themselves."""
+        return self._state
+
+    def array(self, name: str) -> torch.Tensor:
+        """One of the arrays of :mod:`warpvox.kernels.state`, itself; who writes to it calls :meth:`invalidate`."""
+        return wp.to_torch(self._state.arrays[name])
+
+    @property
+    def slot(self) -> torch.Tensor:
+        """long ``[num_envs]``: where an environment lies in arrays ``[pack, lane]``, flattened."""
+        return self._slot
+
+    @property
+    def action_buffer(self) -> torch.Tensor:
+        """``[num_envs, num_actions]``: the tensor that :meth:`advance` takes actions from, itself."""
+        return self._actions
 
     def set_frozen(self, mask: torch.Tensor) -> None:
         """Freeze (True) or thaw environments: a frozen one keeps its state and its time.
@@ -342,104 +359,6 @@ class Simulation:
             raise SimulationError(f"Design {design} has no object named {name!r}.")
         return body
 
-    # ----------------------------------------------------------------- sensing
-
-    def object_positions(self, name: str) -> torch.Tensor:
-        """[num_envs, points, 2]: positions in simulator units, padded with 0."""
-        return self._points(name, 0)
-
-    def object_velocities(self, name: str) -> torch.Tensor:
-        """[num_envs, points, 2]: velocities of the integrator, padded with 0."""
-        return self._points(name, 1)
-
-    def relative_positions(self, name: str) -> torch.Tensor:
-        """[num_envs, 2, points]: x row and y row minus the centre of mass, padded with 0."""
-        return self._points(name, 2).transpose(1, 2)
-
-    def _sense(self, key: tuple, kernel: str, dim, shapes: list[tuple], dtype: torch.dtype, *inputs):
-        """Run a sensing kernel into buffers of its own; a recorded launch costs a fraction of a new one."""
-        if key not in self._sensors:
-            buffers = [torch.zeros(shape, dtype=dtype, device=self.device) for shape in shapes]
-            kind = wp.vec2d if kernel in ("centres", "extents") else None
-            arrays = [wp.from_torch(buffer, dtype=kind) for buffer in buffers]
-            self._sensors[key] = sensing.record(self._state, kernel, dim, *inputs, *arrays), buffers
-        command, buffers = self._sensors[key]
-        command.launch()
-        return buffers
-
-    def _points(self, name: str, what: int) -> torch.Tensor:
-        objects = self._objects
-        inputs = [objects.index(name), what]
-        shape = (self.num_envs, objects.num_points[name], 2)
-        if name in objects.mobile:
-            found = self._sense(("points", *inputs), "points", self.num_envs, [shape], torch.float64, *inputs)[0]
-            out = found.to(self.dtype, copy=True)
-        else:
-            out = torch.zeros(shape, dtype=self.dtype, device=self.device)
-        if name in objects.terrain and what != 1:
-            if (name, what) not in self._fixed:
-                self._fixed[name, what] = objects.still_points(name, self.dtype, what == 2)
-            fixed, is_fixed = self._fixed[name, what]
-            out = torch.where(is_fixed, fixed, out)
-        return out
-
-    def com(self, name: str) -> torch.Tensor:
-        """float64 [num_envs, 2]: centre of mass of an object that can move (B.1)."""
-        return self._centres()[0][:, self._objects.moving(name)].clone()
-
-    def velocity(self, name: str) -> torch.Tensor:
-        """float64 [num_envs, 2]: velocity of the centre of mass (B.1)."""
-        return self._centres()[1][:, self._objects.moving(name)].clone()
-
-    def _centres(self) -> list[torch.Tensor]:
-        shape = (self.num_envs, len(self.object_names), 2)
-        if self._centres_are_new:
-            return self._sensors["centres",][1]
-        self._centres_are_new = True
-        return self._sense(("centres",), "centres", shape[:2], [shape, shape], torch.float64)
-
-    def orientation(self, name: str) -> torch.Tensor:
-        """float64 [num_envs]: orientation in [0, 2 pi), counter-clockwise since time 0 (B.1)."""
-        index = self._objects.moving(name)
-        shape = (self.num_envs,)
-        return self._sense(("orientations", index), "orientations", shape, [shape], torch.float64, index)[0].clone()
-
-    def extent(self, name: str) -> torch.Tensor:
-        """float64 [num_envs, 2]: width and height of the box about all points of an object that can move."""
-        index = self._objects.moving(name)
-        shape = (self.num_envs, 2)
-        return self._sense(("extents", index), "extents", shape[:1], [shape], torch.float64, index)[0].clone()
-
-    def hull_area(self, name: str) -> torch.Tensor:
-        """float64 [num_envs]: area of the convex hull of all points of an object that can move (B.6.1)."""
-        index = self._objects.moving(name)
-        shape = (self.num_envs,)
-        return self._sense(("hulls", index), "hulls", shape, [shape], torch.float64, index)[0].clone()
-
-    def floor_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
-        """float64 [num_envs, 2 reach + 1]: depth of the terrain below an object's centre of mass.
-
-        Window i, from -reach to reach voxels beside it and one voxel wide, holds the distance down to the highest
-        point of the listed objects (None: all that never move) below the centre; 5 voxels (0.5) where there is none.
-        """
-        return self._scan(name, reach, objects, -1)
-
-    def ceiling_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
-        """float64 [num_envs, 2 reach + 1]: the same upward."""
-        return self._scan(name, reach, objects, 1)
-
-    def _scan(self, name: str, reach: int, objects: Sequence[str] | None, up: int) -> torch.Tensor:
-        listed = tuple(objects) if objects is not None else None
-        if listed not in self._scans:
-            self._scans[listed] = self._objects.scan_tables(listed)
-        shape = (self.num_envs, 2 * reach + 1)
-        inputs = [self._objects.moving(name), reach, float(SIGHT), up]
-        tables = self._scans[listed]
-        found = self._sense(
-            ("scans", *inputs, listed), "scans", self.num_envs, [shape], torch.float64, *inputs, *tables
-        )
-        return found[0].clone()
-
     # ---------------------------------------------------------------- state io
 
     def state(self) -> dict[str, torch.Tensor]:
@@ -542,9 +461,8 @@ class Simulation:
         self._objects.refresh()
         self.designs.forget()
         self.design_index.copy_(torch.as_tensor(self._batch.index))
-        for _, buffers in self._sensors.values():  # entries of points that there are no more
-            for buffer in buffers:
-                buffer.zero_()
+        for buffer in self.sensing_buffers:  # entries of points that there are no more
+            buffer.zero_()
         rows = self._objects.rows
         self._rows = torch.stack([2 * rows, 2 * rows + 1], dim=-1).flatten(1)
         count = torch.arange(rows.shape[1], device=rows.device) < self._objects.total[:, None]

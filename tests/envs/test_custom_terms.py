@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import warnings
 from collections.abc import Callable
@@ -280,6 +281,37 @@ def test_a_term_that_is_not_finite_ends_its_environments(kind: str, auto_reset: 
     )
 
 
+@pytest.mark.parametrize("kind", ["reward", "observation"])
+def test_counts_go_on_when_bodies_change(kind: str) -> None:
+    """Other designs have other columns, and there are more of them."""
+    env = make(blinking(kind, float("nan"), [1]), grid=(3, 3))
+    env._may_look = False
+    env.reset()
+    at = AT if kind == "reward" else AT + 1
+    for round_, body in enumerate((np.full((3, 3), 3), np.full((2, 3), 4)), start=1):
+        assert not env.set_designs([body], torch.tensor([True, False, False])).isnan().any()
+        env.reset(mask=torch.tensor([True, True, True]))
+        for _ in range(at):
+            env.step(acting(env))
+        with pytest.warns(RuntimeWarning) if round_ == 1 else contextlib.nullcontext():
+            assert env.not_finite() == {f"{kind} faulty_robot": round_}
+
+
+def test_a_reward_about_the_state_before_sees_it() -> None:
+    """Also where nothing asks the state after for the same."""
+
+    def began(before: Any, after: Any, name: str) -> torch.Tensor:
+        return x_of(before)
+
+    env = make(
+        replace(BASE, observations=(observes(lambda state, name: state.velocity(name)),), rewards=(rewards(began),))
+    )
+    env.reset()
+    for _ in range(4):
+        x = env.sim.com("robot")[:, 0]
+        assert torch.equal(env.step(acting(env))[4]["reward_terms"]["began_robot"], x)
+
+
 def test_training_counts_and_names_it() -> None:
     env = RslRlVecEnv(make(blinking("reward", float("nan"), [0, 2])))
     env.env._may_look = False
@@ -383,7 +415,7 @@ def test_tasks_of_warpvox_pay_nothing_for_that() -> None:
     assert all(not get_task(name).has_code for name in ("Walker-v0", "Traverser-v0", "Catcher-v0"))
     env = make(get_task("Walker-v0"))
     env.reset()
-    state = env._before
+    state = env._look()
     assert state.com("robot") is state.com("robot")
 
 

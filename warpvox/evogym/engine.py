@@ -58,10 +58,9 @@ class Engine:
             [self.world], "cpu", "evogym", "float64", lanes=1, threads=1, loose=self._loose, action_range=_ANY_NUMBER
         )
         design = sim.designs[0]
-        arrays = sim._state.arrays
-        self._views = {name: arrays[name].numpy().reshape(-1, 2) for name in ("pos", "vel", "true_vel")}
-        self._status = arrays["status"].numpy().reshape(-1)
-        self._actions = sim._actions.numpy()[0]  # of all robots
+        self._views = {name: sim.array(name).numpy().reshape(-1, 2) for name in ("pos", "vel", "true_vel")}
+        self._status = sim.array("status").numpy().reshape(-1)
+        self._actions = sim.action_buffer.numpy()[0]  # of all robots
         self._actions[:] = 1.0  # until an action is set, actuators keep their length
         self._bodies = {body.name: body for body in design.bodies + design.statics}
         self.names = sorted(self._bodies, key=lambda name: (not self._bodies[name].source.is_robot, name))

@@ -88,7 +88,7 @@ def stage_times(subject: Subject, config: Any) -> dict[str, float]:
         SimulationError: the stages do not do what the control step does.
     """
     sim = subject.env.sim
-    state, device = sim._state, sim.device
+    state, device = sim.buffers, sim.device
     subject.env.reset()
     for _ in range(subject.steps):
         sim.step(subject.actions())
@@ -104,7 +104,7 @@ def stage_times(subject: Subject, config: Any) -> dict[str, float]:
             seconds = clock(device) - began
             if turn >= substeps:  # the first control step warms up
                 times[build.__name__].append(seconds)
-    sim._centres_are_new = False
+    sim.forget_sensed()
     if not bool(torch.isfinite(sim.com("robot")).all()) or torch.equal(before, sim.com("robot")):
         raise SimulationError("The stages one by one do not move the bodies: their times mean nothing.")
     empty = _launch_seconds(device)

@@ -23,7 +23,7 @@ REST = "integrator"
 
 def groups(env: Any) -> dict[str, float]:
     """Bytes an environment of the simulator's arrays, by what they are for, and of the torch tensors kept."""
-    arrays = env.sim._state.arrays
+    arrays = env.sim.buffers.arrays
     named = {name: group for group, names in GROUPS.items() for name in names}
     sizes: dict[str, float] = dict.fromkeys((*GROUPS, REST), 0.0)
     for name in DATA:
@@ -39,7 +39,7 @@ def per_environment(env: Any) -> float:
 
 def _tensors(env: Any) -> list[torch.Tensor]:
     """Tensors with a row for every environment that the simulator and the environment hold."""
-    found = [buffer for _, buffers in env.sim._sensors.values() for buffer in buffers]
-    for owner in (env, env.sim):
+    found = [*env.sim.sensing_buffers, *env.episodes.memory.values(), *env.episodes.before.values()]
+    for owner in (env, env.sim, env.episodes):
         found += [value for value in vars(owner).values() if isinstance(value, torch.Tensor)]
     return [tensor for tensor in found if tensor.ndim and len(tensor) == env.num_envs]

@@ -48,7 +48,7 @@ def rates(envs: list[VoxelVecEnv], steps: int, repeats: int, seed: int) -> list[
 
 def check(env: VoxelVecEnv, designs: list[np.ndarray], options: dict[str, Any], seed: int) -> None:
     """Raise SimulationError unless an environment among others does what it does alone, bit for bit."""
-    lanes = env.sim._state.lanes
+    lanes = env.sim.buffers.lanes
     env.reset()
     actions = torch.as_tensor(np.random.default_rng(seed).uniform(0.6, 1.6, (3, env.num_actions)), dtype=env.dtype)
     for action in actions:

@@ -1,0 +1,93 @@
+"""What environments carry from step to step besides their simulation: tensors that stay where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+
+from warpvox.envs.state import Quantity, State
+
+__all__ = ["Episodes"]
+
+
+class Episodes:
+    """The running episodes of all environments.
+
+    Every tensor is made once and written to in place, never replaced, so that a captured step finds it again.
+
+    Args:
+        num_envs: how many.
+        device: where.
+        limit: control steps after which an episode is truncated.
+
+    Attributes:
+        length: long ``[num_envs]``, control steps so far.
+        returns: float64 ``[num_envs]``, sum of the rewards so far.
+        terminated, truncated: bool ``[num_envs]``, how an environment ended that waits for its reset.
+        memory: ``[num_envs, ...]`` by name: what the task remembers.
+        before: what rewards compare with: quantities (see :class:`State`) before the next step.
+        limit: long ``[]``, the time limit.
+        drawn: whether the first episode has been drawn and no step taken, so that a reset keeps what was drawn.
+    """
+
+    def __init__(self, num_envs: int, device: str, limit: int) -> None:
+        self.length = torch.zeros(num_envs, dtype=torch.long, device=device)
+        self.returns = torch.zeros(num_envs, dtype=torch.float64, device=device)
+        self.terminated = torch.zeros(num_envs, dtype=torch.bool, device=device)
+        self.truncated = torch.zeros_like(self.terminated)
+        self.limit = torch.full((), limit, dtype=torch.long, device=device)
+        self.memory: dict[str, torch.Tensor] = {}
+        self.before: dict[Quantity, torch.Tensor] = {}
+        self.drawn = True
+
+    def clear(self, mask: torch.Tensor | None = None) -> None:
+        """Begin to count anew, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
+        for tensor in (self.length, self.returns, self.terminated, self.truncated):
+            if mask is None:
+                tensor.zero_()
+            else:
+                tensor.masked_fill_(mask, 0)
+
+    def remember(self, values: Mapping[str, torch.Tensor], mask: torch.Tensor | None = None) -> None:
+        """Write what the task remembers from now on, everywhere or where ``mask`` is True."""
+        if not self.memory:
+            self.memory = {name: value.clone() for name, value in values.items()}
+            return
+        mine = {id(tensor) for tensor in self.memory.values()}
+        # A memory may take over what another one held, which is written to here: copy it first.
+        values = {
+            name: value.clone() if id(value) in mine and value is not self.memory[name] else value
+            for name, value in values.items()
+        }
+        for name, value in values.items():
+            held = self.memory[name]
+            if value is not held:
+                held.copy_(value if mask is None else _where(mask, value, held))
+
+    def keep(self, state: State) -> None:
+        """Write the quantities of ``state`` that rewards will compare the next step with."""
+        state.remember(self.before)
+        for quantity, held in self.before.items():
+            held.copy_(state.value(quantity))
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Copies of the counts and flags."""
+        return {
+            "length": self.length.clone(),
+            "return": self.returns.clone(),
+            "terminated": self.terminated.clone(),
+            "truncated": self.truncated.clone(),
+        }
+
+    def set_state(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Take over what :meth:`state` gave."""
+        self.length.copy_(state["length"])
+        self.returns.copy_(state["return"])
+        self.terminated.copy_(state["terminated"])
+        self.truncated.copy_(state["truncated"])
+
+
+def _where(mask: torch.Tensor, new: torch.Tensor, old: torch.Tensor) -> torch.Tensor:
+    """Rows of ``new`` where the mask says so, else of ``old``."""
+    return torch.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)

@@ -1,0 +1,150 @@
+"""What a simulation senses: positions of points, centres of mass, orientations, hulls, scans of the terrain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import torch
+import warp as wp
+
+from warpvox.kernels import sensing
+from warpvox.kernels.device import Command
+from warpvox.objects import Objects
+from warpvox.packs import State
+from warpvox.types import SIGHT
+
+__all__ = ["Recorded", "Sensing"]
+
+Recorded = wp.Launch | Command
+
+
+class Sensing:
+    """The part of :class:`warpvox.Simulation` that senses; tensors that methods return are fresh."""
+
+    num_envs: int
+    device: str
+    dtype: torch.dtype
+    object_names: list[str]
+    _state: State
+    _objects: Objects
+
+    def _begin_sensing(self) -> None:
+        self._sensors: dict[tuple, tuple[Recorded, list[torch.Tensor]]] = {}
+        self._scans: dict[tuple, tuple] = {}
+        self._fixed: dict[tuple[str, bool], tuple[torch.Tensor, torch.Tensor]] = {}
+        self._centres_are_new = False
+
+    @contextmanager
+    def sensing_anew(self) -> Iterator[dict[tuple, tuple[Recorded, list[torch.Tensor]]]]:
+        """Within, what is sensed has launches and buffers of its own; gives them: launch and buffers, by what it is."""
+        kept, self._sensors, self._centres_are_new = self._sensors, {}, False
+        try:
+            yield self._sensors
+        finally:
+            self._sensors, self._centres_are_new = kept, False
+
+    @property
+    def sensing_buffers(self) -> list[torch.Tensor]:
+        """The tensors that sensing writes to."""
+        return [buffer for _, buffers in self._sensors.values() for buffer in buffers]
+
+    def forget_sensed(self) -> None:
+        """Sense anew what is kept from an earlier sensing: for code that has moved the points in another way."""
+        self._centres_are_new = False
+
+    def object_positions(self, name: str) -> torch.Tensor:
+        """[num_envs, points, 2]: positions in simulator units, padded with 0."""
+        return self._points(name, 0)
+
+    def object_velocities(self, name: str) -> torch.Tensor:
+        """[num_envs, points, 2]: velocities of the integrator, padded with 0."""
+        return self._points(name, 1)
+
+    def relative_positions(self, name: str) -> torch.Tensor:
+        """[num_envs, 2, points]: x row and y row minus the centre of mass, padded with 0."""
+        return self._points(name, 2).transpose(1, 2)
+
+    def _sense(self, key: tuple, kernel: str, dim, shapes: list[tuple], dtype: torch.dtype, *inputs):
+        """Run a sensing kernel into buffers of its own; a recorded launch costs a fraction of a new one."""
+        if key not in self._sensors:
+            buffers = [torch.zeros(shape, dtype=dtype, device=self.device) for shape in shapes]
+            kind = wp.vec2d if kernel in ("centres", "extents") else None
+            arrays = [wp.from_torch(buffer, dtype=kind) for buffer in buffers]
+            self._sensors[key] = sensing.record(self._state, kernel, dim, *inputs, *arrays), buffers
+        command, buffers = self._sensors[key]
+        command.launch()
+        return buffers
+
+    def _points(self, name: str, what: int) -> torch.Tensor:
+        objects = self._objects
+        inputs = [objects.index(name), what]
+        shape = (self.num_envs, objects.num_points[name], 2)
+        if name in objects.mobile:
+            found = self._sense(("points", *inputs), "points", self.num_envs, [shape], torch.float64, *inputs)[0]
+            out = found.to(self.dtype, copy=True)
+        else:
+            out = torch.zeros(shape, dtype=self.dtype, device=self.device)
+        if name in objects.terrain and what != 1:
+            if (name, what) not in self._fixed:
+                self._fixed[name, what] = objects.still_points(name, self.dtype, what == 2)
+            fixed, is_fixed = self._fixed[name, what]
+            out = torch.where(is_fixed, fixed, out)
+        return out
+
+    def com(self, name: str) -> torch.Tensor:
+        """float64 [num_envs, 2]: centre of mass of an object that can move (B.1)."""
+        return self._centres()[0][:, self._objects.moving(name)].clone()
+
+    def velocity(self, name: str) -> torch.Tensor:
+        """float64 [num_envs, 2]: velocity of the centre of mass (B.1)."""
+        return self._centres()[1][:, self._objects.moving(name)].clone()
+
+    def _centres(self) -> list[torch.Tensor]:
+        shape = (self.num_envs, len(self.object_names), 2)
+        if self._centres_are_new:
+            return self._sensors["centres",][1]
+        self._centres_are_new = True
+        return self._sense(("centres",), "centres", shape[:2], [shape, shape], torch.float64)
+
+    def orientation(self, name: str) -> torch.Tensor:
+        """float64 [num_envs]: orientation in [0, 2 pi), counter-clockwise since time 0 (B.1)."""
+        index = self._objects.moving(name)
+        shape = (self.num_envs,)
+        return self._sense(("orientations", index), "orientations", shape, [shape], torch.float64, index)[0].clone()
+
+    def extent(self, name: str) -> torch.Tensor:
+        """float64 [num_envs, 2]: width and height of the box about all points of an object that can move."""
+        index = self._objects.moving(name)
+        shape = (self.num_envs, 2)
+        return self._sense(("extents", index), "extents", shape[:1], [shape], torch.float64, index)[0].clone()
+
+    def hull_area(self, name: str) -> torch.Tensor:
+        """float64 [num_envs]: area of the convex hull of all points of an object that can move (B.6.1)."""
+        index = self._objects.moving(name)
+        shape = (self.num_envs,)
+        return self._sense(("hulls", index), "hulls", shape, [shape], torch.float64, index)[0].clone()
+
+    def floor_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
+        """float64 [num_envs, 2 reach + 1]: depth of the terrain below an object's centre of mass.
+
+        Window i, from -reach to reach voxels beside it and one voxel wide, holds the distance down to the highest
+        point of the listed objects (None: all that never move) below the centre; 5 voxels (0.5) where there is none.
+        """
+        return self._scan(name, reach, objects, -1)
+
+    def ceiling_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
+        """float64 [num_envs, 2 reach + 1]: the same upward."""
+        return self._scan(name, reach, objects, 1)
+
+    def _scan(self, name: str, reach: int, objects: Sequence[str] | None, up: int) -> torch.Tensor:
+        listed = tuple(objects) if objects is not None else None
+        if listed not in self._scans:
+            self._scans[listed] = self._objects.scan_tables(listed)
+        shape = (self.num_envs, 2 * reach + 1)
+        inputs = [self._objects.moving(name), reach, float(SIGHT), up]
+        tables = self._scans[listed]
+        found = self._sense(
+            ("scans", *inputs, listed), "scans", self.num_envs, [shape], torch.float64, *inputs, *tables
+        )
+        return found[0].clone()
