@@ -44,22 +44,6 @@ def boxes(kit: Kit):
 
 
 @builder
-def box_overlap(kit: Kit):
-    """Function: the lanes in which the boxes of two voxels, together ``margin`` wider, overlap or touch."""
-    load, at_most = kit.wide.load, kit.wide.at_most
-
-    @kit.func
-    def overlap(data, pack, lane, i, j, margin):
-        m = kit.wide.splat(margin)
-        lanes = at_most(load(data.box, pack, 4 * i, lane), load(data.box, pack, 4 * j + 1, lane) + m)
-        lanes = lanes & at_most(load(data.box, pack, 4 * j, lane), load(data.box, pack, 4 * i + 1, lane) + m)
-        lanes = lanes & at_most(load(data.box, pack, 4 * i + 2, lane), load(data.box, pack, 4 * j + 3, lane) + m)
-        return lanes & at_most(load(data.box, pack, 4 * j + 2, lane), load(data.box, pack, 4 * i + 3, lane) + m)
-
-    return overlap
-
-
-@builder
 def mark_pair(kit: Kit):
     """Function: note that two voxels are candidates, in one bit for both orders; still ones never meet."""
 
@@ -90,7 +74,7 @@ def mark_all(kit: Kit):
 
 @builder
 def meets(kit: Kit):
-    """Function: :func:`box_overlap` for one lane."""
+    """Function: whether the boxes of two voxels, together ``m`` wider, overlap or touch in lane k."""
 
     @kit.func
     def meet(data, pack, k, i, j, m: wp.float64):
@@ -222,53 +206,14 @@ def mark_still(kit: Kit):
 
 @builder
 def list_pairs(kit: Kit):
-    """Stage: the marked candidates in ascending order, into ``pairs``."""
+    """Stage: the marked candidates in ascending order, into ``pairs``, with the corners that may come to touch."""
 
-    @wp.func
-    def shares(corners: wp.vec4i, p: int):
-        return corners[0] == p or corners[1] == p or corners[2] == p or corners[3] == p
-
-    @wp.func
-    def own_corners(twin_range: wp.array2d(dtype=wp.vec2i), mesh: int, mine: wp.vec4i, other: wp.vec4i):
-        """Bits of the corners that are not corners of the other voxel too; 8 bits on, those that are in some lanes."""
-        bits = int(0)
-        four = int(4)
-        for c in range(four):
-            if not shares(other, mine[c]):
-                bits = bits | (1 << c)
-                twins = twin_range[mesh, mine[c]]
-                if twins[0] < twins[1]:
-                    for d in range(four):
-                        if twin_range[mesh, other[d]] == twins:
-                            bits = bits | (256 << c)
-        return bits
-
-    @kit.func
-    def add(model, data, mesh, unit, i, j):
-        n = data.pair_count[unit]
-        if n >= data.pairs.shape[1]:
-            data.overflow[unit] = 1
-            return
-        ci = model.corner[mesh, i]
-        cj = model.corner[mesh, j]
-        bits = own_corners(model.twin_range, mesh, ci, cj)
-        if model.robot[mesh, i] >= 0 and model.body[mesh, i] == model.body[mesh, j]:
-            away = model.grid[mesh, i] - model.grid[mesh, j]
-            if wp.abs(away[0]) > 1 or wp.abs(away[1]) > 1:
-                bits = bits | DISTANT
-        data.pairs[unit, n] = wp.vec4i(i, j, bits, own_corners(model.twin_range, mesh, cj, ci))
-        data.pair_count[unit] = n + 1
+    @kit.func_native("native/list_pairs.h", precision="float64")
+    def enlist(model, data, mesh, pack, lane, unit, margin, distant): ...
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
-        data.pair_count[unit] = 0
-        words = (model.voxels[mesh] + 31) // 32
-        for word in range(model.voxels[mesh] * words):
-            bits = data.pair_bit[unit, word]
-            data.pair_bit[unit, word] = 0
-            while bits != 0:
-                add(model, data, mesh, unit, word // words, 32 * (word % words) + kit.first(bits))
-                bits = kit.drop(bits)
+        enlist(model, data, mesh, pack, lane, unit, model.margin, DISTANT)
 
     return stage
 

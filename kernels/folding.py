@@ -3,9 +3,7 @@
 Uses the boxes of the sub-step's start; a pair counts in both orders.
 """
 
-import warp as wp
-
-from warpvox.kernels.broadphase import DISTANT, box_overlap
+from warpvox.kernels.broadphase import DISTANT
 from warpvox.kernels.kit import Kit, builder
 from warpvox.kernels.state import UNSTABLE
 
@@ -14,7 +12,19 @@ from warpvox.kernels.state import UNSTABLE
 def check(kit: Kit):
     """Stage: set UNSTABLE in the status of environments with a folded robot."""
     width = kit.width
-    overlap = box_overlap(kit)
+    load, at_most = kit.wide.load, kit.wide.at_most
+
+    @kit.func
+    def overlap(data, pack, lane, i, j):
+        """The lanes in which the boxes of two voxels overlap or touch; mostly one side can tell."""
+        lanes = at_most(load(data.box, pack, 4 * i, lane), load(data.box, pack, 4 * j + 1, lane))
+        if lanes != 0:
+            lanes = lanes & at_most(load(data.box, pack, 4 * j, lane), load(data.box, pack, 4 * i + 1, lane))
+        if lanes != 0:
+            lanes = lanes & at_most(load(data.box, pack, 4 * i + 2, lane), load(data.box, pack, 4 * j + 3, lane))
+        if lanes != 0:
+            lanes = lanes & at_most(load(data.box, pack, 4 * j + 2, lane), load(data.box, pack, 4 * i + 3, lane))
+        return lanes
 
     @kit.func
     def clear(data, pack, lane, robots):
@@ -37,7 +47,7 @@ def check(kit: Kit):
         for n in range(data.pair_count[unit]):
             pair = data.pairs[unit, n]
             if (pair[2] & DISTANT) != 0:
-                lanes = overlap(data, pack, lane, pair[0], pair[1], wp.float64(0.0))
+                lanes = overlap(data, pack, lane, pair[0], pair[1])
                 if lanes != 0 and found == 0:
                     clear(data, pack, lane, model.robots[mesh])
                     found = 1

@@ -139,7 +139,7 @@ DATA = {
     "pairs": (
         wp.vec4i,
         "unit pair",
-        "candidate voxels i < j, and which corners of i (of j) are not the other's too",
+        "candidate voxels i < j, and which corners of i (of j) may come to be in the other",
     ),
     "pair_count": (int, "unit", ""),
     "touching": (int, "unit", "lanes in which the corner of a candidate that was found last is in the other voxel"),

@@ -61,11 +61,13 @@ const wp::vec_t<4, int>* corner = &wp::index(corners, mesh, 0);
 const wp::vec_t<4, int>* side = &wp::index(side_lanes, mesh, 0);
 for (int at = begin; at < 8 * count; ++at) {
     const int way = (at >> 2) & 1, c = at & 3;
-    const int own = pair[at >> 3][2 + way];
-    if (!(own >> c & 1)) continue;
+    const int near = pair[at >> 3][2 + way];
+    const int left = (near & 15) >> c;
+    if (!left) at |= 3;  // nor the corners after it
+    if (!(left & 1)) continue;
     const int i = pair[at >> 3][way], j = pair[at >> 3][1 - way];
     int lanes = active & ((side[i][0] | side[i][1] | side[i][2] | side[i][3]) >> lane);
-    if (own >> (8 + c) & 1) lanes &= ~(shared(corner[i][c], corner[j]) >> lane);
+    if (near >> (8 + c) & 1) lanes &= ~(shared(corner[i][c], corner[j]) >> lane);
     if (!lanes) continue;
     const int found = inside(corner[i][c], j, corner[j], lanes);
     if (found) {

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warpvox.kernels.broadphase import (
+    DISTANT,
     GRID_FROM,
     boxes,
     collect_near,
@@ -37,49 +38,69 @@ def sim():
     return make()
 
 
+def corners_of(sim):
+    """Positions of the corners of all surface voxels, [lanes, voxels, 4, 2]."""
+    arrays = sim._state.arrays
+    points = arrays["pos"].numpy()[0].reshape(-1, 2, arrays["pos"].shape[2])
+    return points[arrays["corner"].numpy()[0]].transpose(3, 0, 1, 2)
+
+
 def scatter(sim, seed, spread):
-    """Throw every point of every lane somewhere near its place; the bounds that follow, [lanes, voxels, 4]."""
+    """Throw every free point of every lane somewhere near its place; the corners of voxels, as above."""
     state, rng = sim._state, np.random.default_rng(seed)
-    home = state.arrays["home"].numpy()[0]
-    pos = home[None] + rng.normal(scale=spread, size=state.arrays["pos"].shape)
-    state.arrays["pos"].assign(pos)
+    home, free = state.arrays["home"].numpy()[0], np.repeat(state.arrays["free_lanes"].numpy()[0] != 0, 2)
+    noise = rng.normal(scale=spread, size=state.arrays["pos"].shape)
+    state.arrays["pos"].assign(home[None] + np.where(free[None, :, None], noise, 0.0))
     launch_stage(boxes, state)
-    corners = state.arrays["corner"].numpy()[0]
-    x, y = pos[0, 0::2][corners], pos[0, 1::2][corners]  # [voxels, 4, lanes]
-    return np.stack([x.min(1), x.max(1), y.min(1), y.max(1)], -1).transpose(1, 0, 2)
+    return corners_of(sim)
 
 
-def brute_force(sim, bounds):
-    """Pairs i < j whose boxes, together MARGIN wider, overlap or touch in some lane."""
-    x0, x1, y0, y1 = np.moveaxis(bounds, -1, 0)
-    meets = np.ones((len(bounds), bounds.shape[1], bounds.shape[1]), bool)
-    for low, high in ((x0, x1), (y0, y1)):
-        meets &= low[:, :, None] <= high[:, None, :] + MARGIN
-        meets &= low[:, None, :] <= high[:, :, None] + MARGIN
-    return {(i, j) for i, j in zip(*np.nonzero(meets.any(0)), strict=True) if i < j}
+def brute_force(sim, corners):
+    """Candidates i < j with the corners of each, as bits, that are near the other voxel and none of its own.
+
+    Near is: in its bounds, MARGIN wider, in some lane. Pairs without such corners are candidates where they are voxels
+    of one robot, more than one cell apart, with bounds that overlap when they are MARGIN wider: they may fold.
+    """
+    arrays = sim._state.arrays
+    corner, body, robot, grid = (arrays[name].numpy()[0] for name in ("corner", "body", "robot", "grid"))
+    low, high = corners.min(2), corners.max(2)  # [lanes, voxels, 2]
+    inside = low[:, :, None, None] - MARGIN <= corners[:, None]
+    inside &= corners[:, None] <= high[:, :, None, None] + MARGIN
+    near = inside.all(-1).any(0)  # [voxel, other voxel, its corner]
+    near &= ~(corner[:, None, None, :] == corner[None, :, :, None]).any(-1)
+    bits = near @ (1 << np.arange(4))
+    meets = (low[:, :, None] <= high[:, None] + MARGIN) & (low[:, None] <= high[:, :, None] + MARGIN)
+    folds = meets.all(-1).any(0) & (robot[:, None] >= 0) & (body[:, None] == body)
+    folds &= abs(grid[:, None] - grid).max(-1) > 1
+    found = {}
+    for i, j in zip(*np.nonzero(np.triu((bits > 0) | (bits > 0).T | folds, 1)), strict=True):
+        far = abs(grid[i] - grid[j]).max() > 1 and robot[i] >= 0 and body[i] == body[j]
+        found[int(i), int(j)] = int(bits[j, i]) | (int(DISTANT) if far else 0), int(bits[i, j])
+    return found
 
 
 def candidates(sim, *stages):
-    for build in (*stages, list_pairs):
+    for build in stages:
         launch_stage(build, sim._state)
     count = int(sim._state.arrays["pair_count"].numpy()[0])
-    pairs = sim._state.arrays["pairs"].numpy()[0, :count, :2]
-    return [(int(i), int(j)) for i, j in pairs]
+    pairs = sim._state.arrays["pairs"].numpy()[0, :count].tolist()
+    assert pairs == sorted(pairs)
+    return {(i, j): (mine, other) for i, j, mine, other in pairs}
 
 
 @given(seed=st.integers(0, 10**6), spread=st.sampled_from([0.0, 0.01, 0.05, 0.2]))
 @settings(max_examples=25, deadline=None)
 def test_grid_and_brute_force_agree(sim, seed, spread):
     """Or the overflow flag says that candidates were left out, for voxels torn over too many cells."""
-    bounds = scatter(sim, seed, spread)
-    assert bounds.shape[1] >= GRID_FROM
-    expected = sorted(brute_force(sim, bounds))
+    corners = scatter(sim, seed, spread)
+    assert corners.shape[1] >= GRID_FROM
+    expected = brute_force(sim, corners)
     for build in (mark_grid, mark_all):
         sim._state.arrays["overflow"].zero_()
-        found = candidates(sim, build)
+        found = candidates(sim, build, list_pairs)
         if sim._state.arrays["overflow"].numpy()[0]:
             assert spread > 0.1
-            assert set(found) <= set(expected)
+            assert found.items() <= expected.items()
         else:
             assert found == expected
 
@@ -96,15 +117,14 @@ def test_too_many_candidates_set_the_overflow_flag():
 
 
 def test_values_that_are_not_finite_are_no_candidates(sim):
-    scatter(sim, 0, 0.01)
+    scatter(sim, 0, 0.03)
     pos = sim._state.arrays["pos"].numpy()
     pos[:, :, 3] = np.nan
     pos[:, :, 4] = np.inf
     sim._state.arrays["pos"].assign(pos)
     launch_stage(boxes, sim._state)
     clean = np.delete(np.arange(LANES), (3, 4))
-    x = sim._state.arrays["box"].numpy()[0].reshape(-1, 4, LANES)[:, :, clean].transpose(2, 0, 1)
-    assert candidates(sim, mark_grid) == sorted(brute_force(sim, x))
+    assert candidates(sim, mark_grid, list_pairs) == brute_force(sim, corners_of(sim)[clean])
 
 
 @pytest.fixture(scope="module")
@@ -119,26 +139,17 @@ def mixed():
 @given(seed=st.integers(0, 10**6), spread=st.sampled_from([0.0, 0.01, 0.05, 0.2]))
 @settings(max_examples=25, deadline=None)
 def test_still_voxels_are_candidates_of_mobile_ones_only(mixed, seed, spread):
-    sim = mixed
-    state, rng = sim._state, np.random.default_rng(seed)
-    home, free = state.arrays["home"].numpy()[0], np.repeat(state.arrays["free_lanes"].numpy()[0] != 0, 2)
-    pos = home[None] + free[None, :, None] * rng.normal(scale=spread, size=state.arrays["pos"].shape)
-    state.arrays["pos"].assign(pos)
-    launch_stage(boxes, state)
-    x, y = (pos[0, axis::2][state.arrays["corner"].numpy()[0]] for axis in (0, 1))
-    bounds = np.stack([x.min(1), x.max(1), y.min(1), y.max(1)], -1).transpose(1, 0, 2)
-    still = state.arrays["still"].numpy()[0]
+    expected = brute_force(mixed, scatter(mixed, seed, spread))
+    still = mixed._state.arrays["still"].numpy()[0]
     assert 4 < still.sum() < len(still)
-    expected = sorted((i, j) for i, j in brute_force(sim, bounds) if not (still[i] and still[j]))
-    launch_stage(collect_pairs, state)
-    count = int(state.arrays["pair_count"].numpy()[0])
-    assert [tuple(p) for p in state.arrays["pairs"].numpy()[0, :count, :2].tolist()] == expected
+    expected = {(i, j): bits for (i, j), bits in expected.items() if not (still[i] and still[j])}
+    assert candidates(mixed, collect_pairs) == expected
 
 
 @given(seed=st.integers(0, 10**6), drop=st.floats(-0.2, 0.6))
 @settings(max_examples=20, deadline=None)
 def test_voxels_near_terrain_are_found(sim, seed, drop):
-    bounds = scatter(sim, seed, 0.03)
+    height = scatter(sim, seed, 0.03)[..., 1]
     state = sim._state
     pos = state.arrays["pos"].numpy()
     pos[:, 1::2] -= 0.4 - drop
@@ -146,7 +157,7 @@ def test_voxels_near_terrain_are_found(sim, seed, drop):
     launch_stage(boxes, state)
     launch_stage(collect_near, state)
     near = set(state.arrays["near"].numpy()[0, : int(state.arrays["near_count"].numpy()[0])].tolist())
-    low, high = bounds[..., 2] - (0.4 - drop), bounds[..., 3] - (0.4 - drop)
+    low, high = height.min(-1) - (0.4 - drop), height.max(-1) - (0.4 - drop)
     reaches = (low <= 0.1 + MARGIN) & (high >= -MARGIN)
     sure = (low <= 0.1 + MARGIN - 1e-3) & (high >= -MARGIN + 1e-3)
     assert set(np.flatnonzero(sure.any(0))) <= near
@@ -154,14 +165,19 @@ def test_voxels_near_terrain_are_found(sim, seed, drop):
     assert near <= set(np.flatnonzero((reaches | slack).any(0)))
 
 
-def test_candidates_know_their_shared_corners():
+def test_candidates_know_their_corners():
     world = World(5, 5)
     world.add_from_array("robot", np.array([[3, 3], [3, 0]]), 1, 1)
     sim = Simulation([world], device="cpu", dtype="float64", lanes=1)
     launch_stage(boxes, sim._state)
-    launch_stage(collect_pairs, sim._state)
-    pairs = {tuple(p[:2]): (int(p[2]), int(p[3])) for p in sim._state.arrays["pairs"].numpy()[0]}
+    assert candidates(sim, collect_pairs) == {}  # at rest no corner is near a voxel that it is no corner of
+    pos = sim._state.arrays["pos"].numpy()
+    pos[0] = (pos[0].reshape(-1, 2, 1) * 0.3).reshape(-1, 1)  # all corners within the margin
+    sim._state.arrays["pos"].assign(pos)
+    launch_stage(boxes, sim._state)
     # Corner bits: 1 top left, 2 top right, 4 bottom right, 8 bottom left.
-    assert pairs[(0, 1)] == (1 | 8, 2 | 4)  # side by side: the outer corners are their own
-    assert pairs[(0, 2)] == (1 | 2, 4 | 8)  # one above the other
-    assert pairs[(1, 2)] == (1 | 2 | 4, 1 | 4 | 8)  # diagonal neighbours share one corner
+    assert candidates(sim, collect_pairs) == {
+        (0, 1): (1 | 8, 2 | 4),  # side by side: the outer corners are their own
+        (0, 2): (1 | 2, 4 | 8),  # one above the other
+        (1, 2): (1 | 2 | 4, 1 | 4 | 8),  # diagonal neighbours share one corner
+    }
