@@ -31,12 +31,13 @@ class Arena:
     def make(self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool) -> VoxelVecEnv:
         """``envs`` environments of each body; random tasks draw as if each body were alone with its seed."""
         # Lanes follow from `envs` alone, however often a body occurs, so that all batches run the same kernels.
-        lanes = lanes_for(envs) if resolve_device(self.device) == "cpu" else None
+        device = resolve_device(self.device, envs * len(bodies))
+        lanes = lanes_for(envs) if device == "cpu" else None
         return make_vec(
             self.task,
             list(bodies),
             envs * len(bodies),
-            device=self.device,
+            device=device,
             rules=self.rules,
             dtype=self.dtype,
             arithmetic=self.arithmetic,

@@ -157,7 +157,7 @@ class _TrainingRunConfig:
     stop_return: float | None = key(None, "stop as soon as an evaluation reaches this return")
     save_interval: int = key(50, "iterations between checkpoints", low=1)
     seed: int = key(0, "governs everything random", low=0)
-    device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
+    device: str = key("auto", "auto (CUDA where there is one, from 1,000 environments on), cpu, cuda, cuda:<index>")
     dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
     arithmetic: str | None = key(
         None, "fast, or exact: bit for bit as released (float64); null: by dtype", choices=ARITHMETICS
@@ -242,7 +242,7 @@ class CodesignConfig(PresetConfig):
         None, "designs trained together; null: a whole generation (executor=ray: a worker's share of it)", low=1
     )
     seed: int = key(0, "governs everything random", low=0)
-    device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
+    device: str = key("auto", "auto (CUDA where there is one, from 1,000 environments on), cpu, cuda, cuda:<index>")
     dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
     arithmetic: str | None = key(
         None, "fast, or exact: bit for bit as released (float64); null: by dtype", choices=ARITHMETICS
@@ -293,7 +293,7 @@ class _RolloutConfig:
     )
     every: int = key(1, "show every n-th control step only; films run n times as fast", low=1)
     steps: int | None = key(None, "control steps to record; null: until the episode ends", low=1)
-    device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
+    device: str = key("auto", "auto (CUDA where there is one, from 1,000 environments on), cpu, cuda, cuda:<index>")
     dtype: str | None = key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
     arithmetic: str | None = key(
         None,
@@ -517,7 +517,7 @@ class EvaluateConfig:
     )
     level: float = key(0.95, "confidence of the intervals", above=0, high=0.9999)
     task: str | None = key(None, f"of runs of tasks of your own. {OWN_TASK}", path="read")
-    device: str = key("auto", "auto (CUDA where there is one), cpu, cuda, cuda:<index>")
+    device: str = key("auto", "auto (CUDA where there is one, from 1,000 environments on), cpu, cuda, cuda:<index>")
     dtype: str | None = key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
     arithmetic: str | None = key(
         None,

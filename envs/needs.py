@@ -100,7 +100,7 @@ def check_environments(
     Raises:
         MemoryLimitError: with the number of environments that fits.
     """
-    device = resolve_device(device)
+    device = resolve_device(device, len(worlds) * per_design)
     free = free_memory(device)
     if not is_small(worlds, per_design, free):
         needed = simulation_bytes(make(probed(worlds, per_design)), len(worlds), per_design)

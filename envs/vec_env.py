@@ -28,6 +28,7 @@ from warpvox.envs.state import Quantity, State
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, did_you_mean, known_arguments, listing
+from warpvox.memory import enough_memory, fewer
 from warpvox.sim import Simulation
 from warpvox.types import Physics
 
@@ -70,7 +71,7 @@ def make_vec(
             Environments come in equal blocks, design by design. Default: the example design ``walker``. Where a
             task has several robots, a design is a mapping ``{name: body}``; a single body is meant for all of them.
         num_envs: a multiple of the number of designs.
-        device: ``auto`` (CUDA where there is one), ``cpu``, ``cuda`` or ``cuda:<index>``.
+        device: ``auto`` (CUDA where there is one, from 1,000 environments on), ``cpu``, ``cuda`` or ``cuda:<index>``.
         rules: ``evogym`` (as released) or ``paper`` (section B as printed).
         dtype: ``float32`` or ``float64``, of the simulation, observations and rewards.
         seed: governs everything random in a task (nothing in the deterministic ones). Environment k draws the same
@@ -129,8 +130,11 @@ def make_vec(
     )
     if memory_check:
         check_environments(worlds, count // len(bodies), device, make)
-    sim = make([world for world in worlds for _ in range(count // len(bodies))])
-    env = VoxelVecEnv(spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs, cuda_graph=cuda_graph)
+    with enough_memory(fewer(count)):
+        sim = make([world for world in worlds for _ in range(count // len(bodies))])
+        env = VoxelVecEnv(
+            spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs, cuda_graph=cuda_graph
+        )
     if guard == "dump":
         env.dump = DivergenceDump(env, dump_folder)
     return env
@@ -397,16 +401,18 @@ class VoxelVecEnv:
         Raises:
             ActionError: wrong shape; on the CPU also entries that are not finite. Nothing has been stepped
                 then. On CUDA an environment with such entries becomes unstable.
+            DeviceError: memory has run out; says what to lower.
         """
         self.sim.take(actions)
         self.episodes.drawn = False
         if self.dump is not None:
             self.dump.before(self.sim.actions)
-        if self._graph is None:
-            result = self._whole_step()
-        else:
-            result = self._graph(self.auto_reset)
-            self.sim.forget_sensed()
+        with enough_memory(fewer(self.num_envs)):
+            if self._graph is None:
+                result = self._whole_step()
+            else:
+                result = self._graph(self.auto_reset)
+                self.sim.forget_sensed()
         if self.dump is not None:
             self.dump.after(result[1], result[4])
         return result

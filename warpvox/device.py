@@ -10,11 +10,19 @@ import warp as wp
 from warpvox.errors import DeviceError
 from warpvox.startup import start_warp
 
-__all__ = ["resolve_device"]
+__all__ = ["ENOUGH", "resolve_device"]
+
+ENOUGH = 1000
+"""Environments from which 'auto' takes a GPU. There a control step takes the same time for one and for thousands, since
+each is one thread; fewer are stepped faster by a core of the CPU. Predicted, see docs/performance.md."""
 
 
-def resolve_device(device: str) -> str:
+def resolve_device(device: str, num_envs: int | None = None) -> str:
     """The torch name of a device: 'auto', 'cpu', 'cuda', 'cuda:<index>'.
+
+    Args:
+        device: 'auto': CUDA where there is one, if there are environments enough for it (:data:`ENOUGH`).
+        num_envs: how many; None: enough.
 
     Raises:
         DeviceError: no such device here.
@@ -22,6 +30,8 @@ def resolve_device(device: str) -> str:
     start_warp()
     name = str(device)[:80]
     if name == "auto":
+        if num_envs is not None and num_envs < ENOUGH:
+            return "cpu"
         return "cuda:0" if torch.cuda.is_available() and wp.is_cuda_available() else "cpu"
     if name == "cpu":
         return name

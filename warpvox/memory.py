@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from warpvox.errors import DeviceError
 from warpvox.system import available_memory
 
-__all__ = ["enough_memory", "free_memory", "shortage"]
+__all__ = ["enough_memory", "fewer", "free_memory", "shortage"]
 
 SIGNS = re.compile(
     r"out of memory"  # torch and CUDA
@@ -48,6 +48,12 @@ def free_memory(device: str) -> int | None:
     # what torch has cached and does not use counts as taken by the device, but can be used again
     cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
     return int(torch.cuda.mem_get_info(device)[0]) + cached
+
+
+def fewer(num_envs: int) -> str:
+    """Advice for :func:`enough_memory`: what to lower when environments take too much."""
+    half = f"num_envs={num_envs // 2} instead of {num_envs}" if num_envs > 1 else "a smaller body"
+    return f"Take {half}, or free memory that other programs or tensors hold on the device."
 
 
 @contextmanager

@@ -46,7 +46,7 @@ class Simulation(Sensing):
 
     Args:
         worlds: one :class:`World` per environment.
-        device: 'auto' (CUDA where there is one), 'cpu', 'cuda' or 'cuda:<index>'.
+        device: 'auto' (CUDA where there is one, from 1,000 environments on), 'cpu', 'cuda' or 'cuda:<index>'.
         physics: a preset's name or a :class:`Physics`.
         dtype: precision of the springs and of what is returned: 'float32' or 'float64'. State and contacts are float64
             in both.
@@ -87,7 +87,7 @@ class Simulation(Sensing):
         self.arithmetic = resolve_arithmetic(arithmetic, dtype)
         _check_names(loose)
         low, high = _check_range(action_range)
-        self.device = resolve_device(device)
+        self.device = resolve_device(device, len(worlds))
         self.physics = physics if isinstance(physics, Physics) else Physics.preset(physics)
         self.dtype = DTYPES[dtype]
         different, index = group(worlds)

@@ -97,7 +97,7 @@ def resolve(config: Any) -> Any:
         config,
         design=bodies[0] if len(bodies) == 1 else bodies,
         physics=type(config.physics)(preset=preset, **constants),
-        device=resolve_device(config.device),
+        device=resolve_device(config.device, config.num_envs),
     )
 
 

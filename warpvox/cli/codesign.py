@@ -129,8 +129,12 @@ def check(config: CodesignConfig) -> None:
         for key in ("address", "workers"):
             if getattr(config, key) is not None:
                 raise ConfigError(f"{key} goes with executor=ray.")
-        alone = config.training.method == "sequential"
-        check_search(config, 1 if alone else config.batch or config.search.population or 1)
+        check_search(config, _together(config))
+
+
+def _together(config: CodesignConfig) -> int:
+    """Designs that are trained side by side."""
+    return 1 if config.training.method == "sequential" else config.batch or config.search.population or 1
 
 
 def resolve(config: CodesignConfig) -> CodesignConfig:
@@ -141,7 +145,8 @@ def resolve(config: CodesignConfig) -> CodesignConfig:
     constants = dataclasses.asdict(physics_of(config))
     preset = constants.pop("name")
     # designs on workers run on the devices of the workers
-    device = resolve_device(config.device) if config.executor == "local" else config.device
+    envs = _together(config) * config.training.envs
+    device = resolve_device(config.device, envs) if config.executor == "local" else config.device
     return dataclasses.replace(
         config,
         physics=type(config.physics)(preset=preset, **constants),
@@ -304,7 +309,7 @@ def make_evaluator(config: CodesignConfig) -> DesignEvaluator:
     from warpvox.device import resolve_device
 
     prepare(config.torch_threads, config.seed)
-    device = resolve_device(config.device)
+    device = resolve_device(config.device, _together(config) * config.training.envs)
     arena = Arena(
         config.task,
         config.rules,

@@ -91,7 +91,7 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
     from warpvox.cli.consent import allow_code
     from warpvox.device import resolve_device
 
-    device = resolve_device(config.device)
+    device = resolve_device(config.device, config.num_envs)
     path = run.find_checkpoint(config.checkpoint)
     trained = allow_code(load_values("train", run.config), run.config, {"task": config.task}, run.folder)
     changes = {"device": device, "threads": config.threads, "lanes": training_lanes(trained, device)}

@@ -52,7 +52,7 @@ def check_search(config: Any, together: int) -> None:
         config: configuration of a search that is made in this process.
         together: designs that are trained at once.
     """
-    device = resolve_device(config.device)
+    device = resolve_device(config.device, together * config.training.envs)
     free = free_memory(device) if config.memory_check else None
     training, body = config.training, np.full(config.shape, Cell.H_ACT, np.int8)
     if free is None or _rough(together * training.envs, body.size, training.ppo) <= SMALL * free:
