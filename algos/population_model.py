@@ -11,6 +11,8 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch import nn
 
+from warpvox.algos.layers import tanh_layers
+
 __all__ = ["WIDTH", "PopulationModel", "width_for"]
 
 WIDTH = 32
@@ -98,6 +100,8 @@ class PopulationModel(nn.Module):
 
     def run(self, latent: torch.Tensor) -> torch.Tensor:
         """Scaled inputs to outputs ``[designs, rows, width]``."""
+        if latent.device.type == "cpu" and type(self.activation) is nn.Tanh:
+            return tanh_layers(latent, list(self.weights), list(self.biases))
         last = len(self.weights) - 1
         for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             latent = torch.baddbmm(bias, latent, weight)
@@ -135,9 +139,9 @@ class PopulationModel(nn.Module):
         return self._std
 
     @property
-    def output_distribution_params(self) -> tuple[torch.Tensor, ...]:
-        """The mean as rows; the deviation does not depend on the observation."""
-        return (self._mean.flatten(0, 1),)
+    def output_mean(self) -> torch.Tensor:
+        """The mean as rows."""
+        return self._mean.flatten(0, 1)
 
     @property
     def output_entropy(self) -> torch.Tensor:
@@ -149,15 +153,12 @@ class PopulationModel(nn.Module):
         constant = ((self._log_std + HALF_LOG_2PI) * self.mask).sum(2)
         return -0.5 * ((actions - self._mean) / self._std).square().sum(2) - constant
 
-    def get_output_log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
-        """``[rows]`` of actions as rows."""
-        return self.log_prob(outputs.view_as(self._mean)).flatten()
-
-    def kl_divergence(self, mean: torch.Tensor, std: torch.Tensor) -> torch.Tensor:
-        """``[designs, rows]``: KL(old || current); term by term as torch has it, so that no change is exactly 0."""
+    def mean_divergence(self, mean: torch.Tensor, std: torch.Tensor) -> torch.Tensor:
+        """``[designs]``: the mean over the rows of KL(old || current), as
+        :meth:`warpvox.algos.networks.Gaussian.mean_divergence` has it."""
         ratio = (std / self._std).square()
-        moved = ((mean - self._mean) / self._std).square()
-        return (0.5 * (ratio + moved - 1 - ratio.log())).sum(2)
+        terms = (mean - self._mean).div_(self._std).square_().add_(ratio).sub_(1).sub_(ratio.log())
+        return terms.sum((1, 2)) * (0.5 / terms.shape[1])
 
     # -------------------------------------------------------------------- more
 

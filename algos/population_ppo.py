@@ -51,8 +51,6 @@ class PopulationPPO(PPO):
     ) -> None:
         # Advantages are normalised for each design in `update`; rsl-rl would do it over all rows.
         super().__init__(actor, critic, storage, normalize_advantage_per_mini_batch=True, **settings)
-        eps = self.optimizer.param_groups[0]["eps"]
-        self.optimizer = PopulationAdam([*actor.parameters(), *critic.parameters()], eps)
         self.streams, self.threads = streams, threads
         # torch's own number of threads is a setting of every thread
         self._pool = ThreadPoolExecutor(
@@ -67,6 +65,9 @@ class PopulationPPO(PPO):
         """Number of designs."""
         return self.actor.num_designs
 
+    def _optimizer(self) -> PopulationAdam:
+        return PopulationAdam([*self.actor.parameters(), *self.critic.parameters()], self.adam_eps)
+
     # ------------------------------------------------------------------ update
 
     def update(self) -> dict[str, float]:
@@ -76,8 +77,6 @@ class PopulationPPO(PPO):
         data, times = self._shuffled(), self.num_learning_epochs * self.num_mini_batches
         losses = torch.cat(self._share_out(lambda share: self._learn(share, data)), dim=1) / times
         self.optimizer.steps += times
-        # What a separate training draws to no purpose while it learns: rsl-rl samples in every forward pass.
-        self.streams.skip_normal(self._minibatch(), self.actor.outputs, times)
         obs = self._by_design(self._observations())
         rows = obs.shape[1]
         mean = _total(obs) / rows
@@ -140,10 +139,18 @@ class PopulationPPO(PPO):
     @torch.no_grad()
     def _adapt(self, rates: torch.Tensor, actor: PopulationModel, mean: torch.Tensor, std: torch.Tensor) -> None:
         """rsl-rl's adaptive schedule, for each design; changes ``rates``."""
-        kl = actor.kl_divergence(mean, std).mean(1)
+        kl = actor.mean_divergence(mean, std)
         lower, higher = (rates / 1.5).clamp(min=SLOWEST), (rates * 1.5).clamp(max=FASTEST)
         far, near = kl > 2 * self.desired_kl, (kl < self.desired_kl / 2) & (kl > 0)
         rates.copy_(torch.where(far, lower, torch.where(near, higher, rates)))
+
+    def _look_back(self) -> None:
+        st, actor = self.storage, self.actor
+        self._inputs = actor.latent(self._by_design(self._observations()))
+        values = [self.critic.run(part)[..., :1] for part in self._inputs.split(self._minibatch(), dim=1)]
+        st.values.copy_(self._by_row(torch.cat(values, dim=1)))
+        actor.set_mean(self._by_design(st.distribution_params[0]))
+        st.actions_log_prob.copy_(self._by_row(actor.log_prob(self._by_design(st.actions))[..., None]))
 
     def _minibatch(self) -> int:
         """Samples of a design in a minibatch."""
@@ -159,6 +166,12 @@ class PopulationPPO(PPO):
         split = values.view(steps, self.num_designs, rows // self.num_designs, *values.shape[2:])
         return split.transpose(0, 1).flatten(1, 2)
 
+    def _by_row(self, values: torch.Tensor) -> torch.Tensor:
+        """The inverse of :meth:`_by_design`."""
+        designs, samples, *rest = values.shape
+        steps = self.storage.num_transitions_per_env
+        return values.view(designs, steps, samples // steps, *rest).transpose(0, 1).flatten(1, 2)
+
     @torch.no_grad()
     def _shuffled(self) -> dict[str, torch.Tensor]:
         """The rollout ``[designs, samples, ...]``, each design's in an order of its own, the same in all epochs."""
@@ -166,7 +179,7 @@ class PopulationPPO(PPO):
         advantages = self._by_design(st.advantages)[..., 0]
         spread = advantages.std(1, keepdim=True) + 1e-8
         data = {
-            "obs": self._by_design(self._observations()),
+            "obs": self._inputs,
             "actions": self._by_design(st.actions),
             "mean": self._by_design(st.distribution_params[0]),
             "log_prob": self._by_design(st.actions_log_prob)[..., 0],
@@ -177,8 +190,7 @@ class PopulationPPO(PPO):
         order = self.streams.permutations(self._minibatch() * self.num_mini_batches)
         rows = torch.arange(self.num_designs, device=self.device)[:, None]
         data = {name: values[rows, order] for name, values in data.items()}
-        # The normalisers learn after the update only: scaled once, the inputs serve all epochs.
-        data["obs"] = self.actor.latent(data["obs"])
+        self._inputs = None
         return data
 
     # ------------------------------------------------------------ state, parts

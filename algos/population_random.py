@@ -37,13 +37,6 @@ class Streams:
             number[:, :count] = torch.empty((rows, count), device=self.device).normal_(generator=generator)
         return numbers
 
-    def skip_normal(self, rows: int, columns: Sequence[int], times: int) -> None:
-        """Go on as if normal numbers ``[rows, columns]`` had been drawn so many times."""
-        for generator, count in zip(self._here, columns, strict=True):
-            waste = torch.empty((rows, count), device=self.device)
-            for _ in range(times):
-                waste.normal_(generator=generator)
-
     def permutations(self, count: int) -> torch.Tensor:
         """long ``[designs, count]``: an order of ``count`` things for each design."""
         orders = [torch.randperm(count, generator=generator, device=self.device) for generator in self._here]

@@ -4,20 +4,42 @@ from __future__ import annotations
 
 import contextlib
 import io
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from rsl_rl.algorithms import PPO as RslRlPPO
 from tensordict import TensorDict
 
+from warpvox.algos.adam import VectorAdam
+from warpvox.algos.networks import Gaussian, Network
 from warpvox.configs.schema import PpoConfig
 from warpvox.envs.rsl_rl import OBS_GROUP
+from warpvox.errors import ConfigError
 
 __all__ = ["PPO", "rsl_rl_config"]
+
+SLOWEST, FASTEST = 1e-5, 1e-2
+"""Between these rsl-rl's adaptive schedule keeps a learning rate."""
+
+
+class Samples(NamedTuple):
+    """A rollout, or a part of it: inputs, actions and their mean ``[samples, ...]``, the rest ``[samples]``."""
+
+    inputs: torch.Tensor
+    actions: torch.Tensor
+    mean: torch.Tensor
+    log_prob: torch.Tensor
+    values: torch.Tensor
+    returns: torch.Tensor
+    advantages: torch.Tensor
 
 
 class PPO(RslRlPPO):
     """rsl-rl's PPO with what the paper's settings need (section D.3) and a better guess beyond a time limit.
+
+    From the same random numbers it learns the same as rsl-rl's, up to rounding, in fewer operations: values and
+    log-probabilities are computed for the whole rollout at once, samples are put in order once for all epochs, and no
+    actions are drawn while learning. tests/algos/test_stock_ppo.py compares both.
 
     Args:
         total_iterations: iterations in all, the end of the linear schedule.
@@ -35,12 +57,23 @@ class PPO(RslRlPPO):
         **kwargs: Any,
     ) -> None:
         super().__init__(*args, schedule="adaptive" if schedule == "adaptive" else "fixed", **kwargs)
+        if self.rnd or self.symmetry or not all(hasattr(model, "run") for model in (self.actor, self.critic)):
+            raise ConfigError(
+                "This PPO trains the networks of rsl_rl_config(), without extensions; for others use rsl-rl's own"
+                " (docs/policies.md)."
+            )
         self.decays = schedule == "linear"
         self.initial_learning_rate = self.learning_rate
         self.total_iterations = total_iterations
         self.updates = 0
-        for group in self.optimizer.param_groups:
-            group["eps"] = adam_eps
+        self.adam_eps, self._inputs = adam_eps, None
+        self.optimizer = self._optimizer()
+        # Both networks see the same observations: one normaliser learns for both.
+        if isinstance(self.actor, Network):
+            self.critic.obs_normalizer = self.actor.obs_normalizer
+
+    def _optimizer(self) -> VectorAdam:
+        return VectorAdam([self.actor, self.critic], self.learning_rate, self.adam_eps)
 
     @staticmethod
     def construct_algorithm(obs: TensorDict, env: Any, cfg: dict, device: str) -> RslRlPPO:
@@ -48,6 +81,22 @@ class PPO(RslRlPPO):
         with contextlib.redirect_stdout(io.StringIO()):
             return RslRlPPO.construct_algorithm(obs, env, cfg, device)
 
+    @torch.no_grad()
+    def act(self, obs: TensorDict) -> torch.Tensor:
+        """Draw actions. What else learning needs to know of them is computed for the whole rollout at once."""
+        storage, step = self.storage, self.storage.step
+        if step >= storage.num_transitions_per_env:
+            raise OverflowError(f"The storage is full: {step} steps, and no update since.")
+        if storage.distribution_params is None:
+            storage.distribution_params = (torch.zeros_like(storage.actions),)
+        actions = self.actor(obs, stochastic_output=True)
+        for name, values in obs.items():
+            storage.observations[name][step] = values
+        storage.actions[step] = actions
+        storage.distribution_params[0][step] = self.actor.output_mean
+        return actions
+
+    @torch.no_grad()
     def process_env_step(
         self, obs: TensorDict, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any]
     ) -> None:
@@ -55,10 +104,29 @@ class PPO(RslRlPPO):
 
         rsl-rl would add the value of the state before the step, because it is not told the final one.
         """
-        if "time_outs" in extras and "final_obs" in extras:
+        storage = self.storage
+        if "time_outs" in extras:
             rewards = self._beyond_the_limit(rewards, extras["time_outs"], extras["final_obs"])
-            extras = {name: value for name, value in extras.items() if name != "time_outs"}
-        super().process_env_step(obs, rewards, dones, extras)
+        storage.rewards[storage.step, :, 0] = rewards
+        storage.dones[storage.step, :, 0] = dones
+        storage.step += 1
+
+    @torch.no_grad()
+    def compute_returns(self, obs: TensorDict) -> None:
+        """Values and log-probabilities of the rollout, then returns and advantages; ``obs`` are those after it."""
+        self._look_back()
+        super().compute_returns(obs)
+
+    def _look_back(self) -> None:
+        """Fill in what :meth:`act` has left out: values and log-probabilities."""
+        st, policy = self.storage, self.actor.distribution
+        # The normaliser learns after the update only: scaled once, the inputs serve all epochs.
+        self._inputs = self.actor.get_latent(st.observations.flatten(0, 1))
+        size = -(-len(self._inputs) // self.num_mini_batches)  # no more memory than learning takes
+        values = [self.critic.run(part) for part in self._inputs.split(size)]
+        st.values.copy_(torch.cat(values).view_as(st.values))
+        policy.update(st.distribution_params[0])
+        st.actions_log_prob.copy_(policy.log_prob(st.actions).view_as(st.actions_log_prob))
 
     def _beyond_the_limit(self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict) -> torch.Tensor:
         # Looking first saves the forward pass of nearly all steps; on CUDA looking would wait for the device.
@@ -74,9 +142,79 @@ class PPO(RslRlPPO):
             self.learning_rate = self.initial_learning_rate * left
             for group in self.optimizer.param_groups:
                 group["lr"] = self.learning_rate
-        losses = super().update()
+        losses = self._optimise()
         self.updates += 1
         return losses
+
+    def _optimise(self) -> dict[str, float]:
+        """What rsl-rl's update does, up to rounding, without drawing actions that nobody takes."""
+        data, old_std = self._shuffled()
+        size, times = len(data[0]) // self.num_mini_batches, self.num_learning_epochs * self.num_mini_batches
+        sums = torch.zeros(3, device=self.device)
+        for _ in range(self.num_learning_epochs):
+            for k in range(self.num_mini_batches):
+                part = Samples(*(values[k * size : (k + 1) * size] for values in data))
+                sums += self._learn(part, old_std)
+        self.actor.update_normalization(self.storage.observations.flatten(0, 1))
+        self.storage.clear()
+        return dict(zip(("value", "surrogate", "entropy"), (sums / times).tolist(), strict=True))
+
+    @torch.no_grad()
+    def _shuffled(self) -> tuple[Samples, torch.Tensor]:
+        """The rollout in the order in which all epochs take it, and the deviation with which actions were drawn."""
+        st = self.storage
+        count = st.num_envs * st.num_transitions_per_env // self.num_mini_batches * self.num_mini_batches
+        order = torch.randperm(count, device=self.device)
+        rows = Samples(
+            self._inputs,
+            st.actions.flatten(0, 1),
+            st.distribution_params[0].flatten(0, 1),
+            st.actions_log_prob.flatten(),
+            st.values.flatten(),
+            st.returns.flatten(),
+            st.advantages.flatten(),
+        )
+        self._inputs = None
+        return Samples(*(values[order] for values in rows)), self.actor.distribution.row_std.clone()
+
+    def _learn(self, part: Samples, old_std: torch.Tensor) -> torch.Tensor:
+        """Learn from a minibatch; returns value loss, surrogate loss and entropy ``[3]``."""
+        policy = self.actor.distribution
+        policy.update(self.actor.run(part.inputs))
+        if self.schedule == "adaptive":
+            self._adapt(policy, part.mean, old_std)
+        ratio = torch.exp(policy.log_prob(part.actions) - part.log_prob)
+        bounded = ratio.clamp(1 - self.clip_param, 1 + self.clip_param)
+        surrogate = torch.max(-part.advantages * ratio, -part.advantages * bounded).mean()
+        values = self.critic.run(part.inputs)[:, 0]
+        error = (values - part.returns).square()
+        if self.use_clipped_value_loss:
+            near = part.values + (values - part.values).clamp(-self.clip_param, self.clip_param)
+            error = torch.max(error, (near - part.returns).square())
+        value, entropy = error.mean(), policy.entropy[0]
+        loss = surrogate + self.value_loss_coef * value - self.entropy_coef * entropy
+        gradients = torch.autograd.grad(loss, self.optimizer.parameters)
+        gradient = torch.cat([part.flatten() for part in gradients])
+        if self.is_multi_gpu:
+            torch.distributed.all_reduce(gradient)
+            gradient /= self.gpu_world_size
+        self.optimizer.descend(gradient, self.max_grad_norm)
+        return torch.stack([value, surrogate, entropy]).detach()
+
+    @torch.no_grad()
+    def _adapt(self, policy: Gaussian, old_mean: torch.Tensor, old_std: torch.Tensor) -> None:
+        """rsl-rl's adaptive schedule."""
+        kl = policy.mean_divergence(old_mean, old_std)
+        if self.is_multi_gpu:  # all processes get the same mean, and come to the same rate
+            torch.distributed.all_reduce(kl)
+            kl /= self.gpu_world_size
+        kl = kl.item()
+        if kl > 2 * self.desired_kl:
+            self.learning_rate = max(SLOWEST, self.learning_rate / 1.5)
+        elif 0 < kl < self.desired_kl / 2:
+            self.learning_rate = min(FASTEST, self.learning_rate * 1.5)
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.learning_rate
 
     def save(self) -> dict[str, Any]:
         """Networks, optimiser and schedule."""
@@ -84,10 +222,9 @@ class PPO(RslRlPPO):
 
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None, strict: bool) -> bool:
         """Restore what :meth:`save` gave. Adam's epsilon and the schedule's length stay as configured."""
-        eps = [group["eps"] for group in self.optimizer.param_groups]
         result = super().load(loaded_dict, load_cfg, strict)
-        for group, value in zip(self.optimizer.param_groups, eps, strict=True):
-            group["eps"] = value
+        for group in self.optimizer.param_groups:
+            group["eps"] = self.adam_eps
         self.updates = loaded_dict.get("updates", 0)
         return result
 
@@ -95,12 +232,12 @@ class PPO(RslRlPPO):
 def rsl_rl_config(ppo: PpoConfig, total_iterations: int) -> dict[str, Any]:
     """The dictionary that rsl-rl's runner wants."""
     network = {
-        "class_name": "MLPModel",
+        "class_name": Network,
         "hidden_dims": list(ppo.hidden),
         "activation": ppo.activation,
         "obs_normalization": ppo.normalize_obs,
     }
-    noise = {"class_name": "GaussianDistribution", "init_std": ppo.init_std, "std_type": "log"}
+    noise = {"class_name": Gaussian, "init_std": ppo.init_std, "std_type": "log"}
     return {
         "num_steps_per_env": ppo.steps,
         "check_for_nan": False,

@@ -1,4 +1,4 @@
-"""Evaluation of designs one after another: a stock rsl-rl training for each, the oracle of the batched one."""
+"""Evaluation of designs one after another: a training with rsl-rl's runner for each, the oracle of the batched one."""
 
 from __future__ import annotations
 

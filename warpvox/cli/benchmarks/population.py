@@ -59,9 +59,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     seeds = list(range(options.designs))
     with report.status("checking that both learn the same"):
         error = _check(config, bodies[:CHECKED], seeds[:CHECKED], options.training)
-    report.note(
-        f"Parameters within {error:.1e} of separate stock trainings after {CHECK_ITERATIONS} updates in float64."
-    )
+    report.note(f"Parameters within {error:.1e} of separate trainings after {CHECK_ITERATIONS} updates in float64.")
     precision = dict(dtype=config.dtype, arithmetic=config.arithmetic)
     arena = Arena(config.task, device=config.device, threads=config.threads, **precision)
     with report.status("training all at once"):
