@@ -8,6 +8,7 @@
 #   make lock        make constraints.txt and locks/ anew (UPGRADE=1: with the newest versions)
 #   make tables      write the keys of all commands into docs/commands.md
 #   make docs        build the documentation into site/ and check its links
+#   make gpu_pack    pack what a GPU machine without a package index needs into build/gpu
 #   make clean       remove what builds leave behind (make distclean: .venv as well)
 # PYTHON=python3.12 make demo   chooses the interpreter that .venv is made from.
 
@@ -27,11 +28,11 @@ COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test fast parity lint format licences packaging audit lock docs tables pictures clean distclean
+.PHONY: help install demo test fast parity lint format licences packaging audit lock docs tables pictures gpu_pack clean distclean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,12s/^# *//p' Makefile
+	@sed -n '2,13s/^# *//p' Makefile
 
 install: $(STAMP)
 
@@ -101,6 +102,11 @@ tables: $(STAMP)
 # Makes the pictures of the documentation anew, of three runs of a walker; takes some minutes.
 pictures: $(STAMP)
 	$(BIN)/python docs/pictures.py
+
+# For torch of another machine: GPU_PYTHON=3.11 make gpu_pack.
+GPU_PYTHON ?= 3.12
+gpu_pack: $(STAMP)
+	$(BIN)/python .ci/gpu_pack.py --python $(GPU_PYTHON)
 
 # Removes what builds and runs of tools leave behind; keeps .venv and outputs/.
 clean:

@@ -62,10 +62,14 @@ def launch(kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], device: str) -> N
         wp.launch(kernel, dim, inputs, device=device)
 
 
-def record(kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], device: str) -> wp.Launch | Command:
-    """A launch that can be repeated by ``launch()`` for a fraction of its cost; arrays must stay where they are."""
+def record(kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], device: str, block: int = BLOCK) -> wp.Launch | Command:
+    """A launch that can be repeated by ``launch()`` for a fraction of its cost; arrays must stay where they are.
+
+    Args:
+        block: threads of a block, on CUDA.
+    """
     if on_cuda(device):
-        return Command(wp.launch(kernel, dim, inputs, device=device, record_cmd=True, block_dim=BLOCK), device)
+        return Command(wp.launch(kernel, dim, inputs, device=device, record_cmd=True, block_dim=block), device)
     return wp.launch(kernel, dim, inputs, device=device, record_cmd=True)
 
 

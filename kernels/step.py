@@ -10,7 +10,7 @@ import warp as wp
 from warpvox.kernels.actuation import creep, goals
 from warpvox.kernels.broadphase import boxes, collect
 from warpvox.kernels.contact import contacts
-from warpvox.kernels.device import Command, kernel, record
+from warpvox.kernels.device import BLOCK, Command, kernel, record
 from warpvox.kernels.exact import order, springs
 from warpvox.kernels.folding import check
 from warpvox.kernels.integrate import advance, runge_kutta
@@ -100,8 +100,8 @@ def record_actions(state, actions, low: float, high: float) -> wp.Launch | Comma
     return record(action_kernel(state.precision), actions.shape, inputs, state.device)
 
 
-def record_step(state, substeps: int, first: int, packs: int) -> wp.Launch | Command:
+def record_step(state, substeps: int, first: int, packs: int, block: int = BLOCK) -> wp.Launch | Command:
     """A command that does one control step of the packs ``first`` to ``first + packs`` from the actions taken."""
     fused = step_kernel(state.arithmetic, state.precision, state.width)
     inputs = [state.model, state.data, first, state.units, substeps, state.dt]
-    return record(fused, (packs, state.units), inputs, state.device)
+    return record(fused, (packs, state.units), inputs, state.device, block)

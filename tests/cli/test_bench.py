@@ -408,17 +408,83 @@ def test_options_need_a_second_generation(warpvox: Callable) -> None:
 GPU = "bench suite=gpu device=cpu design=mini repeats=1 steps=2 columns=[step] compile=false".split()
 
 
+CHECKS = ["correctness", "determinism", "independence", "graph"]
+SPEEDS = ["sizes", "stages", "bodies", "training", "learning"]
+LONG = ["double", "other tasks", "tasks", "recordings", "other tasks, double", "compilation"]
+
+
 def test_the_gpu_suite_runs_on_the_cpu(warpvox: Callable) -> None:
     outcome = warpvox(*GPU, "tasks=[Walker-v0,Lifter-v0]", "learning.stop_return=-100")
     assert outcome.code == 0, outcome.err
     _, figures = results("gpu")
     assert figures["failed"] == figures["left_out"] == []
-    checks = ["trajectories", "determinism", "independence", "graph", "recordings"]
-    speeds = ["environments", "environments, graph", "tasks", "stages", "compilation", "bodies", "learning"]
-    assert list(figures["seconds"]) == checks + speeds
-    assert set(figures["tasks"]) == {"Walker-v0", "Lifter-v0"}
-    assert len(figures["trajectories"]) == 4
+    assert list(figures["seconds"]) == CHECKS + SPEEDS + LONG
+    assert {row["task"] for row in figures["tasks"]} == {"Walker-v0", "Lifter-v0"}
+    assert [figures[part][0]["task"] for part in ("correctness", "other tasks")] == ["Walker-v0", "Lifter-v0"]
+    assert [row["num_envs"] for row in figures["sizes"]] == [1, 8]
+    assert all(row["physics"]["64"] > 0 < row["step"] for row in figures["sizes"])
+    assert figures["bodies"][0]["different"] > 0
+    assert [sorted(row) for row in figures["training"]] == [
+        ["num_envs", "step", "training"],
+        ["designs", "envs", "rate"],
+    ]
     assert "equal bit for bit" in outcome.out
+
+
+def test_what_was_found_is_kept_when_the_call_is_cut_off(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.cli.benchmarks import gpu_rates, progress
+
+    saved = []
+    write = progress.write_summary
+    monkeypatch.setattr(progress, "write_summary", lambda folder, content: (saved.append(1), write(folder, content)))
+
+    def cut_off(subject: object, config: object) -> None:
+        assert len(saved) >= 6, "each row is saved by itself"
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(gpu_rates, "stage_times", cut_off)
+    assert warpvox(*GPU, "tasks=[Walker-v0]").code == 130
+    folder, figures = results("gpu")
+    assert list(figures["seconds"]) == [*CHECKS, "sizes", "stages"]
+    assert figures["correctness"][0]["good"] is True
+    assert len(figures["sizes"]) == 2
+    assert figures["machine"]["warp"]
+    tables = (folder / "tables.md").read_text()
+    assert "predicted for one thread an environment" in tables
+    assert "equal bit for bit" in tables
+
+
+def test_predictions_stand_beside_what_was_predicted_for(warpvox: Callable) -> None:
+    from warpvox.cli.benchmarks.predictions import PREDICTED, predicted
+
+    assert predicted("Walker-v0", "float32", 16384) == "0.600 to 0.900 M"
+    assert {predicted("Walker-v0", "float64", 16384), predicted("Climber-v0", "float32", 16384)} == {"-"}
+    assert {predicted("Walker-v0", "float32", 8), predicted("Walker-v0", "float32", 16384, "another kernel")} == {"-"}
+    assert all(low < high for of_kernel in PREDICTED.values() for low, high in of_kernel.values())
+
+
+def test_the_time_ends_within_a_part_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import io
+
+    from rich.console import Console
+
+    from warpvox.cli.benchmarks import progress as module
+    from warpvox.cli.benchmarks.report import Report
+
+    now = [0.0]
+    monkeypatch.setattr(module.time, "perf_counter", lambda: now[0])
+    shown = io.StringIO()
+    progress = module.Progress(Report(Console(file=shown), tmp_path), {}, seconds=10.0)
+    with progress.part("tasks"):
+        for name in ("one", "two", "three"):
+            if progress.time_for(f"tasks: {name}"):
+                progress.row("tasks", name, task=name)
+            now[0] += 6.0
+    figures = progress.close()
+    assert [row["task"] for row in figures["tasks"]] == ["one", "two"]
+    assert figures["left_out"] == ["tasks: three"]
+    assert figures["seconds"] == {"tasks": 18.0}
+    assert "Left out, for the 10 s were over: tasks: three." in shown.getvalue()
 
 
 def test_without_a_gpu_its_suite_says_so(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -434,20 +500,22 @@ def test_without_a_gpu_its_suite_says_so(warpvox: Callable, monkeypatch: pytest.
 def test_no_part_begins_when_the_time_is_over(warpvox: Callable) -> None:
     outcome = warpvox(*GPU, "tasks=[Walker-v0]", "seconds=1e-6")
     assert outcome.code == 0, outcome.err
-    assert len(results("gpu")[1]["left_out"]) == 12
-    assert "Left out, for the 1e-06 s were over: trajectories, determinism" in outcome.out.replace("\n", " ")
+    assert len(results("gpu")[1]["left_out"]) == 13
+    assert "Left out, for the 1e-06 s were over: correctness, determinism" in outcome.out.replace("\n", " ")
 
 
 def test_a_part_that_fails_does_not_stop_the_others(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    from warpvox.cli.benchmarks import gpu
+    from warpvox.cli.benchmarks import gpu, gpu_rates
 
     monkeypatch.setattr(gpu.gpu_checks, "POSITION", {"float64": 1e-9, "float32": 1e-30})
-    monkeypatch.setattr(gpu, "learn", lambda *_: {"seconds": 1.0, "num_envs": 1, "steps": 1})
+    for part in ("sizes", "stages", "bodies", "training", "learning", "tasks"):
+        monkeypatch.setattr(gpu_rates, part, lambda *_: None)
     outcome = warpvox(*GPU, "tasks=[Walker-v0]")
     assert outcome.code == 2
-    assert "These parts failed: trajectories" in outcome.err
+    assert "These parts failed: correctness" in outcome.err
     _, figures = results("gpu")
-    assert figures["failed"] == ["trajectories"]
+    assert figures["failed"] == ["correctness"]
+    assert figures["correctness"][0]["good"] is False
     assert figures["determinism"]["steps"] > 0
 
 

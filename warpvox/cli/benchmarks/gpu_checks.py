@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 from warpvox.cli.benchmarks.bodies import one_body
+from warpvox.cli.benchmarks.progress import Progress
 from warpvox.cli.benchmarks.report import Report, number
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import SimulationError
@@ -24,36 +25,32 @@ REWARD = {"float64": 1e-8, "float32": 1e-4}
 TEST_SECONDS = 240
 
 
-def trajectories(config: Any, report: Report, tasks: list[str]) -> dict[str, Any]:
-    """All tasks in both precisions: device against scalar code on the CPU in float64.
+def trajectories(config: Any, progress: Progress, part: str, tasks: list[str], dtype: str) -> None:
+    """Tasks in one precision: device against scalar code on the CPU in float64.
 
     Raises:
         SimulationError: they are further apart than rounding explains.
     """
-    figures: dict[str, Any] = {}
+    wrong: list[str] = []
+    worst = {"centre": 0.0, "reward": 0.0}
     for task in tasks:
+        if not progress.time_for(f"{part}: {task}"):
+            continue
         exact = _trace(_make(config, task, "float64", "cpu", lanes=1))
-        for dtype in ("float64", "float32"):
-            lanes = 8 if config.device == "cpu" else None
-            found = _trace(_make(config, task, dtype, config.device, lanes=lanes))
-            apart = [float((mine - theirs).abs().max()) for mine, theirs in zip(found, exact, strict=True)]
-            figures[f"{task}, {dtype}"] = {"centre": apart[0], "reward": apart[1]}
-    wrong = [
-        name
-        for name, row in figures.items()
-        if not (row["centre"] < POSITION[name.split(", ")[1]] and row["reward"] < REWARD[name.split(", ")[1]])
-    ]
-    for dtype in ("float64", "float32"):
-        rows = [row for name, row in figures.items() if name.endswith(dtype)]
-        centre, reward = (max(row[key] for row in rows) for key in ("centre", "reward"))
-        report.note(
-            f"{dtype}, {len(rows)} tasks, {STEPS} control steps: within {number(centre)} (centres of mass) and"
-            f" {number(reward)} (rewards) of the CPU in float64."
-        )
+        found = _trace(_make(config, task, dtype, config.device, lanes=8 if config.device == "cpu" else None))
+        apart = [float((mine - theirs).abs().max()) for mine, theirs in zip(found, exact, strict=True)]
+        row = dict(zip(worst, apart, strict=True))
+        good = row["centre"] < POSITION[dtype] and row["reward"] < REWARD[dtype]  # NaN is not
+        worst = {key: max(worst[key], row[key]) for key in worst}
+        wrong += [] if good else [f"{task} by {row['centre']:.1e}"]
+        text = f"{task}, {dtype}: centre within {number(row['centre'])}, reward within {number(row['reward'])}"
+        progress.row(part, f"{text}{'' if good else ' WRONG'}", task=task, dtype=dtype, good=good, **row)
     if wrong:
-        worst = max(figures[name]["centre"] for name in wrong)
-        raise SimulationError(f"The device differs from the CPU by up to {worst:.1e} in {', '.join(wrong[:6])}.")
-    return figures
+        raise SimulationError(f"The device differs from the CPU in {', '.join(wrong[:6])}.")
+    progress.report.note(
+        f"{dtype}, {len(progress.figures.get(part, []))} tasks, {STEPS} control steps: within {number(worst['centre'])}"
+        f" (centres of mass) and {number(worst['reward'])} (rewards) of the CPU in float64."
+    )
 
 
 def _make(config: Any, task: str, dtype: str, device: str, lanes: int | None = None, envs: int = ENVS) -> VoxelVecEnv:
@@ -150,7 +147,7 @@ def _compare(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor], 
         raise SimulationError(f"{what} differ in {', '.join(wrong)}.")
 
 
-def recordings(config: Any, report: Report) -> dict[str, Any]:
+def recordings(config: Any, report: Report, seconds: float) -> dict[str, Any]:
     """The tests marked ``gpu``, recordings of the reference among them, where this is a checkout with pytest.
 
     Raises:
@@ -162,7 +159,12 @@ def recordings(config: Any, report: Report) -> dict[str, Any]:
         report.note(f"Recordings of the reference were not replayed: {reason}.")
         return {"replayed": False, "reason": reason}
     words = [sys.executable, "-m", "pytest", "-q", "-m", "gpu", "-p", "no:cacheprovider", str(tests)]
-    done = subprocess.run(words, cwd=tests.parent, capture_output=True, text=True, timeout=TEST_SECONDS)
+    limit = max(1.0, min(TEST_SECONDS, seconds))
+    try:
+        done = subprocess.run(words, cwd=tests.parent, capture_output=True, text=True, timeout=limit)
+    except subprocess.TimeoutExpired:
+        report.note(f"Tests of the GPU were stopped after {limit:.0f} s.")
+        return {"replayed": False, "reason": f"stopped after {limit:.0f} s"}
     last = (done.stdout.strip().splitlines() or [""])[-1]
     report.note(f"Tests of the GPU: {last}")
     if done.returncode:
