@@ -424,10 +424,9 @@ def test_the_gpu_suite_runs_on_the_cpu(warpvox: Callable) -> None:
     assert [row["num_envs"] for row in figures["sizes"]] == [1, 8]
     assert all(row["physics"]["64"] > 0 < row["step"] for row in figures["sizes"])
     assert figures["bodies"][0]["different"] > 0
-    assert [sorted(row) for row in figures["training"]] == [
-        ["num_envs", "step", "training"],
-        ["designs", "envs", "rate"],
-    ]
+    assert [row["num_envs"] for row in figures["training"][:-1]] == [8]
+    assert figures["training"][0]["operations"] > 1000 < figures["training"][0]["training"]
+    assert figures["training"][-1].keys() == {"designs", "envs", "rate"}
     assert "equal bit for bit" in outcome.out
 
 

@@ -10,6 +10,7 @@ from warpvox.algos.population_training import PopulationTraining
 from warpvox.algos.presets import training_preset
 from warpvox.cli.benchmarks.bodies import full_body, one_body
 from warpvox.cli.benchmarks.kernels import STAGES, stage_times
+from warpvox.cli.benchmarks.launches import Launches
 from warpvox.cli.benchmarks.learning import learn
 from warpvox.cli.benchmarks.machine import available_memory
 from warpvox.cli.benchmarks.memory import per_environment
@@ -130,9 +131,15 @@ def training(config: Any, progress: Progress, counts: tuple[int, ...], designs: 
         subject = Subject(config, config.task, one_body(config), count)
         subject.settle()
         found = {name: middle(values) for name, values in measure(subject, ["step", "training"], 1).items()}
+        with Launches() as launches:
+            subject.timed("training", 1)
+        sums = {"operations": launches.operations, "kernels": launches.kernels, "waits": sum(launches.waits.values())}
         progress.row(
-            "training", f"{count:,} environments: {number(found['training'])} steps/s", num_envs=count, **found
-        )
+            "training",
+            f"{count:,} environments: {number(found['training'])} steps/s; an iteration has {sums['operations']:,}"
+            f" operations of torch, {sums['kernels']} kernels of Warp, {sums['waits']} waits of the host",
+            num_envs=count, **found, **sums,
+        )  # fmt: skip
         rows.append([f"{count:,}", number(found["step"]), number(found["training"])])
     progress.report.table("Control steps per second", ["environments", "step only", "with training"], rows)
     if not progress.time_for("training: population"):
