@@ -6,6 +6,7 @@
 #   make packaging   install the wheel into clean environments of all Pythons that are found
 #   make audit       ask the advisory database about the pinned versions (pip-audit)
 #   make lock        make constraints.txt and locks/ anew (UPGRADE=1: with the newest versions)
+#   make ptxas       fetch NVIDIA's assembler into build/ptxas, for tests of CUDA kernels (Linux, x86-64; 52 MB)
 #   make tables      write the keys of all commands into docs/commands.md
 #   make docs        build the documentation into site/ and check its links
 #   make gpu_pack    pack what a GPU machine without a package index needs into build/gpu
@@ -23,16 +24,18 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check
 # Tools of the maintainers have an environment of their own: .venv cannot be made while the locks are out of date.
 TOOLS := build/tools
 UV := $(TOOLS)/bin/uv
+# ptxas and nvdisasm: not in .venv, because the compiler's package asks for other versions of what torch's CUDA builds pin.
+PTXAS := $(if $(filter Linux-x86_64,$(shell uname -s)-$(shell uname -m)),build/ptxas/.installed)
 AUDIT := pip-audit==2.10.1
 COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10 --universal \
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test fast parity lint format licences packaging audit lock docs tables pictures gpu_pack clean distclean
+.PHONY: help install demo test ptxas fast parity lint format licences packaging audit lock docs tables pictures gpu_pack clean distclean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,13s/^# *//p' Makefile
+	@sed -n '2,14s/^# *//p' Makefile
 
 install: $(STAMP)
 
@@ -52,7 +55,7 @@ $(STAMP): pyproject.toml constraints.txt locks/test.txt
 demo: $(STAMP)
 	$(BIN)/warpvox demo
 
-test: $(STAMP)
+test: $(STAMP) $(PTXAS)
 	$(PYTEST)
 
 fast: $(STAMP)
@@ -87,6 +90,13 @@ lock: $(UV)
 	$(HASHED) --extra dev --extra view --extra search --extra ray --extra analysis --extra export --extra sb3 -o locks/test.txt
 	$(HASHED) --extra docs -o locks/docs.txt
 	$(HASHED) --all-extras -o locks/all.txt
+	printf 'nvidia-cuda-nvcc\nnvidia-cuda-nvdisasm\n' | $(COMPILE:pyproject.toml=-) $(if $(UPGRADE),--upgrade) --generate-hashes --no-deps -o locks/ptxas.txt
+
+ptxas: $(PTXAS)
+
+build/ptxas/.installed: locks/ptxas.txt | $(STAMP)
+	$(PIP) --quiet --no-deps --require-hashes --upgrade --target build/ptxas -r locks/ptxas.txt
+	@touch $@
 
 $(UV):
 	$(PYTHON) -m venv $(TOOLS)

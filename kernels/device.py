@@ -14,11 +14,31 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-__all__ = ["BLOCK", "Command", "current_stream", "from_numpy", "kernel", "launch", "on_cuda", "record", "zeros"]
+__all__ = [
+    "BLOCK",
+    "Command",
+    "current_stream",
+    "from_numpy",
+    "kernel",
+    "launch",
+    "on_cuda",
+    "record",
+    "register_limited",
+    "zeros",
+]
 
 kernel = wp.kernel(enable_backward=False, module="unique", module_options={"fuse_fp": False})
 """Decorator: a kernel in a module of its own. Contacts at time 0 and thresholds of tasks hang on the last bit of a
 double: round as the formulas are written, without fused multiply-add, whose places differ between devices."""
+
+
+def register_limited(registers: int) -> Any:
+    """Decorator: such a kernel with at most so many registers a thread on CUDA, and no loop over the grid."""
+    options = {"fuse_fp": False}
+    return wp.kernel(
+        enable_backward=False, module="unique", module_options=options, grid_stride=False, cuda_max_registers=registers
+    )
+
 
 BLOCK = 64
 """Threads of a CUDA block. With one thread an environment the step takes 240 registers a thread: one block of Warp's
@@ -62,15 +82,23 @@ def launch(kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], device: str) -> N
         wp.launch(kernel, dim, inputs, device=device)
 
 
-def record(kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], device: str, block: int = BLOCK) -> wp.Launch | Command:
+def record(
+    kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], device: str, block: int = BLOCK, together: bool = False
+) -> wp.Launch | Command:
     """A launch that can be repeated by ``launch()`` for a fraction of its cost; arrays must stay where they are.
 
     Args:
         block: threads of a block, on CUDA.
+        together: the threads of a block wait for each other; on the CPU they run in turns from barrier to barrier.
     """
     if on_cuda(device):
         return Command(wp.launch(kernel, dim, inputs, device=device, record_cmd=True, block_dim=block), device)
-    return wp.launch(kernel, dim, inputs, device=device, record_cmd=True)
+    before = wp.config.enable_cpu_blocks
+    wp.config.enable_cpu_blocks = together
+    try:
+        return wp.launch(kernel, dim, inputs, device=device, record_cmd=True, block_dim=block if together else 1)
+    finally:
+        wp.config.enable_cpu_blocks = before
 
 
 def zeros(shape: tuple[int, ...], dtype: Any, device: str) -> wp.array:

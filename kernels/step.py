@@ -13,6 +13,7 @@ from warpvox.kernels.contact import contacts
 from warpvox.kernels.device import BLOCK, Command, kernel, record
 from warpvox.kernels.exact import order, springs
 from warpvox.kernels.folding import check
+from warpvox.kernels.group import record_group
 from warpvox.kernels.integrate import advance, runge_kutta
 from warpvox.kernels.kit import Kit, builder, kit_of
 from warpvox.kernels.launch import launch_stage
@@ -102,6 +103,8 @@ def record_actions(state, actions, low: float, high: float) -> wp.Launch | Comma
 
 def record_step(state, substeps: int, first: int, packs: int, block: int = BLOCK) -> wp.Launch | Command:
     """A command that does one control step of the packs ``first`` to ``first + packs`` from the actions taken."""
+    if state.group is not None:
+        return record_group(state, substeps, first, packs)
     fused = step_kernel(state.arithmetic, state.precision, state.width)
     inputs = [state.model, state.data, first, state.units, substeps, state.dt]
     return record(fused, (packs, state.units), inputs, state.device, block)

@@ -14,7 +14,8 @@ from warpvox.contact_order import no_order
 from warpvox.errors import SimulationError, did_you_mean, listing
 from warpvox.frames import Frame, capacities, frame_key, is_cut, join
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
-from warpvox.kernels.device import from_numpy
+from warpvox.kernels.device import from_numpy, on_cuda, zeros
+from warpvox.kernels.group import Group, choose
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, allocate, structs
@@ -38,10 +39,12 @@ __all__ = [
 
 # Lane widths offered on the CPU; the narrowest that holds the environments that can share a pack is taken.
 WIDTHS = (1, 8, 16, 32)
+LAYOUTS = ("group", "lanes")
 CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
 MARGIN = 0.04  # width added to boxes when candidates are collected, two fifths of a voxel
 HITS, HITS_PER_VOXEL = 64, 12  # capacity for contacts that are put in order, in exact arithmetic
 PAIRS_PER_VOXEL = 24  # capacity of the candidate list of an environment that has one of its own
+CELLS_PER_VOXEL = 16  # the same for cells of the terrain, in the group layout
 # Lanes share a list. One that holds all pairs cannot be filled by an environment that has collapsed or exploded at the
 # cost of the others; up to so many surface voxels (33 MB a pack) it does.
 ALL_PAIRS = 2048
@@ -56,7 +59,11 @@ SIZES = {
 
 @dataclass
 class State:
-    """What kernels need to run: the structs, their arrays and how environments lie in them."""
+    """What kernels need to run: the structs, their arrays and how environments lie in them.
+
+    ``group`` says what the group kernel is compiled for (see :mod:`warpvox.kernels.group`), None in the lanes layout;
+    ``scratch`` takes the place of its shared memory on the CPU.
+    """
 
     arithmetic: str
     precision: str
@@ -73,6 +80,8 @@ class State:
     arrays: dict[str, wp.array]
     env_pack: wp.array
     env_lane: wp.array
+    group: Group | None = None
+    scratch: wp.array | None = None
 
 
 def group(worlds: Sequence[World]) -> tuple[list[World], list[int]]:
@@ -92,6 +101,24 @@ def group(worlds: Sequence[World]) -> tuple[list[World], list[int]]:
 def lanes_for(environments: int) -> int:
     """The lanes that are chosen on the CPU for a number of environments that can share packs."""
     return next((width for width in WIDTHS if width >= environments), MAX_WIDTH)
+
+
+def resolve_layout(layout: str | None, arithmetic: str, device: str, lanes: int | None) -> str:
+    """'group' or 'lanes': None means 'group' on CUDA in fast arithmetic, unless ``lanes`` are asked for.
+
+    Raises:
+        SimulationError: neither of them, or a group for exact arithmetic or with lanes.
+    """
+    if layout is None:
+        return "group" if on_cuda(device) and arithmetic == "fast" and lanes is None else "lanes"
+    if layout not in LAYOUTS:
+        hint = did_you_mean(layout, LAYOUTS) if isinstance(layout, str) else ""
+        raise SimulationError(f"layout must be 'group', 'lanes' or None, got {layout!r:.80}.{hint}")
+    if layout == "group" and (arithmetic != "fast" or lanes is not None):
+        raise SimulationError(
+            f"layout='group' is for arithmetic='fast' and lanes=None, got {arithmetic!r} and {lanes!r:.80}."
+        )
+    return layout
 
 
 def choose_lanes(index: Sequence[int], lanes: int | None, device: str) -> int:
@@ -141,7 +168,8 @@ class Batch:
         worlds: different worlds. index: the number of each environment's world.
         arithmetic: packs of ``exact`` hold one world each; those of ``fast`` any worlds of one frame (see
             :mod:`warpvox.frames`).
-        lanes: see :class:`warpvox.Simulation`.
+        wanted_lanes: see :class:`warpvox.Simulation`.
+        layout: 'lanes', or 'group', whose packs have one lane each.
         grid: rows and columns up to which bodies may be exchanged later, or None.
 
     Attributes:
@@ -158,6 +186,7 @@ class Batch:
     wanted_lanes: int | None = None
     loose: tuple[str, ...] = ()
     grid: tuple[int, int] | None = None
+    layout: str = "lanes"
     pack_group: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -171,7 +200,7 @@ class Batch:
             self.group_of = [keys.setdefault(frame_key(world), len(keys)) for world in worlds]
         self._compile()
         groups = np.asarray(self.group_of)[np.asarray(self.index)]
-        self.lanes = choose_lanes(groups, self.wanted_lanes, self.device)
+        self.lanes = 1 if self.layout == "group" else choose_lanes(groups, self.wanted_lanes, self.device)
         self.env_pack, self.env_lane = (np.zeros(len(self.index), np.int32) for _ in range(2))
         lane_world = []
         for number in range(max(self.group_of) + 1):
@@ -191,7 +220,7 @@ class Batch:
     def _rank(self, group: int) -> np.ndarray:
         """Which worlds of a group shall lie near each other: a pack is as slow as all of its bodies together."""
         rank = np.arange(len(self.worlds))
-        if self.arithmetic == "fast":
+        if self.arithmetic == "fast" and self.layout == "lanes":
             members = [k for k, own in enumerate(self.group_of) if own == group]
             copies = np.bincount(np.asarray(self.index), minlength=len(self.worlds))[members]
             rank[members] = self.frames[group].rank(copies, self.lanes)
@@ -340,8 +369,8 @@ class Batch:
         return {name: max(part[name] for part in most) for name in most[0]}
 
 
-def lay_out(batch: Batch, precision: str) -> State:
-    """Allocate and fill Model and Data for a batch."""
+def lay_out(batch: Batch, precision: str) -> State | None:
+    """Allocate and fill Model and Data for a batch; None where worlds are too large for the group layout."""
     device, lanes = batch.device, batch.lanes
     width = lanes if device == "cpu" else 1
     units, packs = lanes // width, len(batch.pack_group)
@@ -355,8 +384,13 @@ def lay_out(batch: Batch, precision: str) -> State:
     sizes |= {name: max(sizes[name], size) for name, size in batch.capacities().items()}
     sizes |= {"mesh": len(which) if batch.grid else int(which.max()) + 1, "frame": len(frames["terrain"])}
     sizes |= {"cell": frames["terrain_side"].shape[1]}
+    taken = None
+    if batch.layout == "group":
+        taken = choose(sizes["point"], sizes["spring"], precision, device)
+        if taken is None:
+            return None
     hits = HITS + HITS_PER_VOXEL * sizes["mobile"] if batch.arithmetic == "exact" else 1
-    sizes |= _capacities(sizes["voxel"], sizes["mobile"], width) | {
+    sizes |= _capacities(sizes["voxel"], sizes["mobile"], width, taken is not None) | {
         "hit": hits,
         "pack": packs,
         "lane": lanes,
@@ -367,7 +401,8 @@ def lay_out(batch: Batch, precision: str) -> State:
     state = State(
         batch.arithmetic, precision, device, width, lanes, units, packs, len(batch.index), batch.physics.dt, sizes,
         types.Model(), types.Data(), model | data,
-        from_numpy(batch.env_pack, int, device), from_numpy(batch.env_lane, int, device),
+        from_numpy(batch.env_pack, int, device), from_numpy(batch.env_lane, int, device), taken,
+        zeros((1, 1) if taken is None or on_cuda(device) else (packs, taken.bytes // 8), wp.float64, device),
     )  # fmt: skip
     for struct, arrays in ((state.model, model), (state.data, data)):
         for name, array in arrays.items():
@@ -414,12 +449,16 @@ def _set_constants(state: State, physics: Physics) -> None:
     state.model.contact = contact
 
 
-def _capacities(voxels: int, mobiles: int, width: int) -> dict[str, int]:
-    """Capacities of the broad phase for a number of surface voxels, of those that are mobile, and of lanes."""
+def _capacities(voxels: int, mobiles: int, width: int, grouped: bool) -> dict[str, int]:
+    """Capacities of the broad phase for a number of surface voxels, of those that are mobile, and of lanes.
+
+    A group lists the cells of the terrain that may be touched behind the pairs.
+    """
     gridded = mobiles if mobiles >= GRID_FROM else 0
     every = voxels * (voxels - 1) // 2
+    pairs = every if width > 1 and voxels <= ALL_PAIRS else min(every, PAIRS_PER_VOXEL * voxels)
     return {
-        "pair": every if width > 1 and voxels <= ALL_PAIRS else min(every, PAIRS_PER_VOXEL * voxels),
+        "pair": pairs + (CELLS_PER_VOXEL * mobiles if grouped else 0),
         "word": voxels * -(-voxels // 32),
         "entry": ENTRIES_PER_VOXEL * gridded,
         "slot": 1 << (2 * gridded).bit_length(),

@@ -18,7 +18,7 @@ from warpvox.kernels import step as step_stage
 from warpvox.kernels.reset import STALE
 from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
 from warpvox.objects import CompiledWorlds, Objects
-from warpvox.packs import Batch, State, choose_threads, group, lay_out, put_tables, resolve_arithmetic
+from warpvox.packs import Batch, State, choose_threads, group, lay_out, put_tables, resolve_arithmetic, resolve_layout
 from warpvox.sensors import Recorded, Sensing
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, Physics
 from warpvox.world import World
@@ -58,6 +58,10 @@ class Simulation(Sensing):
         action_range: to what actions are clipped.
         arithmetic: 'fast', or 'exact' (float64 only), which repeats the released simulator bit for bit: the same
             physics, every sum in its order. None: 'fast' in float32, 'exact' in float64.
+        layout: 'lanes', one thread an environment (on the CPU as vectors over environments), or 'group', 16 or 32
+            threads an environment, with its state on the chip for a whole control step. None: 'group' on CUDA in fast
+            arithmetic where a world's state fits into 48 KiB, else 'lanes'. Also an attribute: what is in use. On the
+            CPU 'group' is slow, and meant for tests.
 
     Positions are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step lasts
     ``physics.substeps * physics.dt``, 30 x 1e-4). Tensors that methods return are fresh; they never alias the
@@ -79,6 +83,7 @@ class Simulation(Sensing):
         action_range: tuple[float, float] = (ACTION_LOW, ACTION_HIGH),
         arithmetic: str | None = None,
         grid: tuple[int, int] | None = None,
+        layout: str | None = None,
     ):
         if not isinstance(worlds, Sequence) or not worlds or not all(isinstance(world, World) for world in worlds):
             raise SimulationError(f"Simulation needs a list of one World or more, got {worlds!r:.80}.")
@@ -91,13 +96,17 @@ class Simulation(Sensing):
         self.physics = physics if isinstance(physics, Physics) else Physics.preset(physics)
         self.dtype = DTYPES[dtype]
         different, index = group(worlds)
-        self._batch = Batch(
-            different, index, self.physics, self.arithmetic, self.device, lanes, tuple(loose), grid,
-        )  # fmt: skip
+        layout = resolve_layout(layout, self.arithmetic, self.device, lanes)
+        for self.layout in ("group", "lanes") if layout == "group" else ("lanes",):
+            self._batch = Batch(
+                different, index, self.physics, self.arithmetic, self.device, lanes, tuple(loose), grid, self.layout,
+            )  # fmt: skip
+            self._state = lay_out(self._batch, dtype)
+            if self._state is not None:
+                break
         self.designs = CompiledWorlds(self._batch)
         self.num_envs = len(worlds)
         self.design_index = torch.tensor(index, dtype=torch.long, device=self.device)
-        self._state = lay_out(self._batch, dtype)
         self.num_actions = self._state.sizes["action"]
         self._objects = Objects(self._batch, self._state)
         self.object_names = self._objects.names

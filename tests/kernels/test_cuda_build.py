@@ -7,6 +7,7 @@ import warp as wp
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.kernels import sensing
+from warpvox.kernels.group import choose, group_kernel
 from warpvox.kernels.launch import stage_kernel
 from warpvox.kernels.reset import reset_kernel, save, settle
 from warpvox.kernels.step import STAGES, action_kernel, step_kernel
@@ -21,8 +22,10 @@ CASES = pytest.mark.parametrize(
 
 def kernels_of_cuda(arithmetic, precision):
     """Every kernel that is launched on CUDA: the control step, its actions, resets and all sensing."""
+    walker = choose(36, 104, precision, "cuda:0")
     return [
         step_kernel(arithmetic, precision, 1),
+        *([group_kernel(walker)] if arithmetic == "fast" else []),
         action_kernel(precision),
         reset_kernel(precision),
         *sensing.KERNELS.values(),

@@ -23,6 +23,8 @@ EXTRAS = {
     "all": {"*"},
 }
 """The locks and the extras that each is for."""
+ALONE = {"ptxas"}
+"""Locks of programs for tests, which are installed by themselves, without what they depend on."""
 PYTHONS = ("3.10.13", "3.11.0", "3.11.7", "3.12.1", "3.13.0")
 PLATFORMS = {"linux": "Linux", "darwin": "Darwin", "win32": "Windows"}
 UNLOCKED = {"torch"}
@@ -68,10 +70,10 @@ def locks(repository: Path) -> Path:
 
 
 def test_the_locks_are_these(locks: Path) -> None:
-    assert sorted(path.name for path in locks.iterdir()) == sorted(f"{name}.txt" for name in EXTRAS)
+    assert sorted(path.name for path in locks.iterdir()) == sorted(f"{name}.txt" for name in {*EXTRAS, *ALONE})
 
 
-@pytest.mark.parametrize("name", EXTRAS)
+@pytest.mark.parametrize("name", [*EXTRAS, *ALONE])
 def test_every_entry_has_hashes(locks: Path, name: str) -> None:
     for asked, hashes in entries(locks / f"{name}.txt"):
         assert hashes, f"{asked} has no hash"

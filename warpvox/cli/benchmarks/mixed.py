@@ -49,12 +49,14 @@ def rates(envs: list[VoxelVecEnv], steps: int, repeats: int, seed: int) -> list[
 def check(env: VoxelVecEnv, designs: list[np.ndarray], options: dict[str, Any], seed: int) -> None:
     """Raise SimulationError unless an environment among others does what it does alone, bit for bit."""
     lanes = env.sim.buffers.lanes
+    if env.sim.layout == "lanes":
+        options = options | {"lanes": lanes}
     env.reset()
     actions = torch.as_tensor(np.random.default_rng(seed).uniform(0.6, 1.6, (3, env.num_actions)), dtype=env.dtype)
     for action in actions:
         found = env.step(action.to(env.device).expand(env.num_envs, -1))[0]
     for k in (0, len(designs) - 1):
-        alone = make_vec(env.spec, [designs[k]], lanes, **options | {"lanes": lanes})
+        alone = make_vec(env.spec, [designs[k]], lanes, **options)
         alone.reset()
         for action in actions:
             expected = alone.step(action[: alone.num_actions].to(env.device).expand(lanes, -1))[0]

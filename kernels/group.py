@@ -1,0 +1,128 @@
+"""The control step with a group of threads per environment, for CUDA: its state stays on the chip all the while.
+
+The physics is that of the stages of ``step.py`` in fast arithmetic, in one launch; the C++ is in ``native/group``.
+Packs have one lane, so that the rows of an environment lie side by side and each may have tables of its own. The
+threads of a group take points, springs and candidates in turns (``for (i = part; i < n; i += parts)``); sums are
+made in a fixed order by one thread, without atomics: the bits of an environment do not depend on the rest of the batch.
+
+On the CPU the same source runs in Warp's cooperative blocks, for tests. There, and in float64, it equals the lanes bit
+for bit. In float32 on CUDA it is *approximate*: roots and quotients of springs and the contact law are accurate to a
+few units in the last place of float32, positions and velocities are accumulated in float64 as everywhere.
+"""
+
+import functools
+import re
+from dataclasses import dataclass
+
+import warp as wp
+
+from warpvox.kernels.broadphase import DISTANT
+from warpvox.kernels.contact import DEGENERATE, PARALLEL
+from warpvox.kernels.device import Command, on_cuda, record, register_limited
+from warpvox.kernels.guard import FARTHEST, FASTEST
+from warpvox.kernels.kit import kit_of
+from warpvox.kernels.lanes import text
+from warpvox.kernels.reset import STALE
+from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
+from warpvox.types import VOXEL
+
+WARP = 32
+BLOCK = 32
+"""Threads of a CUDA block. Groups of a warp go the same way; more warps in a block would only wait for each other."""
+REGISTERS = {"float32": 192, "float64": 255}
+"""Of a thread, at most. With 192, 10 warps (20 environments of 16 threads) share a multiprocessor, without spills."""
+SHARED_BYTES = 47 * 1024
+"""Shared memory of the groups of a CUDA block, at most. A block has 48 KiB without asking, some of them Warp's."""
+SMALL = 128
+"""Springs up to which 16 threads take an environment; 32 take a larger one."""
+ON_CPU = 512, 1024
+"""Points and springs for which the kernel is compiled on the CPU, where memory is no limit; more where needed."""
+FILES = ("base.h", "law.h", "load.h", "candidates.h", "contact.h", "move.h", "limit.h", "step.h")
+DOUBLES = dict(FARTHEST=FARTHEST, FASTEST=FASTEST, STALE=STALE, VOXEL=VOXEL, PARALLEL=PARALLEL, DEGENERATE=DEGENERATE)
+INTS = dict(DISTANT=DISTANT, DIVERGED=DIVERGED, UNSTABLE=UNSTABLE, OVERFLOW=OVERFLOW, SHARED_BYTES=SHARED_BYTES)
+
+
+@dataclass(frozen=True)
+class Group:
+    """What a group kernel is compiled for.
+
+    Attributes:
+        precision: of the springs, 'float32' or 'float64'.
+        parts: threads of a group, 16 or 32.
+        points, springs: capacities, multiples of ``parts``.
+        approximate: roots, quotients and the contact law in fast float32.
+    """
+
+    precision: str
+    parts: int
+    points: int
+    springs: int
+    approximate: bool
+
+    @property
+    def bytes(self) -> int:
+        """Memory that the threads of a group share; ``Shared`` in ``native/group/base.h``."""
+        real = 4 if self.precision == "float32" else 8
+        touch = 24 * self.points + self.parts * (16 + 12 * real + 32)
+        in_turn = max(touch, 2 * real * (2 * self.springs + 2), 2 * real * self.points)
+        whole = (32 + 4 * real) * self.points + 4 * real * self.springs + in_turn + 8 * self.parts
+        return -(-whole // 32) * 32 + 32
+
+
+def choose(points: int, springs: int, precision: str, device: str) -> Group | None:
+    """The group for worlds with so many points and springs at most; None where they exceed the shared memory."""
+    parts = 16 if springs <= SMALL else 32
+    if not on_cuda(device):
+        parts, points, springs = 16, max(points, ON_CPU[0]), max(springs, ON_CPU[1])
+    points, springs = (-(-max(count, 1) // parts) * parts for count in (points, springs))
+    group = Group(precision, parts, points, springs, on_cuda(device) and precision == "float32")
+    return group if not on_cuda(device) or group.bytes * (WARP // parts) <= SHARED_BYTES else None
+
+
+def places() -> list[str]:
+    """Names of the places in the source whose visits can be counted (``tallied``)."""
+    return re.findall(r"^ *COUNT\((\w+)\);", text(*(f"native/group/{file}" for file in FILES)), re.M)
+
+
+def source(group: Group, tallied: bool = False) -> str:
+    """The C++ of a group kernel."""
+    sizes = dict(PARTS=group.parts, POINTS=group.points, SPRINGS=group.springs, GROUP_BYTES=group.bytes)
+    sizes |= INTS | dict(PLACES=len(places())) | {f"PLACE_{name}": k for k, name in enumerate(places())}
+    lines = [f"typedef {'float' if group.precision == 'float32' else 'double'} Real;"]
+    lines += [f"#define APPROXIMATE {int(group.approximate)}", f"#define TALLIED {int(tallied)}"]
+    lines += [f"constexpr int {name} = {int(value)};" for name, value in sizes.items()]
+    lines += [f"constexpr double {name} = {float(value)!r};" for name, value in DOUBLES.items()]
+    files = (f"native/group/{file}" for file in FILES)
+    lines += [text(next(files), "native/triangles.h", *files), "#undef APPROXIMATE", "#undef TALLIED\n"]
+    return "\n".join(lines)
+
+
+@functools.cache
+def group_kernel(group: Group, tallied: bool = False) -> wp.Kernel:
+    """The kernel; launch over (packs, parts). ``order`` permutes the threads, which on the CPU must change nothing."""
+    kit = kit_of(group.precision, 1)
+
+    @wp.func_native(source(group, tallied))
+    def control_step(
+        model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), mesh: int, pack: int, part: int,
+        substeps: int, dt: wp.float64,
+    ): ...  # fmt: skip
+
+    @register_limited(REGISTERS[group.precision])
+    def group_step(
+        model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), first_pack: int, order: int,
+        substeps: int, dt: wp.float64,
+    ):  # fmt: skip
+        row, thread = wp.tid()
+        pack = first_pack + row
+        control_step(model, data, scratch, model.pack_mesh[pack], pack, thread ^ order, substeps, dt)
+
+    return group_step
+
+
+def record_group(state, substeps: int, first: int, packs: int, order: int = 0) -> wp.Launch | Command:
+    """A command that does one control step of the packs ``first`` to ``first + packs`` from the actions taken."""
+    group = state.group
+    inputs = [state.model, state.data, state.scratch, first, order, substeps, state.dt]
+    block = BLOCK if on_cuda(state.device) else group.parts
+    return record(group_kernel(group), (packs, group.parts), inputs, state.device, block, together=True)

@@ -1,0 +1,55 @@
+// The tables of the body and the state, into registers and shared memory. Packs have one lane.
+
+const bool frozen = wp::index(data.frozen, pack, 0) != 0;
+int points = wp::index(model.points, mesh), springs = wp::index(model.springs, mesh);
+int rigids = wp::index(model.rigids, mesh), voxels = wp::index(model.voxels, mesh), mobiles = wp::index(model.mobiles, mesh);
+// A row of a table or of the state. Where one is looked up in every sub-step, its index is hidden from the compiler, which
+// would keep all of these addresses in registers else.
+auto row_of = [](const auto& table, int row) { return &wp::index(table, row, 0); };
+auto state_of = [](const auto& table, int row) { return &wp::index(table, row, 0, 0); };
+
+double vel[POINT_ROUNDS][2];
+unsigned long long active = 0, loose = 0;           // of the own points those that hang on a spring or are free, those that are free
+bool more_links = false;
+bool sound = true;
+
+auto load_points = [&]() {
+    const int* link_start = row_of(model.link_start, mesh);
+    const int* link = row_of(model.link, mesh);
+    const int* free_lanes = row_of(model.free_lanes, mesh);
+    const double* pos = &wp::index(data.pos, pack, 0, 0);
+    const double* velocity = &wp::index(data.vel, pack, 0, 0);
+    const double* true_vel = &wp::index(data.true_vel, pack, 0, 0);
+    EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
+        const int p = part + PARTS * j;
+        vel[j][0] = vel[j][1] = 0.0;
+        for (int n = 0; n < LINKS; ++n) at.links[p].place[n] = 2 * SPRINGS;
+        at.pos[p] = Place{0.0, 1.0};  // above the floor
+        at.contact[p] = Pair{Real(0), Real(0)};
+        at.touch.velocity[p] = Place{0.0, 0.0};
+        at.touch.near[p] = Near{0.0f, 0.0f};
+        if (p >= points) continue;
+        at.pos[p] = Place{pos[2 * p], pos[2 * p + 1]};
+        at.touch.near[p] = Near{Single(pos[2 * p]), Single(pos[2 * p + 1])};
+        at.touch.velocity[p] = Place{true_vel[2 * p], true_vel[2 * p + 1]};
+        vel[j][0] = velocity[2 * p];
+        vel[j][1] = velocity[2 * p + 1];
+        for (int axis = 0; axis < 2; ++axis) {
+            sound &= wp::abs(pos[2 * p + axis]) <= FARTHEST && wp::abs(vel[j][axis]) <= FASTEST;
+            sound &= wp::abs(true_vel[2 * p + axis]) <= FASTEST;
+        }
+        const int first = link_start[p], count = link_start[p + 1] - first;
+        if (free_lanes[p]) loose |= 1ull << j;
+        if (free_lanes[p] || count) active |= 1ull << j;
+        for (int n = 0; n < LINKS && n < count; ++n) {
+            const int s = link[first + n];
+            at.links[p].place[n] = s >= 0 ? 2 * s : 2 * (-1 - s) + 1;
+        }
+        more_links |= count > LINKS;
+    }
+};
+
+const int unit = pack;
+int pair_count = wp::index(data.pair_count, unit), count = pair_count + wp::index(data.near_count, unit);
+bool overflow = wp::index(data.overflow, unit), any_folds = false, folded_up = false;
+double drift = wp::index(data.drift, unit);  // bound of every point's path since the candidates were collected

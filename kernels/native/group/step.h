@@ -1,0 +1,94 @@
+// A control step of one environment. The state in memory is written at its end alone, and only if the step stands.
+
+auto advance = [&]() {
+    COUNT(advance);
+    const double rate = 1.0 / dt;
+    float path = 0.0f;
+    sync();
+    own_points([&](int j, int p) {
+        Place moved{0.0, 0.0};
+        if (active >> j & 1) {
+            at.pos[p] = Place{at.pos[p].x + move[j][0], at.pos[p].y + move[j][1]};
+            moved = Place{move[j][0] * rate, move[j][1] * rate};
+            const float x = wp::abs(Single(move[j][0])), y = wp::abs(Single(move[j][1]));
+            path = x > path ? x : path;  // NaN is not
+            path = y > path ? y : path;
+        }
+        at.touch.velocity[p] = moved;
+        at.touch.near[p] = Near{Single(at.pos[p].x), Single(at.pos[p].y)};
+        at.contact[p] = Pair{Real(0), Real(0)};
+    });
+    drift += double(largest_of_group(path) * 1.000001f);
+    sync();
+};
+auto in_bounds = [&]() -> bool {
+    bool good = true;
+    own_points([&](int j, int p) {
+        const Place pos = at.pos[p], true_vel = at.touch.velocity[p];
+        good &= wp::abs(pos.x) <= FARTHEST && wp::abs(pos.y) <= FARTHEST;
+        good &= wp::abs(vel[j][0]) <= FASTEST && wp::abs(vel[j][1]) <= FASTEST;
+        good &= wp::abs(true_vel.x) <= FASTEST && wp::abs(true_vel.y) <= FASTEST;
+    });
+    return good;
+};
+auto put_at_rest = [&]() {
+    for (int r = part; r < 2 * points; r += PARTS) {
+        wp::index(data.pos, pack, r, 0) = wp::index(model.home, mesh, r, 0);
+        wp::index(data.vel, pack, r, 0) = 0.0;
+        wp::index(data.true_vel, pack, r, 0) = 0.0;
+    }
+};
+auto store = [&]() {
+    double* pos = &wp::index(data.pos, pack, 0, 0);
+    double* velocity = &wp::index(data.vel, pack, 0, 0);
+    double* true_vel = &wp::index(data.true_vel, pack, 0, 0);
+    own_points([&](int j, int p) {
+        if (!(active >> j & 1)) return;
+        pos[2 * p] = at.pos[p].x;
+        pos[2 * p + 1] = at.pos[p].y;
+        velocity[2 * p] = vel[j][0];
+        velocity[2 * p + 1] = vel[j][1];
+        true_vel[2 * p] = at.touch.velocity[p].x;
+        true_vel[2 * p + 1] = at.touch.velocity[p].y;
+    });
+};
+
+load_points();
+int status = vote(!sound) ? DIVERGED : 0;
+if (status) put_at_rest();
+if (status || frozen) points = springs = rigids = voxels = mobiles = count = 0;  // nothing to do but come along
+load_springs();
+sync();
+ROLL for (int n = 0; n < substeps; ++n) {
+    COUNT(substep);
+    find_tables();
+    if (some(drift + drift >= model.margin)) {
+        collect();
+        drift = 0.0;
+    }
+    touch();
+    sync();
+    runge_kutta();
+    limit_strain();
+    advance();
+    TALLY(n);
+}
+if (vote(!in_bounds())) status |= DIVERGED;
+if (folded_up) status |= UNSTABLE;
+if (part == 0) wp::index(data.status, pack, 0) = frozen ? 0 : status | (overflow ? OVERFLOW : 0);
+if (frozen) return;
+if (!status) store();
+if (part == 0) {
+    if (!status) wp::index(data.time, pack, 0) += 1;
+    wp::index(data.drift, unit) = status ? STALE : drift;
+    wp::index(data.pair_count, unit) = pair_count;
+    wp::index(data.near_count, unit) = count - pair_count;
+    wp::index(data.overflow, unit) = overflow;
+}
+#undef UNROLL
+#undef ROLL
+#undef EACH_POINT
+#undef EACH_SPRING
+#undef HIDE
+#undef COUNT
+#undef TALLY

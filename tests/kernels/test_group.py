@@ -1,0 +1,240 @@
+"""The group layout, on the CPU in Warp's cooperative blocks, against the lanes: the same bits."""
+
+from dataclasses import replace
+from functools import partialmethod
+
+import numpy as np
+import pytest
+import torch
+
+from warpvox import packs
+from warpvox.design import sample_design
+from warpvox.envs.registry import task_ids
+from warpvox.envs.vec_env import make_vec
+from warpvox.errors import SimulationError
+from warpvox.kernels import group
+from warpvox.sim import Simulation
+from warpvox.world import World
+
+ROUNDING = 5e-9
+"""Of positions after a control step, approximate against exact: springs round in float32 in both. The same batches in
+float64 differ from float32 by 2e-9 (docs/performance.md)."""
+
+
+def pair_of(worlds, dtype="float32", **options):
+    """The same batch in lanes, one a pack, and in groups."""
+    options = dict(device="cpu", dtype=dtype, arithmetic="fast", threads=1) | options
+    return Simulation(worlds, lanes=1, **options), Simulation(worlds, layout="group", **options)
+
+
+def pair_of_task(task, count=2, **options):
+    sim = make_vec(task, num_envs=1, device="cpu", dtype="float32", lanes=1, threads=1).sim
+    return pair_of([sim.worlds[0]] * count, loose=sim.loose, physics=sim.physics, **options)
+
+
+def random_actions(sim, seed):
+    generator = torch.Generator().manual_seed(seed)
+    return 0.6 + torch.rand((sim.num_envs, sim.num_actions), generator=generator)
+
+
+def differences(lanes, groups):
+    mine, other = lanes.state(), groups.state()
+    return [name for name in mine if not torch.equal(mine[name], other[name])]
+
+
+def run(sims, steps, seed=0):
+    for step in range(steps):
+        actions = random_actions(sims[0], 100 * seed + step)
+        for sim in sims:
+            sim.step(actions)
+        assert not differences(*sims), step
+
+
+@pytest.mark.parametrize("task", task_ids())
+def test_every_task_takes_the_same_way_in_both_layouts(task):
+    sims = pair_of_task(task)
+    assert [sim.layout for sim in sims] == ["lanes", "group"]
+    run(sims, 4)
+    for sim in sims:
+        sim.reset(torch.tensor([True, False]))
+    assert sims[1].time.tolist() == [0, 4]
+    run(sims, 4, seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("parts", [16, 32])
+@pytest.mark.parametrize("task", ["Walker-v0", "BeamToppler-v0", "Climber-v1", "Traverser-v0"])
+def test_double_precision_and_other_groups(task, parts):
+    for dtype in ("float32", "float64"):
+        sims = pair_of_task(task, dtype=dtype)
+        sims[1]._state.group = replace(sims[1]._state.group, parts=parts)
+        run(sims, 12)
+
+
+@pytest.mark.parametrize("task", ["Walker-v0", "BeamToppler-v0", "BridgeWalker-v0", "Climber-v1"])
+def test_what_is_approximate_on_cuda_stays_within_rounding(task):
+    lanes, groups = pair_of_task(task)
+    groups._state.group = replace(groups._state.group, approximate=True)
+    farthest = 0.0
+    for step in range(8):
+        groups.set_state(lanes.state())
+        for sim in (lanes, groups):
+            sim.step(random_actions(lanes, step))
+        farthest = max(farthest, float((lanes.state()["pos"] - groups.state()["pos"]).abs().max()))
+    assert 0.0 < farthest < ROUNDING
+
+
+@pytest.mark.parametrize("order", [5, 15])
+def test_threads_may_run_in_any_order(order):
+    """A race between two barriers would show: on the CPU the threads of a group run one after another."""
+    sims = pair_of_task("Traverser-v0", count=1)
+    state, steps = sims[1]._state, sims[1].physics.substeps
+    sims[1].step(torch.ones(1, sims[1].num_actions))
+    sims[0].step(torch.ones(1, sims[0].num_actions))
+    sims[1]._shares = [group.record_group(state, steps, 0, 1, order)]
+    run(sims, 6)
+
+
+def crowd(count):
+    """Different robots that fall onto boxes and each other on bumpy ground."""
+    worlds = []
+    for seed in range(count):
+        world = World(24, 16)
+        ground = np.full((2, 24), 5)
+        ground[0, ::3] = 0
+        world.add_from_array("ground", ground, 0, 0)
+        world.add_from_array("bridge", np.array([[5, 2, 2, 5]]), 14, 4)
+        world.add_from_array("box", np.full((1, 2), 2), 8, 2)
+        world.add_from_array("robot", sample_design((5, 5), seed=seed), 3, 2)
+        worlds.append(world)
+    return worlds
+
+
+def disturb(sims, change):
+    state = sims[0].state()
+    change(state, sims[0])
+    for sim in sims:
+        sim.set_state({name: value.clone() for name, value in state.items()})
+
+
+def test_frozen_folded_and_diverged_environments_leave_the_others_alone():
+    sims = pair_of(crowd(6))
+    run(sims, 3)
+
+    def change(state, sim):
+        rows = sim.rows_of("robot")
+        state["pos"][1, 4] = float("nan")
+        tear = torch.tensor([9.0e3, -9.0e3]).repeat(int(rows[2].sum()))[: int(rows[2].sum())]
+        state["vel"][2, rows[2]] = tear.double()  # within the bounds, not for long
+        robot = state["pos"][3, rows[3]].view(-1, 2)
+        middle = robot[:, 0].mean()
+        state["pos"][3, rows[3]] = torch.stack([middle + (robot[:, 0] - middle).abs(), robot[:, 1]], 1).flatten()
+        state["frozen"][4] = 1
+
+    disturb(sims, change)
+    actions = random_actions(sims[0], 7)
+    before = sims[1].state()
+    for sim in sims:
+        sim.step(actions)
+    lanes, groups = sims
+    assert torch.equal(groups.unstable, lanes.unstable)
+    assert torch.equal(groups.diverged, lanes.diverged)
+    assert groups.unstable.tolist() == [False, True, True, True, False, False]
+    assert groups.diverged[1]
+    assert not groups.diverged[3]
+    assert groups.time.tolist() == [4, 3, 3, 3, 3, 4]
+    assert not {"pos", "vel", "true_vel", "time", "frozen"} & set(differences(*sims))
+    for name in ("pos", "vel"):  # undone
+        assert torch.equal(groups.state()[name][2:5], before[name][2:5])
+    for sim in sims:
+        sim.set_frozen(torch.zeros(6, dtype=torch.bool))
+        sim.reset(torch.tensor([False, True, True, True, False, False]))
+    run(sims, 3, seed=2)
+
+
+def test_bits_do_not_depend_on_the_batch():
+    worlds = crowd(3)
+    together, alone = pair_of(worlds)[1], [pair_of([world])[1] for world in worlds]
+    for step in range(5):
+        actions = random_actions(together, step)
+        together.step(actions)
+        for k, sim in enumerate(alone):
+            sim.step(actions[k : k + 1, : sim.num_actions])
+    for k, sim in enumerate(alone):
+        count = sim.state()["pos"].shape[1]
+        for name in ("pos", "vel", "true_vel"):
+            assert torch.equal(together.state()[name][k : k + 1, :count], sim.state()[name])
+
+
+def test_worlds_are_exchanged_in_the_running_batch():
+    worlds = crowd(4)
+    sims = pair_of(worlds[:3], grid=(5, 5))
+    run(sims, 2)
+    mask = torch.tensor([False, True, False])
+    for sim in sims:
+        sim.set_worlds([worlds[3]], mask)
+    run(sims, 3, seed=1)
+    fresh = pair_of([worlds[0], worlds[3], worlds[2]], grid=(5, 5))[1]
+    for step in range(3):
+        fresh.step(random_actions(fresh, 100 + step))
+    for name in ("pos", "vel", "true_vel"):
+        assert torch.equal(fresh.state()[name][1], sims[1].state()[name][1])
+
+
+def test_an_environment_runs_in_the_group_layout(monkeypatch):
+    """Episodes with resets of their own, observations and rewards, with several threads."""
+
+    def play():
+        env = make_vec("Pusher-v0", num_envs=3, device="cpu", dtype="float32", threads=2, max_episode_steps=4)
+        env.reset()
+        said = []
+        for step in range(6):
+            obs, reward, terminated, truncated, _ = env.step(random_actions(env.sim, step))
+            said += [obs, reward, terminated | truncated]
+        return env.sim.layout, said
+
+    layout, expected = play()
+    monkeypatch.setattr(Simulation, "__init__", partialmethod(Simulation.__init__, layout="group"))
+    other, found = play()
+    assert (layout, other) == ("lanes", "group")
+    for mine, theirs in zip(found, expected, strict=True):
+        assert torch.equal(mine, theirs)
+    assert any(bool(done.any()) for done in found[2::3])
+
+
+# -------------------------------------------------------------------------------------------- which layout
+
+
+def test_the_layout_is_chosen_by_device_arithmetic_and_size(monkeypatch):
+    walker = pair_of_task("Walker-v0", count=1)[0]
+    assert walker.layout == "lanes"
+    resolved = packs.resolve_layout
+    assert resolved(None, "fast", "cpu", None) == "lanes"
+    assert resolved(None, "fast", "cuda:0", None) == "group"
+    assert resolved(None, "fast", "cuda:0", 32) == "lanes"
+    assert resolved(None, "exact", "cuda:0", None) == "lanes"
+    monkeypatch.setattr(packs, "choose", lambda *sizes: None)
+    assert pair_of_task("Walker-v0", count=1)[1].layout == "lanes"  # too large for a group
+
+
+def test_all_tasks_fit_into_shared_memory_and_35x35_bodies_do_not():
+    for precision in ("float32", "float64"):
+        assert group.choose(36, 104, precision, "cuda:0").parts == 16
+        assert group.choose(69, 196, precision, "cuda:0").parts == 32
+        assert group.choose(36 * 36, 5000, precision, "cuda:0") is None
+        assert group.choose(36 * 36, 5000, precision, "cpu").points == 36 * 36
+    for points, springs in [(356, 560), (370, 362), (344, 850)]:  # the largest worlds of the tasks
+        assert group.choose(points, springs, "float32", "cuda:0") is not None
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (dict(layout="groups"), "'group'"),
+        (dict(layout="group", arithmetic="exact", dtype="float64"), "arithmetic='fast'"),
+        (dict(layout="group", lanes=8), "lanes=None"),
+    ],
+)
+def test_a_layout_that_there_is_not_is_refused(options, says):
+    with pytest.raises(SimulationError, match=says):
+        Simulation(crowd(1), device="cpu", **options)

@@ -1,0 +1,67 @@
+"""Registers, spills, stack and shared memory of the step kernels, from NVIDIA's assembler: no GPU is needed."""
+
+import pytest
+
+from warpvox.cli.benchmarks.ptxas import ARCHITECTURES, Limits, assemble, find_program
+from warpvox.errors import WarpvoxError
+from warpvox.kernels import group
+from warpvox.kernels.step import step_kernel
+
+WALKER, BEAM, TRAVERSER = (36, 104), (69, 196), (344, 850)
+BLOCK_SHARED = 48 * 1024
+LANES = Limits(registers=255, stack=512, spilled=640, shared=0)
+"""One thread an environment: what it keeps is in memory anyway."""
+
+
+@pytest.fixture(autouse=True)
+def _assembler():
+    try:
+        find_program("ptxas")
+    except WarpvoxError as missing:
+        pytest.skip(str(missing))
+
+
+def limits_of(sizes, precision, architecture, folder):
+    kernel = group.group_kernel(group.choose(*sizes, precision, "cuda:0"))
+    return assemble(kernel, architecture, folder)
+
+
+def check_group(found, precision):
+    assert found.spilled == 0
+    assert found.stack == 0
+    assert found.registers <= group.REGISTERS[precision]
+    assert 0 < found.shared <= BLOCK_SHARED
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_a_walker_needs_no_memory_but_registers_and_shared_memory(architecture, tmp_path):
+    found = limits_of(WALKER, "float32", architecture, tmp_path)
+    check_group(found, "float32")
+    # by registers 10 warps of 2 environments are on a multiprocessor; the shared memory has to have room for them
+    assert found.shared * 10 <= 100 * 1024 * (2 if architecture in (90, 100) else 1.6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("sizes", [WALKER, BEAM])
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_other_groups_neither(architecture, sizes, precision, tmp_path):
+    check_group(limits_of(sizes, precision, architecture, tmp_path), precision)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_a_large_world_has_what_its_threads_own_in_local_memory(architecture, tmp_path):
+    found = limits_of(TRAVERSER, "float32", architecture, tmp_path)
+    assert found.spilled == 0
+    assert found.stack <= 2048
+    assert found.shared <= BLOCK_SHARED
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("arithmetic", "precision"), [("fast", "float32"), ("fast", "float64"), ("exact", "float64")])
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_one_thread_an_environment(architecture, arithmetic, precision, tmp_path):
+    found = assemble(step_kernel(arithmetic, precision, 1), architecture, tmp_path)
+    for name, most in vars(LANES).items():
+        assert name == "shared" or getattr(found, name) <= most, (name, found)
