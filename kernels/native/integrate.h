@@ -62,13 +62,11 @@ auto stand = [&](Value& fx, Value& fy, const Value& vx, const Value& y) {
     });
 };
 
-// Contact, drag, gravity, floor and springs, in this order.
-auto point_force = [&](unsigned x, Value& fx, Value& fy) {
-    const unsigned y = x + 1, p = x / 2;
-    fx = contact[x] - stage_vel[x] * model.drag;
-    fy = contact[y] - stage_vel[y] * model.drag - model.weight;
-    const Value above = height[p] + disp[y];
-    if (any_below(above)) stand(fx, fy, stage_vel[x], above);
+// Contact, drag, gravity, floor and springs, in this order, on a point at height `above` with velocity vx, vy.
+auto point_force = [&](unsigned p, Value vx, Value vy, Value above, Value& fx, Value& fy) {
+    fx = contact[2 * p] - vx * model.drag;
+    fy = contact[2 * p + 1] - vy * model.drag - model.weight;
+    if (any_below(above)) stand(fx, fy, vx, above);
     for (int n = link_start[p]; n < link_start[p + 1]; ++n) {
         const int s = link[n], lanes = link_lanes[n];
         const unsigned t = 2 * (s >= 0 ? s : -1 - s);
@@ -86,14 +84,15 @@ auto point_force = [&](unsigned x, Value& fx, Value& fy) {
     }
 };
 
-// x += dt v + dt^2 / 6 (a1 + a2 + a3) and v += dt / 6 (a1 + 2 a2 + 2 a3 + a4), in float64.
-auto finish = [&](unsigned r, auto free) {
+// x += dt v + dt^2 / 6 (a1 + a2 + a3) and v += dt / 6 (a1 + 2 a2 + 2 a3 + a4), in float64. A fixed point takes part in the
+// stages; only its update is dropped.
+auto finish = [&](unsigned r, Value sum, auto free) {
     const Wide velocity = vel[r];
     const auto sixth = free * dt / 6.0;
     const Wide step = velocity * (free * dt) + widen(sum_bend[r]) * (sixth * dt);
     move[r] = step;
     disp[r] = narrow(step);
-    vel[r] = velocity + widen(sum_vel[r]) * sixth;
+    vel[r] = velocity + widen(sum) * sixth;
 };
 
 // A twin feels what its leader feels.
@@ -106,12 +105,6 @@ for (int e = 0; e < wp::index(model.twins, mesh); ++e) {
     }
 }
 
-for (int n = 0; n < actives; ++n) {
-    const unsigned r = active[n];
-    start_vel[r] = stage_vel[r] = narrow(vel[r]);
-    disp[r] = stage_vel[r] * Real(0);
-    if (r % 2) height[r / 2] = narrow(pos[r]);
-}
 for (int stage = 0; stage < 4; ++stage) {
     const Real ahead = stage < 2 ? Real(dt) * Real(0.5) : Real(dt);
     if (stage == 0) {
@@ -120,33 +113,34 @@ for (int stage = 0; stage < 4; ++stage) {
         stretch_springs();
     }
     for (int n = 0; n < actives; n += 2) {
-        const unsigned x = active[n];
+        const unsigned x = active[n], p = x / 2;
+        if (stage == 0) {
+            start_vel[x] = stage_vel[x] = narrow(vel[x]);
+            start_vel[x + 1] = stage_vel[x + 1] = narrow(vel[x + 1]);
+            height[p] = narrow(pos[x + 1]);
+        }
+        const Value velocity[2] = {stage_vel[x], stage_vel[x + 1]};
         Value force[2];
-        point_force(x, force[0], force[1]);
+        point_force(p, velocity[0], velocity[1], stage == 0 ? height[p] : height[p] + disp[x + 1], force[0], force[1]);
         for (unsigned axis = 0; axis < 2; ++axis) {
             const unsigned r = x + axis;
             const Value a = force[axis] * model.inverse_mass;
-            if (stage == 0) {
-                sum_bend[r] = a;
-                sum_vel[r] = a;
-            } else if (stage < 3) {
-                sum_bend[r] = sum_bend[r] + a;
-                sum_vel[r] = sum_vel[r] + a * Real(2);
-            } else {
-                sum_vel[r] = sum_vel[r] + a;
+            if (stage == 3) {
+                if (free_lanes[p] == -1) {
+                    finish(r, sum_vel[r] + a, 1.0);
+                } else {
+                    finish(r, sum_vel[r] + a, widen(weights(free_lanes[p])));
+                }
                 continue;
             }
-            disp[r] = stage_vel[r] * ahead;
+            if (stage == 0) {
+                sum_vel[r] = a;
+            } else {
+                sum_bend[r] = (stage == 1 ? sum_vel[r] : sum_bend[r]) + a;
+                sum_vel[r] = sum_vel[r] + a * Real(2);
+            }
+            disp[r] = velocity[axis] * ahead;
             stage_vel[r] = start_vel[r] + a * ahead;
         }
-    }
-}
-// A fixed point takes part in the stages; only its update is dropped.
-for (int n = 0; n < actives; ++n) {
-    const int lanes = free_lanes[active[n] / 2];
-    if (lanes == -1) {
-        finish(active[n], 1.0);
-    } else {
-        finish(active[n], widen(weights(lanes)));
     }
 }
