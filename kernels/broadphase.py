@@ -44,6 +44,16 @@ def boxes(kit: Kit):
 
 
 @builder
+def boxes_meet(kit: Kit):
+    """Function: the lanes in which the boxes of row i of a table and row j of another overlap or touch."""
+
+    @kit.func_native("native/boxes_meet.h", precision="float64")
+    def meet(one: wp.array3d(dtype=wp.float64), i, other: wp.array3d(dtype=wp.float64), j, pack, lane) -> int: ...
+
+    return meet
+
+
+@builder
 def mark_pair(kit: Kit):
     """Function: note that two voxels are candidates, in one bit for both orders; still ones never meet."""
 

@@ -9,7 +9,7 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.broadphase import lattice_range
+from warpvox.kernels.broadphase import boxes_meet, lattice_range
 from warpvox.kernels.kit import Kit, builder
 from warpvox.kernels.lanes import text
 
@@ -160,38 +160,6 @@ def apply(kit: Kit):
     return act
 
 
-# -------------------------------------------------------------------------------------------------- narrow phase
-
-
-@functools.cache
-def corner_contact(kit: Kit, act):
-    """Function: do what ``act`` does with the contact of corner c of quad m, which is in quad r, if it is one."""
-
-    @kit.func
-    def meet(
-        model, data, mesh, pack, k, i, m: quad, m_sides, p, c, j, r: quad, r_sides, r_points: wp.vec4i, times: real,
-    ):  # fmt: skip
-        side, depth = nearest_side(m, m_sides, c, r, r_sides)
-        if side >= 0:
-            f = (side + 1) % 4
-            ux, uy = r[2 * f] - r[2 * side], r[2 * f + 1] - r[2 * side + 1]
-            length = wp.sqrt(ux * ux + uy * uy)
-            ends, normal = wp.vec2i(r_points[side], r_points[f]), wp.vec3d(-uy / length, ux / length, depth)
-            act(model, data, mesh, pack, k, i, j, c, p, ends, normal, times)
-
-    return meet
-
-
-@builder
-def voxel_quad(kit: Kit):
-    """Function: a voxel of one lane as a quad."""
-
-    @wp.func_native(text("native/quad.h"))
-    def of(places: points3, pack: int, k: int, c: wp.vec4i) -> quad: ...
-
-    return of
-
-
 # ------------------------------------------------------------------------- one lane's view of the tables of a pack
 # These take arrays, not the Model: called from several places they may not be inlined, and structs go by value.
 
@@ -218,13 +186,43 @@ def leader(twin_range: pairs, twin: pairs, twin_lanes: masks, mesh: int, p: int,
     return found
 
 
-@wp.func
-def leaders(twin_range: pairs, twin: pairs, twin_lanes: masks, mesh: int, p: wp.vec4i, k: int):
-    """The same for the corners of a voxel."""
-    return wp.vec4i(
-        leader(twin_range, twin, twin_lanes, mesh, p[0], k), leader(twin_range, twin, twin_lanes, mesh, p[1], k),
-        leader(twin_range, twin, twin_lanes, mesh, p[2], k), leader(twin_range, twin, twin_lanes, mesh, p[3], k),
-    )  # fmt: skip
+# -------------------------------------------------------------------------------------------------- narrow phase
+
+
+@functools.cache
+def corner_contact(kit: Kit, act):
+    """Function: do what ``act`` does with the contact of corner c of quad m, which is in quad r, if it is one."""
+
+    @kit.func
+    def meet(
+        model, data, mesh, pack, k, i, m: quad, m_sides, p, c, j, r: quad, r_sides, r_points: wp.vec4i, times: real,
+    ):  # fmt: skip
+        side, depth = nearest_side(m, m_sides, c, r, r_sides)
+        if side >= 0:
+            f = (side + 1) % 4
+            ux, uy = r[2 * f] - r[2 * side], r[2 * f + 1] - r[2 * side + 1]
+            length = wp.sqrt(ux * ux + uy * uy)
+            ends, normal = wp.vec2i(r_points[side], r_points[f]), wp.vec3d(-uy / length, ux / length, depth)
+            point = int(p)
+            if model.twins[mesh] > 0:
+                point = leader(model.twin_range, model.twin, model.twin_lanes, mesh, p, k)
+                ends = wp.vec2i(
+                    leader(model.twin_range, model.twin, model.twin_lanes, mesh, ends[0], k),
+                    leader(model.twin_range, model.twin, model.twin_lanes, mesh, ends[1], k),
+                )
+            act(model, data, mesh, pack, k, i, j, c, point, ends, normal, times)
+
+    return meet
+
+
+@builder
+def voxel_quad(kit: Kit):
+    """Function: a voxel of one lane as a quad."""
+
+    @wp.func_native(text("native/quad.h"))
+    def of(places: points3, pack: int, k: int, c: wp.vec4i) -> quad: ...
+
+    return of
 
 
 @functools.cache
@@ -255,9 +253,6 @@ def voxel_contacts(kit: Kit, act):
         m, r = quad_of(data.pos, pack, k, model.corner[mesh, i]), quad_of(data.pos, pack, k, model.corner[mesh, j])
         p, ends = int(model.pushed[mesh, i][c]), model.pushed[mesh, j]
         r_points = wp.vec4i(ends[0], ends[1], ends[2], ends[3])
-        if model.twins[mesh] > 0:
-            p = leader(model.twin_range, model.twin, model.twin_lanes, mesh, p, k)
-            r_points = leaders(model.twin_range, model.twin, model.twin_lanes, mesh, r_points, k)
         m_sides = surface_sides(model.side_lanes, mesh, i, k)
         r_sides = surface_sides(model.side_lanes, mesh, j, k)
         meet(model, data, mesh, pack, k, i, m, m_sides, p, c, j, r, r_sides, r_points, times)
@@ -290,7 +285,7 @@ def holds(x0: real, x1: real, y0: real, y1: real, x: real, y: real):
 def terrain_contacts(kit: Kit, act):
     """Function: contacts of the near voxels with the cells of the terrain lattice."""
     meet, quad_of, span = corner_contact(kit, act), voxel_quad(kit), lattice_range(kit)
-    load, at_most = kit.wide.load, kit.wide.at_most
+    overlap = boxes_meet(kit)
 
     @kit.func
     def cell_quad(model, frame, cell):
@@ -329,8 +324,6 @@ def terrain_contacts(kit: Kit, act):
         loaded, frame = int(0), model.frame[mesh]
         corners = model.corner[mesh, v]
         mc = wp.vec4i(corners[0], corners[1], corners[2], corners[3])
-        if model.twins[mesh] > 0:
-            mc = leaders(model.twin_range, model.twin, model.twin_lanes, mesh, mc, k)
         m = quad()
         for cy in range(cy0, cy1 + 1):
             for cx in range(cx0, cx1 + 1):
@@ -342,21 +335,10 @@ def terrain_contacts(kit: Kit, act):
                     with_cell(model, data, mesh, pack, k, v, m, mc, cell, cell_quad(model, frame, cell))
 
     @kit.func
-    def meets(data, pack, lane, v, axis):
-        """The lanes in which a voxel's box overlaps the bounds of the cells near it, in x (axis 0) or y (axis 2)."""
-        r = 4 * v + axis
-        lanes = at_most(load(data.box, pack, r, lane), load(data.near_box, pack, r + 1, lane))
-        if lanes != 0:
-            lanes = lanes & at_most(load(data.near_box, pack, r, lane), load(data.box, pack, r + 1, lane))
-        return lanes
-
-    @kit.func
     def all_near(model, data, mesh, pack, lane, unit, active):
         for n in range(data.near_count[unit]):
             v = data.near[unit, n]
-            lanes = active & meets(data, pack, lane, v, 2)
-            if lanes != 0:
-                lanes = lanes & meets(data, pack, lane, v, 0)
+            lanes = active & overlap(data.box, v, data.near_box, v, pack, lane)
             while lanes != 0:
                 with_terrain(model, data, mesh, pack, lane + kit.first(lanes), v)
                 lanes = kit.drop(lanes)

@@ -3,7 +3,7 @@
 Uses the boxes of the sub-step's start; a pair counts in both orders.
 """
 
-from warpvox.kernels.broadphase import DISTANT
+from warpvox.kernels.broadphase import DISTANT, boxes_meet
 from warpvox.kernels.kit import Kit, builder
 from warpvox.kernels.state import UNSTABLE
 
@@ -12,19 +12,7 @@ from warpvox.kernels.state import UNSTABLE
 def check(kit: Kit):
     """Stage: set UNSTABLE in the status of environments with a folded robot."""
     width = kit.width
-    load, at_most = kit.wide.load, kit.wide.at_most
-
-    @kit.func
-    def overlap(data, pack, lane, i, j):
-        """The lanes in which the boxes of two voxels overlap or touch; mostly one side can tell."""
-        lanes = at_most(load(data.box, pack, 4 * i, lane), load(data.box, pack, 4 * j + 1, lane))
-        if lanes != 0:
-            lanes = lanes & at_most(load(data.box, pack, 4 * j, lane), load(data.box, pack, 4 * i + 1, lane))
-        if lanes != 0:
-            lanes = lanes & at_most(load(data.box, pack, 4 * i + 2, lane), load(data.box, pack, 4 * j + 3, lane))
-        if lanes != 0:
-            lanes = lanes & at_most(load(data.box, pack, 4 * j + 2, lane), load(data.box, pack, 4 * i + 3, lane))
-        return lanes
+    meet = boxes_meet(kit)
 
     @kit.func
     def clear(data, pack, lane, robots):
@@ -47,7 +35,7 @@ def check(kit: Kit):
         for n in range(data.pair_count[unit]):
             pair = data.pairs[unit, n]
             if (pair[2] & DISTANT) != 0:
-                lanes = overlap(data, pack, lane, pair[0], pair[1])
+                lanes = meet(data.box, pair[0], data.box, pair[1], pack, lane)
                 if lanes != 0 and found == 0:
                     clear(data, pack, lane, model.robots[mesh])
                     found = 1

@@ -15,8 +15,16 @@ auto weights = [&](int mask) -> Value {  // 1 in the lanes of a mask, else 0
     __builtin_memcpy(&bits, &mask, WIDTH / 8);
     return __builtin_convertvector(bits, Value);
 };
-auto least = [](Wide a) -> double { return __builtin_reduce_min(a); };
-auto largest = [](Wide a) -> double { return __builtin_reduce_max(a); };
+// One of all lanes but NaN, from halves: the compiler's own way is one lane after another.
+auto halve = [](auto self, auto a, auto choose) -> double {
+    if constexpr (sizeof(a) == sizeof(double)) {
+        return a;
+    } else {
+        return self(self, choose(a.lo, a.hi), choose);
+    }
+};
+auto least = [&](Wide a) -> double { return halve(halve, a, [](auto b, auto c) { return (b < c) | (c != c) ? b : c; }); };
+auto largest = [&](Wide a) -> double { return halve(halve, a, [](auto b, auto c) { return (b > c) | (c != c) ? b : c; }); };
 auto bits_of = [](auto a) -> int {
     typedef bool Bits __attribute__((ext_vector_type(WIDTH)));
     const Bits bits = __builtin_convertvector(a, Bits);
@@ -24,7 +32,7 @@ auto bits_of = [](auto a) -> int {
     __builtin_memcpy(&mask, &bits, WIDTH / 8);
     return static_cast<int>(mask);
 };
-auto any_below = [&](Value a) -> bool { return bits_of(a <= Real(0)); };  // the least of all takes much longer
+auto any_below = [&](Value a) -> bool { return bits_of(a <= Real(0)); };
 auto values = [&](const wp::array_t<Real>& a) { return reinterpret_cast<Value*>(&wp::index(a, pack, 0, lane)); };
 auto wides = [&](const wp::array_t<double>& a) { return reinterpret_cast<Wide*>(&wp::index(a, pack, 0, lane)); };
 // A table of the Model that differs from lane to lane.
