@@ -18,6 +18,7 @@ WIDE_GRID_FROM = 256  # ... where comparing boxes serves many lanes at once
 SLOT = 0.2  # size of a grid cell: a voxel with its margin covers 1 to 4 cells
 ENTRIES_PER_VOXEL = 9  # capacity; a voxel cannot be stretched over more cells than 3 x 3
 DISTANT = wp.constant(16)  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
+WIDE_HULL = 2.0  # lanes that are further apart are looked at one by one
 TORN = 5.0  # a voxel wider than this has exploded: its environment is lost, and its cells are too many to visit
 
 
@@ -69,8 +70,22 @@ def mark_pair(kit: Kit):
 
 
 @builder
+def hulls(kit: Kit):
+    """Stage: boxes of the mobile voxels around all lanes."""
+
+    @kit.func_native("native/hulls.h", precision="float64")
+    def enclose(model, data, mesh, pack, lane, unit): ...
+
+    @kit.func
+    def stage(model, data, mesh, pack, lane, unit, dt):
+        enclose(model, data, mesh, pack, lane, unit)
+
+    return stage
+
+
+@builder
 def mark_all(kit: Kit):
-    """Stage: candidates among mobile voxels by comparing all boxes with all."""
+    """Stage: candidates among mobile voxels by comparing all boxes with all, after their hulls."""
 
     @kit.func_native("native/mark_all.h", precision="float64")
     def mark(model, data, mesh, pack, lane, unit, margin): ...
@@ -163,34 +178,69 @@ def mark_grid(kit: Kit):
     return stage
 
 
+@wp.func
+def lattice_cells(size: wp.vec2i, x0: wp.float64, x1: wp.float64, y0: wp.float64, y1: wp.float64):
+    """First and last column and row of a terrain lattice under bounds; none if these are not finite."""
+    if on_lattice(x0, x1, y0, y1):
+        s = wp.float64(1.0 / VOXEL)
+        slack = wp.float64(1.0e-3)  # in cells: coordinates carry rounding, the lattice does not
+        return (
+            wp.max(int(wp.floor(x0 * s - slack)), 0),
+            wp.min(int(wp.floor(x1 * s + slack)), size[0] - 1),
+            wp.max(int(wp.floor(y0 * s - slack)), 0),
+            wp.min(int(wp.floor(y1 * s + slack)), size[1] - 1),
+        )
+    return 0, -1, 0, -1
+
+
 @builder
 def lattice_range(kit: Kit):
     """Function: columns and rows of the terrain lattice under a box that is ``margin`` wider on every side."""
 
     @kit.func
     def span(model, data, mesh, pack, k, v, margin):
-        size = model.terrain[model.frame[mesh]]
         x0, x1 = data.box[pack, 4 * v, k] - margin, data.box[pack, 4 * v + 1, k] + margin
         y0, y1 = data.box[pack, 4 * v + 2, k] - margin, data.box[pack, 4 * v + 3, k] + margin
-        if on_lattice(x0, x1, y0, y1):
-            s = wp.float64(1.0 / VOXEL)
-            slack = wp.float64(1.0e-3)  # in cells: coordinates carry rounding, the lattice does not
-            return (
-                wp.max(int(wp.floor(x0 * s - slack)), 0),
-                wp.min(int(wp.floor(x1 * s + slack)), size[0] - 1),
-                wp.max(int(wp.floor(y0 * s - slack)), 0),
-                wp.min(int(wp.floor(y1 * s + slack)), size[1] - 1),
-            )
-        return 0, -1, 0, -1
+        return lattice_cells(model.terrain[model.frame[mesh]], x0, x1, y0, y1)
 
     return span
+
+
+@builder
+def lattice_content(kit: Kit):
+    """Function: what is under the hull of the n-th mobile voxel: bit 1 surface of terrain, bit 2 still voxels.
+
+    Both are said to be where the hull is large (its lanes are far apart) or not finite.
+    """
+
+    @kit.func
+    def content(model, data, mesh, unit, n):
+        frame, margin = model.frame[mesh], model.margin
+        size = model.terrain[frame]
+        x0, x1, y0, y1 = lattice_cells(
+            size, data.hull[unit, 4 * n] - margin, data.hull[unit, 4 * n + 1] + margin,
+            data.hull[unit, 4 * n + 2] - margin, data.hull[unit, 4 * n + 3] + margin,
+        )  # fmt: skip
+        found = int(0)
+        if not data.hull[unit, 4 * n + 1] - data.hull[unit, 4 * n] < wp.float64(WIDE_HULL) or y1 < y0:
+            found = 3
+        else:
+            for y in range(y0, y1 + 1):
+                for x in range(x0, x1 + 1):
+                    if model.terrain_side[frame, y * size[0] + x] != 0:
+                        found = found | 1
+                    if model.still_at[frame, y * size[0] + x] >= 0:
+                        found = found | 2
+        return found
+
+    return content
 
 
 @builder
 def mark_still(kit: Kit):
     """Stage: candidates of mobile voxels and those that stand still, which the terrain lattice finds."""
     width = kit.width
-    mark, meet, span = mark_pair(kit), meets(kit), lattice_range(kit)
+    mark, meet, span, content = mark_pair(kit), meets(kit), lattice_range(kit), lattice_content(kit)
 
     @kit.func
     def look(model, data, mesh, pack, k, unit, v):
@@ -208,6 +258,8 @@ def mark_still(kit: Kit):
             return
         lanes = int(width)
         for n in range(model.mobiles[mesh]):
+            if (content(model, data, mesh, unit, n) & 2) == 0:
+                continue
             for k in range(lane, lane + lanes):
                 look(model, data, mesh, pack, k, unit, model.mobile[mesh, n])
 
@@ -232,7 +284,7 @@ def list_pairs(kit: Kit):
 def collect_near(kit: Kit):
     """Stage: voxels that may touch terrain in some lane."""
     width = kit.width
-    span = lattice_range(kit)
+    span, content = lattice_range(kit), lattice_content(kit)
 
     @kit.func
     def touches(model, data, mesh, pack, k, v):
@@ -271,6 +323,8 @@ def collect_near(kit: Kit):
             v = model.mobile[mesh, m]
             found = int(0)
             k = int(lane)
+            if (content(model, data, mesh, unit, m) & 1) == 0:
+                k = lane + int(width)
             while found == 0 and k < lane + int(width):
                 found = touches(model, data, mesh, pack, k, v)
                 k += 1
@@ -289,12 +343,14 @@ def collect_pairs(kit: Kit):
     """Stage: the candidate pairs anew."""
     enclose = voxel_boxes(kit)
     grid_from = GRID_FROM if kit.width == 1 else WIDE_GRID_FROM
-    by_grid, by_all, by_lattice, listed = (build(kit) for build in (mark_grid, mark_all, mark_still, list_pairs))
+    around, by_grid, by_all = hulls(kit), mark_grid(kit), mark_all(kit)
+    by_lattice, listed = mark_still(kit), list_pairs(kit)
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
         if model.mobiles[mesh] < model.voxels[mesh]:
             enclose(model, data, mesh, pack, lane, 0)
+        around(model, data, mesh, pack, lane, unit, dt)
         if model.mobiles[mesh] >= grid_from:
             by_grid(model, data, mesh, pack, lane, unit, dt)
         else:

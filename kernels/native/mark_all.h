@@ -1,17 +1,12 @@
 // Body of a function (model, data, mesh, pack, lane, unit, margin): candidates among mobile voxels, by boxes around all
-// lanes first: while lanes are alike that is nearly enough.
+// lanes first (hulls.h): while lanes are alike that is nearly enough.
 
 const auto box = wides(data.box);
 const int n = wp::index(model.mobiles, mesh), words = (wp::index(model.voxels, mesh) + 31) / 32;
 const int* mobile = &wp::index(model.mobile, mesh, 0);
 const int* still = &wp::index(model.still, mesh, 0);
-double* hull = &wp::index(data.hull, unit, 0);
+const double* hull = &wp::index(data.hull, unit, 0);
 int* bits = &wp::index(data.pair_bit, unit, 0);
-for (int a = 0; a < n; ++a) {
-    for (int side = 0; side < 4; ++side) {
-        hull[4 * a + side] = side % 2 ? largest(box[4 * mobile[a] + side]) : least(box[4 * mobile[a] + side]);
-    }
-}
 for (int a = 0; a < n; ++a) {
     const int i = mobile[a];
     const double slack = 1.001 * margin;

@@ -11,6 +11,7 @@ from warpvox.kernels.broadphase import (
     boxes,
     collect_near,
     collect_pairs,
+    hulls,
     list_pairs,
     mark_all,
     mark_grid,
@@ -97,7 +98,7 @@ def test_grid_and_brute_force_agree(sim, seed, spread):
     expected = brute_force(sim, corners)
     for build in (mark_grid, mark_all):
         sim._state.arrays["overflow"].zero_()
-        found = candidates(sim, build, list_pairs)
+        found = candidates(sim, hulls, build, list_pairs)
         if sim._state.arrays["overflow"].numpy()[0]:
             assert spread > 0.1
             assert found.items() <= expected.items()
@@ -155,6 +156,7 @@ def test_voxels_near_terrain_are_found(sim, seed, drop):
     pos[:, 1::2] -= 0.4 - drop
     state.arrays["pos"].assign(pos)
     launch_stage(boxes, state)
+    launch_stage(hulls, state)
     launch_stage(collect_near, state)
     near = set(state.arrays["near"].numpy()[0, : int(state.arrays["near_count"].numpy()[0])].tolist())
     low, high = height.min(-1) - (0.4 - drop), height.max(-1) - (0.4 - drop)
