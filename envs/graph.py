@@ -12,6 +12,8 @@ from typing import Any
 import torch
 import warp as wp
 
+from warpvox.kernels.device import current_stream
+
 __all__ = ["EAGER_STEPS", "StepGraph", "capture_on_cuda"]
 
 Capture = Callable[[Callable[[], Any]], tuple[Callable[[], None], Any]]
@@ -25,11 +27,11 @@ def capture_on_cuda(device: str) -> Capture:
 
     def capture(step: Callable[[], Any]) -> tuple[Callable[[], None], Any]:
         stream = torch.cuda.Stream(device)
-        ours = wp.stream_from_torch(stream)
         graph = torch.cuda.CUDAGraph()
         # Within, torch's current stream is this one, and kernels are launched on it (warpvox.kernels.device).
         # thread_local: what other threads do meanwhile (data loaders, loggers) cannot spoil the capture.
         with torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local"):
+            ours = current_stream(device)
             wp.capture_begin(stream=ours, external=True)
             try:
                 results = step()

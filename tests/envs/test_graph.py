@@ -330,6 +330,35 @@ def test_there_is_no_graph_on_the_cpu() -> None:
 
 
 @pytest.mark.gpu
+@pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0", "Balancer-v1", "UpStepper-v0"])
+def test_on_cuda_a_graph_misses_nothing_that_is_done_between_steps(task: str) -> None:
+    options = dict(device="cuda", max_episode_steps=5)
+    envs = tuple(make_vec(task, num_envs=3, cuda_graph=graph, **options) for graph in (False, True))
+    random = torch.Generator().manual_seed(0)
+    for meddle in MEDDLING:
+        told = [meddle(env) for env in envs]
+        assert told[0] is None or equal(*told), meddle.__name__
+        for step in range(5):
+            assert equal(*acting(envs, random)), (meddle, step)
+        assert equal(*(env.state() for env in envs))
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("graph", [False, True])
+def test_on_cuda_every_stream_of_torch_gives_the_same(graph: bool) -> None:
+    envs = tuple(make_vec("Catcher-v0", num_envs=3, device="cuda", max_episode_steps=5, cuda_graph=graph) for _ in "ab")
+    random = torch.Generator().manual_seed(0)
+    for _ in range(8):
+        actions = 0.6 + torch.rand((3, envs[0].num_actions), generator=random)
+        expected = envs[0].step(actions)
+        torch.cuda.synchronize()
+        with torch.cuda.stream(torch.cuda.Stream()):
+            found = envs[1].step(actions)
+            torch.cuda.current_stream().synchronize()
+        assert equal(expected, found)
+
+
+@pytest.mark.gpu
 @pytest.mark.parametrize("task", task_ids())
 def test_on_cuda_a_graph_gives_the_same(task: str) -> None:
     random = torch.Generator().manual_seed(0)
