@@ -45,6 +45,15 @@ class Mortal(ToyEvaluator):
         return outcomes
 
 
+class Refusing(ToyEvaluator):
+    """Fails in two ways."""
+
+    def evaluate(self, candidates: Sequence[Candidate], *more: Any) -> list[Outcome]:
+        if candidates[0].id == 0:
+            raise RunError("Learning diverged.")
+        raise ZeroDivisionError("a defect")
+
+
 @pytest.fixture(scope="module")
 def alone() -> Iterator[None]:
     """One cluster at a time, also where tests run in several processes: its head has a port that is its own."""
@@ -105,32 +114,21 @@ def test_two_nodes_with_dying_workers_give_the_results_of_one_process(
     assert set(heard) <= {record.id for record in loop.archive.records() if record.reused is None}
 
 
-def test_a_batch_that_kills_every_worker_ends_the_run_with_its_name(cluster: tuple, tmp_path: Path) -> None:
+def test_errors_of_an_evaluator_come_through_as_they_are(cluster: tuple, tmp_path: Path) -> None:
     make = functools.partial(Mortal, tmp_path, fatal=(0,), once=False)
     executor = on_ray.RayExecutor(make, workers=2, address=cluster[0].address)
-    batch = Batch([Candidate(0, make_loop(tmp_path / "x").search.ask()[0].body)])
-    with pytest.raises(RunError, match=r"candidates \[0\] has ended its worker 3 times"):
-        list(executor.run([batch], {}, lambda place, event: None))
-
-
-class Refusing(ToyEvaluator):
-    """Fails in two ways."""
-
-    def evaluate(self, candidates: Sequence[Candidate], *more: Any) -> list[Outcome]:
-        if candidates[0].id == 0:
-            raise RunError("Learning diverged.")
-        raise ZeroDivisionError("a defect")
-
-
-def test_errors_of_an_evaluator_come_through_as_they_are(cluster: tuple, tmp_path: Path) -> None:
-    executor = on_ray.RayExecutor(Refusing, address=cluster[0].address)
     body = make_loop(tmp_path / "x").search.ask()[0].body
+    with pytest.raises(RunError, match=r"candidates \[0\] has ended its worker 3 times"):
+        list(executor.run([Batch([Candidate(0, body)])], {}, lambda place, event: None))
+    executor.close()
+    executor = on_ray.RayExecutor(Refusing, address=cluster[0].address)
     with pytest.raises(RunError, match="Learning diverged"):
         list(executor.run([Batch([Candidate(0, body)])], {}, lambda place, event: None))
     with pytest.raises(ZeroDivisionError, match="a defect"):
         list(executor.run([Batch([Candidate(1, body)])], {}, lambda place, event: None))
 
 
+@pytest.mark.slow
 def test_started_here_and_without_room(tmp_path: Path, undisturbed: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
     with pytest.raises(RunError, match="a worker takes 1 and 64"):
@@ -153,6 +151,7 @@ def test_no_cluster_and_no_ray_are_clear_errors(monkeypatch: pytest.MonkeyPatch)
         on_ray.RayExecutor(ToyEvaluator)
 
 
+@pytest.mark.slow
 def test_when_the_last_node_is_lost_the_wait_for_another_has_an_end(
     cluster: tuple, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -122,7 +122,7 @@ def test_whole_trainings_equal_separate_stock_ones(preset: str, task: str) -> No
     assert training.algorithm.rates.tolist() == pytest.approx([stock.runner.alg.learning_rate for stock in stocks])
 
 
-@pytest.mark.parametrize("envs", [4, 16])
+@pytest.mark.parametrize("envs", [4, pytest.param(16, marks=pytest.mark.slow)])
 def test_updates_with_the_papers_settings_equal_stock_ones_in_float32(envs: int) -> None:
     """Table 6, 512 samples an iteration: from equal transitions equal parameters."""
     how = training_preset("paper", {"steps": 512 // envs}, envs=envs)

@@ -225,7 +225,7 @@ def test_population_prints_no_time_of_a_wrong_training(warpvox: Callable, monkey
     from warpvox.algos import population_ppo
 
     monkeypatch.setattr(population_ppo, "clip_gradients", lambda parameters, limit: None)
-    outcome = warpvox("bench", "suite=population", *TINY, "population.designs=2")
+    outcome = warpvox("bench", "suite=population", *TINY, "population.designs=2", "population.training=fast")
     assert outcome.code == 2
     assert "no speed is worth printing" in outcome.err
     assert "control steps/s" not in outcome.out

@@ -15,14 +15,16 @@ from fuzz_harness import Target, feed, make, shortened
 
 from warpvox.errors import DesignError
 
-SAMPLE = 200
+SAMPLE = 100
 SLOW_TARGETS = {
-    "make_vec": 40,
-    "Simulation": 60,
-    "command line": 30,
-    "sample_design": 60,
-    "rollout .npz": 100,
-    "config.yaml of a run": 30,
+    "make_vec": 20,
+    "Simulation": 30,
+    "command line": 20,
+    "sample_design": 40,
+    "task files": 30,
+    "checkpoint .pt": 60,
+    "rollout .npz": 60,
+    "config.yaml of a run": 20,
 }
 """Those of which an input takes tens of milliseconds or more."""
 SEED = 0

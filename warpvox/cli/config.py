@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -126,8 +127,9 @@ def load(
     """
     schema = COMMANDS[command]
     parsed = _parse(Arguments(overrides=overrides, config_dir=config_dir), command)
+    scratch = OmegaConf.structured(schema)
     for override in parsed:
-        _check_override(override, schema, config_dir)
+        _check_override(override, schema, scratch, config_dir)
     file = next((override.value() for override in parsed if override.key_or_group == "config"), None)
     if file is not None and any(override.key_or_group == PRESET for override in parsed):
         raise ConfigError(f"config={file} and {PRESET} both say where to start from: give one of them.")
@@ -223,7 +225,9 @@ _Dumper.add_representer(list, _represent_list)
 # ----------------------------------------------------------------------------------------------- overrides
 
 
+@functools.cache
 def _register() -> None:
+    """Make the schemas known to Hydra; once, because it takes as long as a small command."""
     store = ConfigStore.instance()
     for command, schema in COMMANDS.items():
         store.store(name=f"{command}_schema", node=schema)
@@ -283,8 +287,11 @@ def _parse(arguments: Arguments, command: str) -> list[Override]:
     return parsed
 
 
-def _check_override(override: Override, schema: type, config_dir: Path | None) -> None:
-    """Check the name of a group's file, or the type of a value, with words that name key and value."""
+def _check_override(override: Override, schema: type, scratch: Any, config_dir: Path | None) -> None:
+    """Check the name of a group's file, or the type of a value, with words that name key and value.
+
+    ``scratch`` is a configuration of the schema that takes the value.
+    """
     key, value = override.key_or_group, override.value()
     if key in GROUPS:
         options = sorted(_options(key, config_dir))
@@ -296,7 +303,7 @@ def _check_override(override: Override, schema: type, config_dir: Path | None) -
             )
         return
     try:
-        OmegaConf.update(OmegaConf.structured(schema), key, value)
+        OmegaConf.update(scratch, key, value)
     except (OmegaConfBaseException, OverflowError) as error:
         kind = dict(flat_keys(schema))[key].type
         words = next((text for name, text in TYPES.items() if name in str(kind)), f"{kind}")
