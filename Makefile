@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # On all cores; `make test JOBS=0` in one process.
 JOBS ?= auto
-PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
 # Tools of the maintainers have an environment of their own: .venv cannot be made while the locks are out of date.
 TOOLS := build/tools

@@ -110,6 +110,7 @@ def test_a_wrong_batch_gets_no_time(warpvox: Callable, monkeypatch: pytest.Monke
     assert "differs from one alone" in outcome.err
 
 
+@pytest.mark.slow  # the protocol is that of suite=peer
 def test_tasks_beside_the_reference(warpvox: Callable, fake_reference: Callable) -> None:
     words = ["tasks=[Walker-v0,UpStepper-v0]", "columns=[step]", f"peer.python={fake_reference()}"]
     outcome = warpvox("bench", "suite=tasks", *TINY, *words)

@@ -129,7 +129,9 @@ def test_the_same_seed_gives_the_same_search_and_a_sweep_makes_several(search: C
     assert found.count(one) == 2
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow), (signal.SIGTERM, 143)]
+)
 def test_an_interrupt_saves_and_the_search_goes_on_to_the_same(
     search: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch, number: int, code: int
 ) -> None:
