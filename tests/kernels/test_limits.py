@@ -13,12 +13,15 @@ LANES = Limits(registers=255, stack=512, spilled=640, shared=0)
 """One thread an environment: what it keeps is in memory anyway."""
 
 
-@pytest.fixture(autouse=True)
-def _assembler():
+@pytest.fixture
+def assembler():
     try:
         find_program("ptxas")
     except WarpvoxError as missing:
         pytest.skip(str(missing))
+
+
+needs_assembler = pytest.mark.usefixtures("assembler")
 
 
 def limits_of(sizes, precision, architecture, folder):
@@ -33,6 +36,21 @@ def check_group(found, precision):
     assert 0 < found.shared <= BLOCK_SHARED
 
 
+@pytest.mark.parametrize(("release", "taken"), [("12.0", False), ("99.1", True)])
+def test_an_assembler_on_the_path_that_is_too_old_is_not_taken(release, taken, tmp_path, monkeypatch):
+    monkeypatch.setattr("warpvox.cli.benchmarks.ptxas.FETCHED", tmp_path)
+    program = tmp_path / "ptxas"
+    program.write_text(f"#!/bin/sh\necho Cuda compilation tools, release {release}, V{release}.1\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    if taken:
+        assert find_program("ptxas") == program
+    else:
+        with pytest.raises(WarpvoxError, match=r"is of CUDA 12\.0, older than that of Warp .*make ptxas"):
+            find_program("ptxas")
+
+
+@needs_assembler
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_a_walker_needs_no_memory_but_registers_and_shared_memory(architecture, tmp_path):
     found = limits_of(WALKER, "float32", architecture, tmp_path)
@@ -41,6 +59,7 @@ def test_a_walker_needs_no_memory_but_registers_and_shared_memory(architecture, 
     assert found.shared * 10 <= 100 * 1024 * (2 if architecture in (90, 100) else 1.6)
 
 
+@needs_assembler
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("sizes", [WALKER, BEAM])
@@ -49,6 +68,7 @@ def test_other_groups_neither(architecture, sizes, precision, tmp_path):
     check_group(limits_of(sizes, precision, architecture, tmp_path), precision)
 
 
+@needs_assembler
 @pytest.mark.slow
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_a_large_world_has_what_its_threads_own_in_local_memory(architecture, tmp_path):
@@ -58,6 +78,7 @@ def test_a_large_world_has_what_its_threads_own_in_local_memory(architecture, tm
     assert found.shared <= BLOCK_SHARED
 
 
+@needs_assembler
 @pytest.mark.slow
 @pytest.mark.parametrize(("arithmetic", "precision"), [("fast", "float32"), ("fast", "float64"), ("exact", "float64")])
 @pytest.mark.parametrize("architecture", ARCHITECTURES)

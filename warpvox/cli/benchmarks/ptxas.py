@@ -42,7 +42,7 @@ def find_program(name: str) -> Path:
     """The program ``ptxas`` or ``nvdisasm``.
 
     Raises:
-        WarpvoxError: it is nowhere; says how to get it.
+        WarpvoxError: it is nowhere, or that on PATH is too old for the code that Warp makes; says how to get it.
     """
     fetched = sorted(FETCHED.glob(f"*/bin/{name}"))
     if fetched:
@@ -50,6 +50,14 @@ def find_program(name: str) -> Path:
     found = shutil.which(name)
     if found is None:
         raise WarpvoxError(f"There is no program {name!r}: `make ptxas` fetches it (Linux, x86-64).")
+    said = subprocess.run([found, "--version"], capture_output=True, text=True, check=False).stdout
+    release = re.search(r"release (\d+)\.(\d+)", said)
+    version = (int(release[1]), int(release[2])) if release else (0, 0)
+    if version < wp.get_cuda_toolkit_version():
+        ours, theirs = (".".join(map(str, numbers)) for numbers in (version, wp.get_cuda_toolkit_version()))
+        raise WarpvoxError(
+            f"{found} is of CUDA {ours}, older than that of Warp ({theirs}): `make ptxas` fetches a newer one."
+        )
     return Path(found)
 
 
