@@ -21,7 +21,7 @@ from warpvox.envs.spec import Memory, TaskSpec, ends, observes, rewards
 from warpvox.envs.terms.observations import velocity
 from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
-from warpvox.errors import SimulationError, TaskError
+from warpvox.errors import DeviceError, SimulationError, TaskError
 
 ENVS = 3
 BASE = replace(get_task("Walker-v0"), id="Mine-v0")
@@ -182,7 +182,7 @@ def test_a_lack_of_memory_stays_one() -> None:
     def greedy(before: Any, after: Any, name: str) -> torch.Tensor:
         raise MemoryError("not enough memory")
 
-    with pytest.raises(MemoryError):
+    with pytest.raises(DeviceError, match=r"not enough memory.*num_envs=1 instead of 3"):
         make(replace(BASE, rewards=(rewards(greedy),)))
 
 
