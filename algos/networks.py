@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel
-from rsl_rl.modules import GaussianDistribution
+from rsl_rl.modules import EmpiricalNormalization, GaussianDistribution
 from tensordict import TensorDict
 from torch import nn
 
 from warpvox.algos.layers import tanh_layers
 
-__all__ = ["HALF_LOG_2PI", "Gaussian", "Network"]
+__all__ = ["HALF_LOG_2PI", "Gaussian", "Network", "Normalizer"]
 
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 
@@ -54,10 +55,19 @@ class Gaussian(GaussianDistribution):
         """``[rows]``."""
         return (self._log_std + (0.5 + HALF_LOG_2PI)).sum().expand(len(self._mean))
 
+    @property
+    def std_is_free(self) -> torch.Tensor:
+        """bool ``[actions]``: where the deviation is within its bounds, and follows its parameter."""
+        low, high = self.log_std_range
+        return (self.log_std_param >= low) & (self.log_std_param <= high)
+
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
         """``[rows]`` of actions ``[rows, actions]``."""
-        constant = (self._log_std + HALF_LOG_2PI).sum()
-        return ((outputs - self._mean) / self._std).square().sum(-1) * -0.5 - constant
+        return self.log_prob_of(((outputs - self._mean) / self._std).square())
+
+    def log_prob_of(self, squares: torch.Tensor) -> torch.Tensor:
+        """``[rows]`` of actions so many squared deviations from the mean, ``[rows, actions]``."""
+        return squares.sum(-1) * -0.5 - (self._log_std + HALF_LOG_2PI).sum()
 
     def mean_divergence(self, old_mean: torch.Tensor, old_std: torch.Tensor) -> torch.Tensor:
         """The mean over the rows of KL(old || current), from means ``[rows, actions]`` and a deviation ``[actions]``.
@@ -69,8 +79,30 @@ class Gaussian(GaussianDistribution):
         return terms.sum() * (0.5 / len(terms))
 
 
+class Normalizer(EmpiricalNormalization):
+    """rsl-rl's normaliser of observations, whose variance takes a tenth of the time of ``torch.var``."""
+
+    def update(self, x: torch.Tensor) -> None:
+        """Learn from observations ``[rows, entries]``."""
+        if torch.distributed.is_initialized():
+            super().update(x)
+        elif self.training:
+            mean = x.mean(0, keepdim=True)
+            var = (x - mean).square_().mean(0, keepdim=True)
+            self.count += len(x)
+            rate, moved = len(x) / self.count, mean - self._mean
+            self._mean += rate * moved
+            self._var += rate * (var - self._var + moved * (mean - self._mean))
+            self._std = self._var.sqrt()
+
+
 class Network(MLPModel):
-    """rsl-rl's network of fully connected layers. In training tanh is computed by a faster formula on the CPU."""
+    """rsl-rl's network of fully connected layers; in training layers with tanh are computed by :func:`tanh_layers`."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        if self.obs_normalization:
+            self.obs_normalizer = Normalizer(self.obs_dim)
 
     def get_latent(self, obs: TensorDict, masks: object = None, hidden_state: object = None) -> torch.Tensor:
         """Observations as the scaled inputs of the first layer, ``[rows, inputs]``."""
@@ -88,6 +120,11 @@ class Network(MLPModel):
             self.distribution.update(out)
             return self.distribution.sample()
         return out
+
+    @property
+    def log_std(self) -> torch.Tensor | None:
+        """The parameter ``[actions]`` of the deviation; None: there is no distribution."""
+        return None if self.distribution is None else self.distribution.log_std_param
 
     def run(self, latent: torch.Tensor) -> torch.Tensor:
         """Scaled inputs to outputs."""

@@ -41,13 +41,13 @@ class PopulationAdam:
         torch._foreach_lerp_(self.means, gradients, 1 - first)
         torch._foreach_mul_(self.squares, second)
         torch._foreach_addcmul_(self.squares, gradients, gradients, 1 - second)
-        moves = torch._foreach_sqrt(self.squares)
-        torch._foreach_div_(moves, math.sqrt(1 - second**self.steps))
-        torch._foreach_add_(moves, self.eps)
-        moves = torch._foreach_div(self.means, moves)
-        sizes = (rates / (1 - first**self.steps)).to(moves[0].dtype)[:, None, None]
-        for parameter, move in zip(self.parameters, moves, strict=True):
-            parameter.sub_(move.mul_(sizes))
+        # m / (sqrt(v / c) + eps) with both sides multiplied by the root of c, which saves a pass over the parameters
+        correction = math.sqrt(1 - second**self.steps)
+        divisors = torch._foreach_sqrt(self.squares)
+        torch._foreach_add_(divisors, self.eps * correction)
+        sizes = (-(1 - first**self.steps) / (correction * rates)).to(divisors[0].dtype)[:, None, None]
+        for parameter, mean, divisor in zip(self.parameters, self.means, divisors, strict=True):
+            parameter.addcdiv_(mean, divisor.mul_(sizes))
 
     def part(self, share: slice, parameters: Iterable[nn.Parameter]) -> PopulationAdam:
         """The optimiser of some neighbouring designs' ``parameters``, which keeps its moments in this one's memory."""

@@ -68,6 +68,7 @@ class PPO(RslRlPPO):
         self.updates = 0
         self.adam_eps, self._inputs = adam_eps, None
         self.optimizer = self._optimizer()
+        self._layers = [value for value in self.optimizer.parameters if value is not self.actor.log_std]
         # Both networks see the same observations: one normaliser learns for both.
         if isinstance(self.actor, Network):
             self.critic.obs_normalizer = self.actor.obs_normalizer
@@ -179,27 +180,49 @@ class PPO(RslRlPPO):
 
     def _learn(self, part: Samples, old_std: torch.Tensor) -> torch.Tensor:
         """Learn from a minibatch; returns value loss, surrogate loss and entropy ``[3]``."""
-        policy = self.actor.distribution
-        policy.update(self.actor.run(part.inputs))
-        if self.schedule == "adaptive":
-            self._adapt(policy, part.mean, old_std)
-        ratio = torch.exp(policy.log_prob(part.actions) - part.log_prob)
-        bounded = ratio.clamp(1 - self.clip_param, 1 + self.clip_param)
-        surrogate = torch.max(-part.advantages * ratio, -part.advantages * bounded).mean()
-        values = self.critic.run(part.inputs)[:, 0]
-        error = (values - part.returns).square()
-        if self.use_clipped_value_loss:
-            near = part.values + (values - part.values).clamp(-self.clip_param, self.clip_param)
-            error = torch.max(error, (near - part.returns).square())
-        value, entropy = error.mean(), policy.entropy[0]
-        loss = surrogate + self.value_loss_coef * value - self.entropy_coef * entropy
-        gradients = torch.autograd.grad(loss, self.optimizer.parameters)
-        gradient = torch.cat([part.flatten() for part in gradients])
+        mean, values = self.actor.run(part.inputs), self.critic.run(part.inputs)
+        with torch.no_grad():
+            policy = self.actor.distribution
+            policy.update(mean)
+            if self.schedule == "adaptive":
+                self._adapt(policy, part.mean, old_std)
+            surrogate, of_mean, of_log_std = self._surrogate(policy, part)
+            value, of_values = self._value_loss(values[:, 0], part)
+        networks = torch.autograd.grad([mean, values], self._layers, [of_mean, of_values[:, None]])
+        gradient = torch.cat([of_log_std, *(part.flatten() for part in networks)])
         if self.is_multi_gpu:
             torch.distributed.all_reduce(gradient)
             gradient /= self.gpu_world_size
         self.optimizer.descend(gradient, self.max_grad_norm)
-        return torch.stack([value, surrogate, entropy]).detach()
+        return torch.stack([value, surrogate, policy.entropy[0]])
+
+    def _surrogate(self, policy: Gaussian, part: Samples) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """PPO's clipped loss, and the gradients of it and of the entropy's part by mean and logarithmic deviation.
+
+        By hand: of what autograd would do, most is the overhead of small operations.
+        """
+        noise = (part.actions - policy.mean).div_(policy.row_std)
+        squares = noise.square()
+        ratio = policy.log_prob_of(squares).sub_(part.log_prob).exp_()
+        free = -part.advantages * ratio
+        bounded = -part.advantages * ratio.clamp(1 - self.clip_param, 1 + self.clip_param)
+        # of the larger of the two losses; where they are equal, within the bounds, both have the same gradient
+        of_log_prob = free.mul(free >= bounded).div_(len(free))
+        of_mean = noise.mul_(of_log_prob[:, None]).div_(policy.row_std)
+        of_log_std = of_log_prob @ squares - of_log_prob.sum() - self.entropy_coef
+        return torch.max(free, bounded).mean(), of_mean, of_log_std * policy.std_is_free
+
+    def _value_loss(self, values: torch.Tensor, part: Samples) -> tuple[torch.Tensor, torch.Tensor]:
+        """The mean squared error of the values ``[samples]``, and the gradient of its part of the loss by them."""
+        error = values - part.returns
+        squares, slope = error.square(), error * (2 * self.value_loss_coef / len(error))
+        if self.use_clipped_value_loss:
+            moved = values - part.values
+            clipped = (part.values + moved.clamp(-self.clip_param, self.clip_param) - part.returns).square()
+            # beyond the bounds the clipped error does not depend on the value; within them both errors are the same
+            slope *= (squares >= clipped) | (moved.abs() <= self.clip_param)
+            squares = torch.max(squares, clipped)
+        return squares.mean(), slope
 
     @torch.no_grad()
     def _adapt(self, policy: Gaussian, old_mean: torch.Tensor, old_std: torch.Tensor) -> None:
