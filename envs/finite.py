@@ -87,9 +87,10 @@ class FiniteGuard:
     def _counts(self) -> dict[str, int]:
         """In how many environments each term was not finite so far, all terms."""
         found = dict(zip((f"reward {name}" for name in self._rewards), self._of_rewards.tolist(), strict=True))
-        for columns, counts in zip(self._columns, self._of_columns.cpu(), strict=False):
+        every = self._of_columns.cpu()
+        for row, (columns, counted) in enumerate(zip(self._columns, every.any(1).tolist(), strict=False)):
             for name, place in columns.items():
-                count = int(counts[place].max()) if place.stop > place.start else 0
+                count = int(every[row, place].max()) if counted and place.stop > place.start else 0
                 found[f"observation {name}"] = found.get(f"observation {name}", 0) + count
         return {name: count + self._earlier.get(name, 0) for name, count in found.items()}
 

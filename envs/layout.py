@@ -42,10 +42,12 @@ class Layout:
         self.mask = (torch.arange(self.num_obs) < totals[:, None]).to(sim.device)
         stops = counts.cumsum(1).tolist()
         names = [term.name for term in terms]
-        self.columns = [
-            {name: slice(begin, stop) for name, begin, stop in zip(names, [0, *row[:-1]], row, strict=True)}
-            for row in stops
-        ]
+        sizes = {tuple(row) for row in stops}  # designs of one size have one entry
+        columns = {
+            row: {name: slice(begin, stop) for name, begin, stop in zip(names, [0, *row[:-1]], row, strict=True)}
+            for row in sizes
+        }
+        self.columns = [columns[tuple(row)] for row in stops]
         if sim.grid is not None or not bool(full.all()):
             # Column full.shape[1] is an extra one of zeros, which feeds the padding.
             source = torch.argsort((~full).to(torch.uint8), dim=1, stable=True)[:, : self.num_obs]

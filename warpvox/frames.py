@@ -20,7 +20,7 @@ from warpvox.world import World, WorldObject
 
 __all__ = ["Bodies", "Frame", "capacities", "frame_key", "is_cut", "join"]
 
-CHUNK = 40_000_000  # entries of the largest array that is made at once
+CHUNK = 1_000_000  # entries of the largest array that is made at once: it stays in the cache
 
 
 def frame_key(world: World) -> tuple:

@@ -329,13 +329,17 @@ class Simulation(Sensing):
     @property
     def action_columns(self) -> list[dict[str, slice]]:
         """For each design where the actions of its robots lie, ``{name: slice}``."""
-        columns = []
+        columns: dict[tuple[tuple[str, int], ...], dict[str, slice]] = {}  # designs of one size have one entry
+        found = []
         for world in self.worlds:
-            robots = sorted((obj for obj in world.objects.values() if obj.is_robot), key=lambda obj: obj.name)
-            stops = list(itertools.accumulate(robot.num_actuators for robot in robots))
-            begins = [0, *stops][: len(robots)]
-            columns.append({robot.name: slice(*at) for robot, *at in zip(robots, begins, stops, strict=True)})
-        return columns
+            sizes = tuple(sorted((obj.name, obj.num_actuators) for obj in world.objects.values() if obj.is_robot))
+            if sizes not in columns:
+                stops = [0, *itertools.accumulate(count for _, count in sizes)]
+                columns[sizes] = {
+                    name: slice(*at) for (name, _), at in zip(sizes, itertools.pairwise(stops), strict=True)
+                }
+            found.append(columns[sizes])
+        return found
 
     @property
     def mobile_names(self) -> set[str]:

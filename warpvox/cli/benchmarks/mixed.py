@@ -23,6 +23,10 @@ CHANGED = 8
 """One of so many environments gets another body when bodies are exchanged."""
 
 
+FULL = np.array([[1, 3, 4, 3, 1], [2, 4, 3, 4, 2], [3, 1, 2, 1, 3], [4, 2, 1, 2, 4], [3, 4, 3, 4, 3]], np.int8)
+"""A body without empty cells: a pack of different bodies has the springs of all cells, too."""
+
+
 def sampled(count: int, seed: int) -> list[np.ndarray]:
     """Random bodies."""
     return [sample_design(SHAPE, np.random.default_rng([seed, k])) for k in range(count)]
@@ -85,7 +89,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     options = dict(device=config.device, dtype=config.dtype, arithmetic="fast", threads=config.threads)
     designs = sampled(count, config.seed)
     with report.status("building, checking, then measuring"):
-        alone = [make_vec(config.task, [body], count, **options) for body in designs[:ALONE]]
+        alone = [make_vec(config.task, [body], count, **options) for body in (*designs[:ALONE], FULL)]
         began = clock(config.device)
         mixed = make_vec(config.task, designs, count, **options)
         built = clock(config.device) - began
@@ -93,18 +97,26 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         found = rates([mixed, *alone], config.steps, config.repeats, config.seed)
         open_to_change = make_vec(config.task, designs, count, grid=SHAPE, **options)
         changed = changes(open_to_change, config.repeats, config.seed)
-    mean = float(np.mean([middle(rate) for rate in found[1:]]))
-    share = middle(found[0]) / mean
+    mixed_rate, *sparse, full = [middle(rate) for rate in found]
     report.note("Checked: the first and the last body move among the others as they do alone, bit for bit.")
     rows = [[f"{count} different bodies", spread(found[0])]]
-    rows += [[f"body {k} in all", spread(rate)] for k, rate in enumerate(found[1:])]
+    rows += [[f"body {k} in all", spread(rate)] for k, rate in enumerate(found[1:-1])]
+    rows += [["a full body in all", spread(found[-1])]]
     report.table(
         f"{config.task}, {count} environments, random 5x5 bodies, control steps per {unit(config.device)}",
         ["", "step only"],
         rows,
     )
     report.note(
-        f"Different bodies step at {share:.0%} of the speed of one in all (the mean of {ALONE}). They were built in"
+        f"Different bodies step at {mixed_rate / np.mean(sparse):.0%} of the speed of one in all (the mean of {ALONE}),"
+        f" and at {mixed_rate / full:.0%} of that of a body without empty cells. They were built in"
         f" {built:.2f} s; {count // CHANGED} of {count} were exchanged in {number(1e3 * middle(changed))} ms."
     )
-    return {"task": config.task, "mixed": found[0], "alone": found[1:], "built": built, "changed": changed}
+    return {
+        "task": config.task,
+        "mixed": found[0],
+        "alone": found[1:-1],
+        "full": found[-1],
+        "built": built,
+        "changed": changed,
+    }
