@@ -363,6 +363,7 @@ SUITES = {
     "options": "inheritance and early stopping against the plain genetic algorithm, at equal control steps",
     "soak": "a training or design search watched for an hour: memory, open files, speed",
     "stress": "all tasks under extreme actions with random bodies: what must never happen",
+    "cuda": "the CUDA kernel without a GPU: limits, instructions by stage, predicted speed",
     "gpu": "checks and figures of a CUDA device in one go",
 }
 """What ``warpvox bench`` measures."""

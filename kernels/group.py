@@ -29,16 +29,21 @@ from warpvox.types import VOXEL
 WARP = 32
 BLOCK = 32
 """Threads of a CUDA block. Groups of a warp go the same way; more warps in a block would only wait for each other."""
-REGISTERS = {"float32": 192, "float64": 255}
-"""Of a thread, at most. With 192, 10 warps (20 environments of 16 threads) share a multiprocessor, without spills."""
+REGISTERS = {"float32": 200, "float64": 255}
+"""Of a thread, at most. With 200, 10 warps (20 environments of 16 threads) share a multiprocessor, without spills."""
 SHARED_BYTES = 47 * 1024
 """Shared memory of the groups of a CUDA block, at most. A block has 48 KiB without asking, some of them Warp's."""
 SMALL = 128
 """Springs up to which 16 threads take an environment; 32 take a larger one."""
+FEW = 8
+"""Rounds of a loop over points or springs up to which it is unrolled (``native/group/base.h``)."""
 ON_CPU = 512, 1024
 """Points and springs for which the kernel is compiled on the CPU, where memory is no limit; more where needed."""
 FILES = ("base.h", "law.h", "load.h", "candidates.h", "contact.h", "move.h", "limit.h", "step.h")
+CLOSE_MARGIN = 0.012
+"""Distance from another voxel below which corners are tested in every sub-step, until a point has moved half of it."""
 DOUBLES = dict(FARTHEST=FARTHEST, FASTEST=FASTEST, STALE=STALE, VOXEL=VOXEL, PARALLEL=PARALLEL, DEGENERATE=DEGENERATE)
+DOUBLES["CLOSE_MARGIN"] = CLOSE_MARGIN
 INTS = dict(DISTANT=DISTANT, DIVERGED=DIVERGED, UNSTABLE=UNSTABLE, OVERFLOW=OVERFLOW, SHARED_BYTES=SHARED_BYTES)
 
 
@@ -63,9 +68,9 @@ class Group:
     def bytes(self) -> int:
         """Memory that the threads of a group share; ``Shared`` in ``native/group/base.h``."""
         real = 4 if self.precision == "float32" else 8
-        touch = 24 * self.points + self.parts * (16 + 12 * real + 32)
+        touch = 16 * self.points + self.parts * (16 + 12 * real + 16)
         in_turn = max(touch, 2 * real * (2 * self.springs + 2), 2 * real * self.points)
-        whole = (32 + 4 * real) * self.points + 4 * real * self.springs + in_turn + 8 * self.parts
+        whole = (32 + 4 * real) * self.points + 4 * real * self.springs + in_turn + (8 + 32 + 2 * real) * self.parts
         return -(-whole // 32) * 32 + 32
 
 
@@ -86,7 +91,7 @@ def places() -> list[str]:
 
 def source(group: Group, tallied: bool = False) -> str:
     """The C++ of a group kernel."""
-    sizes = dict(PARTS=group.parts, POINTS=group.points, SPRINGS=group.springs, GROUP_BYTES=group.bytes)
+    sizes = dict(PARTS=group.parts, POINTS=group.points, SPRINGS=group.springs, GROUP_BYTES=group.bytes, FEW=FEW)
     sizes |= INTS | dict(PLACES=len(places())) | {f"PLACE_{name}": k for k, name in enumerate(places())}
     lines = [f"typedef {'float' if group.precision == 'float32' else 'double'} Real;"]
     lines += [f"#define APPROXIMATE {int(group.approximate)}", f"#define TALLIED {int(tallied)}"]

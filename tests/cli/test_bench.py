@@ -19,7 +19,7 @@ from warpvox.cli.benchmarks.bodies import full_body, sampled_or_full
 from warpvox.cli.benchmarks.report import number
 from warpvox.configs.schema import ScalingConfig
 from warpvox.design import check_design
-from warpvox.errors import ConfigError, SimulationError
+from warpvox.errors import ConfigError, SimulationError, WarpvoxError
 
 TINY = "design=mini num_envs=8 steps=2 repeats=1".split()
 
@@ -406,6 +406,25 @@ def test_options_need_a_second_generation(warpvox: Callable) -> None:
     assert "trains 8 designs of 60 iterations, which is not more than one generation" in outcome.err
 
 
+@pytest.mark.slow  # tests/kernels/test_limits.py holds the figures
+def test_the_cuda_suite_predicts_from_instructions(warpvox: Callable) -> None:
+    from warpvox.cli.benchmarks.ptxas import find_program
+
+    try:
+        find_program("nvdisasm")
+    except WarpvoxError as missing:
+        pytest.skip(str(missing))
+    outcome = warpvox("bench", "suite=cuda", *TINY)
+    assert outcome.code == 0, outcome.err
+    folder, figures = results("cuda")
+    assert [row["spilled"] for row in figures["limits"]] == [0, 0, 0, 0]
+    assert all(low <= high for low, high in figures["predicted"].values())
+    assert "warp instructions" in (folder / "tables.md").read_text()
+    outcome = warpvox("bench", "suite=cuda", "task=Traverser-v0", *TINY)
+    assert outcome.code == 2
+    assert "smaller world" in outcome.err
+
+
 GPU = "bench suite=gpu device=cpu design=mini repeats=1 steps=2 columns=[step] compile=false".split()
 
 
@@ -450,14 +469,16 @@ def test_what_was_found_is_kept_when_the_call_is_cut_off(warpvox: Callable, monk
     assert len(figures["sizes"]) == 2
     assert figures["machine"]["warp"]
     tables = (folder / "tables.md").read_text()
-    assert "predicted for one thread an environment" in tables
+    assert "predicted for 16 threads an environment" in tables
     assert "equal bit for bit" in tables
 
 
 def test_predictions_stand_beside_what_was_predicted_for(warpvox: Callable) -> None:
     from warpvox.cli.benchmarks.predictions import PREDICTED, predicted
 
-    assert predicted("Walker-v0", "float32", 16384) == "0.600 to 0.900 M"
+    assert predicted("Walker-v0", "float32", 16384) == "3.60 to 7.30 M"
+    one = "one thread an environment"
+    assert predicted("Walker-v0", "float32", 16384, one) == "0.600 to 0.900 M"
     assert {predicted("Walker-v0", "float64", 16384), predicted("Climber-v0", "float32", 16384)} == {"-"}
     assert {predicted("Walker-v0", "float32", 8), predicted("Walker-v0", "float32", 16384, "another kernel")} == {"-"}
     assert all(low < high for of_kernel in PREDICTED.values() for low, high in of_kernel.values())

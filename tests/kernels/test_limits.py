@@ -2,11 +2,16 @@
 
 import pytest
 
+from warpvox.cli.benchmarks.cuda import instructions
 from warpvox.cli.benchmarks.ptxas import ARCHITECTURES, Limits, assemble, find_program
+from warpvox.envs.vec_env import make_vec
 from warpvox.errors import WarpvoxError
 from warpvox.kernels import group
 from warpvox.kernels.step import step_kernel
+from warpvox.sim import Simulation
 
+INSTRUCTIONS = 2200
+"""Warp instructions of Walker-v0, an environment and sub-step (3,660 with one thread an environment)."""
 WALKER, BEAM, TRAVERSER = (36, 104), (69, 196), (344, 850)
 BLOCK_SHARED = 48 * 1024
 LANES = Limits(registers=255, stack=512, spilled=640, shared=0)
@@ -57,6 +62,17 @@ def test_a_walker_needs_no_memory_but_registers_and_shared_memory(architecture, 
     check_group(found, "float32")
     # by registers 10 warps of 2 environments are on a multiprocessor; the shared memory has to have room for them
     assert found.shared * 10 <= 100 * 1024 * (2 if architecture in (90, 100) else 1.6)
+
+
+@needs_assembler
+def test_a_walker_takes_few_instructions():
+    env = make_vec("Walker-v0", num_envs=1, device="cpu", dtype="float32", lanes=1, threads=1)
+    sim = Simulation([env.sim.worlds[0]] * 4, "cpu", env.sim.physics, threads=1, layout="group")
+    found = instructions(sim, steps=10, seed=0)
+    every = sum(count for count, _ in found.values())
+    assert all(0 <= double <= count for count, double in found.values())
+    assert found["springs: three Runge-Kutta stages"][1] == 0  # springs are in float32
+    assert 0.5 * INSTRUCTIONS < every <= INSTRUCTIONS
 
 
 @needs_assembler

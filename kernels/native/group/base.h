@@ -30,20 +30,23 @@ const unsigned first_thread = (threadIdx.x & 31) / PARTS * PARTS, everyone = 0xf
 
 static_assert(POINTS % PARTS == 0 && SPRINGS % PARTS == 0 && POINTS <= 64 * PARTS && SPRINGS < 1 << 15, "capacities");
 constexpr int POINT_ROUNDS = POINTS / PARTS, SPRING_ROUNDS = SPRINGS / PARTS;
-constexpr int FEW = 8;  // rounds up to which they are unrolled; what a thread owns is in registers then, else in local memory
+// Up to FEW rounds are unrolled; what a thread owns is in registers then, else in local memory.
 constexpr int POINTS_AT_ONCE = POINT_ROUNDS <= FEW ? POINT_ROUNDS : 1;
 constexpr int SPRINGS_AT_ONCE = SPRING_ROUNDS <= FEW ? SPRING_ROUNDS : 1;
 constexpr int LINKS = 8;                          // springs of a point whose places are kept at hand
-constexpr int QUEUE = 8 * PARTS;                  // contacts that a round of candidates may have
+constexpr int QUEUE = 4 * PARTS, CLOSE = 8 * PARTS;  // room for contacts and for corners that are near another voxel
 
 typedef float Single;  // Warp gives float(...) a meaning of its own
 struct alignas(2 * sizeof(Real)) Pair { Real x, y; };
 struct alignas(16) Place { double x, y; };
-struct alignas(8) Near { float x, y; };
 struct alignas(4 * sizeof(Real)) Spring {
     unsigned ends;            // the two points, 16 bits each
     Real stiffness;
     Real longest, shortest;  // squares of the lengths beyond which it is corrected
+};
+struct Side {
+    unsigned ends;
+    Real rest;  // length
 };
 struct alignas(16) Links { unsigned short place[LINKS]; };  // of the tensions that pull at a point
 struct Push { Pair normal, friction; };
@@ -53,7 +56,6 @@ struct Hit {
 };
 struct Touch {  // what the contacts of a sub-step need
     Place velocity[POINTS];  // displacement of the last sub-step / dt
-    Near near[POINTS];       // positions, rounded
     Hit hit[PARTS];
     int queue[QUEUE];
 };
@@ -62,6 +64,8 @@ struct alignas(4 * sizeof(Real)) Shared {
     Pair disp[POINTS], contact[POINTS];
     Links links[POINTS];
     Spring spring[SPRINGS];
+    int close[CLOSE];
+    Side rigid[PARTS];  // the first of the sides of rigid voxels
     union {  // one after another in a sub-step
         Touch touch;
         Pair tension[2 * SPRINGS + 2];  // force of a spring on its first end, on its second; at last -0
@@ -92,9 +96,13 @@ auto most = [&](int a) -> int {
 };
 auto count_bits = [](unsigned a) -> int { return __popc(a); };
 auto lowest = [](unsigned a) -> int { return __ffs(a) - 1; };
-auto largest_of_group = [&](float a) -> float {
-    for (int k = 1; k < PARTS; k *= 2) a = fmaxf(a, __shfl_xor_sync(everyone, a, k));
+auto largest = [&](float a) -> float {  // of a warp, not negative
+#if __CUDA_ARCH__ >= 800
+    return __uint_as_float(__reduce_max_sync(everyone, __float_as_uint(a)));
+#else
+    for (int k = 1; k < 32; k *= 2) a = fmaxf(a, __shfl_xor_sync(everyone, a, k));
     return a;
+#endif
 };
 #else
 static_assert(sizeof(Shared) <= GROUP_BYTES, "Group.bytes is too small");
@@ -112,7 +120,7 @@ auto some = [&](bool yes) -> bool { return vote(yes) != 0; };
 auto most = [](int a) -> int { return a; };
 auto count_bits = [](unsigned a) -> int { return __builtin_popcount(a); };
 auto lowest = [](unsigned a) -> int { return __builtin_ctz(a); };
-auto largest_of_group = [&](float a) -> float {
+auto largest = [&](float a) -> float {
     at.path[part] = a;
     sync();
     for (int k = 0; k < PARTS; ++k) a = at.path[k] > a ? at.path[k] : a;
@@ -168,7 +176,7 @@ auto tanh_of = [](double a) -> double {
 auto tally = [&](int substep) {  // of its threads the most
     int* all = reinterpret_cast<int*>(&wp::index(scratch, pack, 0)) + GROUP_BYTES / sizeof(int);
     for (int k = 0; k < PLACES; ++k) {
-        const int most = static_cast<int>(largest_of_group(Single(visits[k])));
+        const int most = static_cast<int>(largest(Single(visits[k])));
         if (part == 0) all[substep * PLACES + k] = most;
         visits[k] = 0;
     }

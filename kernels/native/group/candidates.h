@@ -2,10 +2,9 @@
 // half the margin; in ascending order. An entry holds i, j and which corners of i and of j are tested; the cell c of the
 // terrain stands as -1 - c. Each thread writes rows of its own of the matrix of marked pairs.
 
-int here = mesh, frame = 0;
+const int frame_of_mesh = wp::index(model.frame, mesh);
+int here = mesh, frame = frame_of_mesh;
 const wp::vec_t<4, int>* corner = nullptr;
-const int* terrain_side = nullptr;
-const double* terrain_box = nullptr;
 wp::vec_t<4, int>* candidates = nullptr;
 
 auto find_tables = [&]() {
@@ -13,15 +12,15 @@ auto find_tables = [&]() {
     here = mesh;
     HIDE(row);
     HIDE(here);
-    frame = wp::index(model.frame, here);
+    frame = frame_of_mesh;
+    HIDE(frame);
     corner = row_of(model.corner, here);
-    terrain_side = row_of(model.terrain_side, frame);
-    terrain_box = state_of(model.terrain_box, frame);
     candidates = row_of(data.pairs, row);
 };
 
 auto collect = [&]() {
     COUNT(collect);
+    const int* terrain_side = row_of(model.terrain_side, frame);
     const int columns = wp::index(model.terrain, frame)[0], lattice_rows = wp::index(model.terrain, frame)[1];
     const int first_other = wp::index(model.first_other, here);
     const int* mobile = row_of(model.mobile, here);

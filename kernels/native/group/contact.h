@@ -14,7 +14,7 @@ auto quad_of = [&](int v) -> Quad {
             q.y[k] = p.y;
         }
     } else {
-        const double* b = terrain_box + 4 * (-1 - v);
+        const double* b = &wp::index(model.terrain_box, frame, -1 - v, 0);
         q.x[0] = q.x[3] = b[0];
         q.x[1] = q.x[2] = b[1];
         q.y[2] = q.y[3] = b[2];
@@ -22,62 +22,33 @@ auto quad_of = [&](int v) -> Quad {
     }
     return q;
 };
-// The same in single precision: as rounding keeps the order of numbers, a corner that is not in the rounded box is not in
-// the voxel.
-auto near_of = [&](int v, Near* q) {
-    if (v >= 0) {
-        const wp::vec_t<4, int> c = corner[v];
-        UNROLL for (int k = 0; k < 4; ++k) q[k] = at.touch.near[c[k]];
-    } else {
-        const double* b = terrain_box + 4 * (-1 - v);
-        const float left = Single(b[0]), right = Single(b[1]), bottom = Single(b[2]), top = Single(b[3]);
-        q[0] = Near{left, top};
-        q[1] = Near{right, top};
-        q[2] = Near{right, bottom};
-        q[3] = Near{left, bottom};
-    }
-};
 auto corner_at = [&](int v, int c) -> Place {
     if (v >= 0) return at.pos[corner[v][c]];
-    const double* b = terrain_box + 4 * (-1 - v);
+    const double* b = &wp::index(model.terrain_box, frame, -1 - v, 0);
     return Place{b[c == 1 || c == 2], b[c < 2 ? 3 : 2]};
 };
 auto sides_of = [&](int v) -> int {
-    if (v < 0) return terrain_side[-1 - v];
+    if (v < 0) return wp::index(model.terrain_side, frame, -1 - v);
     const wp::vec_t<4, int> lanes = wp::index(model.side_lanes, here, v);
     return (lanes[0] & 1) | (lanes[1] & 1) << 1 | (lanes[2] & 1) << 2 | (lanes[3] & 1) << 3;
 };
 
-// Bits of the corners of i (4 on: of j) in the box of the other, and whether the boxes overlap.
-auto near_corners = [&](const wp::vec_t<4, int>& pair, bool& overlap) -> unsigned {
-    Near a[4], b[4];
-    near_of(pair[0], a);
-    near_of(pair[1], b);
-    const float ax0 = least4(a[0].x, a[1].x, a[2].x, a[3].x), ax1 = most4(a[0].x, a[1].x, a[2].x, a[3].x);
-    const float ay0 = least4(a[0].y, a[1].y, a[2].y, a[3].y), ay1 = most4(a[0].y, a[1].y, a[2].y, a[3].y);
-    const float bx0 = least4(b[0].x, b[1].x, b[2].x, b[3].x), bx1 = most4(b[0].x, b[1].x, b[2].x, b[3].x);
-    const float by0 = least4(b[0].y, b[1].y, b[2].y, b[3].y), by1 = most4(b[0].y, b[1].y, b[2].y, b[3].y);
-    overlap = ax0 <= bx1 && bx0 <= ax1 && ay0 <= by1 && by0 <= ay1;
-    unsigned bits = 0;
-    UNROLL for (int c = 0; c < 4; ++c) {
-        if (bx0 <= a[c].x && a[c].x <= bx1 && by0 <= a[c].y && a[c].y <= by1) bits |= 1u << c;
-        if (ax0 <= b[c].x && b[c].x <= ax1 && ay0 <= b[c].y && b[c].y <= ay1) bits |= 16u << c;
-    }
-    return bits & ((pair[2] & 15) | pair[3] << 4);
+struct Box { double left, right, bottom, top; };
+auto box_of = [&](const Quad& q, double margin) -> Box {
+    return Box{
+        least4(q.x[0], q.x[1], q.x[2], q.x[3]) - margin, most4(q.x[0], q.x[1], q.x[2], q.x[3]) + margin,
+        least4(q.y[0], q.y[1], q.y[2], q.y[3]) - margin, most4(q.y[0], q.y[1], q.y[2], q.y[3]) + margin
+    };
 };
+auto holds = [](const Box& b, double x, double y) -> bool { return b.left <= x && x <= b.right && b.bottom <= y && y <= b.top; };
 auto within = [&](const Place& p, const Quad& r) -> bool {
-    return least4(r.x[0], r.x[1], r.x[2], r.x[3]) <= p.x && p.x <= most4(r.x[0], r.x[1], r.x[2], r.x[3])
-        && least4(r.y[0], r.y[1], r.y[2], r.y[3]) <= p.y && p.y <= most4(r.y[0], r.y[1], r.y[2], r.y[3])
+    return holds(box_of(r, 0.0), p.x, p.y)
         && in_voxel(
             r.x[0] - p.x, r.y[0] - p.y, r.x[1] - p.x, r.y[1] - p.y, r.x[2] - p.x, r.y[2] - p.y, r.x[3] - p.x, r.y[3] - p.y
         );
 };
-
-auto boxes_meet = [&](const Quad& a, const Quad& b) -> bool {
-    return least4(a.x[0], a.x[1], a.x[2], a.x[3]) <= most4(b.x[0], b.x[1], b.x[2], b.x[3])
-        && least4(b.x[0], b.x[1], b.x[2], b.x[3]) <= most4(a.x[0], a.x[1], a.x[2], a.x[3])
-        && least4(a.y[0], a.y[1], a.y[2], a.y[3]) <= most4(b.y[0], b.y[1], b.y[2], b.y[3])
-        && least4(b.y[0], b.y[1], b.y[2], b.y[3]) <= most4(a.y[0], a.y[1], a.y[2], a.y[3]);
+auto boxes_meet = [](const Box& a, const Box& b) -> bool {
+    return a.left <= b.right && b.left <= a.right && a.bottom <= b.top && b.bottom <= a.top;
 };
 
 // Forces of contact `code` = 8 x candidate + 4 x way + corner.
@@ -168,54 +139,93 @@ auto count_folds = [&](unsigned folded, int i) {
     }
 };
 
-auto touch = [&]() {
-    int waiting = 0;
-    any_folds = false;
+// The corners that may be in another voxel before a point has moved by half of CLOSE_MARGIN, as codes in ascending order;
+// `crowded`: they are too many for the list, all corners of candidates are tested then. `folding`: some distant voxels of a
+// robot are as near.
+auto find_close = [&]() {
+    COUNT(candidate_list);
     const int rounds = most(count);
+    close_count = 0;
+    crowded = folding = false;
     ROLL for (int base = 0; base < rounds; base += PARTS) {
         COUNT(candidate);
         const int n = base + part;
-        unsigned inside = 0;
-        int i = -1;
-        bool fold = false;
+        unsigned near = 0;
         if (n < count) {
             const wp::vec_t<4, int> pair = candidates[n];
+            const Quad a = quad_of(pair[0]), b = quad_of(pair[1]);
+            const Box around_a = box_of(a, CLOSE_MARGIN), around_b = box_of(b, CLOSE_MARGIN);
+            UNROLL for (int c = 0; c < 4; ++c) {
+                if (holds(around_b, a.x[c], a.y[c])) near |= 1u << c;
+                if (holds(around_a, b.x[c], b.y[c])) near |= 16u << c;
+            }
+            near &= (pair[2] & 15) | pair[3] << 4;
+            folding |= pair[2] & DISTANT && boxes_meet(around_a, around_b);
+        }
+        if (!some(near)) continue;
+        COUNT(candidate_near);
+        int total, place = close_count + sum_before(count_bits(near), total);
+        close_count += total;
+        for (; near; near &= near - 1, ++place) {
+            if (place < CLOSE) at.close[place] = 8 * n + lowest(near);
+        }
+    }
+    crowded = close_count > CLOSE;
+    folding = vote(folding) != 0;
+    sync();
+};
+
+auto look_for_folds = [&]() {
+    COUNT(folds_test);
+    const int rounds = most(pair_count);
+    ROLL for (int base = 0; base < rounds; base += PARTS) {
+        COUNT(distant);
+        const int n = base + part;
+        int i = -1;
+        bool fold = false;
+        if (n < pair_count && count) {
+            const wp::vec_t<4, int> pair = candidates[n];
             i = pair[0];
-            bool overlap;
-            unsigned near = near_corners(pair, overlap);
-            ROLL for (; near; near &= near - 1) {
-                COUNT(near_corner);
-                const int b = lowest(near), way = b >> 2;
-                if (within(corner_at(way ? pair[1] : pair[0], b & 3), quad_of(way ? pair[0] : pair[1]))) inside |= 1u << b;
-            }
-            if (overlap && pair[2] & DISTANT) {
-                COUNT(distant);
-                fold = boxes_meet(quad_of(i), quad_of(pair[1]));
-            }
+            fold = pair[2] & DISTANT && boxes_meet(box_of(quad_of(i), 0.0), box_of(quad_of(pair[1]), 0.0));
         }
         const unsigned folded = vote(fold);
         if (some(folded)) count_folds(folded, i);
+    }
+    for (int k = 0; any_folds && k < wp::index(model.robots, here); ++k) {
+        folded_up |= wp::index(data.folds, pack, k, 0) > wp::index(model.fold_limit, here, k, 0);
+    }
+};
+
+auto touch = [&]() {
+    int waiting = 0;
+    any_folds = false;
+    if (some(near_drift + near_drift >= CLOSE_MARGIN)) {
+        find_close();
+        near_drift = 0.0;
+    }
+    if (some(folding)) look_for_folds();
+    const int total = crowded ? 8 * count : close_count, rounds = most(total);
+    ROLL for (int base = 0; base < rounds; base += PARTS) {
+        COUNT(near_corner);
+        const int n = base + part;
+        bool inside = false;
+        int code = 0;
+        if (n < total) {
+            code = crowded ? n : at.close[n];
+            const wp::vec_t<4, int> pair = candidates[code >> 3];
+            const int way = code >> 2 & 1, c = code & 3;
+            inside = (way ? pair[3] : pair[2]) >> c & 1
+                && within(corner_at(way ? pair[1] : pair[0], c), quad_of(way ? pair[0] : pair[1]));
+        }
         if (!some(inside)) continue;
         COUNT(contact_found);
-        int place = 0, total = 0;
-        UNROLL for (int b = 0; b < 8; ++b) {
-            const unsigned those = vote(inside >> b & 1);
-            place += count_bits(those & ((1u << part) - 1));
-            total += count_bits(those);
-        }
-        if (some(waiting + total > QUEUE)) {
+        if (some(waiting + PARTS > QUEUE)) {
             add_queue(waiting);
             waiting = 0;
         }
-        place += waiting;
-        waiting += total;
-        for (; inside; inside &= inside - 1) at.touch.queue[place++] = 8 * n + lowest(inside);
+        const unsigned those = vote(inside);
+        if (inside) at.touch.queue[waiting + count_bits(those & ((1u << part) - 1))] = code;
+        waiting += count_bits(those);
     }
     if (some(waiting)) add_queue(waiting);
-    if (any_folds) {
-        COUNT(folds_end);
-        for (int k = 0; k < wp::index(model.robots, here); ++k) {
-            folded_up |= wp::index(data.folds, pack, k, 0) > wp::index(model.fold_limit, here, k, 0);
-        }
-    }
 };

@@ -7,24 +7,34 @@ auto own_points = [&](auto&& act) {
     }
 };
 
+auto side_of = [&](int row, int s) -> Side {
+    const wp::vec_t<2, int> ends = wp::index(model.spring_ends, row, s);
+    return Side{unsigned(ends[0] | ends[1] << 16), Real(wp::index(model.spring_rest, row, s))};
+};
+auto load_rigids = [&]() { at.rigid[part] = part < rigids ? side_of(mesh, wp::index(model.rigid_spring, mesh, part)) : Side{0, Real(0)}; };
+
 // Corrects those of `total` springs (of all, or listed in `rigid_spring`) that are beyond the bound, in their order: in
 // `moved`, and where `in_place` in the displacements, too, after which those behind it are tested anew.
 auto correct = [&](bool in_place) {
-    int row = mesh;
-    HIDE(row);
-    const int* listed = row_of(model.rigid_spring, row);
-    const int* free_lanes = row_of(model.free_lanes, row);
-    const wp::vec_t<2, int>* spring_ends = row_of(model.spring_ends, row);
-    const double* spring_rest = row_of(model.spring_rest, row);
     const int total = in_place ? rigids : springs, longest_list = most(total);
     const Real bound = in_place ? model.rigid_strain_limit : model.strain_limit;
     const Real share = in_place ? model.rigid_strain_share : model.strain_share;
     bool any = false;
+    COUNT(limit_pass);
     ROLL for (int base = 0; base < longest_list; base += PARTS) {
         COUNT(limit_test);
-        const int n = base + part, s = n < total ? (in_place ? listed[n] : n) : 0;
-        const int p = spring_ends[s][0], q = spring_ends[s][1];
-        const Real dx = Real(at.pos[q].x - at.pos[p].x), dy = Real(at.pos[q].y - at.pos[p].y), rest0 = Real(spring_rest[s]);
+        HIDE(base);
+        const int n = base + part;
+        Side side{0, Real(0)};
+        if (in_place && base == 0) {
+            side = at.rigid[part];
+        } else if (n < total) {
+            int row = mesh;
+            HIDE(row);
+            side = side_of(row, in_place ? wp::index(model.rigid_spring, row, n) : n);
+        }
+        const int p = side.ends & 0xffff, q = side.ends >> 16;
+        const Real dx = Real(at.pos[q].x - at.pos[p].x), dy = Real(at.pos[q].y - at.pos[p].y), rest0 = side.rest;
         const Real longest = rest0 * (Real(1) + bound), shortest = rest0 * (Real(1) - bound);
         ROLL for (int from = 0; from < PARTS;) {
             COUNT(limit_try);
@@ -48,7 +58,7 @@ auto correct = [&](bool in_place) {
                 ROLL for (int end = 0; end < 2; ++end) {
                     const int own = end ? q : p;
                     const Real x = end ? -(ex * portion) : ex * portion, y = end ? -(ey * portion) : ey * portion;
-                    if (!free_lanes[own]) continue;
+                    if (!wp::index(model.free_lanes, mesh, own)) continue;
                     at.moved[own] = Pair{at.moved[own].x + x, at.moved[own].y + y};
                     if (in_place) at.disp[own] = Pair{at.disp[own].x + x, at.disp[own].y + y};
                 }
@@ -78,5 +88,10 @@ auto limit_strain = [&]() {
         const Real ex = span[j].x + (b.x - a.x), ey = span[j].y + (b.y - a.y), square = ex * ex + ey * ey;
         beyond |= square >= spring.longest || square <= spring.shortest;
     }
-    ROLL for (int pass = some(beyond) ? 0 : 1; pass < 2; ++pass) correct(pass);
+    int first = some(beyond) ? 0 : 1;
+    HIDE(first);
+    ROLL for (int pass = first; pass < 2; ++pass) {
+        HIDE(pass);
+        correct(pass != 0);
+    }
 };

@@ -27,10 +27,8 @@ auto load_points = [&]() {
         at.pos[p] = Place{0.0, 1.0};  // above the floor
         at.contact[p] = Pair{Real(0), Real(0)};
         at.touch.velocity[p] = Place{0.0, 0.0};
-        at.touch.near[p] = Near{0.0f, 0.0f};
         if (p >= points) continue;
         at.pos[p] = Place{pos[2 * p], pos[2 * p + 1]};
-        at.touch.near[p] = Near{Single(pos[2 * p]), Single(pos[2 * p + 1])};
         at.touch.velocity[p] = Place{true_vel[2 * p], true_vel[2 * p + 1]};
         vel[j][0] = velocity[2 * p];
         vel[j][1] = velocity[2 * p + 1];
@@ -51,5 +49,8 @@ auto load_points = [&]() {
 
 const int unit = pack;
 int pair_count = wp::index(data.pair_count, unit), count = pair_count + wp::index(data.near_count, unit);
+int close_count = 0;
+bool crowded = false, folding = false;
+double near_drift = STALE;  // the same since the corners near other voxels were listed
 bool overflow = wp::index(data.overflow, unit), any_folds = false, folded_up = false;
 double drift = wp::index(data.drift, unit);  // bound of every point's path since the candidates were collected

@@ -15,10 +15,11 @@ auto advance = [&]() {
             path = y > path ? y : path;
         }
         at.touch.velocity[p] = moved;
-        at.touch.near[p] = Near{Single(at.pos[p].x), Single(at.pos[p].y)};
         at.contact[p] = Pair{Real(0), Real(0)};
     });
-    drift += double(largest_of_group(path) * 1.000001f);
+    const double farthest = double(largest(path) * 1.000001f);
+    drift += farthest;
+    near_drift += farthest;
     sync();
 };
 auto in_bounds = [&]() -> bool {
@@ -58,6 +59,7 @@ int status = vote(!sound) ? DIVERGED : 0;
 if (status) put_at_rest();
 if (status || frozen) points = springs = rigids = voxels = mobiles = count = 0;  // nothing to do but come along
 load_springs();
+load_rigids();
 sync();
 ROLL for (int n = 0; n < substeps; ++n) {
     COUNT(substep);
@@ -65,6 +67,7 @@ ROLL for (int n = 0; n < substeps; ++n) {
     if (some(drift + drift >= model.margin)) {
         collect();
         drift = 0.0;
+        near_drift = STALE;
     }
     touch();
     sync();

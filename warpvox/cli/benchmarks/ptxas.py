@@ -25,7 +25,7 @@ ARCHITECTURES = {80: "A100", 89: "RTX 40", 90: "H100, H200", 100: "B200"}
 """Compute capabilities for which limits are held, and what has them."""
 FETCHED = Path(__file__).resolve().parents[3] / "build" / "ptxas" / "nvidia"
 OUTSIDE = "outside"
-"""Instructions that belong to no counted place: before the first sub-step and after the last."""
+"""Instructions that belong to no counted place: before the first sub-step, after the last, and detours."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +95,11 @@ def assemble(kernel: wp.Kernel, architecture: int, folder: Path, lines: bool = F
     )
 
 
-def counted(kernel: wp.Kernel, architecture: int = 90) -> tuple[Counter[str], Limits]:
+def counted(kernel: wp.Kernel, architecture: int = 90) -> tuple[Counter[str], Counter[str], Limits]:
     """Instructions of the machine code by the place of the source (``COUNT`` in ``native/group``) they come from.
 
-    A place is the rest of the block in which it stands; what is inlined there belongs to it.
+    All, and those in float64 (conversions included). A place is the rest of the block in which it stands; what is
+    inlined there belongs to it.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -106,8 +107,9 @@ def counted(kernel: wp.Kernel, architecture: int = 90) -> tuple[Counter[str], Li
         assembly, _ = _run("nvdisasm", "-c", "-gi", str(folder / "kernel.cubin"))
         place = _places(next(folder.glob("*.cu")).read_text(encoding="utf-8"))
     found: Counter[str] = Counter()
+    wide: Counter[str] = Counter()
     chain: list[int] = []  # lines of the generated source: of the instruction, and of the calls that were inlined
-    begins = True
+    begins, apart = True, False  # apart: the detours of diverged warps and of special numbers, at the end of the code
     for line in assembly.splitlines():
         origin = re.match(r'\s*//## File "([^"]*)", line (\d+)', line)
         if origin:
@@ -115,8 +117,11 @@ def counted(kernel: wp.Kernel, architecture: int = 90) -> tuple[Counter[str], Li
             begins = False
         elif re.match(r"\s+/\*[0-9a-f]{4,}\*/", line):
             begins = True
-            found[next((place[at] for at in chain if place.get(at)), OUTSIDE)] += 1
-    return found, limits
+            apart |= "WARPSYNC.COLLECTIVE" in line
+            at = OUTSIDE if apart else next((place[at] for at in chain if place.get(at)), OUTSIDE)
+            found[at] += 1
+            wide[at] += bool(re.search(r"\*/ +(@!?U?P\d+ +)?(D[A-Z]+|F2F\.\w*F64)", line))
+    return found, wide, limits
 
 
 def _places(source: str) -> dict[int, Any]:
