@@ -98,7 +98,8 @@ def source(group: Group, tallied: bool = False) -> str:
     lines += [f"constexpr int {name} = {int(value)};" for name, value in sizes.items()]
     lines += [f"constexpr double {name} = {float(value)!r};" for name, value in DOUBLES.items()]
     files = (f"native/group/{file}" for file in FILES)
-    lines += [text(next(files), "native/triangles.h", *files), "#undef APPROXIMATE", "#undef TALLIED\n"]
+    lines += [text(next(files), "native/triangles.h", "native/forces.h", *files)]
+    lines += ["#undef APPROXIMATE", "#undef TALLIED\n"]
     return "\n".join(lines)
 
 

@@ -12,7 +12,7 @@ from warpvox.kernels.kit import Kit, builder
 def runge_kutta(kit: Kit):
     """Stage: displacement and new velocity of every free point after dt."""
 
-    @kit.func_native("native/springs.h", "native/integrate.h")
+    @kit.func_native("native/springs.h", "native/forces.h", "native/integrate.h")
     def substep(model, data, mesh, pack, lane, dt): ...
 
     @kit.func

@@ -36,15 +36,9 @@ auto stretch_springs = [&]() {
     for (int s = 0; s < springs; ++s) {
         const unsigned a = 2 * spring_ends[s][0], b = 2 * spring_ends[s][1];
         const Value ux = disp[b] - disp[a], uy = disp[b + 1] - disp[a + 1];
-        const Value dx = span[2 * s], dy = span[2 * s + 1];
-        const Value ex = dx + ux, ey = dy + uy;
-        const Value length = root(ex * ex + ey * ey);
-        // l - l0 = (|e|^2 - |d|^2) / (l + l0), without the cancellation, and both divisions in one
-        const Value both = length + rest[s];
-        const Value excess = (dx + ex) * ux + (dy + ey) * uy - pull[s] * both;
-        const Value force = excess * spring_k[s] / (both * length + tiny);
-        tension[2 * s] = force * ex;
-        tension[2 * s + 1] = force * ey;
+        spring_force(
+            span[2 * s], span[2 * s + 1], ux, uy, rest[s], pull[s], spring_k[s], tension[2 * s], tension[2 * s + 1]
+        );
     }
 };
 
@@ -52,12 +46,10 @@ auto stretch_springs = [&]() {
 auto stand = [&](Value& fx, Value& fy, const Value& vx, const Value& y) {
     each_lane([&](int k) {
         if (lane_of(y, k) <= Real(0)) {
-            const double normal = -model.floor_stiffness * double(lane_of(y, k));
-            const double grip = model.friction * normal;
-            const double slip = double(lane_of(vx, k));
-            const Real drag = Real(model.floor_friction * grip * wp::tanh(slip * grip));
+            Real normal, drag;
+            floor_force(lane_of(y, k), lane_of(vx, k), normal, drag);
             set_lane(fx, k, lane_of(fx, k) - drag);
-            set_lane(fy, k, lane_of(fy, k) + Real(normal));
+            set_lane(fy, k, lane_of(fy, k) + normal);
         }
     });
 };

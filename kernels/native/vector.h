@@ -32,6 +32,10 @@ auto bits_of = [](auto a) -> int {
     __builtin_memcpy(&mask, &bits, WIDTH / 8);
     return static_cast<int>(mask);
 };
+auto fused = [](const auto& a, const auto& b, const auto& c) { return a * b + c; };
+auto reduced = [](const auto& a, const auto& b, const auto& c) { return c - a * b; };
+auto quotient = [](const auto& a, const auto& b) { return a / b; };
+auto tanh_of = [](double a) -> double { return wp::tanh(a); };
 auto any_below = [&](Value a) -> bool { return bits_of(a <= Real(0)); };
 auto values = [&](const wp::array_t<Real>& a) { return reinterpret_cast<Value*>(&wp::index(a, pack, 0, lane)); };
 auto wides = [&](const wp::array_t<double>& a) { return reinterpret_cast<Wide*>(&wp::index(a, pack, 0, lane)); };

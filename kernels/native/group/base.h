@@ -154,14 +154,23 @@ auto inverse = [](float a) -> float {
     return r;
 };
 auto fused = [](float a, float b, float c) -> float { return __fmaf_rn(a, b, c); };
+auto reduced = [](float a, float b, float c) -> float { return __fmaf_rn(-a, b, c); };
 auto fused_wide = [](double a, double b, double c) -> double { return __fma_rn(a, b, c); };
 #elif APPROXIMATE
 auto inverse_root = [](float a) -> float { return 1.0f / __builtin_sqrtf(a); };
 auto inverse = [](float a) -> float { return 1.0f / a; };
 auto fused = [](float a, float b, float c) -> float { return __builtin_fmaf(a, b, c); };
+auto reduced = [](float a, float b, float c) -> float { return __builtin_fmaf(-a, b, c); };
 auto fused_wide = [](double a, double b, double c) -> double { return __builtin_fma(a, b, c); };
 #else
 auto fused = [](Real a, Real b, Real c) -> Real { return a * b + c; };
+auto reduced = [](Real a, Real b, Real c) -> Real { return c - a * b; };
+auto root = [](Real a) -> Real { return wp::sqrt(a); };
+auto quotient = [](Real a, Real b) -> Real { return a / b; };
+#endif
+#if APPROXIMATE
+auto root = [&](float a) -> float { return a * inverse_root(a); };
+auto quotient = [&](float a, float b) -> float { return a * inverse(b); };
 #endif
 
 auto tanh_of = [](double a) -> double {

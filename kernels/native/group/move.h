@@ -63,20 +63,9 @@ auto stretch = [&](int j) {
     const unsigned ends = at.spring[part + PARTS * j].ends;
     const Real stiffness = at.spring[part + PARTS * j].stiffness;
     const Pair a = at.disp[ends & 0xffff], b = at.disp[ends >> 16];
-    const Real ux = b.x - a.x, uy = b.y - a.y, ex = span[j].x + ux, ey = span[j].y + uy;
-    const Real square = fused(ex, ex, ey * ey);
-#if APPROXIMATE
-    const Real length = square * inverse_root(square), both = length + rest[j];
-#else
-    const Real length = wp::sqrt(square), both = length + rest[j];
-#endif
-    const Real excess = fused(-pull[j], both, fused(span[j].x + ex, ux, (span[j].y + ey) * uy));
-#if APPROXIMATE
-    const Real force = excess * stiffness * inverse(both * length);
-#else
-    const Real force = excess * stiffness / (both * length + tiny);
-#endif
-    return Pair{force * ex, force * ey};
+    Pair force;
+    spring_force(span[j].x, span[j].y, b.x - a.x, b.y - a.y, rest[j], pull[j], stiffness, force.x, force.y);
+    return force;
 };
 
 auto runge_kutta = [&]() {
@@ -112,9 +101,10 @@ auto runge_kutta = [&]() {
             const Real above = height[j] + at.disp[p].y;
             if (above <= Real(0)) {  // the implicit floor at y = 0
                 COUNT(floor);
-                const double normal = -model.floor_stiffness * double(above), grip = model.friction * normal;
-                fx = fx - Real(model.floor_friction * grip * tanh_of(double(v.x) * grip));
-                fy = fy + Real(normal);
+                Real normal, drag;
+                floor_force(above, v.x, normal, drag);
+                fx = fx - drag;
+                fy = fy + normal;
             }
             const Links links = at.links[p];
             UNROLL for (int n = 0; n < LINKS; ++n) {
