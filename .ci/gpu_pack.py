@@ -33,6 +33,8 @@ LEFT_OUT = ("warp/examples", "warp/tests")
 """Folders that nothing of warpvox imports."""
 SOURCES_ALONE = ("antlr4-python3-runtime",)
 """Distributions without a wheel in the index."""
+SOURCES = ("warpvox", "kernels", "envs", "algos", "configs", "pyproject.toml", "README.md", "LICENSE", "MANIFEST.in")
+"""What warpvox is built from."""
 PLATFORMS = ("manylinux_2_34_x86_64", "manylinux_2_28_x86_64", "manylinux_2_17_x86_64", "manylinux2014_x86_64")
 PART = 48_000_000
 """Bytes of a part."""
@@ -49,7 +51,11 @@ def fetch(wheels: Path, python: str) -> None:
     run(*PIP, "download", "--quiet", "--no-deps", *kind, "--dest", str(wheels), *binary)
     for name in SOURCES_ALONE:
         run(*PIP, "wheel", "--quiet", "--no-deps", "--wheel-dir", str(wheels), lines[name])
-    run(*PIP, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(wheels), str(ROOT))
+    with tempfile.TemporaryDirectory() as scratch:  # a build leaves files behind, which the next would take up
+        for name in SOURCES:
+            copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+            copy(ROOT / name, Path(scratch, name))
+        run(*PIP, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(wheels), scratch)
 
 
 def run(*words: str) -> None:

@@ -16,24 +16,28 @@ FLOAT = 4
 """Bytes of a number that networks work on."""
 SCALARS = 6
 """Numbers of a transition besides observation, action, mean and deviation: reward, end, value, ..."""
-COPIES = 2.2
-"""Of a transition: the storage, and what learning makes of it."""
-ACTIVATIONS = 3.3
-"""Numbers that are kept for a unit of a network and a transition of a minibatch, gradients included."""
+COPIES, COPIES_TOGETHER = 3.1, 2.2
+"""Of a transition: the storage, and what learning makes of it; of one policy, and of a population's."""
+ACTIVATIONS, ACTIVATIONS_TOGETHER = 0.6, 2.4
+"""Numbers that are kept for a unit of a network and a transition of a minibatch, gradients included; likewise."""
 ACTING = 2
 """Numbers that are kept for a unit of a network and an environment when actions are chosen."""
 
 
-def learning_bytes(num_envs: int, num_obs: int, num_actions: int, itemsize: int, ppo: PpoConfig) -> int:
+def learning_bytes(
+    num_envs: int, num_obs: int, num_actions: int, itemsize: int, ppo: PpoConfig, together: bool = False
+) -> int:
     """Bytes that PPO takes at its peak, besides the environments.
 
     Args:
         num_obs, num_actions: of an environment; itemsize: bytes of a number of an observation.
+        together: whether a population of policies learns side by side.
     """
     units = 2 * sum(ppo.hidden)
     transition = itemsize * num_obs + FLOAT * (3 * num_actions + SCALARS)
-    activations = ACTIVATIONS * FLOAT * units / ppo.minibatches
-    return round(num_envs * (ppo.steps * (COPIES * transition + activations) + ACTING * FLOAT * units))
+    copies, kept = (COPIES_TOGETHER, ACTIVATIONS_TOGETHER) if together else (COPIES, ACTIVATIONS)
+    activations = kept * FLOAT * units / ppo.minibatches
+    return round(num_envs * (ppo.steps * (copies * transition + activations) + ACTING * FLOAT * units))
 
 
 def training_bytes(probe: VoxelVecEnv, per_design: int, designs: int, ppo: PpoConfig, width: int | None = None) -> int:
@@ -49,5 +53,5 @@ def training_bytes(probe: VoxelVecEnv, per_design: int, designs: int, ppo: PpoCo
     return (
         simulation_bytes(probe.sim, designs, per_design)
         + environment_bytes(count, *sizes)
-        + learning_bytes(count, *sizes, ppo)
+        + learning_bytes(count, *sizes, ppo, together=width is not None)
     )
