@@ -105,23 +105,27 @@ def source(group: Group, tallied: bool = False) -> str:
 
 @functools.cache
 def group_kernel(group: Group, tallied: bool = False) -> wp.Kernel:
-    """The kernel; launch over (packs, parts). ``order`` permutes the threads, which on the CPU must change nothing."""
+    """The kernel; launch over (rows, parts), whole warps, whatever the number of packs.
+
+    ``order`` permutes the threads, which on the CPU must change nothing.
+    """
     kit = kit_of(group.precision, 1)
 
     @wp.func_native(source(group, tallied))
     def control_step(
         model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), mesh: int, pack: int, part: int,
-        substeps: int, dt: wp.float64,
+        live: int, substeps: int, dt: wp.float64,
     ): ...  # fmt: skip
 
     @register_limited(REGISTERS[group.precision])
     def group_step(
-        model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), first_pack: int, order: int,
-        substeps: int, dt: wp.float64,
+        model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), first_pack: int, packs: int,
+        order: int, substeps: int, dt: wp.float64,
     ):  # fmt: skip
         row, thread = wp.tid()
-        pack = first_pack + row
-        control_step(model, data, scratch, model.pack_mesh[pack], pack, thread ^ order, substeps, dt)
+        pack = first_pack + wp.min(row, packs - 1)
+        live = wp.where(row < packs, 1, 0)
+        control_step(model, data, scratch, model.pack_mesh[pack], pack, thread ^ order, live, substeps, dt)
 
     return group_step
 
@@ -129,6 +133,7 @@ def group_kernel(group: Group, tallied: bool = False) -> wp.Kernel:
 def record_group(state, substeps: int, first: int, packs: int, order: int = 0) -> wp.Launch | Command:
     """A command that does one control step of the packs ``first`` to ``first + packs`` from the actions taken."""
     group = state.group
-    inputs = [state.model, state.data, state.scratch, first, order, substeps, state.dt]
-    block = BLOCK if on_cuda(state.device) else group.parts
-    return record(group_kernel(group), (packs, group.parts), inputs, state.device, block, together=True)
+    inputs = [state.model, state.data, state.scratch, first, packs, order, substeps, state.dt]
+    block, together = BLOCK if on_cuda(state.device) else group.parts, WARP // group.parts
+    rows = -(-packs // together) * together
+    return record(group_kernel(group), (rows, group.parts), inputs, state.device, block, together=True)

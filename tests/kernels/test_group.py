@@ -238,3 +238,16 @@ def test_all_tasks_fit_into_shared_memory_and_35x35_bodies_do_not():
 def test_a_layout_that_there_is_not_is_refused(options, says):
     with pytest.raises(SimulationError, match=says):
         Simulation(crowd(1), device="cpu", **options)
+
+
+@pytest.mark.parametrize("task", ["Walker-v0", pytest.param("BeamToppler-v0", marks=pytest.mark.slow)])
+def test_memory_as_cuda_has_it(task):
+    """The capacities of CUDA, where what is used in turn overlaps most closely, and nothing is zero at the beginning."""
+    sims = pair_of_task(task)
+    state = sims[1]._state
+    state.group = replace(
+        group.choose(state.sizes["point"], state.sizes["spring"], "float32", "cuda:0"), approximate=False
+    )
+    for step in range(8):
+        state.scratch.fill_(float("nan"))
+        run(sims, 1, seed=step)

@@ -1,6 +1,6 @@
 // The tables of the body and the state, into registers and shared memory. Packs have one lane.
 
-const bool frozen = wp::index(data.frozen, pack, 0) != 0;
+const bool frozen = !live || wp::index(data.frozen, pack, 0) != 0;  // a group that only fills its warp is not live
 int points = wp::index(model.points, mesh), springs = wp::index(model.springs, mesh);
 int rigids = wp::index(model.rigids, mesh), voxels = wp::index(model.voxels, mesh), mobiles = wp::index(model.mobiles, mesh);
 // A row of a table or of the state. Where one is looked up in every sub-step, its index is hidden from the compiler, which

@@ -74,6 +74,7 @@ auto runge_kutta = [&]() {
     int row = pack;
     HIDE(row);
     goal = state_of(data.goal, row);
+    if (part == 0) at.tension[2 * SPRINGS] = Pair{Real(-0.0), Real(-0.0)};  // of a place without a spring; contacts were here
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
         start_vel[j] = stage_vel[j] = Pair{Real(vel[j][0]), Real(vel[j][1])};
         height[j] = Real(at.pos[part + PARTS * j].y);

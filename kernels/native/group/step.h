@@ -56,7 +56,7 @@ auto store = [&]() {
 
 load_points();
 int status = vote(!sound) ? DIVERGED : 0;
-if (status) put_at_rest();
+if (status && live) put_at_rest();
 if (status || frozen) points = springs = rigids = voxels = mobiles = count = 0;  // nothing to do but come along
 load_springs();
 load_rigids();
@@ -78,7 +78,7 @@ ROLL for (int n = 0; n < substeps; ++n) {
 }
 if (vote(!in_bounds())) status |= DIVERGED;
 if (folded_up) status |= UNSTABLE;
-if (part == 0) wp::index(data.status, pack, 0) = frozen ? 0 : status | (overflow ? OVERFLOW : 0);
+if (part == 0 && live) wp::index(data.status, pack, 0) = frozen ? 0 : status | (overflow ? OVERFLOW : 0);
 if (frozen) return;
 if (!status) store();
 if (part == 0) {

@@ -64,7 +64,7 @@ def visits(sim: Simulation, steps: int, seed: int) -> np.ndarray:
     group, substeps = replace(state.group, approximate=True), sim.physics.substeps
     rows = group.bytes // 8 + substeps * len(names)
     scratch = zeros((sim.num_envs, rows), wp.float64, "cpu")
-    inputs = [state.model, state.data, scratch, 0, 0, substeps, state.dt]
+    inputs = [state.model, state.data, scratch, 0, sim.num_envs, 0, substeps, state.dt]
     kernel = group_kernel(group, tallied=True)
     count = record(kernel, (sim.num_envs, group.parts), inputs, "cpu", group.parts, together=True)
     actions = torch.zeros((sim.num_envs, sim.num_actions), dtype=sim.dtype)
