@@ -11,7 +11,7 @@ const double* spring_rest = &wp::index(model.spring_rest, mesh, 0);
 
 const auto disp = values(data.disp);
 const auto span = values(data.span);
-const auto moved = values(data.force);  // corrections of a pass; forces are not needed any more
+const auto moved = values(data.sum_vel);  // corrections of a pass; what Runge-Kutta left there is not needed any more
 const auto move = wides(data.move);
 
 // Whether spring s is beyond the bound in some of the lanes; then how far its first end moves, toward the second where
