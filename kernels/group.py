@@ -37,6 +37,8 @@ SMALL = 128
 """Springs up to which 16 threads take an environment; 32 take a larger one."""
 FEW = 8
 """Rounds of a loop over points or springs up to which it is unrolled (``native/group/base.h``)."""
+ROUNDS = 64
+"""Of a loop over points, at most: a bit for each."""
 ON_CPU = 512, 1024
 """Points and springs for which the kernel is compiled on the CPU, where memory is no limit; more where needed."""
 FILES = ("base.h", "law.h", "load.h", "candidates.h", "contact.h", "move.h", "limit.h", "step.h")
@@ -78,10 +80,12 @@ def choose(points: int, springs: int, precision: str, device: str) -> Group | No
     """The group for worlds with so many points and springs at most; None where they exceed the shared memory."""
     parts = 16 if springs <= SMALL else 32
     if not on_cuda(device):
-        parts, points, springs = 16, max(points, ON_CPU[0]), max(springs, ON_CPU[1])
+        points, springs = max(points, ON_CPU[0]), max(springs, ON_CPU[1])
+        parts = 16 if points <= 16 * ROUNDS else 32
     points, springs = (-(-max(count, 1) // parts) * parts for count in (points, springs))
     group = Group(precision, parts, points, springs, on_cuda(device) and precision == "float32")
-    return group if not on_cuda(device) or group.bytes * (WARP // parts) <= SHARED_BYTES else None
+    fits = points <= ROUNDS * parts and springs < 1 << 15  # point and place numbers have 16 bits
+    return group if fits and (not on_cuda(device) or group.bytes * (WARP // parts) <= SHARED_BYTES) else None
 
 
 def places() -> list[str]:

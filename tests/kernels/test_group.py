@@ -222,7 +222,8 @@ def test_all_tasks_fit_into_shared_memory_and_35x35_bodies_do_not():
         assert group.choose(36, 104, precision, "cuda:0").parts == 16
         assert group.choose(69, 196, precision, "cuda:0").parts == 32
         assert group.choose(36 * 36, 5000, precision, "cuda:0") is None
-        assert group.choose(36 * 36, 5000, precision, "cpu").points == 36 * 36
+        assert group.choose(36 * 36, 5000, precision, "cpu").points >= 36 * 36
+        assert group.choose(61 * 61, 14000, precision, "cpu") is None
     for points, springs in [(356, 560), (370, 362), (344, 850)]:  # the largest worlds of the tasks
         assert group.choose(points, springs, "float32", "cuda:0") is not None
 
@@ -242,7 +243,7 @@ def test_a_layout_that_there_is_not_is_refused(options, says):
 
 @pytest.mark.parametrize("task", ["Walker-v0", pytest.param("BeamToppler-v0", marks=pytest.mark.slow)])
 def test_memory_as_cuda_has_it(task):
-    """The capacities of CUDA, where what is used in turn overlaps most closely, and nothing is zero at the beginning."""
+    """The capacities of CUDA, where what is used in turn overlaps most closely; nothing is zero at first."""
     sims = pair_of_task(task)
     state = sims[1]._state
     state.group = replace(
