@@ -23,9 +23,14 @@ for (int k = 0; k < t.layers; ++k) {
     const float* weight = own.weight + design * own.of_design;
     const float* bias = own.bias + design * own.bias_of_design;
     for (long i = 0; i < inputs; ++i) {
-        for (long j = 0; j < own.width; ++j) {
-            panel[i * own.width + j] = j < own.size ? weight[i * own.of_input + j * own.of_output] : 0.0f;
+        const float* row = weight + i * own.of_input;
+        float* copy = panel + i * own.width;
+        if (own.of_output == 1) {
+            for (long j = 0; j < own.size; ++j) copy[j] = row[j];
+        } else {
+            for (long j = 0; j < own.size; ++j) copy[j] = row[j * own.of_output];
         }
+        for (long j = own.size; j < own.width; ++j) copy[j] = 0.0f;
     }
     panel += inputs * own.width;
     for (long j = 0; j < own.width; ++j) panel[j] = j < own.size ? bias[j] : 0.0f;

@@ -50,6 +50,9 @@ auto product = [&](int rows, int columns, const float* a, long row, long step, c
         for (; i + 6 <= rows; i += 6) {
             block(Six(), vectors, a + i * row, row, step, b + j, b_row, count, c + i * c_row + j, c_row, first, add);
         }
+        for (; i + 4 <= rows; i += 4) {
+            block(Four(), vectors, a + i * row, row, step, b + j, b_row, count, c + i * c_row + j, c_row, first, add);
+        }
         for (; i < rows; ++i) {
             block(One(), vectors, a + i * row, row, step, b + j, b_row, count, c + i * c_row + j, c_row, first, add);
         }
