@@ -13,8 +13,9 @@ from warpvox.startup import start_warp
 __all__ = ["ENOUGH", "resolve_device"]
 
 ENOUGH = 1000
-"""Environments from which 'auto' takes a GPU. There a control step takes the same time for one and for thousands, since
-each is one thread; fewer are stepped faster by a core of the CPU. Predicted, see docs/performance.md."""
+"""Environments from which "auto" takes a GPU. With one thread an environment, in exact arithmetic or in worlds too
+large for a group, fewer are stepped faster by a core of the CPU; a group of threads should need fewer. Both are
+predictions, see docs/performance.md."""
 
 
 def resolve_device(device: str, num_envs: int | None = None) -> str:

@@ -442,7 +442,7 @@ def test_the_gpu_suite_runs_on_the_cpu(warpvox: Callable) -> None:
     assert {row["task"] for row in figures["tasks"]} == {"Walker-v0", "Lifter-v0"}
     assert [figures[part][0]["task"] for part in ("correctness", "other tasks")] == ["Walker-v0", "Lifter-v0"]
     assert [row["num_envs"] for row in figures["sizes"]] == [1, 8]
-    assert all(row["physics"]["64"] > 0 < row["step"] for row in figures["sizes"])
+    assert all(row["physics"]["block 64"] > 0 < row["step"] for row in figures["sizes"])
     assert figures["bodies"][0]["different"] > 0
     assert [row["num_envs"] for row in figures["training"][:-1]] == [8]
     assert figures["training"][0]["operations"] > 1000 < figures["training"][0]["training"]

@@ -19,9 +19,11 @@ from warpvox.cli.benchmarks.population import Times
 from warpvox.cli.benchmarks.predictions import KERNEL, predicted
 from warpvox.cli.benchmarks.progress import Progress
 from warpvox.cli.benchmarks.report import middle, number
-from warpvox.cli.benchmarks.subject import Subject, clock, measure
+from warpvox.cli.benchmarks.subject import LOADING, Subject, clock, measure
 from warpvox.envs.vec_env import make_vec
+from warpvox.kernels.device import BLOCK
 from warpvox.kernels.step import record_step
+from warpvox.packs import CUDA_LANES
 
 __all__ = ["bodies", "learning", "sizes", "stages", "tasks", "training"]
 
@@ -35,7 +37,7 @@ POPULATION_STEPS = 16
 def sizes(config: Any, progress: Progress, counts: tuple[int, ...], blocks: tuple[int, ...], graph: bool) -> None:
     """The physics alone by block, and whole steps, by the number of environments; predictions beside them."""
     part, body, needed = "sizes, graph" if graph else "sizes", one_body(config), 0.0
-    rows = []
+    rows, kernels = [], []
     for count in counts:
         if not progress.time_for(f"{part}: {count:,} environments") or not _fits(config, progress, count, needed):
             continue
@@ -43,21 +45,25 @@ def sizes(config: Any, progress: Progress, counts: tuple[int, ...], blocks: tupl
         subject = Subject(config, config.task, body, count, cuda_graph=graph)
         subject.settle()
         taken, needed = before - available_memory(config.device), per_environment(subject.env)
-        physics = {} if graph else {str(block): _physics(subject, block) for block in blocks}
+        physics = {} if graph or subject.env.sim.layout == "lanes" else {KERNEL: _physics(subject)}
+        if blocks:
+            of_lanes = subject if not physics else Subject(config, config.task, body, count, lanes=CUDA_LANES)
+            of_lanes.timed("step", LOADING)
+            physics |= {f"block {block}": _physics(of_lanes, block) for block in blocks}
         step = middle(measure(subject, ["step"], config.repeats)["step"])
         told = predicted(config.task, config.dtype, count)
-        shown = ", ".join(f"{number(rate / 1e6)} M in blocks of {block}" for block, rate in physics.items())
+        shown = ", ".join(f"{number(rate / 1e6)} M ({kernel})" for kernel, rate in physics.items())
         rows.append([f"{count:,}", *(number(rate) for rate in physics.values()), told, number(step)])
+        kernels = [f"physics, {kernel}" for kernel in physics]
         progress.row(
             part, f"{count:,} environments: {shown or 'graph'}; predicted {told}; whole steps {number(step / 1e6)} M",
             num_envs=count, physics=physics, predicted=told, step=step, bytes=needed, taken=taken,
         )  # fmt: skip
-    of_blocks = [] if graph else [f"physics, block {block}" for block in blocks]
     launched = ", one graph a step" if graph else ""
     title = (
         f"{config.task}, control steps per second, {config.dtype}, {config.device}{launched}; predicted for {KERNEL}"
     )
-    progress.report.table(title, ["environments", *of_blocks, "predicted", "step only"], rows)
+    progress.report.table(title, ["environments", *kernels, "predicted", "step only"], rows)
 
 
 def _fits(config: Any, progress: Progress, count: int, needed: float) -> bool:
@@ -68,8 +74,8 @@ def _fits(config: Any, progress: Progress, count: int, needed: float) -> bool:
     return fits
 
 
-def _physics(subject: Subject, block: int) -> float:
-    """Control steps per second of the fused kernel alone, in blocks of so many threads."""
+def _physics(subject: Subject, block: int = BLOCK) -> float:
+    """Control steps per second of the step's kernel alone; with one thread an environment in blocks of so many."""
     sim = subject.env.sim
     command = record_step(sim.buffers, sim.physics.substeps, 0, sim.buffers.packs, block)
     command.launch()
@@ -83,7 +89,8 @@ def _physics(subject: Subject, block: int) -> float:
 
 def stages(config: Any, progress: Progress, count: int) -> None:
     """Each stage of the physics by itself."""
-    subject = Subject(config, config.task, one_body(config), count)
+    lanes = {} if config.device == "cpu" else {"lanes": CUDA_LANES}  # a group goes through all stages at once
+    subject = Subject(config, config.task, one_body(config), count, **lanes)
     subject.settle()
     times = stage_times(subject, config)
     total = sum(times.values()) or 1.0
