@@ -23,8 +23,8 @@ auto halve = [](auto self, auto a, auto choose) -> double {
         return self(self, choose(a.lo, a.hi), choose);
     }
 };
-auto least = [&](Wide a) -> double { return halve(halve, a, [](auto b, auto c) { return (b < c) | (c != c) ? b : c; }); };
-auto largest = [&](Wide a) -> double { return halve(halve, a, [](auto b, auto c) { return (b > c) | (c != c) ? b : c; }); };
+auto least = [&](Wide a) -> double { return halve(halve, a, [](auto b, auto c) { return ((b < c) | (c != c)) ? b : c; }); };
+auto largest = [&](Wide a) -> double { return halve(halve, a, [](auto b, auto c) { return ((b > c) | (c != c)) ? b : c; }); };
 auto bits_of = [](auto a) -> int {
     typedef bool Bits __attribute__((ext_vector_type(WIDTH)));
     const Bits bits = __builtin_convertvector(a, Bits);

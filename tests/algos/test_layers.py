@@ -8,7 +8,6 @@ import pytest
 import torch
 from torch import nn
 
-from warpvox.algos import native_layers
 from warpvox.algos.layers import tanh_layers
 
 SIZES = (5, 7, 6, 3)
@@ -49,25 +48,6 @@ def test_outputs_and_gradients_are_torchs(designs: int | None, dtype: torch.dtyp
         torch.testing.assert_close(ours, theirs, rtol=ROUNDING[dtype], atol=close)
 
 
-@pytest.mark.usefixtures("one_thread")
-@pytest.mark.parametrize("rows", [1, 5, 96, 300])
-@SHAPES
-def test_native_layers_are_torchs(designs: int | None, rows: int) -> None:
-    _, weights, biases = network(designs, torch.float32)
-    lead = () if designs is None else (designs,)
-    inputs = torch.randn(*lead, rows, SIZES[0], generator=torch.Generator().manual_seed(rows))
-    if torch.backends.cpu.get_cpu_capability() != "AVX512":
-        pytest.skip("needs a CPU with AVX-512")
-    assert native_layers.suits(inputs, weights)
-    results = []
-    for way in (tanh_layers, by_torch):
-        out = way(inputs, weights, biases)
-        results.append((out, *torch.autograd.grad(out.square().sum(), [*weights, *biases])))
-    for ours, theirs in zip(*results, strict=True):
-        assert ours.shape == theirs.shape
-        torch.testing.assert_close(ours, theirs, rtol=1e-5, atol=3e-6 * theirs.detach().abs().max().item())
-
-
 @SHAPES
 def test_inputs_that_ask_for_no_gradient_get_none(designs: int | None) -> None:
     inputs, weights, biases = network(designs, torch.float64)
@@ -84,18 +64,3 @@ def test_tanh_is_close_far_from_zero_and_near_it() -> None:
     ours = tanh_layers(values, [one, one], [zero, zero])
     torch.testing.assert_close(ours.double(), nn.Tanh()(values.double()), rtol=0, atol=2e-7)
     assert tanh_layers(torch.tensor([[float("nan")]]), [one, one], [zero, zero]).isnan().all()
-
-
-@pytest.mark.usefixtures("one_thread")
-def test_native_layers_are_for_small_networks_in_float32_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(native_layers, "WIDE", True)
-    small, large = torch.zeros(3, 5), torch.zeros(5, native_layers.LARGEST + 1)
-    assert native_layers.suits(small, [torch.zeros(5, 4)])
-    assert not native_layers.suits(small.double(), [torch.zeros(5, 4).double()])
-    assert not native_layers.suits(small, [large])
-    assert not native_layers.suits(large, [large.mT])
-    torch.set_num_threads(2)
-    assert not native_layers.suits(small, [torch.zeros(5, 4)])
-    torch.set_num_threads(1)
-    monkeypatch.setattr(native_layers, "WIDE", False)
-    assert not native_layers.suits(small, [torch.zeros(5, 4)])
