@@ -19,7 +19,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # On all cores; `make test JOBS=0` in one process.
 JOBS ?= auto
-PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+# A file stays on one process, which makes its fixtures once; tests/conftest.py says which files go first.
+PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
 # Tools of the maintainers have an environment of their own: .venv cannot be made while the locks are out of date.
 TOOLS := build/tools

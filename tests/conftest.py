@@ -21,6 +21,12 @@ parallel.one_thread_each()
 settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
 
+LONGEST = (
+    *("test_on_ray", "test_paths", "test_bench", "test_processes", "test_codesign", "test_moments", "test_needs"),
+    *("test_population", "test_protocol", "test_cuda_build", "test_disk", "test_damage", "test_signals", "test_fuzz"),
+    *("test_stored_code", "test_bad_numbers", "test_bodies", "test_population_ppo", "test_group", "test_commands"),
+)
+"""Files that take ten seconds or more. They go first, so that no process waits for another at the end."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE = 30.0  # seconds for anything in the browser; a shared machine may stall
 GRAVE = ("error", "warning")
@@ -40,7 +46,8 @@ def kernels_are_compiled_once() -> Iterator[None]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip tests marked ``gpu`` where there is no CUDA device."""
+    """Begin with the longest files; skip tests marked ``gpu`` where there is no CUDA device."""
+    items.sort(key=lambda item: LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST))
     marked = [item for item in items if item.get_closest_marker("gpu")]
     if not marked:
         return
