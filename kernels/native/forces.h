@@ -4,14 +4,11 @@
 // Hooke force k (l - l_eq) of a spring along its vector: (dx, dy) at the sub-step's start with the length l0 `rest` and
 // l_eq - l0 `pull`, moved by (ux, uy) since. l - l0 = (|e|^2 - |d|^2) / (l + l0), without the cancellation, and both
 // divisions in one; where there is no spring its length may be 0.
-auto spring_force = [&](
-    const auto& dx, const auto& dy, const auto& ux, const auto& uy, const auto& rest, const auto& pull, const auto& k,
-    auto& fx, auto& fy
-) {
-    const auto ex = dx + ux, ey = dy + uy;
-    const auto length = root(fused(ex, ex, ey * ey)), both = length + rest;
-    const auto excess = reduced(pull, both, fused(dx + ex, ux, (dy + ey) * uy));
-    const auto force = quotient(excess * k, fused(both, length, Real(1e-30)));
+auto spring_force = [&](Value dx, Value dy, Value ux, Value uy, Value rest, Value pull, Value k, Value& fx, Value& fy) {
+    const Value ex = dx + ux, ey = dy + uy;
+    const Value length = root(fused(ex, ex, ey * ey)), both = length + rest;
+    const Value excess = reduced(pull, both, fused(dx + ex, ux, (dy + ey) * uy));
+    const Value force = quotient(excess * k, fused(both, length, Real(1e-30)));
     fx = force * ex;
     fy = force * ey;
 };

@@ -32,9 +32,9 @@ auto bits_of = [](auto a) -> int {
     __builtin_memcpy(&mask, &bits, WIDTH / 8);
     return static_cast<int>(mask);
 };
-auto fused = [](const auto& a, const auto& b, const auto& c) { return a * b + c; };
-auto reduced = [](const auto& a, const auto& b, const auto& c) { return c - a * b; };
-auto quotient = [](const auto& a, const auto& b) { return a / b; };
+auto fused = [](Value a, Value b, Value c) -> Value { return a * b + c; };
+auto reduced = [](Value a, Value b, Value c) -> Value { return c - a * b; };
+auto quotient = [](Value a, Value b) -> Value { return a / b; };
 auto tanh_of = [](double a) -> double { return wp::tanh(a); };
 auto any_below = [&](Value a) -> bool { return bits_of(a <= Real(0)); };
 auto values = [&](const wp::array_t<Real>& a) { return reinterpret_cast<Value*>(&wp::index(a, pack, 0, lane)); };

@@ -28,6 +28,7 @@ const unsigned first_thread = (threadIdx.x & 31) / PARTS * PARTS, everyone = 0xf
 #define HIDE(number)
 #endif
 
+typedef Real Value;  // as in scalar.h
 static_assert(POINTS % PARTS == 0 && SPRINGS % PARTS == 0 && POINTS <= 64 * PARTS && SPRINGS < 1 << 15, "capacities");
 constexpr int POINT_ROUNDS = POINTS / PARTS, SPRING_ROUNDS = SPRINGS / PARTS;
 // Up to FEW rounds are unrolled; what a thread owns is in registers then, else in local memory.
