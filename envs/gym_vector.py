@@ -43,6 +43,7 @@ class VoxelGymVectorEnv(VectorEnv):
         seed: of the first episodes, until :meth:`reset` gets another.
         autoreset_mode: a ``gymnasium.vector.AutoresetMode`` or its name; also in ``metadata``.
         rules, physics, dtype, arithmetic, device, threads, obs: as in :func:`warpvox.make_vec`.
+        grid: rows and columns up to which :meth:`set_designs` may bring other bodies; needs ``arithmetic="fast"``.
 
     Attributes:
         vec: the environments themselves, with torch tensors.
@@ -78,6 +79,7 @@ class VoxelGymVectorEnv(VectorEnv):
         render_size: tuple[int, int] = (640, 360),
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         arithmetic: str | None = None,
+        grid: tuple[int, int] | None = None,
     ) -> None:
         from warpvox.envs.vec_env import make_vec  # brings torch
 
@@ -102,6 +104,7 @@ class VoxelGymVectorEnv(VectorEnv):
             device=device,
             threads=threads,
             obs=obs,
+            grid=grid,
             seed=seed,
             auto_reset=self.autoreset_mode is AutoresetMode.SAME_STEP,
         )
@@ -150,6 +153,25 @@ class VoxelGymVectorEnv(VectorEnv):
         """Begin an episode where ``mask`` is True; the others keep their observation."""
         fresh = self.vec.reset(seed, mask=mask)[0].cpu().numpy()
         self._obs = np.where(mask[:, None], fresh, self._obs)
+
+    def set_designs(self, designs: object, mask: np.ndarray, connections: Sequence[object] | None = None) -> np.ndarray:
+        """Give environments other bodies; they begin a new episode, the others go on.
+
+        Args:
+            designs, mask, connections: as in :meth:`warpvox.envs.vec_env.VoxelVecEnv.set_designs`.
+
+        Returns:
+            Observations ``[num_envs, num_obs]``; those of the others are of the last step.
+
+        Raises:
+            SimulationError, DesignError, WorldError, ConfigError: as there.
+        """
+        fresh = self.vec.set_designs(designs, mask, connections).cpu().numpy()
+        mask = np.asarray(mask)
+        self._obs = np.where(mask[:, None], fresh, self._obs)
+        self._ended = self._ended & ~mask
+        self._view = None  # it has drawn the old bodies
+        return self._obs.copy()
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One control step everywhere; ``actions`` ``[num_envs, num_actions]``.

@@ -203,3 +203,29 @@ def test_mistakes_are_named() -> None:
         make(body="walker", autoreset_mode="same")
     with pytest.raises(ConfigError, match=r"no argument 'autoreset'\. Did you mean 'autoreset_mode'"):
         make(body="walker", autoreset="SAME_STEP")
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_bodies_are_exchanged_in_the_running_batch(mode: AutoresetMode) -> None:
+    first, second = example_design("mini"), np.array([[3, 4], [1, 2], [4, 3]], dtype=np.int8)
+    options = {"grid": (4, 4), "dtype": "float32"}
+    env = make(body=first, max_episode_steps=3, autoreset_mode=mode, render_mode="rgb_array", **options)
+    env.reset(seed=0)
+    actions = np.ones(env.action_space.shape, env.action_space.dtype)
+    for _ in range(3):  # in modes other than SAME_STEP all have ended then
+        before, *_ = env.step(actions)
+    pictures = env.render()
+    mask = np.array([False, True, True])
+    obs = env.set_designs(second, mask)
+    fresh = make(body=second, **options).reset(seed=0)[0]
+    np.testing.assert_array_equal(obs[mask], fresh[mask])
+    np.testing.assert_array_equal(obs[0], before[0])
+    drawn = env.render()
+    assert [np.array_equal(one, other) for one, other in zip(drawn, pictures, strict=True)] == [True, False, False]
+    if mode is AutoresetMode.DISABLED:
+        with pytest.raises(SimulationError, match=r"Environments 0 have ended"):
+            env.step(actions)
+        env.reset(options={"reset_mask": ~mask})
+    assert not env.step(actions)[3].any()
+    with pytest.raises(SimulationError, match="grid"):
+        make(body=first, dtype="float32").set_designs(second, mask)
