@@ -46,7 +46,18 @@ MOST_THREADS = 1024
 """More than any machine has cores; a stored file may not make a process start a million."""
 ARITHMETICS = ("fast", "exact")
 PPO = ("parallel", "evogym")
+DEVICES = "auto (CUDA where there is one, from 1,000 environments on), cpu, cuda, cuda:<index>"
 CONFIG_FILE = "start from the values of a file, such as a run's config.yaml (or its folder); other keys go before them"
+
+
+def _dtype_of_run() -> Any:
+    """The key of commands that begin with what a run has left."""
+    return key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
+
+
+def _arithmetic(default: str) -> Any:
+    return key(None, f"fast, or exact: bit for bit as released (float64); null: {default}", choices=ARITHMETICS)
+
 
 CONSTANTS = {
     "dt": "inner time of a sub-step, 1e-8 to 0.01; the default constants are stable up to about 1.3e-4",
@@ -157,11 +168,9 @@ class _TrainingRunConfig:
     stop_return: float | None = key(None, "stop as soon as an evaluation reaches this return")
     save_interval: int = key(50, "iterations between checkpoints", low=1)
     seed: int = key(0, "governs everything random", low=0)
-    device: str = key("auto", "auto (CUDA where there is one, from 1,000 environments on), cpu, cuda, cuda:<index>")
+    device: str = key("auto", DEVICES)
     dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
-    arithmetic: str | None = key(
-        None, "fast, or exact: bit for bit as released (float64); null: by dtype", choices=ARITHMETICS
-    )
+    arithmetic: str | None = _arithmetic("by dtype")
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1, high=MOST_THREADS)
     lanes: int | None = key(None, "environments that a thread advances at once; null: chosen by size")
     cuda_graph: bool = key(False, "on CUDA launch each control step, rewards and resets included, as one graph")
@@ -242,11 +251,9 @@ class CodesignConfig(PresetConfig):
         None, "designs trained together; null: a whole generation (executor=ray: a worker's share of it)", low=1
     )
     seed: int = key(0, "governs everything random", low=0)
-    device: str = key("auto", "auto (CUDA where there is one, from 1,000 environments on), cpu, cuda, cuda:<index>")
+    device: str = key("auto", DEVICES)
     dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
-    arithmetic: str | None = key(
-        None, "fast, or exact: bit for bit as released (float64); null: by dtype", choices=ARITHMETICS
-    )
+    arithmetic: str | None = _arithmetic("by dtype")
     threads: int | None = key(
         None, "threads of the simulation on the CPU; null: all cores (executor=ray: one)", low=1, high=MOST_THREADS
     )
@@ -293,13 +300,9 @@ class _RolloutConfig:
     )
     every: int = key(1, "show every n-th control step only; films run n times as fast", low=1)
     steps: int | None = key(None, "control steps to record; null: until the episode ends", low=1)
-    device: str = key("auto", "auto (CUDA where there is one, from 1,000 environments on), cpu, cuda, cuda:<index>")
-    dtype: str | None = key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
-    arithmetic: str | None = key(
-        None,
-        "fast, or exact: bit for bit as released (float64); null: the run's, or by dtype",
-        choices=ARITHMETICS,
-    )
+    device: str = key("auto", DEVICES)
+    dtype: str | None = _dtype_of_run()
+    arithmetic: str | None = _arithmetic("the run's, or by dtype")
     stochastic: bool = key(False, "sample the policy's actions as in training, instead of taking their mean")
     seed: int | None = key(
         None,
@@ -518,13 +521,9 @@ class EvaluateConfig:
     )
     level: float = key(0.95, "confidence of the intervals", above=0, high=0.9999)
     task: str | None = key(None, f"of runs of tasks of your own. {OWN_TASK}", path="read")
-    device: str = key("auto", "auto (CUDA where there is one, from 1,000 environments on), cpu, cuda, cuda:<index>")
-    dtype: str | None = key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
-    arithmetic: str | None = key(
-        None,
-        "fast, or exact: bit for bit as released (float64); null: the run's, or by dtype",
-        choices=ARITHMETICS,
-    )
+    device: str = key("auto", DEVICES)
+    dtype: str | None = _dtype_of_run()
+    arithmetic: str | None = _arithmetic("the run's, or by dtype")
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1)
     torch_threads: int = key(1, "threads of PyTorch", low=1)
     name: str | None = key(None, "appended to the name of the result's folder")
