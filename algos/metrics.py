@@ -24,8 +24,8 @@ COLUMNS = (
     "episodes",  # that ended in this iteration
     "return_mean",  # of those, exploring; empty if none ended
     "length_mean",  # of those, in control steps
-    "unstable",  # episodes that were stopped in this iteration, by self-folding or bad numbers
-    "diverged",  # those that bad numbers have stopped
+    "unstable",  # episodes that were stopped in this iteration, by self-folding or divergence
+    "diverged",  # those of them that diverged
     "eval_return",  # deterministic; empty if there was no evaluation
     "best_return",  # the best evaluation so far
     "value_loss",

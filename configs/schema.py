@@ -176,7 +176,7 @@ class _TrainingRunConfig:
     cuda_graph: bool = key(False, "on CUDA launch each control step, rewards and resets included, as one graph")
     nan_guard: str = key(
         "on",
-        "bad numbers end an environment (on), and its last 64 steps are written to the run's folder dumps (dump)",
+        "divergence ends an environment (on), and its last 64 steps are written to the run's folder dumps (dump)",
         choices=("on", "dump"),
     )
     torch_threads: int = key(

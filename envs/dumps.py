@@ -1,4 +1,4 @@
-"""What led to bad numbers: the last states of an environment that has diverged, as a rollout file."""
+"""What led to a divergence: the last states of an environment that has diverged, as a rollout file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["GUARDS", "LIMIT", "STEPS", "DivergenceDump", "check_guard"]
 
 GUARDS = ("on", "dump")
-"""Values of ``nan_guard``: bad numbers end their environment; and are written down besides."""
+"""Values of ``nan_guard``: divergence ends its environment; and what led to it is written to a file."""
 STEPS = 64
 """Control steps that a file holds at most."""
 LIMIT = 10

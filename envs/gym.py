@@ -189,7 +189,7 @@ class VoxelEnv(gymnasium.Env):
 
         Returns:
             Observation, reward, terminated, truncated (always False here), and a dictionary with ``unstable``
-            (the step was stopped), ``diverged`` (because of bad numbers, not by self-folding) and ``reward_terms``,
+            (the step was stopped), ``diverged`` (it diverged, not by self-folding) and ``reward_terms``,
             what each term has added to the reward.
 
         Raises:

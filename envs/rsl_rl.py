@@ -20,7 +20,7 @@ ACTION_CENTER = 1.1
 ACTION_SCALE = 0.5
 """Half of that range: outputs of -1 and 1 are its ends."""
 ENDS = ("unstable", "diverged")
-"""Ends by a step that was stopped, and those among them because of bad numbers."""
+"""Ends by a step that was stopped, and those among them that diverged."""
 OBS_GROUP = "policy"
 """rsl-rl's name for the one group of observations that there is."""
 
@@ -33,7 +33,7 @@ class RslRlVecEnv(VecEnv):
 
     ``extras`` of a step hold ``log`` (means of this step for TensorBoard) and, if time limits are to be
     bootstrapped, ``time_outs`` (bool ``[num_envs]``: ended by the time limit alone) with ``final_obs``
-    (TensorDict: the last observations of what ended). Episodes that the task stopped, self-folding and bad numbers
+    (TensorDict: the last observations of what ended). Episodes that the task stopped, self-folding and divergence
     included, have been reset by the environment. All tensors are fresh.
 
     Args:
@@ -134,7 +134,7 @@ class RslRlVecEnv(VecEnv):
         """How many ``episodes`` ended since the last call, their mean ``return`` and ``length`` (NaN: none).
 
         Returns are the task's own, not scaled. Episodes that were shortened for a random start do not count, except
-        in ``unstable`` and ``diverged``: how many ended by a step that was stopped, and by bad numbers among them.
+        in ``unstable`` and ``diverged``: how many ended by a step that was stopped, and by divergence among them.
         """
         self.env.not_finite()  # warns of terms that were NaN; looking there is no wait more
         count, total, length, *ends = self._sums.tolist()

@@ -388,9 +388,9 @@ class VoxelVecEnv:
               is that of the next episode's beginning where an episode has ended and been reset;
             - ``episode``: ``return`` and ``length`` of the episodes up to this step, and ``done``, the mask
               of those that this step has ended;
-            - ``unstable``: bool, the step was stopped, by self-folding or bad numbers (the observation is that
+            - ``unstable``: bool, the step was stopped, by self-folding or divergence (the observation is that
               before it);
-            - ``diverged``: bool, those of them that bad numbers have stopped: the simulation's (see
+            - ``diverged``: bool, those of them that diverged: the simulation's (see
               :attr:`Simulation.diverged`), or a term of the task that was NaN or infinite. The latter is named by a
               warning, once (see :meth:`not_finite`), and its entries of the observation are 0;
             - ``reward_terms``: what each term has added to the reward, by name.
@@ -429,7 +429,7 @@ class VoxelVecEnv:
             obs, odd = self._finite.step(obs, terms, ~idle, self._may_look)
             diverged, unstable, terminated = diverged | odd, unstable | odd, terminated | odd
             terms["unstable"] = unstable.double() * self.spec.unstable_penalty
-            # what bad numbers were before the step is no measure for a reward
+            # non-finite values from before the step are no measure for a reward
             for term in self.spec.rewards:
                 terms[term.name] = terms[term.name].masked_fill(idle | odd, 0.0)
             reward = sum(terms.values())
@@ -477,7 +477,7 @@ class VoxelVecEnv:
 
         Returns:
             Observation ``[num_obs]``, what each term has added to the reward, terminated, whether the step was
-            stopped, and whether by bad numbers. What follows after the end means nothing, until :meth:`reset`.
+            stopped, and whether by divergence. What follows after the end means nothing, until :meth:`reset`.
         """
         self.sim.take(actions)
         self.episodes.drawn = False

@@ -284,15 +284,15 @@ class Simulation(Sensing):
 
     @property
     def unstable(self) -> torch.Tensor:
-        """bool [num_envs]: the last step was stopped (self-folding or bad numbers) and undone."""
+        """bool [num_envs]: the last step was stopped (self-folding or divergence) and undone."""
         return (self._of_environments("status") & _STOPPED) != 0
 
     @property
     def diverged(self) -> torch.Tensor:
-        """bool [num_envs]: the last step was stopped because of bad numbers; such an environment is unstable, too.
+        """bool [num_envs]: the last step was stopped because it diverged; such an environment is unstable, too.
 
         Bad are numbers that are not finite, speeds above 1e4 (units of inner time) and coordinates beyond 1e6; see
-        :mod:`warpvox.kernels.guard`. The step is undone. Had the step begun with bad numbers, which only
+        :mod:`warpvox.kernels.guard`. The step is undone. Had the step begun with non-finite values, which only
         :meth:`set_state` can bring about, the environment stands at time 0 and at rest instead.
         """
         return (self._of_environments("status") & int(DIVERGED)) != 0
