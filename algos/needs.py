@@ -6,7 +6,7 @@ it. The factors were found by measuring processes; ``tests/algos/test_needs.py``
 
 from __future__ import annotations
 
-from warpvox.configs.schema import PpoConfig
+from warpvox.algos.settings import PpoConfig
 from warpvox.envs.needs import environment_bytes, simulation_bytes
 from warpvox.envs.vec_env import VoxelVecEnv
 

@@ -22,9 +22,10 @@ settings.register_profile("repeatable", derandomize=True, deadline=None, suppres
 settings.load_profile("repeatable")
 
 LONGEST = (
-    *("test_on_ray", "test_paths", "test_bench", "test_processes", "test_codesign", "test_moments", "test_needs"),
-    *("test_population", "test_protocol", "test_cuda_build", "test_disk", "test_damage", "test_signals", "test_fuzz"),
-    *("test_stored_code", "test_bad_numbers", "test_bodies", "test_population_ppo", "test_group", "test_commands"),
+    *("test_ray_executor", "test_paths", "test_bench", "test_processes", "test_codesign", "test_moments"),
+    *("test_needs", "test_population_evaluator", "test_protocol", "test_cuda_build", "test_disk", "test_damage"),
+    *("test_signals", "test_fuzz", "test_stored_code", "test_bad_numbers", "test_bodies", "test_ppo"),
+    *("test_group", "test_commands"),
 )
 """Files that take ten seconds or more. They go first, so that no process waits for another at the end."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")

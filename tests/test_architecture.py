@@ -17,6 +17,7 @@ LAYERS = (
     (
         "warpvox.errors",
         "warpvox.files",
+        "warpvox.keys",
         "warpvox.kernel_cache",
         "warpvox.memory",
         "warpvox.reading",
@@ -53,7 +54,8 @@ LAYERS = (
     ),
     ("warpvox.envs",),
     ("warpvox.evogym",),
-    ("warpvox.algos", "warpvox.configs", "warpvox.editor"),
+    ("warpvox.algos", "warpvox.editor"),
+    ("warpvox.configs",),
     ("warpvox.cli", "warpvox.api", "warpvox.__main__"),
 )
 CORE = (

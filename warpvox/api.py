@@ -14,7 +14,7 @@ import numpy as np
 from warpvox.errors import ConfigError
 
 if TYPE_CHECKING:
-    from warpvox.algos.policy import Policy
+    from warpvox.algos.checkpoints.policy import Policy
 
 __all__ = ["TrainedRun", "load_policy", "train"]
 
@@ -42,7 +42,7 @@ class TrainedRun:
 
     def metrics(self) -> dict[str, np.ndarray]:
         """The columns of ``metrics.csv``, float64 ``[iterations]`` each; NaN where an iteration has no such value."""
-        from warpvox.algos.metrics import read_metrics
+        from warpvox.algos.training.metrics import read_metrics
 
         rows = read_metrics(self.folder)
         return {name: np.array([row.get(name, np.nan) for row in rows]) for name in (rows[0] if rows else {})}
@@ -86,8 +86,8 @@ def load_policy(
 ) -> Policy:
     """A trained policy as a torch module: observations to actions that the environment takes, without exploration.
 
-    The module can be scripted, traced and exported (see :class:`warpvox.algos.policy.Policy`). No file is unpickled and
-    none brings code: a run's task is not imported.
+    The module can be scripted, traced and exported (see :class:`warpvox.algos.checkpoints.policy.Policy`). No file is
+    unpickled and none brings code: a run's task is not imported.
 
     Args:
         source: ``latest``, the folder of a run or of a design search (its best design), a checkpoint file, or a file
@@ -99,8 +99,8 @@ def load_policy(
     Raises:
         RunError: there is no such run, checkpoint or file, or it holds no policy. DeviceError: no such device.
     """
-    from warpvox.algos.policy import read_policy
-    from warpvox.algos.policy_files import read_exported
+    from warpvox.algos.checkpoints.export import read_exported
+    from warpvox.algos.checkpoints.policy import read_policy
     from warpvox.cli.runs import find_run
     from warpvox.device import resolve_device
 

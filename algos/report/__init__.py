@@ -12,7 +12,7 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 
-from warpvox.algos.archive import Archive, Record
+from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.tree import family_tree
 from warpvox.files import write_text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from warpvox.algos.archive import Record
+from warpvox.algos.codesign.archive import Record
 from warpvox.sketch import body_svg
 
 __all__ = ["family_tree", "places"]

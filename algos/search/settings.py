@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from warpvox.configs.keys import check_values, key
 from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.keys import check_values, key
 
 __all__ = [
     "ALGORITHMS",

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.algos.archive import FILE, Archive
 from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
-from warpvox.algos.executors import LocalExecutor
-from warpvox.algos.loop import Loop
+from warpvox.algos.codesign.archive import FILE, Archive
+from warpvox.algos.codesign.executors import LocalExecutor
+from warpvox.algos.codesign.loop import Loop
 from warpvox.design import sample_design
 from warpvox.errors import RunError
 from warpvox.files import write_text

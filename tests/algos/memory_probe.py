@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.algos.arena import Arena
 from warpvox.algos.candidate import Candidate
+from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
+from warpvox.algos.env_factory import Arena
 from warpvox.algos.needs import training_bytes
-from warpvox.algos.population import PopulationEvaluator
-from warpvox.algos.population_model import width_for
-from warpvox.algos.runner import Runner, Schedule, adapt
+from warpvox.algos.population.model import width_for
+from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.cli.config import load
 from warpvox.envs.vec_env import make_vec
 from warpvox.types import Physics

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpvox.algos.arena import Arena
 from warpvox.algos.candidate import Candidate
-from warpvox.algos.presets import training_preset
-from warpvox.configs.schema import TrainingConfig
+from warpvox.algos.env_factory import Arena
+from warpvox.algos.settings import TrainingConfig
+from warpvox.configs.presets import training_preset
 from warpvox.design import sample_design
 
 LIMIT = 16  # control steps of an episode

@@ -12,8 +12,8 @@ import pytest
 import torch
 
 import warpvox as wv
-from warpvox.algos.checkpoint import load_checkpoint, load_controller
-from warpvox.algos.policies import policy_sha256
+from warpvox.algos.checkpoints.files import load_checkpoint, load_controller
+from warpvox.algos.codesign.stored_policies import policy_sha256
 
 KEYS = {"design": "mini", "num_envs": 8, "threads": 1, "device": "cpu", "max_iterations": 2, "eval_interval": 1}
 PPO = {"steps": 4, "hidden": [8], "epochs": 1}

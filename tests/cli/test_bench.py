@@ -13,10 +13,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from warpvox.algos.presets import training_preset
 from warpvox.cli.benchmarks import check, reference
 from warpvox.cli.benchmarks.bodies import full_body, sampled_or_full
 from warpvox.cli.benchmarks.report import number
+from warpvox.configs.presets import training_preset
 from warpvox.configs.schema import ScalingConfig
 from warpvox.design import check_design
 from warpvox.errors import ConfigError, SimulationError, WarpvoxError
@@ -223,7 +223,7 @@ def test_population_is_checked_against_stock_trainings(warpvox: Callable) -> Non
 
 
 def test_population_prints_no_time_of_a_wrong_training(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    from warpvox.algos import population_ppo
+    from warpvox.algos.population import ppo as population_ppo
 
     monkeypatch.setattr(population_ppo, "clip_gradients", lambda parameters, limit: None)
     outcome = warpvox("bench", "suite=population", *TINY, "population.designs=2", "population.training=fast")

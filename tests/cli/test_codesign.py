@@ -23,9 +23,9 @@ import yaml
 from PIL import Image
 from rich.console import Console
 
-from warpvox.algos.archive import FILE, Archive, Finished
 from warpvox.algos.candidate import Candidate, Outcome
-from warpvox.algos.checkpoint import load_controller
+from warpvox.algos.checkpoints.files import load_controller
+from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.search import settings_from
 from warpvox.cli.bodies import body_rows
 from warpvox.cli.codesign import _archive, resolve

@@ -12,8 +12,8 @@ import pytest
 import torch
 import yaml
 
-from warpvox.algos.checkpoint import load_checkpoint
-from warpvox.algos.metrics import COLUMNS, read_metrics
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.cli import main
 from warpvox.design import example_design
 from warpvox.rollout import Rollout

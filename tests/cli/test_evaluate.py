@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from warpvox.algos.checkpoint import load_controller
-from warpvox.algos.sampling import SampledController
+from warpvox.algos.checkpoints.files import load_controller
+from warpvox.algos.checkpoints.sampling import SampledController
 from warpvox.algos.statistics import difference, mean_interval
 from warpvox.cli.groups import group_runs
 from warpvox.cli.runs import Run, find_runs

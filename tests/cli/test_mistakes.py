@@ -176,7 +176,7 @@ def test_a_checkpoint_holds_nothing_but_data(train: Callable, warpvox: Callable)
 def test_a_run_that_fails_before_any_result_leaves_nothing(
     warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from warpvox.algos.runner import Runner
+    from warpvox.algos.training.runner import Runner
     from warpvox.errors import RunError
 
     def fail(self: Runner) -> None:

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from PIL import Image
 
-from warpvox.algos.metrics import read_metrics
+from warpvox.algos.training.metrics import read_metrics
 from warpvox.cli.watch import watch
 from warpvox.envs.dumps import LIMIT
 from warpvox.envs.vec_env import make_vec

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 import warpvox as wv
-from warpvox.algos.metrics import read_metrics
+from warpvox.algos.training.metrics import read_metrics
 from warpvox.cli.config import Arguments
 from warpvox.cli.sweep import LONGEST_LABEL, Member, members
 from warpvox.design import example_design
@@ -68,7 +68,7 @@ def test_a_sweep_leaves_a_table(warpvox: Callable) -> None:
 def test_a_member_that_fails_does_not_end_the_sweep(
     warpvox: Callable, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    from warpvox.algos.runner import Runner
+    from warpvox.algos.training.runner import Runner
 
     run = Runner.run
 
@@ -87,7 +87,7 @@ def test_a_member_that_fails_does_not_end_the_sweep(
 
 
 def test_an_interrupt_ends_a_sweep_with_its_table(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    from warpvox.algos.runner import Runner
+    from warpvox.algos.training.runner import Runner
 
     def interrupt(self: Runner) -> None:
         raise KeyboardInterrupt

@@ -8,7 +8,7 @@ import pytest
 import torch
 import warp as wp
 
-from warpvox.algos.arena import Arena
+from warpvox.algos.env_factory import Arena
 from warpvox.cli.build import resolve
 from warpvox.cli.config import load
 from warpvox.design import example_design

@@ -78,6 +78,7 @@ def test_a_rollout_has_the_same_bits(environment_of: Callable, path: str) -> Non
 
 @EACH
 def test_trainings_keep_their_promises(environment_of: Callable, path: str, repository: Path) -> None:
-    files = [str(repository / "tests" / "algos" / name) for name in ("test_population.py", "test_population_ppo.py")]
+    names = ("codesign/test_population_evaluator.py", "population/test_ppo.py")
+    files = [str(repository / "tests" / "algos" / name) for name in names]
     said = run(environment_of(path), "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist", *files, "-k", PROMISES)
     assert "3 passed" in said

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import torch
 import yaml
 
-from warpvox.algos.archive import FILE, Archive
-from warpvox.algos.checkpoint import load_checkpoint
-from warpvox.algos.metrics import read_metrics
-from warpvox.algos.policies import policy_sha256
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.codesign.archive import FILE, Archive
+from warpvox.algos.codesign.stored_policies import policy_sha256
+from warpvox.algos.training.metrics import read_metrics
 from warpvox.files import MARK
 
 COUNT, KILL, TORN, FULL, BROKEN = range(5)

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from fault_cases import CODESIGN, TRAIN, check_search, digest, only, same
 
-from warpvox.algos.archive import BACKUP, FILE, Archive
-from warpvox.algos.checkpoint import load_checkpoint
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
 from warpvox.errors import RunError
 
 PLACES = 60

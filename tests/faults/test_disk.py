@@ -19,8 +19,8 @@ import pytest
 from fault_cases import CODESIGN, TRAIN, check_training, only, same
 
 from warpvox import files, system
-from warpvox.algos.checkpoint import load_checkpoint, save_checkpoint
-from warpvox.algos.metrics import TAGS, Events
+from warpvox.algos.checkpoints.files import load_checkpoint, save_checkpoint
+from warpvox.algos.training.metrics import TAGS, Events
 from warpvox.cli.runs import going_on
 from warpvox.errors import RolloutError, RunError, StorageError
 from warpvox.files import MARK, claimed, sweep, write_text

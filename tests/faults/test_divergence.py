@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from codesign_toys import GENERATIONS, POPULATION, ToyEvaluator, make_loop
 
-from warpvox.algos.archive import Archive, Finished
 from warpvox.algos.candidate import Candidate, Outcome
-from warpvox.algos.executors import LocalExecutor
-from warpvox.algos.loop import Loop
+from warpvox.algos.codesign.archive import Archive, Finished
+from warpvox.algos.codesign.executors import LocalExecutor
+from warpvox.algos.codesign.loop import Loop
 from warpvox.algos.report import report_page
 from warpvox.algos.search import (
     BoSettings,

@@ -93,7 +93,7 @@ def test_a_training_says_how_many_fewer_environments_and_goes_on(
     warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert warpvox(*TRAIN, f"output_dir={tmp_path / 'whole' / 'outputs'}").code == 0
-    with raised_at(monkeypatch, "warpvox.algos.ppo.PPO.update", 3, ERRORS["torch on CUDA"]):
+    with raised_at(monkeypatch, "warpvox.algos.training.ppo.PPO.update", 3, ERRORS["torch on CUDA"]):
         outcome = warpvox(*TRAIN)
     assert_advised(outcome, "num_envs=4 instead of 8", "2.00 GiB")
     assert "failed after" in outcome.out
@@ -119,7 +119,7 @@ def test_a_search_says_what_to_take_less_of_and_goes_on(
 ) -> None:
     words = [*CODESIGN, f"training.method={method}"]
     assert warpvox(*words, f"output_dir={tmp_path / 'whole' / 'outputs'}").code == 0
-    place = {"population": "population_ppo.PopulationPPO.update", "sequential": "ppo.PPO.update"}[method]
+    place = {"population": "population.ppo.PopulationPPO.update", "sequential": "training.ppo.PPO.update"}[method]
     with raised_at(monkeypatch, f"warpvox.algos.{place}", 2, ERRORS["torch on CUDA"]):
         outcome = warpvox(*words)
     assert_advised(outcome, "training.envs is 8", *(["batch=1 trains 1"] if method == "population" else []))

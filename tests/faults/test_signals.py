@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from fault_cases import TRAIN, check_training, only
 
-from warpvox.algos.checkpoint import load_checkpoint
+from warpvox.algos.checkpoints.files import load_checkpoint
 
 NUMBERS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 SIGNALS = pytest.mark.parametrize(("number", "code"), NUMBERS.items(), ids=lambda value: getattr(value, "name", None))

@@ -82,7 +82,7 @@ def checkpoint_content() -> dict[str, Any]:
     """What a checkpoint of a small policy holds."""
     import torch
 
-    from warpvox.algos.checkpoint import PolicySpec, build_actor, spec_dict
+    from warpvox.algos.checkpoints.files import PolicySpec, build_actor, spec_dict
 
     spec = PolicySpec(6, 3, [8, 4], "elu", True, 0.4)
     with torch.random.fork_rng():
@@ -96,8 +96,8 @@ def archive_bytes() -> bytes:
     """An archive of two generations."""
     import tempfile
 
-    from warpvox.algos.archive import Archive, Finished
     from warpvox.algos.candidate import Candidate, Outcome
+    from warpvox.algos.codesign.archive import Archive, Finished
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "archive.sqlite")
@@ -417,7 +417,7 @@ class Readers:
         """A policy that is read acts: finite numbers in the range of actions."""
         import torch
 
-        from warpvox.algos.checkpoint import load_controller
+        from warpvox.algos.checkpoints.files import load_controller
 
         controller = load_controller(self._file("model_1.pt", data))
         actions = controller(torch.zeros(2, controller.spec.num_obs))
@@ -426,7 +426,7 @@ class Readers:
 
     def archive(self, data: bytes) -> None:
         """All that can be asked of an archive is answered."""
-        from warpvox.algos.archive import Archive
+        from warpvox.algos.codesign.archive import Archive
 
         path = self._file("archive.sqlite", data)
         (self.folder / "archive.sqlite-journal").unlink(missing_ok=True)

@@ -18,8 +18,8 @@ import atheris
 with atheris.instrument_imports(include=["warpvox", "zipfile", "pickletools"]):
     from fuzz_files import Readers
 
-    import warpvox.algos.archive
-    import warpvox.algos.checkpoint
+    import warpvox.algos.checkpoints.files
+    import warpvox.algos.codesign.archive
     import warpvox.reading  # noqa: F401
 
 from fuzz_harness import Figures, judge, make

@@ -16,7 +16,7 @@ from fuzz_arguments import Stranger
 from fuzz_files import archive_bytes
 
 import warpvox
-from warpvox.algos.archive import Archive
+from warpvox.algos.codesign.archive import Archive
 from warpvox.cli.config import load, load_values
 from warpvox.design import check_design, load_design, sample_design
 from warpvox.editor.documents import check_file_name

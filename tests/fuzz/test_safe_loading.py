@@ -22,9 +22,9 @@ import torch
 from fuzz_files import SCHEMES, archive_bytes, checkpoint_content, config_text, rollout_bytes
 from fuzz_harness import within
 
-from warpvox.algos.archive import Archive
-from warpvox.algos.checkpoint import load_controller, read_tensors
-from warpvox.algos.checkpoint_check import check_claims
+from warpvox.algos.checkpoints.check import check_claims
+from warpvox.algos.checkpoints.files import load_controller, read_tensors
+from warpvox.algos.codesign.archive import Archive
 from warpvox.cli.runs import find_run
 from warpvox.cli.stored import parse_yaml
 from warpvox.design import LARGEST_BODY, check_design, load_design

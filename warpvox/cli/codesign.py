@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from warpvox.algos.archive import FILE as ARCHIVE
-from warpvox.algos.archive import Archive
-from warpvox.algos.archive_files import export
 from warpvox.algos.candidate import Candidate
+from warpvox.algos.codesign.archive import FILE as ARCHIVE
+from warpvox.algos.codesign.archive import Archive
+from warpvox.algos.codesign.archive_export import export
 from warpvox.algos.search import make_search, settings_from
 from warpvox.cli.config import load, load_values, read_arguments, to_yaml
 from warpvox.cli.consent import STORED, again, as_stored, keep_code
@@ -33,7 +33,7 @@ from warpvox.packs import lanes_for
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import DesignEvaluator
-    from warpvox.algos.executors import Executor
+    from warpvox.algos.codesign.executors import Executor
 
 __all__ = ["Job", "codesign", "make_evaluator", "run"]
 
@@ -110,7 +110,7 @@ def check(config: CodesignConfig) -> None:
     Raises:
         WarpvoxError: a task, shape, setting, device or library that does not exist or does not go with the others.
     """
-    from warpvox.algos.sequential import SequentialEvaluator
+    from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
     from warpvox.cli.build import physics_of
     from warpvox.cli.needs import check_search
     from warpvox.device import resolve_device
@@ -172,8 +172,8 @@ def codesign(job: Job, console: Console) -> Path:
         KeyboardInterrupt: interrupted; the state has been saved.
     """
     with console.status("loading"):
-        from warpvox.algos.loop import Loop
-        from warpvox.algos.policies import Policies
+        from warpvox.algos.codesign.loop import Loop
+        from warpvox.algos.codesign.stored_policies import Policies
         from warpvox.cli.build import prepare, shown
         from warpvox.cli.codesign_watch import Results, Watch
 
@@ -302,9 +302,9 @@ def design_config(config: CodesignConfig, candidate: Candidate) -> str:
 
 def make_evaluator(config: CodesignConfig) -> DesignEvaluator:
     """The evaluator of a configuration; called in the process that evaluates."""
-    from warpvox.algos.arena import Arena
-    from warpvox.algos.population import PopulationEvaluator
-    from warpvox.algos.sequential import SequentialEvaluator
+    from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
+    from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
+    from warpvox.algos.env_factory import Arena
     from warpvox.cli.build import physics_of, prepare
     from warpvox.device import resolve_device
 
@@ -330,10 +330,10 @@ def make_executor(config: CodesignConfig) -> Executor:
         ConfigError, RunError: Ray is missing or cannot be reached.
     """
     if config.executor == "local":
-        from warpvox.algos.executors import LocalExecutor
+        from warpvox.algos.codesign.executors import LocalExecutor
 
         return LocalExecutor(make_evaluator(config))
-    from warpvox.algos.on_ray import RayExecutor
+    from warpvox.algos.codesign.ray_executor import RayExecutor
 
     threads = config.threads or 1
     make = functools.partial(make_evaluator, dataclasses.replace(config, threads=threads))

@@ -15,9 +15,9 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
 from warpvox import __version__
-from warpvox.algos.archive import Archive, Record
 from warpvox.algos.candidate import Candidate
-from warpvox.algos.loop import Listener
+from warpvox.algos.codesign.archive import Archive, Record
+from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.report import FILE as REPORT
 from warpvox.algos.report import write_report
 from warpvox.cli.bodies import body_rows
@@ -150,7 +150,7 @@ class Watch(Listener):
     # ------------------------------------------------------------------------------------------ what happens
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
-        """See :class:`warpvox.algos.loop.Listener`."""
+        """See :class:`warpvox.algos.codesign.loop.Listener`."""
         self._generation, self._work = generation, {}
         if self._live is None:
             reused = f", {total - len(waiting)} known" if total > len(waiting) else ""
@@ -158,7 +158,7 @@ class Watch(Listener):
         self._show()
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
-        """See :class:`warpvox.algos.loop.Listener`."""
+        """See :class:`warpvox.algos.codesign.loop.Listener`."""
         training = self._work.setdefault(batch[0].id, _Training(len(batch), event["steps"]))
         training.event = event
         now = time.monotonic()
@@ -168,7 +168,7 @@ class Watch(Listener):
         self._show()
 
     def finished(self, records: Sequence[Record]) -> None:
-        """See :class:`warpvox.algos.loop.Listener`."""
+        """See :class:`warpvox.algos.codesign.loop.Listener`."""
         for record in records:
             training = self._work.pop(record.id, None)
             if training is not None:
@@ -176,7 +176,7 @@ class Watch(Listener):
         self._show()
 
     def told(self, generation: int, fresh: bool) -> None:
-        """See :class:`warpvox.algos.loop.Listener`."""
+        """See :class:`warpvox.algos.codesign.loop.Listener`."""
         self.results.draw(generation)
         if not fresh:
             return

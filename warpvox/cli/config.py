@@ -22,10 +22,10 @@ from warpvox.cli.consent import allow_code
 from warpvox.cli.help import flat_keys, presets_of
 from warpvox.cli.rerun import read_config_file
 from warpvox.cli.words import as_list, parse, quoted, readable
-from warpvox.configs.keys import check_values
 from warpvox.configs.paper import design_of, shape_of
 from warpvox.configs.schema import COMMANDS, GROUPS, PRESET
 from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.keys import check_values
 
 __all__ = ["Arguments", "check_values", "expand", "load", "load_values", "read_arguments", "to_yaml"]
 

@@ -15,8 +15,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from warpvox.algos.metrics import read_metrics
 from warpvox.algos.statistics import LEVEL, mean_interval
+from warpvox.algos.training.metrics import read_metrics
 from warpvox.cli.config import load, read_arguments
 from warpvox.cli.groups import Group, group_runs
 from warpvox.cli.runs import Run, find_runs

@@ -21,7 +21,7 @@ from warpvox.errors import ConfigError
 from warpvox.files import check_writable
 
 if TYPE_CHECKING:
-    from warpvox.algos.policy import Policy
+    from warpvox.algos.checkpoints.policy import Policy
 
 __all__ = ["run"]
 
@@ -81,7 +81,7 @@ def _export_policy(policy: Policy, config: Any, formats: list[str], console: Con
 
 def _write_policy(policy: Policy | None, folder: Path, formats: list[str], console: Console) -> dict[str, str]:
     """Write the policy in each format and say what there is; returns how each was checked."""
-    from warpvox.algos.policy_files import POLICY_WRITERS
+    from warpvox.algos.checkpoints.export import POLICY_WRITERS
     from warpvox.cli.build import shown
 
     checks = {}

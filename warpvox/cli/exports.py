@@ -85,7 +85,7 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
         RunError: no checkpoint, or one that does not fit. ConfigError, DeviceError: ``config`` asks too much, or the
             run has a task of somebody's own that the user has not named.
     """
-    from warpvox.algos.checkpoint import load_controller
+    from warpvox.algos.checkpoints.files import load_controller
     from warpvox.cli.build import make_env, training_lanes
     from warpvox.cli.config import load_values
     from warpvox.cli.consent import allow_code
@@ -106,7 +106,7 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
     controller = load_controller(path, device)
     controller.check(env)
     if config.stochastic:
-        from warpvox.algos.sampling import SampledController
+        from warpvox.algos.checkpoints.sampling import SampledController
 
         controller = SampledController(controller, trained.seed if config.seed is None else config.seed)
     return env, controller

@@ -10,7 +10,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from warpvox.configs.schema import COMMANDS, GROUPS, MISSING, PRESET
+from warpvox.configs.schema import COMMANDS, GROUPS, PRESET
+from warpvox.keys import MISSING
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable

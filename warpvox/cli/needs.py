@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.algos.needs import training_bytes
-from warpvox.algos.population_model import width_for
+from warpvox.algos.population.model import width_for
 from warpvox.cli.build import make_env, physics_of
 from warpvox.device import resolve_device
 from warpvox.envs.needs import PROBED, check_fits

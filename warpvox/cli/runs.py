@@ -15,8 +15,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.archive import FILE as ARCHIVE
-from warpvox.algos.archive import Archive
+from warpvox.algos.codesign.archive import FILE as ARCHIVE
+from warpvox.algos.codesign.archive import Archive
 from warpvox.cli.stored import LARGEST_CONFIG, parse_yaml
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.files import MARK, claimed, complaint, sweep, write_text

@@ -37,7 +37,7 @@ from warpvox.memory import enough_memory
 from warpvox.system import usable_cores
 
 if TYPE_CHECKING:
-    from warpvox.algos.distributed import Team
+    from warpvox.algos.training.distributed import Team
 
 __all__ = ["Job", "check_unchanged", "describe", "flat", "make_job", "run", "train"]
 
@@ -138,7 +138,7 @@ def make_job(overrides: list[str], config_dir: Path | None) -> Job:
 
 def _check_readable(source: Run, checkpoint: Path) -> None:
     """Raise RunError, with the newest checkpoint that will do instead, if one is damaged."""
-    from warpvox.algos.checkpoint import load_checkpoint
+    from warpvox.algos.checkpoints.files import load_checkpoint
 
     try:
         load_checkpoint(checkpoint)
@@ -154,7 +154,7 @@ def _check_readable(source: Run, checkpoint: Path) -> None:
 
 
 def _is_readable(checkpoint: Path) -> bool:
-    from warpvox.algos.checkpoint import load_checkpoint
+    from warpvox.algos.checkpoints.files import load_checkpoint
 
     try:
         load_checkpoint(checkpoint)
@@ -189,9 +189,9 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         KeyboardInterrupt: interrupted; the state has been saved.
     """
     with console.status("loading"):
-        from warpvox.algos.distributed import join_team
         from warpvox.algos.evaluate import evaluator
-        from warpvox.algos.runner import Runner, Schedule, adapt
+        from warpvox.algos.training.distributed import join_team
+        from warpvox.algos.training.runner import Runner, Schedule, adapt
         from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes
         from warpvox.cli.needs import check_training
 

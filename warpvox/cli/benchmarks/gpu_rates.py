@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from warpvox.algos.arena import Arena
-from warpvox.algos.population_training import PopulationTraining
-from warpvox.algos.presets import training_preset
+from warpvox.algos.env_factory import Arena
+from warpvox.algos.population.training import PopulationTraining
 from warpvox.cli.benchmarks.bodies import full_body, one_body
 from warpvox.cli.benchmarks.kernels import STAGES, stage_times
 from warpvox.cli.benchmarks.launches import Launches
@@ -20,6 +19,7 @@ from warpvox.cli.benchmarks.predictions import KERNEL, predicted
 from warpvox.cli.benchmarks.progress import Progress
 from warpvox.cli.benchmarks.report import middle, number
 from warpvox.cli.benchmarks.subject import LOADING, Subject, clock, measure
+from warpvox.configs.presets import training_preset
 from warpvox.envs.vec_env import make_vec
 from warpvox.kernels.device import BLOCK
 from warpvox.kernels.step import record_step

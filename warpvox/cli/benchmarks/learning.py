@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from warpvox.algos.evaluate import evaluator
-from warpvox.algos.runner import Runner, Schedule, adapt
+from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.cli.benchmarks.bodies import one_body
 from warpvox.cli.benchmarks.check import against_scalar
 from warpvox.cli.benchmarks.reference import open_reference

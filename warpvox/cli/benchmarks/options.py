@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.algos.arena import Arena
 from warpvox.algos.candidate import Parent
-from warpvox.algos.population import PopulationEvaluator
-from warpvox.algos.presets import training_preset
+from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
+from warpvox.algos.env_factory import Arena
 from warpvox.algos.search import GaSettings, make_search
+from warpvox.algos.settings import TrainingConfig
 from warpvox.cli.benchmarks.report import Report, number
-from warpvox.configs.schema import TrainingConfig
+from warpvox.configs.presets import training_preset
 from warpvox.errors import ConfigError, SimulationError
 
 __all__ = ["run"]

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.algos.arena import Arena
-from warpvox.algos.population_training import PopulationTraining
-from warpvox.algos.presets import training_preset
-from warpvox.algos.runner import Runner, Schedule, adapt
+from warpvox.algos.env_factory import Arena
+from warpvox.algos.population.training import PopulationTraining
+from warpvox.algos.settings import TrainingConfig
+from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.cli.benchmarks.report import Report, middle, number
-from warpvox.configs.schema import TrainingConfig
+from warpvox.configs.presets import training_preset
 from warpvox.design import sample_design
 from warpvox.errors import SimulationError
 

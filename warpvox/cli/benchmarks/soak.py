@@ -17,10 +17,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.archive import FILE as ARCHIVE
-from warpvox.algos.archive import Archive
-from warpvox.algos.checkpoint import read_tensors
-from warpvox.algos.metrics import FILE as METRICS
+from warpvox.algos.checkpoints.files import read_tensors
+from warpvox.algos.codesign.archive import FILE as ARCHIVE
+from warpvox.algos.codesign.archive import Archive
+from warpvox.algos.training.metrics import FILE as METRICS
 from warpvox.cli.benchmarks.report import Report, number
 from warpvox.errors import ConfigError, RunError
 from warpvox.system import knows_processes, own_group, usage_of

@@ -122,7 +122,7 @@ class Subject:
 
     def _trainer(self) -> Any:
         if self._runner is None:
-            from warpvox.algos.runner import Runner, Schedule, adapt
+            from warpvox.algos.training.runner import Runner, Schedule, adapt
 
             ppo = load("train", []).ppo
             self._runner = Runner(adapt(self.env, ppo), ppo, Schedule(total=10**6, evaluate=10**6))

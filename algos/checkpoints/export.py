@@ -1,0 +1,194 @@
+"""Policies as files for other programs: ONNX and TorchScript, each compared with the policy before it is kept.
+
+Both also contain :func:`warpvox.algos.checkpoints.policy.policy_text`, from which :func:`read_exported` rebuilds the
+policy: reading such a file never runs the program in it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import io
+import logging
+import os
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from warpvox.algos.checkpoints.policy import LARGEST, Policy, parse_policy, policy_text
+from warpvox.errors import RunError
+from warpvox.files import atomic_path
+from warpvox.reading import Unreadable, read_bytes
+
+__all__ = ["POLICY_WRITERS", "read_exported", "write_onnx", "write_script"]
+
+CARD = "warpvox.json"
+"""Name under which the text of the policy stands in a file."""
+ROWS = (1, 64)
+"""Random observations that a file is compared on, one batch each."""
+TOLERANCE = 1e-5
+"""How far actions may lie apart: runtimes sum products in other orders; ranges are 1.0 wide."""
+CHATTER = "torch.onnx"
+
+Runner = Callable[[np.ndarray], np.ndarray]
+
+
+def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
+    """Write a policy as TorchScript; returns in words how it was checked.
+
+    ``torch.jit.load(path)(obs)``, or ``torch::jit::load`` in C++, takes ``[..., num_obs]``.
+
+    Raises:
+        RunError: the file does not do what the policy does; it is not kept. StorageError: it cannot be written.
+    """
+    policy, whole = copy.deepcopy(policy).cpu(), io.BytesIO()
+    with atomic_path(path) as temporary, _quiet():
+        torch.jit.save(torch.jit.script(policy), whole, _extra_files={CARD: policy_text(policy)})
+        temporary.write_bytes(whole.getbuffer())  # of a full disk torch's own writer says little
+        module = torch.jit.load(str(temporary))
+        apart = _compare(policy, lambda obs: module(torch.from_numpy(obs)).numpy(), path)
+        _check_card(policy, temporary, path)
+    return f"within {apart:.1e} of the policy"
+
+
+def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
+    """Write a policy as one ONNX file; returns in words how it was checked.
+
+    Input ``obs`` float32 ``[batch, num_obs]``, output ``actions`` float32 ``[batch, num_actions]``. Compared by
+    ONNX Runtime where it is installed, else by the reference evaluator of the package onnx.
+
+    Raises:
+        RunError: the package onnx is missing, or the file does not do what the policy does; it is not kept.
+        StorageError: it cannot be written.
+    """
+    if find_spec("onnx") is None or find_spec("onnxscript") is None:
+        raise RunError("ONNX needs the packages onnx and onnxscript: pip install 'warpvox[export]'.")
+    import onnx
+
+    policy = copy.deepcopy(policy).cpu()
+    with atomic_path(path) as temporary, _quiet():
+        program = torch.onnx.export(
+            policy,
+            (torch.zeros(1, policy.num_obs),),
+            input_names=["obs"],
+            output_names=["actions"],
+            dynamic_shapes={"obs": {0: torch.export.Dim("batch")}},
+            dynamo=True,
+            verbose=False,
+        )
+        model = program.model_proto
+        onnx.helper.set_model_props(model, {CARD: policy_text(policy)})
+        onnx.checker.check_model(model)
+        temporary.write_bytes(model.SerializeToString())
+        name, run = _onnx_runner(temporary)
+        apart = _compare(policy, run, path)
+        _check_card(policy, temporary, path)
+    return f"within {apart:.1e} of the policy by {name}"
+
+
+POLICY_WRITERS = {"onnx": ("policy.onnx", write_onnx), "jit": ("policy.pt", write_script)}
+"""Format: file, and what writes it."""
+
+
+def read_exported(path: Path) -> Policy | None:
+    """The policy that a file of :func:`write_onnx` or :func:`write_script` holds; None: it is another kind of file.
+
+    Raises:
+        RunError: an ONNX file without a policy of ours, or a damaged policy.
+    """
+    if path.suffix == ".onnx":
+        return parse_policy(_card_of_onnx(path), path)
+    text = _card_of_script(path)
+    return None if text is None else parse_policy(text, path)
+
+
+def _card_of_onnx(path: Path) -> str:
+    if find_spec("onnx") is None:
+        raise RunError(f"To read {path} the package onnx is needed: pip install 'warpvox[export]'.")
+    import onnx
+    from google.protobuf.message import DecodeError
+
+    try:
+        model = onnx.ModelProto.FromString(read_bytes(path, LARGEST))
+    except (Unreadable, DecodeError) as error:
+        raise RunError(f"{path} is not an ONNX file that can be read ({error}).") from None
+    found = [entry.value for entry in model.metadata_props if entry.key == CARD]
+    if not found:
+        raise RunError(f"{path} was not written by warpvox: it does not say which policy it holds.")
+    return found[0]
+
+
+def _card_of_script(path: Path) -> str | None:
+    """The text in an archive of TorchScript; None: there is none."""
+    if not zipfile.is_zipfile(path):
+        return None
+    try:
+        with zipfile.ZipFile(path) as archive:
+            found = [info for info in archive.infolist() if info.filename.endswith(f"/extra/{CARD}")]
+            if not found:
+                return None
+            if found[0].file_size > LARGEST or found[0].compress_type != zipfile.ZIP_STORED:
+                raise RunError(f"{path} holds no policy that can be read (its description is too long or packed).")
+            return archive.read(found[0]).decode("utf-8")
+    except (zipfile.BadZipFile, zlib.error, OSError, ValueError, NotImplementedError) as error:
+        raise RunError(f"{path} holds no policy that can be read ({error}).") from None
+
+
+def _onnx_runner(path: Path) -> tuple[str, Runner]:
+    """What runs an ONNX file here, by its name."""
+    if find_spec("onnxruntime") is not None:
+        import onnxruntime
+
+        session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+        return "ONNX Runtime", lambda obs: session.run(None, {"obs": obs})[0]
+    from onnx.reference import ReferenceEvaluator
+
+    evaluator = ReferenceEvaluator(str(path))
+    return "onnx's reference evaluator", lambda obs: evaluator.run(None, {"obs": obs})[0]
+
+
+def _compare(policy: Policy, run: Runner, path: object) -> float:
+    """The largest difference between a file's actions and the policy's, on random observations.
+
+    Raises:
+        RunError: it is larger than :data:`TOLERANCE`, or the file gives something else than actions.
+    """
+    generator, apart = torch.Generator().manual_seed(0), 0.0
+    for rows in ROWS:
+        noise = torch.randn((rows, policy.num_obs), generator=generator)
+        obs = policy.mean + 3 * policy.deviation * noise  # beyond what training has mostly seen
+        theirs, ours = run(obs.numpy()), policy.act(obs.numpy())
+        if theirs.shape != ours.shape or not np.isfinite(theirs).all():
+            raise RunError(f"{path} is not kept: it gives {theirs.shape} where the policy gives {ours.shape} actions.")
+        apart = max(apart, float(np.abs(theirs - ours).max()))
+    if apart > TOLERANCE:
+        raise RunError(f"{path} is not kept: its actions differ from the policy's by {apart:.2g}.")
+    return apart
+
+
+def _check_card(policy: Policy, written: Path, path: Path | os.PathLike[str] | str) -> None:
+    """Raise RunError unless a written file holds this very policy."""
+    text = _card_of_onnx(written) if Path(path).suffix == ".onnx" else _card_of_script(written)
+    again = parse_policy(text or "", path).state_dict()
+    if not all(torch.equal(value, again[name]) for name, value in policy.state_dict().items()):
+        raise RunError(f"{path} is not kept: the policy that it describes is another one.")
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without torch's remarks about packages that a policy does not need, and about its own future."""
+    logger = logging.getLogger(CHATTER)
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)

@@ -1,0 +1,220 @@
+"""Checkpoints: files that hold a policy and everything needed to rebuild it, written whole or not at all."""
+
+from __future__ import annotations
+
+import io
+import math
+import pickle
+import re
+import struct
+import zipfile
+import zlib
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import torch
+from rsl_rl.models import MLPModel
+from tensordict import TensorDict
+
+from warpvox.algos.checkpoints.check import check_claims
+from warpvox.algos.population.model import PopulationModel
+from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.errors import RunError
+from warpvox.files import atomic_path
+from warpvox.types import ACTION_HIGH, ACTION_LOW
+
+__all__ = ["Controller", "PolicySpec", "load_checkpoint", "load_controller", "read_tensors", "save_checkpoint"]
+
+WIDEST = 1 << 16
+"""Observations, actions or units of a layer that a policy may have."""
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """What it takes to rebuild a policy before its weights are loaded.
+
+    ``width``: of a policy that was trained side by side with others, the columns of its
+    :class:`warpvox.algos.population.model.PopulationModel`; None: it was trained alone.
+    """
+
+    num_obs: int
+    num_actions: int
+    hidden: list[int]
+    activation: str
+    normalize_obs: bool
+    action_scale: float
+    width: int | None = None
+
+
+class Controller:
+    """A trained policy without exploration, observations to actions.
+
+    Args:
+        actor: rsl-rl's model of the mean of the outputs.
+        spec: of this model.
+    """
+
+    def __init__(self, actor: MLPModel, spec: PolicySpec) -> None:
+        self.actor, self.spec = actor, spec
+        self._stack: PopulationModel | None = None
+
+    @torch.no_grad()
+    def __call__(self, obs: torch.Tensor) -> torch.Tensor:
+        """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
+        actions = ACTION_CENTER + self.spec.action_scale * self.outputs(obs)
+        return actions.clamp(ACTION_LOW, ACTION_HIGH)
+
+    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
+        """``obs`` ``[n, num_obs]`` to the mean of the policy's outputs, ``[n, num_actions]``, not yet actions."""
+        group = TensorDict({OBS_GROUP: obs.float()}, batch_size=[len(obs)])
+        network = self.actor if self.spec.width is None else self._side_by_side(len(obs))
+        return network(group)[:, : self.spec.num_actions]
+
+    def _side_by_side(self, rows: int) -> PopulationModel:
+        """The network once for every row: it then rounds as it did when the policy was judged."""
+        if self._stack is None or self._stack.num_designs != rows:
+            self._stack = PopulationModel([self.actor] * rows, self.spec.width).to(next(self.actor.parameters()).device)
+        return self._stack
+
+    def check(self, env: VoxelVecEnv) -> None:
+        """Raise RunError unless ``env`` has this policy's sizes."""
+        for what, ours, theirs in (
+            ("observations", self.spec.num_obs, env.num_obs),
+            ("actions", self.spec.num_actions, env.num_actions),
+        ):
+            if ours != theirs:
+                raise RunError(f"The policy was trained with {ours} {what}, but the task and design have {theirs}.")
+
+
+def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
+    """Write tensors, numbers, texts, lists and dictionaries of them to ``path``, atomically.
+
+    Raises:
+        StorageError: the disk will not have it, or the folder, which must exist, is gone.
+    """
+    # By way of memory: of a full disk torch's own writer says neither what has happened nor where.
+    whole = io.BytesIO()
+    torch.save(content, whole)
+    with atomic_path(path, make_folders=False) as temporary:
+        temporary.write_bytes(whole.getbuffer())
+
+
+def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
+    """Read what :func:`save_checkpoint` wrote; nothing but data is ever loaded from the file.
+
+    Raises:
+        RunError: no such file, or one of another kind.
+    """
+    if not path.is_file():
+        raise RunError(f"There is no checkpoint file {path}.")
+    try:
+        check_claims(path)  # before anything is unpacked
+        _check_sums(path)
+        content = torch.load(path, map_location=device, weights_only=True)
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        struct.error,
+        OverflowError,
+        RuntimeError,  # RecursionError, too
+        OSError,
+        EOFError,
+        ValueError,
+        TypeError,
+        LookupError,
+        AttributeError,
+        pickle.UnpicklingError,
+    ) as error:
+        raise RunError(f"{path} is not a readable checkpoint ({_first_line(error)}).") from None
+    if not isinstance(content, dict):
+        raise RunError(f"{path} is not a checkpoint of warpvox.")
+    return content
+
+
+def _check_sums(path: Path) -> None:
+    """Raise BadZipFile if a part of a checkpoint is not what was written: torch itself does not look."""
+    with zipfile.ZipFile(path) as file:
+        damaged = file.testzip()
+    if damaged is not None:
+        raise zipfile.BadZipFile(f"{damaged} is damaged")
+
+
+def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
+    """Read the checkpoint of a policy.
+
+    Raises:
+        RunError: no such file, or none that holds a policy.
+    """
+    content = read_tensors(path, device)
+    if "policy" not in content or "actor_state_dict" not in content:
+        raise RunError(f"{path} is not a checkpoint of warpvox: it holds no policy.")
+    return content
+
+
+def load_controller(path: Path, device: str = "cpu") -> Controller:
+    """The policy of a checkpoint.
+
+    Raises:
+        RunError: the file is missing or not a checkpoint.
+    """
+    content = load_checkpoint(path, device)
+    try:
+        spec = PolicySpec(**content["policy"])
+        check_spec(spec, content["actor_state_dict"])
+        actor = build_actor(spec).to(device)
+        actor.load_state_dict(content["actor_state_dict"])
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise RunError(f"{path} holds a policy of another kind ({_first_line(error)}).") from None
+    return Controller(actor.eval(), spec)
+
+
+def check_spec(spec: PolicySpec, weights: object) -> None:
+    """Raise ValueError unless a network as ``spec`` describes it could have ``weights``, before it takes memory."""
+    sizes = [spec.num_obs, *(spec.hidden if isinstance(spec.hidden, list) else [None]), spec.num_actions]
+    if not all(type(size) is int and 0 < size <= WIDEST for size in sizes):
+        raise ValueError(f"sizes must be whole numbers from 1 to {WIDEST}, got {sizes!r:.100}")
+    if spec.width is not None and (type(spec.width) is not int or not spec.num_actions <= spec.width <= WIDEST):
+        raise ValueError(f"width must be a whole number from {spec.num_actions} to {WIDEST}, got {spec.width!r:.100}")
+    scale = spec.action_scale
+    if type(scale) not in (int, float) or not math.isfinite(scale):
+        raise ValueError(f"action_scale must be a finite number, got {scale!r:.100}")
+    if not isinstance(spec.activation, str) or type(spec.normalize_obs) is not bool:
+        raise ValueError(f"activation must be a name, got {spec.activation!r:.100}, and normalize_obs true or false")
+    if not isinstance(weights, dict) or not all(isinstance(value, torch.Tensor) for value in weights.values()):
+        raise ValueError("the weights are no tensors")
+    if not all(value.is_contiguous() for value in weights.values()):  # one number can pose as a million
+        raise ValueError("the weights are views of other tensors")
+    layers = [tensor.shape for name, tensor in weights.items() if re.fullmatch(r"mlp\.\d+\.weight", str(name))]
+    expected = [torch.Size((after, before)) for before, after in pairwise(sizes)]
+    if layers != expected:
+        raise ValueError(f"layers of {[list(s) for s in expected]!r:.100} do not have weights of {layers!r:.100}")
+    if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
+        raise ValueError("the weights are not finite numbers")
+
+
+def build_actor(spec: PolicySpec) -> MLPModel:
+    """A policy network with fresh weights."""
+    obs = TensorDict({OBS_GROUP: torch.zeros(1, spec.num_obs)}, batch_size=[1])
+    return MLPModel(
+        obs,
+        {"actor": [OBS_GROUP]},
+        "actor",
+        spec.num_actions,
+        hidden_dims=list(spec.hidden),
+        activation=spec.activation,
+        obs_normalization=spec.normalize_obs,
+        distribution_cfg={"class_name": "GaussianDistribution", "std_type": "log"},
+    )
+
+
+def spec_dict(spec: PolicySpec) -> dict[str, Any]:
+    """The form in which a specification stands in a checkpoint."""
+    return asdict(spec)
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0][:120] if lines else type(error).__name__

@@ -1,0 +1,144 @@
+"""Trained policies as plain torch modules, and as one text that holds all of a policy."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rsl_rl.modules import MLP
+from torch import nn
+
+from warpvox.algos.checkpoints.files import Controller, PolicySpec, check_spec, load_controller
+from warpvox.envs.rsl_rl import ACTION_CENTER
+from warpvox.errors import RunError
+from warpvox.reading import Unreadable, parse_json
+from warpvox.types import ACTION_HIGH, ACTION_LOW
+
+__all__ = ["LARGEST", "Policy", "parse_policy", "policy_of", "policy_text", "read_policy"]
+
+FORMAT, VERSION = "warpvox policy", 1
+LARGEST = 1 << 28
+"""Bytes that the text of a policy may have."""
+
+
+class Policy(nn.Module):
+    """A trained policy without exploration: observations as an environment gives them to actions that it takes.
+
+    Normalises the observations as in training, and gives goal lengths of the actuators in [0.6, 1.6]. A plain module
+    for ``torch.jit.script``, ``torch.jit.trace`` and ``torch.onnx``; its parameters ask for no gradients until
+    ``requires_grad_()`` is called.
+
+    Args:
+        spec: sizes and kind of the network.
+        metadata: what is known about the training, by name.
+
+    Attributes:
+        num_obs, num_actions: sizes.
+        metadata: for instance ``task``, ``rules``, ``obs`` and ``design`` of the run.
+    """
+
+    def __init__(self, spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> None:
+        super().__init__()
+        self.spec, self.metadata = spec, dict(metadata or {})
+        self.num_obs, self.num_actions = spec.num_obs, spec.num_actions
+        self.center, self.scale = ACTION_CENTER, float(spec.action_scale)
+        self.low, self.high = ACTION_LOW, ACTION_HIGH
+        self.mlp = nn.Sequential(*MLP(spec.num_obs, spec.num_actions, list(spec.hidden), spec.activation))
+        self.register_buffer("mean", torch.zeros(spec.num_obs))
+        self.register_buffer("deviation", torch.ones(spec.num_obs))
+        self.eval().requires_grad_(False)
+
+    def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
+        scaled = (obs.to(self.mean.dtype) - self.mean) / self.deviation
+        return (self.center + self.scale * self.mlp(scaled)).clamp(self.low, self.high)
+
+    def act(self, obs: np.ndarray) -> np.ndarray:
+        """:meth:`forward` for numpy arrays, as gymnasium's environments have them."""
+        with torch.no_grad():
+            return self(torch.as_tensor(np.asarray(obs), device=self.mean.device)).cpu().numpy()
+
+
+def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None) -> Policy:
+    """The policy of a checkpoint's controller; its numbers are copies."""
+    policy = Policy(controller.spec, metadata)
+    weights = {f"mlp.{name}": value for name, value in controller.actor.mlp.state_dict().items()}
+    if controller.spec.normalize_obs:
+        normalizer = controller.actor.obs_normalizer
+        weights |= {"mean": normalizer.mean, "deviation": normalizer.std + normalizer.eps}
+    policy.load_state_dict(policy.state_dict() | weights)
+    return policy.to(next(controller.actor.parameters()).device)
+
+
+def read_policy(path: Path, metadata: Mapping[str, Any] | None = None, device: str = "cpu") -> Policy:
+    """The policy of a checkpoint file.
+
+    Raises:
+        RunError: the file is missing or not a checkpoint.
+    """
+    return policy_of(load_controller(path, device), metadata)
+
+
+def policy_text(policy: Policy) -> str:
+    """A policy as one line of JSON; its numbers are float32, little-endian, in base64."""
+    weights = {
+        name: base64.b64encode(value.detach().cpu().numpy().astype("<f4").tobytes()).decode()
+        for name, value in policy.state_dict().items()
+    }
+    content = {"format": FORMAT, "version": VERSION, "policy": asdict(policy.spec), "metadata": policy.metadata}
+    return json.dumps(content | {"weights": weights})
+
+
+def parse_policy(text: str, source: object) -> Policy:
+    """The policy that :func:`policy_text` has written; ``source`` names the file in errors.
+
+    Raises:
+        RunError: another kind of text, or a policy that cannot be.
+    """
+    try:
+        content = parse_json(text)
+        if not isinstance(content, dict) or (content.get("format"), content.get("version")) != (FORMAT, VERSION):
+            raise ValueError(f"it is not a '{FORMAT}' of version {VERSION}")
+        given, metadata = content.get("policy"), content.get("metadata")
+        if not isinstance(given, dict) or not isinstance(metadata, dict):
+            raise ValueError("it has no description of the network")
+        spec = PolicySpec(**{item.name: given.get(item.name) for item in fields(PolicySpec)})
+        weights = _weights(spec, content.get("weights"))
+        check_spec(spec, weights)
+        policy = Policy(spec, metadata)
+        policy.load_state_dict(weights)
+    except (Unreadable, TypeError, ValueError, RuntimeError) as error:
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        raise RunError(f"{source} holds no policy that can be read ({reason:.200}).") from None
+    return policy
+
+
+def _weights(spec: PolicySpec, given: Any) -> dict[str, torch.Tensor]:
+    """The tensors of a policy's text; shapes follow from ``spec``."""
+    if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
+        raise ValueError("it has no weights")
+    sizes = [spec.num_obs, *(spec.hidden if isinstance(spec.hidden, list) else [None]), spec.num_actions]
+    if not all(type(size) is int and size > 0 for size in sizes):
+        raise ValueError(f"sizes must be whole numbers, got {sizes!r:.100}")
+    weights = {}
+    for name, value in given.items():
+        try:
+            numbers = np.frombuffer(base64.b64decode(value, validate=True), "<f4").astype(np.float32)
+        except (binascii.Error, ValueError):
+            raise ValueError(f"the numbers of '{name:.40}' are damaged") from None
+        kind, _, part = name.rpartition(".")
+        layer = int(kind.removeprefix("mlp.")) // 2 if kind.removeprefix("mlp.").isdecimal() else -1
+        shape = (spec.num_obs,)
+        if 0 <= layer < len(sizes) - 1:
+            shape = (sizes[layer + 1], sizes[layer]) if part == "weight" else (sizes[layer + 1],)
+        if numbers.size != int(np.prod(shape)):
+            raise ValueError(f"'{name:.40}' has {numbers.size} numbers, not {int(np.prod(shape))}")
+        weights[name] = torch.from_numpy(numbers.reshape(shape))
+    return weights

@@ -1,0 +1,35 @@
+"""A trained policy with the exploration that it was trained with."""
+
+from __future__ import annotations
+
+import torch
+
+from warpvox.algos.checkpoints.files import Controller
+from warpvox.envs.rsl_rl import ACTION_CENTER
+from warpvox.types import ACTION_HIGH, ACTION_LOW
+
+__all__ = ["SampledController"]
+
+
+class SampledController:
+    """Draws actions from the Gaussian distribution of a policy, instead of taking its mean.
+
+    Args:
+        controller: the policy.
+        seed: of the draws; equal seeds give equal actions for equal observations on the same device.
+    """
+
+    def __init__(self, controller: Controller, seed: int = 0) -> None:
+        self.controller, self.spec = controller, controller.spec
+        distribution = controller.actor.distribution
+        low, high = distribution.log_std_range
+        self._std = distribution.log_std_param.detach().clamp(low, high).exp()[: self.spec.num_actions]
+        self._generator = torch.Generator(self._std.device).manual_seed(seed)
+
+    @torch.no_grad()
+    def __call__(self, obs: torch.Tensor) -> torch.Tensor:
+        """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
+        mean = self.controller.outputs(obs)
+        noise = torch.randn(mean.shape, generator=self._generator, device=mean.device)
+        actions = ACTION_CENTER + self.spec.action_scale * (mean + self._std * noise)
+        return actions.clamp(ACTION_LOW, ACTION_HIGH)

@@ -1,0 +1,598 @@
+"""The archive of a design search: one SQLite file that holds all that was tried and what became of it.
+
+Every change is a transaction, so that a process killed at any moment leaves a file that tells the truth, and other
+programs can read it while the search is running. The tables are described in ``docs/codesign.md``.
+
+The journal is SQLite's default, not WAL: an experiment then is a single file between two transactions, may be copied,
+and may lie on the shared disk of a cluster, where WAL does not work. Writing happens once an evaluation, so that its
+speed does not matter.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import math
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
+from warpvox.algos.codesign.archive_check import check_numbers, check_row, check_schema, harden
+from warpvox.design import as_grid
+from warpvox.errors import RunError, StorageError
+from warpvox.files import atomic_path
+from warpvox.reading import parse_json
+
+__all__ = ["BACKUP", "FILE", "Archive", "Finished", "Record"]
+
+FILE = "archive.sqlite"
+"""The name of the archive in a run's folder."""
+BACKUP = "archive.backup.sqlite"
+"""The archive as it was after the last whole generation."""
+
+APPLICATION = 0x77766F78
+"""SQLite's application id of our files: "wvox"."""
+VERSION = 1
+"""Of the tables below; a file of a later version is refused."""
+WAIT_SECONDS = 30.0
+"""How long to wait for a reader to finish."""
+
+TABLES = """
+CREATE TABLE experiment (
+    key TEXT PRIMARY KEY,
+    value TEXT NOT NULL                       -- JSON
+) WITHOUT ROWID;
+CREATE TABLE candidates (
+    id INTEGER PRIMARY KEY,                   -- in the order of proposal, from 0
+    generation INTEGER NOT NULL,              -- from 0
+    body TEXT NOT NULL,                       -- JSON, rows of cell types, the top row first
+    origin TEXT NOT NULL,                     -- how the search made it
+    seed INTEGER NOT NULL,                    -- of its training
+    fitness REAL,                             -- best deterministic return; NULL until it is evaluated
+    steps INTEGER,                            -- control steps spent on it
+    stopped INTEGER,                          -- 1: training ended early; 2: diverged before its first evaluation
+    reused INTEGER REFERENCES candidates(id), -- the candidate with the same body whose evaluation this is
+    policy TEXT,                              -- file of the policy, relative to the archive
+    policy_sha256 TEXT,                       -- of its tensors
+    proposed_at TEXT NOT NULL,                -- UTC
+    finished_at TEXT,
+    seconds REAL                              -- wall time of the batch that it was evaluated in
+);
+CREATE INDEX candidates_by_generation ON candidates(generation);
+CREATE INDEX candidates_by_body ON candidates(body);
+CREATE TABLE parents (
+    child INTEGER NOT NULL REFERENCES candidates(id),
+    position INTEGER NOT NULL,
+    parent INTEGER NOT NULL REFERENCES candidates(id),
+    PRIMARY KEY (child, position)
+) WITHOUT ROWID;
+CREATE TABLE curves (                         -- the learning curve: evaluations during training
+    candidate INTEGER NOT NULL REFERENCES candidates(id),
+    position INTEGER NOT NULL,
+    steps INTEGER NOT NULL,                   -- control steps of training before it
+    value REAL NOT NULL,                      -- deterministic return
+    PRIMARY KEY (candidate, position)
+) WITHOUT ROWID;
+CREATE VIEW generations AS
+    SELECT generation, COUNT(*) AS designs, COUNT(fitness) AS evaluated, MAX(fitness) AS best, AVG(fitness) AS mean,
+           MIN(fitness) AS worst, SUM(steps) AS steps
+    FROM candidates GROUP BY generation;
+"""
+DIVERGED = 2
+"""In the column ``stopped``: there was no evaluation, and the fitness is the worst of all others until then."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A row of the archive: a candidate and, once it is evaluated, what became of it.
+
+    ``fitness`` and what follows are None until then; ``reused`` is the id of the candidate with an equal body whose
+    evaluation this is; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time of the batch
+    that it was evaluated in. ``diverged``: its learning gave no evaluation; when its generation is whole, its
+    fitness is set to the worst of all others so far (:meth:`Archive.settle`).
+    """
+
+    candidate: Candidate
+    seed: int
+    fitness: float | None = None
+    steps: int | None = None
+    stopped: bool | None = None
+    reused: int | None = None
+    policy: str | None = None
+    policy_sha256: str | None = None
+    seconds: float | None = None
+    curve: list[tuple[int, float]] = field(default_factory=list)
+    diverged: bool = False
+
+    @property
+    def finished(self) -> bool:
+        """It is not waiting any more."""
+        return self.stopped is not None
+
+    @property
+    def id(self) -> int:
+        """Of the candidate."""
+        return self.candidate.id
+
+
+@dataclass(frozen=True)
+class Finished:
+    """An evaluation to be written down; ``policy`` and ``policy_sha256`` as in :class:`Record`."""
+
+    id: int
+    outcome: Outcome
+    policy: str | None = None
+    policy_sha256: str | None = None
+    reused: int | None = None
+
+
+class Archive:
+    """Reads and writes the file of one experiment; a context manager that closes it.
+
+    Make one with :meth:`create`, :meth:`open` or :meth:`read`. Only one process at a time may write.
+    """
+
+    def __init__(self, path: Path, db: sqlite3.Connection, lock: sqlite3.Connection | None) -> None:
+        self.path = path
+        self._db, self._lock = db, lock
+
+    # ------------------------------------------------------------------------------------------ opening
+
+    @classmethod
+    def create(cls, path: Path, settings: Mapping[str, Any]) -> Archive:
+        """A new archive at ``path`` for writing.
+
+        Args:
+            settings: all that the results follow from, as JSON can hold it.
+
+        Raises:
+            RunError: something stands there already, or the file cannot be written.
+        """
+        if path.exists():
+            raise RunError(f"{path} exists already: an archive is never overwritten.")
+        lock = _take(path)
+        try:
+            with atomic_path(path, make_folders=False) as temporary:  # a killed process leaves no empty archive
+                cls._fill(temporary, settings)
+            return cls(path, _connect(path, "rw"), lock)
+        except (sqlite3.Error, StorageError) as error:
+            lock.close()
+            raise _unwritable(path, error) from None
+
+    @staticmethod
+    def _fill(path: Path, settings: Mapping[str, Any]) -> None:
+        with closing(_connect(path, "rwc")) as db, _transaction(db):
+            for statement in TABLES.split(";\n"):
+                if statement.strip():
+                    db.execute(statement)
+            rows = {"settings": dict(settings), "created_at": _now()}
+            db.executemany("INSERT INTO experiment VALUES (?, ?)", [(k, json.dumps(v)) for k, v in rows.items()])
+            # inside the transaction: a file with our mark has all tables
+            db.execute(f"PRAGMA application_id = {APPLICATION}")
+            db.execute(f"PRAGMA user_version = {VERSION}")
+
+    @classmethod
+    def open(cls, path: Path) -> Archive:
+        """The archive at ``path`` for writing.
+
+        Raises:
+            RunError: no archive, a damaged or foreign one, or another process is writing it.
+        """
+        _check_exists(path)
+        lock = _take(path)
+        try:
+            return cls(path, _checked(path), lock)
+        except RunError:
+            lock.close()
+            raise
+
+    @classmethod
+    def read(cls, path: Path) -> Archive:
+        """The archive at ``path`` for reading, also while another process is writing it.
+
+        Raises:
+            RunError: no archive, or a damaged or foreign one.
+        """
+        _check_exists(path)
+        db = _checked(path)
+        db.execute("PRAGMA query_only = ON")
+        return cls(path, db, None)
+
+    def close(self) -> None:
+        """Close the file; the object is of no use afterwards."""
+        self._db.close()
+        if self._lock is not None:
+            self._lock.close()
+
+    def __enter__(self) -> Archive:
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    # ------------------------------------------------------------------------------------------ writing
+
+    def propose(self, candidates: Sequence[Candidate], seed: int) -> None:
+        """Write down candidates that are about to be evaluated, all or none.
+
+        Args:
+            seed: of the experiment; those of the candidates follow from it.
+
+        Raises:
+            RunError: an id that is not the next one, a parent that is not known, or the file cannot be written.
+        """
+        known = self.count()
+        for expected, candidate in enumerate(candidates, start=known):
+            if candidate.id != expected:
+                raise RunError(f"The next candidate must have the id {expected}, got {candidate.id}.")
+            if any(not 0 <= parent < candidate.id for parent in candidate.parents):
+                raise RunError(f"Candidate {candidate.id} must descend from earlier ones, got {candidate.parents}.")
+        with self._writing() as db:
+            for item in candidates:
+                db.execute(
+                    "INSERT INTO candidates (id, generation, body, origin, seed, proposed_at) VALUES (?,?,?,?,?,?)",
+                    (
+                        item.id,
+                        item.generation,
+                        body_text(item.body),
+                        item.origin,
+                        candidate_seed(seed, item.id),
+                        _now(),
+                    ),
+                )
+                pairs = [(item.id, position, int(parent)) for position, parent in enumerate(item.parents)]
+                db.executemany("INSERT INTO parents VALUES (?,?,?)", pairs)
+
+    def finish(self, results: Iterable[Finished], seconds: float = 0.0) -> None:
+        """Write down evaluations, all or none.
+
+        Args:
+            seconds: wall time of the batch.
+
+        Raises:
+            RunError: no such candidate, one that is evaluated already, a fitness or a value of the learning curve that
+                is not finite, or the file cannot be written.
+        """
+        with self._writing() as db:
+            for result in results:
+                self._finish(db, result, seconds)
+
+    def _finish(self, db: sqlite3.Connection, result: Finished, seconds: float) -> None:
+        outcome = result.outcome
+        known = [] if outcome.diverged else [outcome.fitness]
+        if not all(math.isfinite(value) for value in (*known, *(value for _, value in outcome.curve))):
+            raise RunError(f"The evaluation of candidate {result.id} gave no finite number: {outcome.fitness}.")
+        values = (
+            None if outcome.diverged else float(outcome.fitness),
+            int(outcome.steps),
+            DIVERGED if outcome.diverged else int(outcome.stopped),
+            result.reused,
+            result.policy,
+            result.policy_sha256,
+            _now(),
+            seconds,
+            result.id,
+        )
+        changed = db.execute(
+            "UPDATE candidates SET fitness=?, steps=?, stopped=?, reused=?, policy=?, policy_sha256=?, finished_at=?,"
+            " seconds=? WHERE id=? AND finished_at IS NULL",
+            values,
+        ).rowcount
+        if changed != 1:
+            raise RunError(f"There is no candidate {result.id} that waits for its evaluation.")
+        rows = [(result.id, k, int(steps), float(value)) for k, (steps, value) in enumerate(outcome.curve)]
+        db.executemany("INSERT INTO curves VALUES (?,?,?,?)", rows)
+
+    @contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        if self._lock is None:
+            raise RunError(f"The archive {self.path} was opened for reading.")
+        try:
+            with _transaction(self._db):
+                yield self._db
+        except sqlite3.Error as error:
+            raise _unwritable(self.path, error) from None
+
+    def settle(self, generation: int) -> None:
+        """Give the diverged designs of a whole generation a fitness: the worst of all others until then.
+
+        Searches need a finite number (a Gaussian process cannot learn from -inf), and one that follows from the
+        archive alone, in whatever order the designs were trained.
+
+        Raises:
+            RunError: there is no other to compare with, or the file cannot be written.
+        """
+        with self._writing() as db:
+            query = "SELECT MIN(fitness) FROM candidates WHERE generation <= ? AND stopped < ?"
+            worst = db.execute(query, (generation, DIVERGED)).fetchone()[0]
+            where = "generation = ? AND stopped = ? AND fitness IS NULL"
+            changed = db.execute(
+                f"UPDATE candidates SET fitness = ? WHERE {where}", (worst, generation, DIVERGED)
+            ).rowcount
+            if changed and worst is None:
+                raise RunError(f"No design has a fitness yet that those of generation {generation} could be given.")
+
+    def back_up(self) -> Path:
+        """Write a copy beside the archive, whole or not at all; returns its path.
+
+        Raises:
+            StorageError, RunError: it cannot be written.
+        """
+        path = self.path.with_name(BACKUP)
+        try:
+            with atomic_path(path, make_folders=False) as temporary, closing(sqlite3.connect(temporary)) as copy:
+                self._db.backup(copy)
+        except sqlite3.Error as error:
+            raise _unwritable(path, error) from None
+        return path
+
+    # ------------------------------------------------------------------------------------------ reading
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What :meth:`create` was given."""
+        settings = self._experiment("settings")
+        if not isinstance(settings, dict):
+            raise RunError(f"{self.path} is damaged: its settings are {settings!r:.80}.")
+        return settings
+
+    @property
+    def created_at(self) -> str:
+        """UTC, as ISO 8601."""
+        return self._experiment("created_at")
+
+    def _experiment(self, key: str) -> Any:
+        with self._reading():
+            return json.loads(self._db.execute("SELECT value FROM experiment WHERE key=?", (key,)).fetchone()[0])
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """What cannot be in an archive that we have written is damage, which SQLite's own check does not see."""
+        try:
+            yield
+        except (sqlite3.Error, ValueError, TypeError) as error:
+            reason = _trouble(error) or f"is damaged ({error})"
+            raise RunError(f"{self.path} {reason}.{_remedy(self.path, reason)}") from None
+
+    def count(self) -> int:
+        """Candidates so far, evaluated or not."""
+        with self._reading():
+            return self._db.execute("SELECT COUNT(*) FROM candidates").fetchone()[0]
+
+    def trained(self) -> int:
+        """Designs that were trained: evaluations that are not those of an equal body."""
+        query = "SELECT COUNT(*) FROM candidates WHERE finished_at IS NOT NULL AND reused IS NULL"
+        with self._reading():
+            return self._db.execute(query).fetchone()[0]
+
+    def generations(self) -> list[dict[str, Any]]:
+        """A row a generation: generation, designs, evaluated, best, mean, worst, steps."""
+        with self._reading():
+            cursor = self._db.execute("SELECT * FROM generations ORDER BY generation")
+            names = [column[0] for column in cursor.description]
+            rows = [dict(zip(names, row, strict=True)) for row in cursor]
+            check_numbers(rows)
+        return rows
+
+    def records(self, generation: int | None = None) -> list[Record]:
+        """All candidates, or those of a generation, by id."""
+        if generation is None:
+            return self._records("")
+        return self._records("WHERE generation = ?", generation)
+
+    def record(self, number: int) -> Record:
+        """One candidate.
+
+        Raises:
+            RunError: there is none with this id.
+        """
+        found = self._records("WHERE id = ?", number)
+        if not found:
+            raise RunError(f"{self.path} has no candidate {number}; there are {self.count()}, from 0.")
+        return found[0]
+
+    def best(self, count: int = 1, until: int | None = None) -> list[Record]:
+        """The designs of highest fitness (up to and including a generation), equal bodies once, ties to the earlier.
+
+        Those whose learning diverged before there was an evaluation are not among them.
+        """
+        where, values = ("AND generation <= ?", (until,)) if until is not None else ("", ())
+        query = f"""WHERE id IN (
+            SELECT id FROM (
+                SELECT id, fitness, ROW_NUMBER() OVER (PARTITION BY body ORDER BY fitness DESC, id) AS place
+                FROM candidates WHERE fitness IS NOT NULL AND stopped < {DIVERGED} {where})
+            WHERE place = 1 ORDER BY fitness DESC, id LIMIT ?)"""
+        return sorted(self._records(query, *values, count), key=lambda record: (-record.fitness, record.id))
+
+    def lineage(self, number: int) -> list[Record]:
+        """A candidate and all that it descends from, by id."""
+        query = """WHERE id IN (
+            WITH RECURSIVE line(id) AS (
+                VALUES (?) UNION SELECT parent FROM parents JOIN line ON parents.child = line.id)
+            SELECT id FROM line)"""
+        return self._records(query, number)
+
+    def _records(self, where: str, *values: object) -> list[Record]:
+        ids = f"SELECT id FROM candidates {where}"
+        parents, curves = {}, {}
+        # one transaction, so that a writer cannot change the tables between the queries
+        with self._reading(), _transaction(self._db, "DEFERRED"):
+            for child, parent in self._db.execute(
+                f"SELECT child, parent FROM parents WHERE child IN ({ids}) ORDER BY child, position", values
+            ):
+                parents.setdefault(child, []).append(parent)
+            for number, steps, value in self._db.execute(
+                f"SELECT candidate, steps, value FROM curves WHERE candidate IN ({ids}) ORDER BY candidate, position",
+                values,
+            ):
+                curves.setdefault(number, []).append((steps, value))
+            rows = self._db.execute(
+                "SELECT id, generation, body, origin, seed, fitness, steps, stopped, reused, policy, policy_sha256,"
+                f" seconds FROM candidates {where} ORDER BY id",
+                values,
+            ).fetchall()
+        with self._reading():
+            return [_record(row, parents.get(row[0], ()), curves.get(row[0], [])) for row in rows]
+
+    def digest(self) -> str:
+        """SHA-256 of everything but dates and durations: equal for equal experiments."""
+        total = hashlib.sha256(json.dumps(self.settings, sort_keys=True).encode())
+        for record in self.records():
+            item = record.candidate
+            row = [item.id, item.generation, body_text(item.body), item.parents, item.origin, record.seed]
+            row += [record.fitness, record.steps, record.stopped, record.reused, record.policy]
+            total.update(json.dumps([*row, record.policy_sha256, record.curve]).encode())
+        return total.hexdigest()
+
+
+def _record(row: Sequence[Any], parents: Sequence[int], curve: list[tuple[int, float]]) -> Record:
+    check_row(row, parents, curve)
+    return Record(
+        Candidate(row[0], body_of(row[2]), tuple(parents), row[3], row[1]),
+        seed=row[4],
+        fitness=row[5],
+        steps=row[6],
+        stopped=None if row[7] is None else bool(row[7]),
+        reused=row[8],
+        policy=row[9],
+        policy_sha256=row[10],
+        seconds=row[11],
+        curve=curve,
+        diverged=row[7] == DIVERGED,
+    )
+
+
+def body_text(body: np.ndarray) -> str:
+    """A body as it stands in the archive: JSON without blanks."""
+    return json.dumps(np.asarray(body).tolist(), separators=(",", ":"))
+
+
+def body_of(text: str) -> np.ndarray:
+    """The body, int8 ``[rows, columns]``, of its text."""
+    return as_grid(parse_json(text))
+
+
+def _now() -> str:
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+
+
+@contextmanager
+def _transaction(db: sqlite3.Connection, kind: str = "IMMEDIATE") -> Iterator[None]:
+    db.execute(f"BEGIN {kind}")
+    try:
+        yield
+    except BaseException:
+        if db.in_transaction:  # SQLite has rolled back by itself where, say, the disk is full
+            db.execute("ROLLBACK")
+        raise
+    db.execute("COMMIT")
+
+
+def _connect(path: Path, mode: str, wait: float = WAIT_SECONDS) -> sqlite3.Connection:
+    # transactions are opened by hand: isolation_level=None turns the module's own off
+    return sqlite3.connect(
+        f"{path.resolve().as_uri()}?mode={mode}", uri=True, timeout=wait, isolation_level=None, check_same_thread=False
+    )
+
+
+def _take(path: Path) -> sqlite3.Connection:
+    """The right to write: an exclusive transaction on a file of its own, which ends with the process that holds it."""
+    lock = path.with_name(path.name + ".lock")
+    db = None
+    try:
+        db = _connect(lock, "rwc", wait=0)
+        db.execute("PRAGMA journal_mode = MEMORY")  # nothing is ever written that would need another file
+        db.execute("BEGIN EXCLUSIVE")
+    except sqlite3.Error as error:
+        if db is not None:
+            db.close()
+        if "locked" in str(error):
+            raise RunError(f"Another process is writing {path}; there can be one at a time.") from None
+        raise _unwritable(path, error) from None
+    return db
+
+
+def _unwritable(path: Path, error: Exception) -> RunError:
+    """What to say when the archive cannot be written. What it held before it still holds."""
+    reason = str(error).rstrip(".")
+    if not path.parent.is_dir():
+        reason = "its folder has vanished; was it removed or renamed, or its disk detached?"
+    elif "full" in reason or getattr(error, "errno", None) == errno.ENOSPC:
+        reason = "database or disk is full; free some space, then go on with resume="
+    return RunError(f"The archive {path} cannot be written: {reason}.")
+
+
+def _check_exists(path: Path) -> None:
+    if not path.is_file():
+        raise RunError(f"There is no archive at {path}.")
+
+
+def _checked(path: Path) -> sqlite3.Connection:
+    """A connection to a file that is an archive and not damaged.
+
+    Raises:
+        RunError: it is not.
+    """
+    db = None
+    try:
+        # Writable also for reading: SQLite then undoes what a killed process has left half written.
+        db = _connect(path, "rw")
+        harden(db)
+        application = db.execute("PRAGMA application_id").fetchone()[0]
+        version = db.execute("PRAGMA user_version").fetchone()[0]
+        reason = _objection(db, application, version)
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite repeats what is damaged, whatever bytes it has
+        reason = _trouble(error) or f"is damaged or no SQLite file ({error})"
+    if reason is not None:
+        if db is not None:
+            db.close()
+        raise RunError(f"{path} {reason}.{_remedy(path, reason)}")
+    return db
+
+
+def _trouble(error: Exception) -> str | None:
+    """Why a whole archive cannot be read: what a killed process has left half written cannot be undone just now."""
+    text = str(error)
+    if isinstance(error, sqlite3.OperationalError) and any(
+        word in text for word in ("full", "I/O", "locked", "readonly")
+    ):
+        return f"cannot be read ({text}): its disk must have some room and be writable, then it is as it was"
+    return None
+
+
+def _remedy(path: Path, reason: str) -> str:
+    """How to go on from the copy, if there is one and the archive is damaged."""
+    backup = path.with_name(BACKUP)
+    if "damaged" not in reason or path == backup or not backup.is_file():
+        return ""
+    return (
+        f" {backup.name} beside it holds all generations that were whole: copy it over {path.name} (and remove"
+        f" {path.name}-journal, if there is one), then resume; the result is the same."
+    )
+
+
+def _objection(db: sqlite3.Connection, application: int, version: int) -> str | None:
+    if application != APPLICATION:
+        return "is an SQLite file, but no archive of warpvox"
+    if version > VERSION:
+        return f"is an archive of version {version}; this warpvox reads up to {VERSION}: install a newer one"
+    # what is missing at the end SQLite takes for zeros, which may pass for an empty page
+    pages, size = (db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "page_size"))
+    held = os.stat(db.execute("PRAGMA database_list").fetchone()[2]).st_size
+    if held < pages * size:
+        return f"is damaged (cut short: {held} of {pages * size} bytes)"
+    foreign = check_schema(db, TABLES)  # before anything that could run a part of it
+    if foreign is not None:
+        return foreign
+    state = db.execute("PRAGMA quick_check").fetchone()[0]
+    return None if state == "ok" else f"is damaged ({' '.join(state.split())})"

@@ -1,0 +1,173 @@
+"""What leaves an archive, and designs that come in: tables for analysis, bodies in EvoGym's formats."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from warpvox.algos.codesign.archive import Archive, Record, body_text
+from warpvox.design import Design, load_design, save_design
+from warpvox.errors import DesignError, RunError, did_you_mean, listing
+from warpvox.files import atomic_path, write_text
+
+__all__ = ["FORMATS", "export", "read_designs", "write_csv", "write_designs", "write_parquet"]
+
+COLUMNS = (
+    "id",
+    "generation",
+    "body",
+    "rows",
+    "columns",
+    "origin",
+    "parents",
+    "seed",
+    "fitness",
+    "steps",
+    "stopped",
+    "diverged",
+    "reused",
+    "policy",
+    "seconds",
+    "curve_steps",
+    "curve_values",
+)
+"""Of the tables; bodies are JSON in both, lists are JSON in CSV and lists in Parquet."""
+DESIGN_SUFFIXES = (".npz", ".json", ".npy")
+
+
+def export(archive: Archive, folder: Path, name: str) -> Path:
+    """Write one of :data:`FORMATS` into ``folder``; returns the path of what was made.
+
+    Raises:
+        RunError: an unknown format, or pyarrow is missing.
+    """
+    if name not in FORMATS:
+        raise RunError(f"The archive can be exported as {listing(FORMATS)}; got '{name}'.{did_you_mean(name, FORMATS)}")
+    return FORMATS[name](archive, folder)
+
+
+def write_csv(archive: Archive, path: Path) -> Path:
+    """Write the candidates as CSV with the columns :data:`COLUMNS`; empty cells where there is no value."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for record in archive.records():
+        row = _row(record)
+        cells = [json.dumps(value) if isinstance(value, list) else value for value in row.values()]
+        writer.writerow([int(cell) if isinstance(cell, bool) else cell for cell in cells])
+    write_text(path, text.getvalue())
+    return path
+
+
+def write_parquet(archive: Archive, path: Path) -> Path:
+    """Write the candidates as Parquet with the columns :data:`COLUMNS`. Needs the extra ``analysis`` (pyarrow).
+
+    Raises:
+        RunError: pyarrow is not installed.
+    """
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise RunError(
+            "Parquet needs pyarrow, which is not installed: pip install 'warpvox[analysis]', or write CSV."
+        ) from None
+    kinds = {
+        "body": pa.string(),
+        "origin": pa.string(),
+        "parents": pa.list_(pa.int64()),
+        "fitness": pa.float64(),
+        "stopped": pa.bool_(),
+        "diverged": pa.bool_(),
+        "policy": pa.string(),
+        "seconds": pa.float64(),
+        "curve_steps": pa.list_(pa.int64()),
+        "curve_values": pa.list_(pa.float64()),
+    }
+    schema = pa.schema([(name, kinds.get(name, pa.int64())) for name in COLUMNS])
+    table = pa.Table.from_pylist([_row(record) for record in archive.records()], schema=schema)
+    with atomic_path(path) as temporary:
+        parquet.write_table(table, temporary)
+    return path
+
+
+def write_designs(archive: Archive, folder: Path, suffix: str) -> Path:
+    """Write every evaluated body to a file of its own, in the folders that EvoGym's own searches leave.
+
+    ``generation_<n>/structure/<id>.npz`` (or ``.json``) and, per generation, ``output.txt`` with a line
+    ``<id> <fitness>`` for each design, best first.
+
+    Args:
+        suffix: ``.npz``, EvoGym's structure file (body and connections), or ``.json``.
+    """
+    for row in archive.generations():
+        done = [record for record in archive.records(row["generation"]) if record.fitness is not None]
+        place = folder / f"generation_{row['generation']}"
+        for record in done:
+            save_design(place / "structure" / f"{record.id}{suffix}", record.candidate.body)
+        ranked = sorted(done, key=lambda record: (-record.fitness, record.id))
+        write_text(place / "output.txt", "".join(f"{record.id}\t\t{record.fitness}\n" for record in ranked))
+    return folder
+
+
+def read_designs(paths: Sequence[str]) -> list[Design]:
+    """Bodies from files and folders (searched through) and by name; equal bodies once, in order of appearance.
+
+    Reads what :func:`write_designs` and EvoGym's searches write. In a folder all files ending in .npz, .json and .npy
+    must be designs.
+
+    Raises:
+        DesignError: nothing there, or a file that holds no valid design.
+    """
+    bodies = {}
+    for text in paths:
+        path = Path(text).expanduser()
+        if path.is_dir():
+            files = sorted(file for file in path.rglob("*") if file.suffix.lower() in DESIGN_SUFFIXES)
+            if not files:
+                raise DesignError(
+                    f"There is no design in '{path}': expected files ending in {listing(DESIGN_SUFFIXES)}."
+                )
+        else:
+            files = [text]
+        for file in files:
+            body = load_design(file)
+            bodies.setdefault(body_text(body), body)
+    return list(bodies.values())
+
+
+def _row(record: Record) -> dict[str, Any]:
+    """The values of :data:`COLUMNS`."""
+    item = record.candidate
+    values = (
+        item.id,
+        item.generation,
+        body_text(item.body),
+        *item.body.shape,
+        item.origin,
+        list(item.parents),
+        record.seed,
+        record.fitness,
+        record.steps,
+        record.stopped,
+        record.diverged,
+        record.reused,
+        record.policy,
+        record.seconds,
+        [steps for steps, _ in record.curve],
+        [value for _, value in record.curve],
+    )
+    return dict(zip(COLUMNS, values, strict=True))
+
+
+FORMATS = {
+    "csv": lambda archive, folder: write_csv(archive, folder / "designs.csv"),
+    "parquet": lambda archive, folder: write_parquet(archive, folder / "designs.parquet"),
+    "npz": lambda archive, folder: write_designs(archive, folder / "structures", ".npz"),
+    "json": lambda archive, folder: write_designs(archive, folder / "structures", ".json"),
+}
+"""What an archive can be written as, and how."""

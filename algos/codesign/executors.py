@@ -1,0 +1,74 @@
+"""Where designs are evaluated: batch after batch in this process, or on Ray (:mod:`.ray_executor`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parent
+
+__all__ = ["Batch", "Executor", "LocalExecutor", "Report", "batches"]
+
+Report = Callable[[int, dict[str, Any]], None]
+"""Is told the place of a batch and what its evaluator reports."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Candidates that are trained together, and the file that their training is saved to now and then."""
+
+    candidates: Sequence[Candidate]
+    checkpoint: Path | None = None
+
+
+class Executor(Protocol):
+    """Evaluates batches of candidates. The results must not depend on where and in what order that happens."""
+
+    def run(
+        self, work: Sequence[Batch], parents: Mapping[int, Parent], report: Report
+    ) -> Iterator[tuple[int, list[Outcome]]]:
+        """Yield the place of each batch in ``work`` with its outcomes, as they are done.
+
+        Args:
+            parents: as for :class:`warpvox.algos.candidate.DesignEvaluator`.
+        """
+
+    def close(self) -> None:
+        """Let go of workers."""
+
+
+class LocalExecutor:
+    """Evaluates in this process, in order."""
+
+    def __init__(self, evaluator: DesignEvaluator) -> None:
+        self.evaluator = evaluator
+
+    def run(
+        self, work: Sequence[Batch], parents: Mapping[int, Parent], report: Report
+    ) -> Iterator[tuple[int, list[Outcome]]]:
+        """See :class:`Executor`."""
+        for place, batch in enumerate(work):
+
+            def tell(event: dict[str, Any], place: int = place) -> None:
+                report(place, event)
+
+            yield place, self.evaluator.evaluate(batch.candidates, parents, tell, batch.checkpoint)
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+def batches(candidates: Sequence[Candidate], size: int | None, folder: Path | None = None) -> list[Batch]:
+    """The candidates of a generation cut into batches that are trained together; None: one batch.
+
+    The cut depends on nothing but the candidates, so that a resumed experiment, or one on other machines, trains the
+    same designs together.
+
+    Args:
+        folder: for checkpoints.
+    """
+    size = size or len(candidates)
+    cut = [candidates[start : start + size] for start in range(0, len(candidates), size or 1)]
+    return [Batch(part, folder / f"training_{part[0].id}.pt" if folder else None) for part in cut]

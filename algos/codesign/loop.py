@@ -1,0 +1,247 @@
+"""The co-design loop: a search proposes designs, an executor trains and judges them, the archive remembers.
+
+A search is a function of its settings, its seed and the fitness it has been told, and a training one of the seed of
+its candidate. So an experiment goes on from its archive as if nothing had happened: the search is told again what it
+was told before, and what had not been evaluated is evaluated.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from warpvox.algos.candidate import Candidate, Outcome, Parent, Search
+from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text
+from warpvox.algos.codesign.executors import Batch, Executor, batches
+from warpvox.algos.interrupt import Interrupt, deferred_interrupts
+from warpvox.errors import DivergenceError, RunError
+
+__all__ = ["Listener", "Loop", "PolicyStore"]
+
+
+class PolicyStore(Protocol):
+    """Keeps policies; see :class:`warpvox.algos.codesign.stored_policies.Policies`."""
+
+    def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
+        """Write a policy down; returns where, and the SHA-256 of its content."""
+
+    def load(self, path: str) -> dict[str, Any]:
+        """The policy that :meth:`save` wrote there."""
+
+
+class Listener:
+    """Is told what the loop does; the methods of this one do nothing."""
+
+    def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
+        """``waiting`` of the ``total`` candidates of a generation are going to be trained."""
+
+    def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
+        """What an evaluator reports of the training of these candidates; see :data:`PROGRESS`."""
+
+    def finished(self, records: Sequence[Record]) -> None:
+        """These candidates are evaluated and written down."""
+
+    def told(self, generation: int, fresh: bool) -> None:
+        """The search has learned from a generation; not ``fresh``: it had been complete before this run."""
+
+
+class Loop:
+    """Runs a search to its end, or until it is interrupted.
+
+    Args:
+        search: must not have been asked yet.
+        executor: trains and judges.
+        archive: new or of an experiment to go on with; open for writing.
+        seed: of the experiment.
+        policies: where policies go; None: they are not kept.
+        checkpoints: folder in which trainings are saved now and then, to go on from; None: they are not.
+        batch: designs trained together; None: all of a generation.
+        reuse: a body that was evaluated before is not trained again.
+        inherit: a training may start from the policies of the parents.
+        listener: is told what happens.
+    """
+
+    def __init__(
+        self,
+        search: Search,
+        executor: Executor,
+        archive: Archive,
+        *,
+        seed: int,
+        policies: PolicyStore | None = None,
+        checkpoints: Path | None = None,
+        batch: int | None = None,
+        reuse: bool = True,
+        inherit: bool = False,
+        listener: Listener | None = None,
+    ) -> None:
+        self.search, self.executor, self.archive = search, executor, archive
+        self.seed, self.batch, self.reuse, self.inherit = seed, batch, reuse, inherit
+        self.policies, self.checkpoints = policies, checkpoints
+        self.listener = listener or Listener()
+        self.generation = 0
+
+    def run(self) -> None:
+        """Go on until the search has spent its evaluations.
+
+        The first interrupt waits until the evaluation has come to a point at which it can be left.
+
+        Raises:
+            KeyboardInterrupt: interrupted; all that was finished is in the archive.
+            RunError: the archive is not one of this search or cannot be written, an evaluation has failed, or the
+                learning of a whole generation has diverged (DivergenceError).
+        """
+        with deferred_interrupts() as interrupt:
+            self._replay()
+            self._clear()
+            while asked := self.search.ask():
+                known = self.archive.records(self.generation)
+                if known:
+                    _check_same(asked, known)
+                else:
+                    self._check_new(asked)
+                    self.archive.propose(asked, self.seed)
+                self._evaluate(asked, interrupt)
+                self.search.tell([record.fitness for record in self.archive.records(self.generation)])
+                self.archive.back_up()
+                self.listener.told(self.generation, fresh=True)
+                self.generation += 1
+                self._clear()
+                if interrupt:
+                    interrupt.stop()
+
+    def _replay(self) -> None:
+        """Tell the search again what it was told before."""
+        history = []
+        for row in self.archive.generations():
+            if row["evaluated"] == row["designs"]:
+                records = self.archive.records(row["generation"])
+                history.append(([record.candidate for record in records], [record.fitness for record in records]))
+        if history:
+            self.search.replay(history)
+        for self.generation in range(len(history)):
+            self.listener.told(self.generation, fresh=False)
+        self.generation = len(history)
+
+    # ------------------------------------------------------------------------------------------ a generation
+
+    def _check_new(self, asked: Sequence[Candidate]) -> None:
+        if any(candidate.generation != self.generation for candidate in asked):
+            wrong = next(candidate for candidate in asked if candidate.generation != self.generation)
+            raise RunError(f"Candidate {wrong.id} belongs to generation {self.generation}, not {wrong.generation}.")
+
+    def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> None:
+        """Evaluate what is still waiting."""
+        done = {record.id for record in self.archive.records(self.generation) if record.finished}
+        originals = self._originals(asked)
+        # batches are cut before what is done is left out: a resumed generation trains the same designs together
+        work = batches([item for item in asked if item.id not in originals], self.batch, self.checkpoints)
+        work = [batch for batch in work if any(item.id not in done for item in batch.candidates)]
+        self.listener.proposed(self.generation, [item for batch in work for item in batch.candidates], len(asked))
+        self._train(work, interrupt)
+        copies = [
+            self._copy(candidate, originals[candidate.id])
+            for candidate in asked
+            if candidate.id in originals and candidate.id not in done
+        ]
+        self.archive.finish(copies)
+        self._settle()
+        self.listener.finished([self.archive.record(copy.id) for copy in copies])
+
+    def _settle(self) -> None:
+        """Rank what has diverged below all others; where nothing else is left, the settings are to blame."""
+        records = self.archive.records(self.generation)
+        if all(record.diverged for record in records) and (len(records) > 1 or not self.archive.best()):
+            raise DivergenceError(
+                f"The learning of all {len(records)} designs of generation {self.generation} diverged before their"
+                " first evaluation: its settings do not suit the task. Begin a new search with a lower"
+                " training.ppo.learning_rate."
+            )
+        self.archive.settle(self.generation)
+
+    def _originals(self, asked: Sequence[Candidate]) -> dict[int, int]:
+        """The candidates whose body was proposed before, with the id of the first that had it."""
+        if not self.reuse:
+            return {}
+        first: dict[str, int] = {}
+        for record in self.archive.records():
+            if record.candidate.generation < self.generation:
+                first.setdefault(body_text(record.candidate.body), record.id)
+        originals = {}
+        for candidate in asked:
+            original = first.setdefault(body_text(candidate.body), candidate.id)
+            if original != candidate.id:
+                originals[candidate.id] = original
+        return originals
+
+    def _copy(self, candidate: Candidate, original: int) -> Finished:
+        record = self.archive.record(original)
+        # nothing was spent: the sum of all steps is what the experiment has cost
+        outcome = Outcome(-math.inf if record.diverged else record.fitness, steps=0, stopped=record.stopped)
+        return Finished(candidate.id, outcome, record.policy, record.policy_sha256, reused=original)
+
+    def _train(self, work: Sequence[Batch], interrupt: Interrupt) -> None:
+        def report(place: int, event: dict[str, Any]) -> None:
+            self.listener.progress(work[place].candidates, event)
+            if interrupt:
+                interrupt.stop()
+
+        began = time.perf_counter()
+        for place, outcomes in self.executor.run(work, self._parents(work), report):
+            batch = work[place]
+            if len(outcomes) != len(batch.candidates):
+                raise RunError(f"The evaluator gave {len(outcomes)} outcomes for {len(batch.candidates)} candidates.")
+            results = [self._finished(*pair) for pair in zip(batch.candidates, outcomes, strict=True)]
+            now = time.perf_counter()
+            self.archive.finish(results, seconds=now - began)
+            began = now
+            if batch.checkpoint is not None:
+                batch.checkpoint.unlink(missing_ok=True)
+            self.listener.finished([self.archive.record(result.id) for result in results])
+            if interrupt:
+                interrupt.stop()
+
+    def _clear(self) -> None:
+        """Remove what was saved of trainings that are over; a killed process may have had no time for it."""
+        if self.checkpoints is None or not self.checkpoints.is_dir():
+            return
+        if all(row["evaluated"] == row["designs"] for row in self.archive.generations()):
+            for file in self.checkpoints.iterdir():
+                file.unlink()
+
+    def _finished(self, candidate: Candidate, outcome: Outcome) -> Finished:
+        """An outcome whose policy is on the disk: the archive never names a file that is not there."""
+        if self.policies is None or outcome.policy is None:
+            return Finished(candidate.id, outcome)
+        return Finished(candidate.id, outcome, *self.policies.save(candidate, outcome))
+
+    def _parents(self, work: Sequence[Batch]) -> dict[int, Parent]:
+        if not self.inherit or self.policies is None:
+            return {}
+        wanted = sorted({parent for batch in work for item in batch.candidates for parent in item.parents})
+        return {
+            record.id: Parent(record.candidate.body, self.policies.load(record.policy), record.fitness)
+            for record in map(self.archive.record, wanted)
+            if record.policy is not None
+        }
+
+
+def _check_same(asked: Sequence[Candidate], known: Sequence[Record]) -> None:
+    """Raise RunError unless the search proposes again what it has proposed before."""
+    same = len(asked) == len(known) and all(
+        candidate.id == record.id
+        and np.array_equal(candidate.body, record.candidate.body)
+        and tuple(candidate.parents) == record.candidate.parents
+        and candidate.origin == record.candidate.origin
+        for candidate, record in zip(asked, known, strict=False)
+    )
+    if not same:
+        raise RunError(
+            f"The search now proposes other designs for generation {known[0].candidate.generation} than the archive"
+            " holds: it was made by another version of warpvox or of the library that the search uses."
+        )

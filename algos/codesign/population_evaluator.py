@@ -1,0 +1,259 @@
+"""Evaluation of a whole generation of designs at once: all are trained side by side in one batch."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.checkpoints.files import read_tensors, save_checkpoint
+from warpvox.algos.codesign.inheritance import Anatomy, inherit
+from warpvox.algos.env_factory import Arena
+from warpvox.algos.interrupt import deferred_interrupts
+from warpvox.algos.population.training import Networks, PopulationTraining
+from warpvox.algos.settings import TrainingConfig
+from warpvox.envs.registry import get_task
+from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.errors import RunError
+from warpvox.files import writing
+from warpvox.memory import enough_memory
+
+__all__ = [
+    "PopulationEvaluator",
+    "bequeath",
+    "best_parent",
+    "describe",
+    "less_memory",
+    "read_evaluation",
+    "save_evaluation",
+]
+
+Report = Callable[[dict[str, Any]], None]
+
+
+@dataclass(frozen=True)
+class PopulationEvaluator:
+    """Trains all candidates side by side; fitness is the best of their deterministic evaluations.
+
+    With ``settings.rungs`` the least promising candidates leave the batch early, the survivors going on as they
+    would have anyway, up to rounding. A candidate whose learning diverges leaves it too, with the fitness it had
+    reached (-inf: none).
+
+    Attributes:
+        arena: where they are trained.
+        settings: how.
+        seed: of the experiment.
+    """
+
+    arena: Arena
+    settings: TrainingConfig
+    seed: int = 0
+
+    def evaluate(
+        self,
+        candidates: Sequence[Candidate],
+        parents: Mapping[int, Parent],
+        report: Report | None = None,
+        checkpoint: Path | None = None,
+    ) -> list[Outcome]:
+        """See :class:`warpvox.algos.candidate.DesignEvaluator`.
+
+        Raises:
+            RunError: the checkpoint is another's, or a policy does not fit.
+            StorageError: the checkpoint cannot be written. DeviceError: memory has run out.
+            KeyboardInterrupt: interrupted; the checkpoint has been written.
+        """
+        if not candidates:
+            return []
+        with enough_memory(less_memory(self.settings, len(candidates))):
+            return self._evaluate(candidates, parents, report, checkpoint)
+
+    def _evaluate(
+        self,
+        candidates: Sequence[Candidate],
+        parents: Mapping[int, Parent],
+        report: Report | None,
+        checkpoint: Path | None,
+    ) -> list[Outcome]:
+        generation = _Generation(self, candidates, parents)
+        if checkpoint is not None and checkpoint.exists():
+            generation.restore(checkpoint)
+        with deferred_interrupts() as interrupted:
+            while generation.going:
+                generation.advance()
+                if report is not None:
+                    report(generation.progress())
+                due = generation.iteration % self.settings.save_interval == 0 and generation.going
+                stop = bool(interrupted)  # an interrupt from here on waits for the next iteration
+                if checkpoint is not None and (due or stop):
+                    generation.save(checkpoint)
+                if stop:
+                    interrupted.stop()
+        return generation.outcomes
+
+
+class _Generation:
+    """The evaluation of some candidates while it is under way."""
+
+    def __init__(
+        self, evaluator: PopulationEvaluator, candidates: Sequence[Candidate], parents: Mapping[int, Parent]
+    ) -> None:
+        self.arena, self.settings = evaluator.arena, evaluator.settings
+        self.candidates, self.parents = list(candidates), parents
+        self.seeds = [candidate_seed(evaluator.seed, candidate.id) for candidate in candidates]
+        self.about = describe(evaluator.arena, evaluator.settings, evaluator.seed, candidates)
+        self.outcomes = [Outcome(-math.inf) for _ in candidates]
+        self.rungs = {max(1, round(share * self.settings.iterations)) for share in self.settings.rungs}
+        self.active = list(range(len(candidates)))
+        self.training = self._start()
+
+    def _start(self) -> PopulationTraining:
+        prepare = None
+        if self.settings.inherit:
+            chosen = [best_parent(self.candidates[k], self.parents) for k in self.active]
+
+            def prepare(design: int, env: VoxelVecEnv, networks: Networks) -> None:
+                if chosen[design] is not None:
+                    bequeath(self.arena, chosen[design], env, design, networks)
+
+        bodies = [self.candidates[k].body for k in self.active]
+        return PopulationTraining(self.arena, bodies, [self.seeds[k] for k in self.active], self.settings, prepare)
+
+    @property
+    def iteration(self) -> int:
+        return self.training.iteration
+
+    @property
+    def going(self) -> bool:
+        return bool(self.active) and self.iteration < self.settings.iterations
+
+    def advance(self) -> None:
+        """One iteration and what is due after it."""
+        self.training.iterate()
+        for k in self.active:
+            self.outcomes[k].steps = self.iteration * self.training.steps_per_iteration
+        self._drop_diverged()
+        done, end = self.iteration, self.settings.iterations
+        if self.active and (done % self.settings.eval_interval == 0 or done == end or done in self.rungs):
+            self._evaluate()
+            if done in self.rungs and done != end:
+                self._halve()
+
+    def _drop_diverged(self) -> None:
+        self._keep([place for place, well in enumerate(self.training.algorithm.healthy().tolist()) if well])
+
+    def _evaluate(self) -> None:
+        values = self.training.evaluate().tolist()
+        for place, (k, value) in enumerate(zip(self.active, values, strict=True)):
+            outcome = self.outcomes[k]
+            if math.isfinite(value):
+                outcome.curve.append((outcome.steps, value))
+            if value > outcome.fitness:
+                outcome.fitness, outcome.policy = value, self.training.policy(place)
+        self._keep([place for place, value in enumerate(values) if math.isfinite(value)])
+
+    def _halve(self) -> None:
+        """Stop the least promising; of equals, those that were proposed last."""
+        count = math.ceil(self.settings.keep * len(self.active))
+        by_promise = sorted(range(len(self.active)), key=lambda place: -self.outcomes[self.active[place]].fitness)
+        self._keep(sorted(by_promise[:count]))
+
+    def _keep(self, places: list[int]) -> None:
+        if len(places) == len(self.active):
+            return
+        for place, k in enumerate(self.active):
+            self.outcomes[k].stopped = place not in places
+        self.active = [self.active[place] for place in places]
+        if self.active:
+            self.training.keep(places)
+
+    def progress(self) -> dict[str, Any]:
+        """What a report holds, see :data:`warpvox.algos.candidate.PROGRESS`."""
+        return {
+            "iteration": self.iteration,
+            "iterations": self.settings.iterations,
+            "steps": sum(outcome.steps for outcome in self.outcomes),
+            "best": [outcome.fitness if outcome.curve else math.nan for outcome in self.outcomes],
+            "training": [k in self.active and self.going for k in range(len(self.candidates))],
+        }
+
+    def save(self, path: Path) -> None:
+        outcomes = [dataclasses.asdict(outcome) for outcome in self.outcomes]
+        content = {"about": self.about, "active": self.active, "outcomes": outcomes, "training": self.training.state()}
+        save_evaluation(path, content)
+
+    def restore(self, path: Path) -> None:
+        content = read_evaluation(path, self.about)
+        self.outcomes = [
+            Outcome(**outcome | {"curve": [tuple(point) for point in outcome["curve"]]})
+            for outcome in content["outcomes"]
+        ]
+        if content["active"] != self.active:
+            self.active = content["active"]
+            self.training = self._start()
+        self.training.set_state(content["training"])
+
+
+# ------------------------------------------------------------------------------- shared with other evaluators
+
+
+def describe(arena: Arena, settings: TrainingConfig, seed: int, candidates: Sequence[Candidate]) -> dict[str, Any]:
+    """What the outcomes of candidates follow from, as plain values: whether a checkpoint is theirs."""
+    irrelevant = {"save_interval", "method"}
+    return {
+        "task": get_task(arena.task).id,
+        "arena": repr((arena.rules, arena.physics, arena.dtype, arena.arithmetic, arena.max_episode_steps)),
+        "settings": {key: value for key, value in dataclasses.asdict(settings).items() if key not in irrelevant},
+        "seed": seed,
+        "candidates": [[candidate.id, candidate.body.tolist(), list(candidate.parents)] for candidate in candidates],
+    }
+
+
+def save_evaluation(path: Path, content: dict[str, Any]) -> None:
+    """Write the checkpoint of an evaluation.
+
+    Raises:
+        StorageError: the disk will not have it, or the run's folder, in which that of ``path`` lies, has vanished.
+    """
+    with writing(path):
+        path.parent.mkdir(exist_ok=True)
+    save_checkpoint(path, content)
+
+
+def read_evaluation(path: Path, about: dict[str, Any]) -> dict[str, Any]:
+    """Read the checkpoint of an evaluation.
+
+    Raises:
+        RunError: it is damaged, or that of an evaluation which ``about`` (:func:`describe`) does not describe.
+    """
+    try:
+        content = read_tensors(path)
+    except RunError as error:
+        raise RunError(
+            f"{str(error).rstrip('.')}. Remove it: these designs are then trained from the beginning, to the same end."
+        ) from None
+    if content.get("about") != about:
+        raise RunError(f"{path} is the checkpoint of other candidates or settings; remove it to begin anew.")
+    return content
+
+
+def less_memory(settings: TrainingConfig, count: int) -> str:
+    """What to do if the training of ``count`` designs takes too much memory."""
+    fewer = f"batch={-(-count // 2)} trains {-(-count // 2)} designs at once instead of {count}; " if count > 1 else ""
+    return f"Take less at once: {fewer}training.envs is {settings.envs}, training.ppo.steps {settings.ppo.steps}."
+
+
+def best_parent(candidate: Candidate, parents: Mapping[int, Parent]) -> Parent | None:
+    """The fittest of a candidate's parents that are known; of equals the first."""
+    known = [parents[number] for number in candidate.parents if number in parents]
+    return max(known, key=lambda parent: parent.fitness, default=None)
+
+
+def bequeath(arena: Arena, parent: Parent, env: VoxelVecEnv, design: int, networks: Networks) -> None:
+    """Change the fresh ``networks`` of a design of ``env`` to begin with the parent's policy."""
+    old = Anatomy.of(arena.make([parent.body], 1, [0], auto_reset=False), 0)
+    inherit(networks.actor, networks.critic, Anatomy.of(env, design), old, parent.policy)

@@ -1,0 +1,237 @@
+"""Evaluation on many processes and machines by Ray; a worker that is lost costs only what it was doing."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import socket
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parent
+from warpvox.algos.codesign.executors import Batch, Report
+from warpvox.errors import ConfigError, RunError, WarpvoxError
+
+__all__ = ["RayExecutor"]
+
+LOOK_SECONDS = 0.5
+"""How often progress is asked for."""
+ATTEMPTS = 3
+"""How often a batch may lose its worker before the batch itself is suspected."""
+PATIENCE_SECONDS = 600.0
+"""How long to wait for a first or a new worker while there is none."""
+
+
+class _Worker:
+    """Lives in a process of Ray's: evaluates in one thread, tells of progress in another."""
+
+    def __init__(self, make: Callable[[], DesignEvaluator]) -> None:
+        self._make, self._evaluator = make, None
+        self._events: deque[dict[str, Any]] = deque(maxlen=100)
+
+    def ready(self) -> int:
+        """The process is up; its id."""
+        return os.getpid()
+
+    def evaluate(
+        self, candidates: Sequence[Candidate], parents: Mapping[int, Parent], checkpoint: Path | None
+    ) -> list[Outcome]:
+        """Outcomes of the candidates."""
+        # made in this thread: some settings of torch belong to the thread that sets them
+        self._evaluator = self._evaluator or self._make()
+        return self._evaluator.evaluate(candidates, parents, self._events.append, checkpoint)
+
+    def events(self) -> list[dict[str, Any]]:
+        """What was reported since the last call."""
+        return [self._events.popleft() for _ in range(len(self._events))]
+
+
+class RayExecutor:
+    """Spreads batches over workers, each a process with an evaluator of its own.
+
+    Results do not depend on the workers: a batch is evaluated whole, by its candidates' seeds.
+
+    Args:
+        make: builds the evaluator in a worker; must be picklable.
+        workers: how many; None: one a GPU if they are given GPUs, else as many as there are CPUs for.
+        address: of a running cluster (``auto`` or ``host:port``); None: start Ray on this machine.
+        cpus, gpus: what a worker takes; no number of GPUs: one if the cluster has any.
+
+    Raises:
+        ConfigError: Ray is not installed. RunError: there is no such cluster, or it has no room for one worker.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[], DesignEvaluator],
+        workers: int | None = None,
+        address: str | None = None,
+        cpus: int = 1,
+        gpus: float | None = 0.0,
+    ) -> None:
+        self._ray = _start(address, (workers or 1) * cpus)
+        room = self._ray.cluster_resources()
+        if gpus is None:
+            gpus = 1 if room.get("GPU", 0) else 0
+        if workers is None:
+            workers = int(room.get("GPU", 0) // gpus if gpus else room.get("CPU", 0) // cpus)
+        if workers < 1 or room.get("CPU", 0) < cpus or room.get("GPU", 0) < gpus:
+            self.close()
+            raise RunError(
+                f"The cluster has {room.get('CPU', 0):g} CPUs and {room.get('GPU', 0):g} GPUs; a worker takes {cpus}"
+                f" and {gpus:g}."
+            )
+        groups = {"train": 1, "watch": 1}
+        remote = self._ray.remote(num_cpus=cpus, num_gpus=gpus, concurrency_groups=groups, max_restarts=0)
+        self._class, self._make = remote(_Worker), make
+        self._workers = [self._hire() for _ in range(workers)]
+
+    @property
+    def size(self) -> int:
+        """The number of workers."""
+        return len(self._workers)
+
+    def _hire(self) -> _Hand:
+        actor = self._class.remote(self._make)
+        return _Hand(actor, actor.ready.options(concurrency_group="watch").remote())
+
+    def run(
+        self, work: Sequence[Batch], parents: Mapping[int, Parent], report: Report
+    ) -> Iterator[tuple[int, list[Outcome]]]:
+        """See :class:`warpvox.algos.codesign.executors.Executor`.
+
+        Raises:
+            RunError: there is no worker for too long, or a batch has lost too many of them.
+        """
+        waiting, losses = deque(range(len(work))), Counter()
+        idle_since = time.monotonic()
+        while waiting or any(hand.place is not None for hand in self._workers):
+            self._assign(work, parents, waiting)
+            busy = [hand for hand in self._workers if hand.place is not None]
+            if busy:
+                idle_since = time.monotonic()
+            elif time.monotonic() - idle_since > PATIENCE_SECONDS:
+                raise RunError(f"No worker has come up for {PATIENCE_SECONDS:.0f} s; see `ray status`.")
+            self._ray.wait([hand.task for hand in busy] or [hand.up for hand in self._workers], timeout=LOOK_SECONDS)
+            for hand in busy:
+                for event in self._events(hand):
+                    report(hand.place, event)
+            for hand in busy:
+                if not self._is_done(hand.task):
+                    continue
+                place = hand.place
+                outcomes = self._collect(hand)
+                if outcomes is None:
+                    losses[place] += 1
+                    if losses[place] == ATTEMPTS:
+                        ids = [candidate.id for candidate in work[place].candidates]
+                        raise RunError(f"The evaluation of the candidates {ids} has ended its worker {ATTEMPTS} times.")
+                    waiting.appendleft(place)
+                else:
+                    yield place, outcomes
+
+    def _assign(self, work: Sequence[Batch], parents: Mapping[int, Parent], waiting: deque[int]) -> None:
+        """Give batches to workers that are up and idle. One that is not up might wait for a node for ever."""
+        for number, hand in enumerate(self._workers):
+            if not waiting:
+                return
+            if hand.place is not None or not self._is_done(hand.up):
+                continue
+            try:
+                self._ray.get(hand.up)
+            except self._ray.exceptions.RayError:
+                self._workers[number] = self._hire()
+                continue
+            hand.place = waiting.popleft()
+            batch = work[hand.place]
+            own = {parent: parents[parent] for item in batch.candidates for parent in item.parents if parent in parents}
+            method = hand.actor.evaluate.options(concurrency_group="train")
+            hand.task = method.remote(list(batch.candidates), own, batch.checkpoint)
+
+    def _collect(self, hand: _Hand) -> list[Outcome] | None:
+        """The outcomes of a finished task; None and a new worker if it was lost."""
+        errors, task = self._ray.exceptions, hand.task
+        hand.place = hand.task = None
+        try:
+            return self._ray.get(task)
+        except errors.RayTaskError as error:
+            # raised by the evaluator itself: as it would have been in this process
+            cause = error.cause if isinstance(error.cause, WarpvoxError) else None
+            raise (RunError(str(cause)) if cause else error) from None
+        except errors.RayError:
+            self._workers[self._workers.index(hand)] = self._hire()
+            return None
+
+    def _events(self, hand: _Hand) -> list[dict[str, Any]]:
+        """What a busy worker has reported; nothing if it does not answer, for its task will tell why."""
+        if hand.news is None:
+            hand.news = hand.actor.events.options(concurrency_group="watch").remote()
+        if not self._is_done(hand.news):
+            return []
+        try:
+            return self._ray.get(hand.news)
+        except self._ray.exceptions.RayError:
+            return []
+        finally:
+            hand.news = None
+
+    def _is_done(self, reference: Any) -> bool:
+        return bool(self._ray.wait([reference], timeout=0)[0])
+
+    def close(self) -> None:
+        """End the workers, and Ray itself where it was started here."""
+        self._ray.shutdown()
+
+
+class _Hand:
+    """A worker as the driver knows it: the actor, the sign that it is up, the batch it works on."""
+
+    def __init__(self, actor: Any, up: Any) -> None:
+        self.actor, self.up = actor, up
+        self.place: int | None = None
+        self.task: Any = None
+        self.news: Any = None
+
+
+def _start(address: str | None, cpus: int) -> Any:
+    """Connect to a cluster, or start Ray here with at least ``cpus`` CPUs; returns the module."""
+    # Ray gives its workers a low priority and reports usage, unless told otherwise before it starts
+    os.environ.setdefault("RAY_worker_niceness", "0")
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    try:
+        import ray
+    except ImportError:
+        raise ConfigError("executor=ray needs Ray, which is not installed: pip install 'warpvox[ray]'.") from None
+    where = f"at {address}" if address else "on this machine"
+    if address:
+        _check_answers(address, where)
+    options: dict[str, Any] = {"address": address} if address else {}
+    if address is None:
+        options = {"include_dashboard": False, "num_cpus": max(cpus, os.cpu_count() or 1)}
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        ray.init(**options, logging_level=logging.ERROR, log_to_driver=False)
+    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+        reason = str(error).strip().splitlines() or [type(error).__name__]
+        raise RunError(f"Ray cannot be reached {where}: {reason[0]}") from None
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)  # Ray's handler would end this process before anything is saved
+    return ray
+
+
+def _check_answers(address: str, where: str) -> None:
+    """Raise RunError unless something answers at ``host:port``; Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not port.isdigit():
+        return  # auto and the like, which Ray resolves
+    try:
+        socket.create_connection((host, int(port)), timeout=10).close()
+    except OSError as error:
+        raise RunError(f"Ray cannot be reached {where}: {error.strerror or error}.") from None

@@ -1,0 +1,165 @@
+"""Evaluation of designs one after another: a training with rsl-rl's runner for each, the oracle of the batched one."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.checkpoints.files import Controller
+from warpvox.algos.codesign.population_evaluator import (
+    bequeath,
+    best_parent,
+    describe,
+    less_memory,
+    read_evaluation,
+    save_evaluation,
+)
+from warpvox.algos.env_factory import Arena
+from warpvox.algos.evaluate import Evaluation, evaluator
+from warpvox.algos.population.training import Networks
+from warpvox.algos.settings import TrainingConfig
+from warpvox.algos.training.runner import Runner, Schedule, adapt
+from warpvox.errors import ConfigError, DivergenceError
+from warpvox.memory import enough_memory
+
+__all__ = ["SequentialEvaluator"]
+
+
+@dataclass(frozen=True)
+class SequentialEvaluator:
+    """Trains candidate after candidate with :class:`warpvox.algos.training.runner.Runner`.
+
+    Attributes as of :class:`warpvox.algos.codesign.population_evaluator.PopulationEvaluator`.
+
+    Raises:
+        ConfigError: ``settings.rungs``: without the others there is no race to drop out of.
+    """
+
+    arena: Arena
+    settings: TrainingConfig
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.settings.rungs:
+            raise ConfigError("training.rungs needs training.method=population: designs must be trained side by side.")
+
+    def evaluate(
+        self,
+        candidates: Sequence[Candidate],
+        parents: Mapping[int, Parent],
+        report: Callable[[dict[str, Any]], None] | None = None,
+        checkpoint: Path | None = None,
+    ) -> list[Outcome]:
+        """See :class:`warpvox.algos.candidate.DesignEvaluator`.
+
+        Raises:
+            RunError: the checkpoint is another's. StorageError: it cannot be written. DeviceError: memory has run out.
+            KeyboardInterrupt: interrupted; the checkpoint has been written.
+        """
+        done = _Done(describe(self.arena, self.settings, self.seed, candidates), checkpoint)
+        for candidate in candidates[len(done.outcomes) :]:
+            with enough_memory(less_memory(self.settings, 1)):
+                outcome = self._train(candidate, best_parent(candidate, parents), done)
+            done.add(outcome)
+            if report is not None:
+                report(self._progress(done.outcomes, len(candidates)))
+        return done.outcomes
+
+    def _train(self, candidate: Candidate, parent: Parent | None, done: _Done) -> Outcome:
+        settings, seed = self.settings, candidate_seed(self.seed, candidate.id)
+        outcome = done.outcome or Outcome(-math.inf)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            env = adapt(self.arena.make([candidate.body], settings.envs, [seed], auto_reset=True), settings.ppo)
+            judge = evaluator(self.arena.make([candidate.body], settings.eval_envs, [seed], auto_reset=False), [seed])
+
+            def evaluate(policy: Controller) -> Evaluation:
+                result = judge(policy)
+                value = float(result.fitness[0])
+                outcome.curve.append((runner.steps, value))
+                if value > outcome.fitness:
+                    state = policy.actor.state_dict()
+                    outcome.fitness = value
+                    outcome.policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
+                return result
+
+            schedule = Schedule(settings.iterations, settings.save_interval, settings.eval_interval)
+            runner = _Runner(env, settings.ppo, schedule, evaluator=evaluate)
+            runner.keep = lambda: done.save(outcome, runner.state())
+            runner.less_memory = lambda: less_memory(settings, 1)
+            if done.training is not None:
+                runner.set_state(done.training)
+            elif settings.inherit and parent is not None:
+                networks = Networks(runner.alg.actor, runner.alg.critic, torch.empty(0))
+                bequeath(self.arena, parent, env.env, 0, networks)
+            try:
+                if runner.current_learning_iteration < settings.iterations:
+                    runner.run()
+            except DivergenceError:  # it leaves with what it had, as one of many would
+                outcome.stopped = True
+                runner.current_learning_iteration += 1
+        outcome.steps = runner.steps
+        return outcome
+
+    def _progress(self, outcomes: Sequence[Outcome], count: int) -> dict[str, Any]:
+        left = count - len(outcomes)
+        return {
+            "iteration": len(outcomes) * self.settings.iterations // count,
+            "iterations": self.settings.iterations,
+            "steps": sum(outcome.steps for outcome in outcomes),
+            "best": [math.nan if one.diverged else one.fitness for one in outcomes] + [math.nan] * left,
+            "training": [False] * len(outcomes) + [True] * left,
+        }
+
+
+class _Runner(Runner):
+    """A training that is saved beside the outcomes of the designs before it."""
+
+    keep: Callable[[], None]
+
+    def save_state(self) -> None:
+        """Before the first iteration there is nothing to keep: it would be the same again."""
+        if self.current_learning_iteration > 0:
+            self.keep()
+
+
+class _Done:
+    """What has become of the candidates so far, and the training under way; in a file where one is named."""
+
+    def __init__(self, about: dict[str, Any], file: Path | None) -> None:
+        self.about, self.file = about, file
+        self.outcomes: list[Outcome] = []
+        self.outcome: Outcome | None = None
+        self.training: dict[str, Any] | None = None
+        if file is not None and file.exists():
+            content = read_evaluation(file, about)
+            self.outcomes = [_outcome(values) for values in content["outcomes"]]
+            if content["training"] is not None:
+                self.outcome, self.training = _outcome(content["outcome"]), content["training"]
+
+    def add(self, outcome: Outcome) -> None:
+        """A candidate is done."""
+        self.outcomes.append(outcome)
+        self.outcome = self.training = None
+        self.save(None, None)
+
+    def save(self, outcome: Outcome | None, training: dict[str, Any] | None) -> None:
+        """Write the file: what is done, the training under way (:meth:`Runner.state`) and its outcome so far."""
+        if self.file is None:
+            return
+        outcomes = [dataclasses.asdict(one) for one in self.outcomes]
+        current = outcome and dataclasses.asdict(outcome)
+        save_evaluation(
+            self.file, {"about": self.about, "outcomes": outcomes, "outcome": current, "training": training}
+        )
+
+
+def _outcome(values: dict[str, Any]) -> Outcome:
+    return Outcome(**values | {"curve": [tuple(point) for point in values["curve"]]})

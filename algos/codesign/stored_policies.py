@@ -1,0 +1,80 @@
+"""The policies that a design search leaves: every evaluated design is a small run of its own, which can be played."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from warpvox.algos.candidate import Candidate, Outcome
+from warpvox.algos.checkpoints.files import PolicySpec, load_checkpoint, save_checkpoint, spec_dict
+from warpvox.algos.population.model import width_for
+from warpvox.algos.settings import PpoConfig
+from warpvox.algos.training.runner import BEST
+from warpvox.files import write_text
+
+__all__ = ["Policies", "policy_sha256"]
+
+
+class Policies:
+    """Writes and reads ``designs/<id>/`` in a run's folder: ``model_best.pt`` and the ``config.yaml`` to play it by.
+
+    Args:
+        folder: of the run.
+        ppo: what the networks were built by.
+        config: gives the text of ``config.yaml`` for a body.
+        side_by_side: the policies are trained in one batch, by PopulationEvaluator.
+    """
+
+    def __init__(
+        self, folder: Path, ppo: PpoConfig, config: Callable[[Candidate], str], side_by_side: bool = True
+    ) -> None:
+        self.folder, self.ppo, self.config, self.side_by_side = folder, ppo, config, side_by_side
+
+    def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
+        """Write the policy of an outcome; returns its path relative to the run's folder, and its SHA-256."""
+        place = Path("designs") / str(candidate.id)
+        content = {
+            "policy": spec_dict(self._spec(candidate, outcome.policy)),
+            "actor_state_dict": {name: value.detach().cpu() for name, value in outcome.policy.items()},
+            "eval_return": outcome.fitness,
+            "infos": {"candidate": candidate.id, "steps": outcome.steps},
+        }
+        write_text(self.folder / place / "config.yaml", self.config(candidate))
+        save_checkpoint(self.folder / place / BEST, content)
+        return (place / BEST).as_posix(), policy_sha256(outcome.policy)
+
+    def load(self, path: str) -> dict[str, Any]:
+        """The policy that :meth:`save` has written to ``path``.
+
+        Raises:
+            RunError: it is gone or cannot be read.
+        """
+        return load_checkpoint(self.folder / path)["actor_state_dict"]
+
+    def _spec(self, candidate: Candidate, policy: Mapping[str, torch.Tensor]) -> PolicySpec:
+        # The sizes of the first and last layer are those of the body, which the settings do not know.
+        layers = [value for name, value in policy.items() if name.startswith("mlp.") and name.endswith(".weight")]
+        ppo = self.ppo
+        return PolicySpec(
+            num_obs=layers[0].shape[1],
+            num_actions=layers[-1].shape[0],
+            hidden=list(ppo.hidden),
+            activation=ppo.activation,
+            normalize_obs=ppo.normalize_obs,
+            action_scale=ppo.action_scale,
+            width=width_for(candidate.body.size) if self.side_by_side else None,
+        )
+
+
+def policy_sha256(policy: Mapping[str, torch.Tensor]) -> str:
+    """SHA-256 of a policy's tensors with their names, types and shapes; the file around them does not matter."""
+    total = hashlib.sha256()
+    for name, value in policy.items():
+        array = value.detach().cpu().contiguous().numpy()
+        total.update(f"{name} {array.dtype} {array.shape} ".encode())
+        total.update(array.tobytes())
+    return total.hexdigest()

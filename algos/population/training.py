@@ -1,0 +1,185 @@
+"""Several designs trained side by side: environments, networks and the loop that joins them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import torch
+from rsl_rl.models import MLPModel
+from rsl_rl.storage import RolloutStorage
+from tensordict import TensorDict
+
+from warpvox.algos.env_factory import Arena
+from warpvox.algos.evaluate import evaluate
+from warpvox.algos.population.model import PopulationModel, width_for
+from warpvox.algos.population.ppo import PopulationPPO
+from warpvox.algos.population.streams import Streams
+from warpvox.algos.settings import PpoConfig, TrainingConfig
+from warpvox.algos.training.ppo import PPO, rsl_rl_config
+from warpvox.algos.training.runner import adapt
+from warpvox.design import Design
+from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.errors import ActionError
+from warpvox.types import ACTION_HIGH, ACTION_LOW
+
+__all__ = ["Networks", "PopulationTraining", "fresh_networks"]
+
+VALUE_WIDTH = 8  # columns of the value function's last layer, of which one counts, as in width_for
+
+
+@dataclass
+class Networks:
+    """A design's networks before training, and torch's random state after they were made."""
+
+    actor: MLPModel
+    critic: MLPModel
+    random_state: torch.Tensor
+
+
+def fresh_networks(ppo: PpoConfig, num_obs: int, num_actions: int, seed: int) -> Networks:
+    """What a separate training with ``seed`` begins with, made by rsl-rl itself; torch's generator stays as it was."""
+    config = rsl_rl_config(ppo, total_iterations=1) | {"multi_gpu": None}
+    obs = TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])
+    with torch.random.fork_rng(devices=[]):
+        torch.random.default_generator.manual_seed(seed)
+        algorithm = PPO.construct_algorithm(obs, SimpleNamespace(num_envs=1, num_actions=num_actions), config, "cpu")
+        return Networks(algorithm.actor, algorithm.critic, torch.random.default_generator.get_state())
+
+
+class PopulationTraining:
+    """Trains a policy for each of some designs.
+
+    Each design's training is that which :class:`warpvox.algos.training.runner.Runner` would give it alone after
+    ``torch.manual_seed(seed)``, up to rounding.
+
+    Args:
+        arena: where they are trained.
+        bodies: the designs.
+        seeds: from which all that a design's training draws follows.
+        settings: how they are trained.
+        prepare: may change a design's networks before training; called with its number, the environments and the
+            networks.
+
+    Attributes:
+        iteration: iterations done.
+        bodies, seeds: of the designs still in training.
+    """
+
+    def __init__(
+        self,
+        arena: Arena,
+        bodies: Sequence[Design],
+        seeds: Sequence[int],
+        settings: TrainingConfig,
+        prepare: Callable[[int, Any, Networks], None] | None = None,
+    ) -> None:
+        self.arena, self.bodies, self.seeds, self.settings = arena, list(bodies), list(seeds), settings
+        self.ppo, self.iteration = settings.ppo, 0
+        self._make_environments()
+        inner = self.env.env
+        networks = []
+        sizes = zip(inner.obs_mask.sum(1).tolist(), inner.action_mask.sum(1).tolist(), strict=True)
+        for d, (num_obs, num_actions) in enumerate(sizes):
+            networks.append(fresh_networks(self.ppo, num_obs, num_actions, self.seeds[d]))
+            if prepare is not None:
+                prepare(d, inner, networks[-1])
+        self.algorithm = self._algorithm(networks)
+
+    def _make_environments(self) -> None:
+        settings = self.settings
+        training = self.arena.make(self.bodies, settings.envs, self.seeds, auto_reset=True)
+        self.env = adapt(training, self.ppo, apart=True)
+        self._judge = self.arena.make(self.bodies, settings.eval_envs, self.seeds, auto_reset=False)
+
+    def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
+        # of the widest body of this grid, not of this batch
+        width = width_for(max(body.size for body in self.bodies))
+        device = str(self.env.device)
+        actor = PopulationModel([network.actor for network in networks], width).to(device)
+        critic = PopulationModel([network.critic for network in networks], VALUE_WIDTH).to(device)
+        streams = Streams(self.seeds, [network.random_state for network in networks], device)
+        obs = self.env.get_observations()
+        storage = RolloutStorage("rl", self.env.num_envs, self.ppo.steps, obs, [width], device)
+        settings = dict(rsl_rl_config(self.ppo, self.settings.iterations)["algorithm"])
+        settings.pop("class_name")
+        threads = self.env.env.sim.threads if device == "cpu" else 1
+        return PopulationPPO(actor, critic, storage, streams, threads=threads, device=device, **settings)
+
+    @property
+    def num_designs(self) -> int:
+        """Designs in training."""
+        return len(self.bodies)
+
+    @property
+    def steps_per_iteration(self) -> int:
+        """Control steps of a design in an iteration."""
+        return self.ppo.steps * self.settings.envs
+
+    # ---------------------------------------------------------------- learning
+
+    def iterate(self) -> None:
+        """One iteration: collect, learn."""
+        if self.iteration == 0 and self.ppo.random_start:
+            lengths = self.algorithm.streams.integers(int(self.env.max_episode_length), self.settings.envs)
+            self.env.episode_length_buf = lengths.flatten().to(self.env.device)
+        self._collect()
+        self.algorithm.update()
+        self.iteration += 1
+
+    @torch.no_grad()
+    def _collect(self) -> None:
+        algorithm, env = self.algorithm, self.env
+        obs = env.get_observations()
+        for _ in range(self.ppo.steps):
+            actions = algorithm.act(obs)[:, : env.num_actions]
+            try:
+                obs, rewards, dones, extras = env.step(actions)
+            except ActionError:
+                # A design has diverged. The others go on; what its update learns from shows it to be unhealthy.
+                obs, rewards, dones, extras = env.step(actions.nan_to_num(0.0, 0.0, 0.0))
+            algorithm.process_env_step(obs, rewards, dones, extras)
+        algorithm.compute_returns(obs)
+
+    def evaluate(self) -> torch.Tensor:
+        """float64 ``[designs]``: the mean return of deterministic episodes, the same ones every time.
+
+        NaN for a design whose policy gives actions that are no numbers; the others do not notice.
+        """
+        actor, actions = self.algorithm.actor, self._judge.num_actions
+
+        def policy(obs: torch.Tensor) -> torch.Tensor:
+            means = actor.run(actor.latent(obs.to(actor.mask))).flatten(0, 1)[:, :actions]
+            wild.logical_or_(means.isnan().view(self.num_designs, -1).any(1))
+            means = means.nan_to_num(0.0, math.inf, -math.inf)
+            return (ACTION_CENTER + self.ppo.action_scale * means).clamp(ACTION_LOW, ACTION_HIGH)
+
+        wild = torch.zeros(self.num_designs, dtype=torch.bool, device=self.algorithm.device)
+        return evaluate(self._judge, policy, seed=self.seeds).fitness.masked_fill(wild.cpu(), math.nan)
+
+    def policy(self, design: int) -> dict[str, torch.Tensor]:
+        """The state of a stock actor that does what the design's policy does now."""
+        return self.algorithm.actor.member(design)
+
+    # ------------------------------------------------------------ state, parts
+
+    def keep(self, index: Sequence[int]) -> None:
+        """Only these designs go on, in this order, as they would have gone on with the others, up to rounding."""
+        state = self.env.pick(index)
+        self.bodies, self.seeds = [self.bodies[d] for d in index], [self.seeds[d] for d in index]
+        self._make_environments()
+        self.env.set_state(state)
+        self.algorithm.keep(index, self.env.get_observations())
+
+    def state(self) -> dict[str, Any]:
+        """Everything that training depends on, as tensors and numbers: what :meth:`set_state` takes back."""
+        return {"iteration": self.iteration, "env": self.env.state(), "algorithm": self.algorithm.save()}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from :meth:`state` of a training of the same designs, seeds and settings."""
+        self.iteration = state["iteration"]
+        self.env.set_state(state["env"])
+        self.algorithm.load(state["algorithm"])

@@ -1,0 +1,1 @@
+"""Training of one policy: PPO, networks, the runner and its metrics."""

@@ -1,0 +1,398 @@
+"""The training loop: rsl-rl's runner with evaluations, metrics, atomic checkpoints and exact resumption."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+# rsl-rl imports GitPython, which raises at import where no git is installed, unless told to be quiet.
+os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
+
+from rsl_rl.runners import OnPolicyRunner
+
+from warpvox.algos.checkpoints.files import Controller, PolicySpec, load_checkpoint, save_checkpoint, spec_dict
+from warpvox.algos.evaluate import Evaluator
+from warpvox.algos.interrupt import deferred_interrupts
+from warpvox.algos.settings import PpoConfig
+from warpvox.algos.training.distributed import ALONE, Team
+from warpvox.algos.training.metrics import Metrics
+from warpvox.algos.training.ppo import rsl_rl_config
+from warpvox.envs.rsl_rl import RslRlVecEnv
+from warpvox.errors import ActionError, DivergenceError, RunError
+from warpvox.files import check_folder
+from warpvox.memory import enough_memory
+
+__all__ = ["BEST", "STATE", "Runner", "Schedule", "adapt"]
+
+BEST = "model_best.pt"
+STATE = "state.pt"
+"""Everything that learning depends on, from before the first iteration on; only the newest is kept."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """When things happen, in iterations.
+
+    ``total``: iterations of the whole run; ``save``, ``evaluate``: intervals; ``stop_return``: an evaluation
+    that reaches it ends the run.
+    """
+
+    total: int
+    save: int = 50
+    evaluate: int = 10
+    stop_return: float | None = None
+
+
+def adapt(env: Any, ppo: PpoConfig, apart: bool = False) -> RslRlVecEnv:
+    """Wrap a :class:`VoxelVecEnv` with the settings of ``ppo``; ``apart``: designs share no running moments."""
+    return RslRlVecEnv(
+        env,
+        action_scale=ppo.action_scale,
+        reward_scale=ppo.reward_scale,
+        reward_gamma=ppo.gamma if ppo.normalize_reward else None,
+        bootstrap_time_limit=ppo.bootstrap_time_limit,
+        apart=apart,
+    )
+
+
+class Runner(OnPolicyRunner):
+    """Trains one policy.
+
+    ``current_learning_iteration`` counts complete iterations. With ``folder`` the run leaves there
+    ``model_<iteration>.pt``, ``model_best.pt`` (best evaluation), ``state.pt`` (for :meth:`resume`),
+    ``metrics.csv`` and TensorBoard events; without, nothing. ``saved_iteration`` is that of the newest ``state.pt``.
+
+    Args:
+        env: see :func:`adapt`.
+        ppo: settings of the method.
+        schedule: when to evaluate, save and stop.
+        folder: of the run; must exist.
+        evaluator: says how good the policy is without exploration; None: no evaluations.
+        report: called after every iteration with its row of ``metrics.csv``.
+        team: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
+            and reports; its ``evaluator`` and ``report`` are the only ones that are used.
+    """
+
+    def __init__(
+        self,
+        env: RslRlVecEnv,
+        ppo: PpoConfig,
+        schedule: Schedule,
+        folder: Path | None = None,
+        evaluator: Evaluator | None = None,
+        report: Callable[[Mapping[str, float]], None] | None = None,
+        team: Team = ALONE,
+    ) -> None:
+        self.team = team
+        super().__init__(env, rsl_rl_config(ppo, schedule.total), log_dir=None, device=str(env.device))
+        self.ppo, self.schedule, self.folder = ppo, schedule, folder
+        self.evaluator, self.report = evaluator, report
+        self.spec = PolicySpec(
+            num_obs=env.get_observations()["policy"].shape[1],
+            num_actions=env.num_actions,
+            hidden=list(ppo.hidden),
+            activation=ppo.activation,
+            normalize_obs=ppo.normalize_obs,
+            action_scale=ppo.action_scale,
+        )
+        self.elapsed, self.saved_iteration = 0.0, None
+        self.best_return, self.best_iteration, self.last_return = -math.inf, 0, math.nan
+        self._metrics: Metrics | None = None
+
+    def _configure_multi_gpu(self) -> None:
+        """What rsl-rl would read from the environment and insist on having GPUs for."""
+        team = self.team
+        self.gpu_world_size, self.gpu_global_rank, self.gpu_local_rank = team.size, team.rank, team.local_rank
+        self.is_distributed = team.size > 1
+        places = {"global_rank": team.rank, "local_rank": team.local_rank, "world_size": team.size}
+        self.cfg["multi_gpu"] = places if self.is_distributed else None
+
+    @property
+    def steps_per_iteration(self) -> int:
+        """Control steps of all environments of all processes in an iteration."""
+        return self.ppo.steps * self.env.num_envs * self.team.size
+
+    @property
+    def steps(self) -> int:
+        """Control steps of all environments so far."""
+        return self.current_learning_iteration * self.steps_per_iteration
+
+    @property
+    def controller(self) -> Controller:
+        """The policy as it is, without exploration; goes on changing with training."""
+        return Controller(self.alg.get_policy(), self.spec)
+
+    # ------------------------------------------------------------------ learning
+
+    def run(self) -> None:
+        """Learn until the schedule's total or ``stop_return`` is reached.
+
+        The first interrupt waits for the end of the iteration, saves, and then raises KeyboardInterrupt.
+
+        Raises:
+            RunError: learning has diverged (DivergenceError), or there is nothing left to do.
+            StorageError: the folder cannot be written any more. DeviceError: memory has run out. In both cases what was
+                saved last is whole, and learning goes on from there as if nothing had happened.
+        """
+        self.check_schedule()
+        left = self.schedule.total - self.current_learning_iteration
+        with enough_memory(self.less_memory()):
+            self.learn(left, init_at_random_ep_len=self.ppo.random_start)
+
+    def less_memory(self) -> str:
+        """What to do if learning takes too much memory."""
+        count = self.env.num_envs
+        return f"Train with fewer environments (num_envs={max(1, count // 2)} instead of {count}) or a lower ppo.steps."
+
+    def check_schedule(self) -> None:
+        """Raise RunError if there is nothing left to do."""
+        done = self.current_learning_iteration
+        if done >= self.schedule.total:
+            raise RunError(f"This run has made {done} iterations already; ask for more: max_iterations={2 * done}.")
+
+    def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
+        """Learn for so many iterations; random lengths apply to the very first one only."""
+        end = self.current_learning_iteration + num_learning_iterations
+        if self.current_learning_iteration == 0:
+            self.save_state()  # a run can be resumed whenever it is killed
+        if init_at_random_ep_len and self.current_learning_iteration == 0:
+            lengths = torch.randint(int(self.env.max_episode_length), (self.env.num_envs,))
+            self.env.episode_length_buf = lengths.to(self.env.device)
+        if self.folder is not None and self.team.leads:
+            self._metrics = Metrics(self.folder, self.current_learning_iteration)
+        self.alg.train_mode()
+        if self.is_distributed:
+            self.alg.broadcast_parameters()
+        try:
+            with deferred_interrupts() as interrupted:
+                while self.current_learning_iteration < end and not self._reached():
+                    self._iterate(end)
+                    if self.team.any(bool(interrupted)):
+                        self.save_all()
+                        interrupted.stop()
+            self.save_all()
+        finally:
+            if self._metrics is not None:
+                self._metrics.close()
+
+    def _reached(self) -> bool:
+        goal = self.schedule.stop_return
+        return goal is not None and self.last_return >= goal
+
+    def _iterate(self, end: int) -> None:
+        """One iteration: collect, learn, and what is due after it."""
+        started = time.perf_counter()
+        logs = self._collect()
+        losses = self.alg.update()
+        self._check(losses)
+        seconds = time.perf_counter() - started
+        self.current_learning_iteration += 1
+        done = self.current_learning_iteration
+        evaluated = self._evaluate() if done % self.schedule.evaluate == 0 or done == end else math.nan
+        self.elapsed += time.perf_counter() - started
+        row = self._row(losses, seconds, evaluated)
+        if self._metrics is not None:
+            self._metrics.write(row, _means(logs))
+        if self.report is not None and self.team.leads:
+            self.report(row)
+        if done % self.schedule.save == 0 and done != end:
+            self.save_all()
+
+    @torch.no_grad()
+    def _collect(self) -> list[dict[str, torch.Tensor]]:
+        """Fill the storage; returns what the environments have logged, a dictionary a step."""
+        logs = []
+        obs = self.env.get_observations()
+        for _ in range(self.ppo.steps):
+            try:
+                obs, rewards, dones, extras = self.env.step(self.alg.act(obs))
+            except ActionError as error:
+                raise self._diverged(str(error)) from error
+            self.alg.process_env_step(obs, rewards, dones, extras)
+            logs.append(extras["log"])
+        self.alg.compute_returns(obs)
+        return logs
+
+    def _check(self, losses: dict[str, float]) -> None:
+        """Refuse what must neither be evaluated nor saved over what is good."""
+        for name, value in losses.items():
+            if not math.isfinite(value):
+                raise self._diverged(f"the {name} loss is {value}")
+        learned = [value for group in self.alg.optimizer.param_groups for value in group["params"]]
+        learned += self.alg.get_policy().buffers()
+        if not bool(torch.stack([torch.isfinite(value).all() for value in learned]).all()):
+            raise self._diverged("the networks have weights that are NaN or infinite")
+
+    def _diverged(self, reason: str) -> DivergenceError:
+        where = self.current_learning_iteration + 1
+        return DivergenceError(
+            f"Learning diverged in iteration {where} ({reason}); checkpoints hold what was before."
+            " Try a new run with a lower ppo.learning_rate."
+        )
+
+    def _evaluate(self) -> float:
+        """The mean return of a deterministic evaluation; keeps the policy if it is the best so far."""
+        value = math.nan
+        if self.team.leads and self.evaluator is not None:
+            self.alg.eval_mode()
+            try:
+                value = self.evaluator(self.controller).mean_return
+            except ActionError as error:
+                self.current_learning_iteration -= 1  # it is not complete
+                raise self._diverged(str(error)) from error
+            self.alg.train_mode()
+        value = self.team.leaders(value)
+        if math.isnan(value):  # there is no evaluator
+            return value
+        self.last_return = value
+        if self.last_return > self.best_return:
+            self.best_return, self.best_iteration = self.last_return, self.current_learning_iteration
+            if self.folder is not None and self.team.leads:
+                save_checkpoint(self.folder / BEST, self._policy_content())
+        return self.last_return
+
+    def _row(self, losses: dict[str, float], seconds: float, evaluated: float) -> dict[str, float]:
+        episodes = self._episodes()
+        return {
+            "iteration": self.current_learning_iteration,
+            "steps": self.steps,
+            "episodes": episodes["episodes"],
+            "return_mean": episodes["return"],
+            "length_mean": episodes["length"],
+            "unstable": episodes["unstable"],
+            "diverged": episodes["diverged"],
+            "eval_return": evaluated,
+            "best_return": self.best_return,
+            "value_loss": losses["value"],
+            "surrogate_loss": losses["surrogate"],
+            "entropy": losses["entropy"],
+            "learning_rate": self.alg.learning_rate,
+            "action_std": self.alg.get_policy().output_std.mean().item(),
+            "steps_per_second": self.steps_per_iteration / seconds,
+            "elapsed": self.elapsed,
+        }
+
+    def _episodes(self) -> dict[str, float]:
+        """Number, mean return and length of the episodes that have ended in all processes; how many were stopped."""
+        own = self.env.pop_episodes()
+        count = own["episodes"]
+        sums = [count, *(count * own[name] if count else 0.0 for name in ("return", "length"))]
+        sums += [own["unstable"], own["diverged"]]
+        count, total, length, unstable, diverged = self.team.sums(sums) if self.is_distributed else sums
+        stopped = {"unstable": int(unstable), "diverged": int(diverged)}
+        if not count:
+            return {"episodes": 0, "return": math.nan, "length": math.nan} | stopped
+        return {"episodes": int(count), "return": total / count, "length": length / count} | stopped
+
+    def summary(self) -> dict[str, Any]:
+        """The run in figures, for ``summary.json``."""
+        known = math.isfinite(self.best_return)
+        return {
+            "iterations": self.current_learning_iteration,
+            "steps": self.steps,
+            "best_return": self.best_return if known else None,
+            "best_iteration": self.best_iteration if known else None,
+            "last_return": self.last_return if math.isfinite(self.last_return) else None,
+            "elapsed_seconds": round(self.elapsed, 3),
+        }
+
+    # --------------------------------------------------------------- checkpoints
+
+    def _policy_content(self) -> dict[str, Any]:
+        own = {
+            "iter": self.current_learning_iteration,
+            "infos": None,
+            "policy": spec_dict(self.spec),
+            "eval_return": self.last_return,
+        }
+        return self.alg.save() | own
+
+    def save(self, path: str, infos: dict | None = None) -> None:
+        """Write the policy, value function and optimiser to ``path``."""
+        save_checkpoint(Path(path), self._policy_content() | {"infos": infos})
+
+    def save_all(self) -> None:
+        """Write ``model_<iteration>.pt`` and ``state.pt`` to the run's folder, if there is one.
+
+        Every process has a state of its own, see :meth:`state_file`.
+
+        Raises:
+            StorageError: the folder cannot be written any more, or has vanished.
+        """
+        if self.folder is not None and self.team.leads:
+            check_folder(self.folder)
+            self.save(str(self.folder / f"model_{self.current_learning_iteration}.pt"))
+        self.save_state()
+
+    def save_state(self) -> None:
+        """Write ``state.pt`` to the run's folder, if there is one."""
+        if self.folder is not None:
+            check_folder(self.folder)
+            save_checkpoint(self.state_file(self.folder / STATE), self.state())
+        self.saved_iteration = self.current_learning_iteration
+
+    def state(self) -> dict[str, Any]:
+        """Everything that learning depends on: what :meth:`set_state` takes back."""
+        random_state = {"cpu": torch.get_rng_state()}
+        if torch.device(self.device).type == "cuda":
+            random_state["cuda"] = torch.cuda.get_rng_state(self.device)
+        own = {
+            "env": self.env.state(),
+            "random": random_state,
+            "elapsed": self.elapsed,
+            "best_return": self.best_return,
+            "best_iteration": self.best_iteration,
+            "processes": self.team.size,
+        }
+        return self._policy_content() | own
+
+    def state_file(self, path: Path) -> Path:
+        """The state of this process beside that of the first one, which is at ``path``."""
+        return path if self.team.leads else path.with_name(f"{path.stem}_{self.team.rank}{path.suffix}")
+
+    def resume(self, path: Path) -> None:
+        """Go on from a checkpoint file.
+
+        From ``state.pt`` learning goes on exactly as if it had not been stopped; any other checkpoint
+        restores the networks, the optimiser and the schedule, with new episodes.
+
+        Raises:
+            RunError: not a checkpoint, or one of another network, task or number of environments or processes.
+        """
+        content = load_checkpoint(path, self.device)
+        processes = content.get("processes", 1)
+        if "env" in content and processes != self.team.size:
+            raise RunError(f"{path} was made by {processes} process(es) and can only go on with as many.")
+        if "env" in content:
+            content = load_checkpoint(self.state_file(path), self.device)
+        if content["policy"] != spec_dict(self.spec):
+            raise RunError(f"{path} holds another kind of policy: {content['policy']}, not {spec_dict(self.spec)}.")
+        self.set_state(content)
+
+    def set_state(self, content: dict[str, Any]) -> None:
+        """Go on from :meth:`state`, or with new episodes from what :meth:`save` has written."""
+        self.alg.load(content, None, True)
+        self.current_learning_iteration = self.saved_iteration = content["iter"]
+        self.last_return = content["eval_return"]
+        if "env" not in content:
+            return
+        self.env.set_state(content["env"])
+        torch.set_rng_state(content["random"]["cpu"].cpu())
+        if "cuda" in content["random"] and torch.device(self.device).type == "cuda":
+            torch.cuda.set_rng_state(content["random"]["cuda"].cpu(), self.device)
+        self.elapsed = content["elapsed"]
+        self.best_return, self.best_iteration = content["best_return"], content["best_iteration"]
+
+
+def _means(logs: list[dict[str, torch.Tensor]]) -> dict[str, float]:
+    """Means over the steps of an iteration, brought from the device in one go."""
+    names = list(logs[0])
+    columns = torch.stack([torch.stack([log[name].double() for log in logs]).mean() for name in names])
+    return dict(zip(names, columns.tolist(), strict=True))

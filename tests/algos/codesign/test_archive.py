@@ -1,0 +1,275 @@
+"""The archive: what is written is what is read, and files that are none are refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
+from warpvox.algos.codesign.archive import APPLICATION, VERSION, Archive, Finished
+from warpvox.algos.codesign.archive_export import COLUMNS, export, read_designs, write_csv, write_parquet
+from warpvox.design import example_design, full_connections, sample_design
+from warpvox.errors import DesignError, RunError
+
+SETTINGS = {"task": "Walker-v0", "search": {"name": "ga"}}
+ENDLESS = "import sys, time; from pathlib import Path; from warpvox.algos.codesign.archive import Archive\n"
+
+
+def bodies(count: int, seed: int = 0) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [sample_design((3, 4), rng) for _ in range(count)]
+
+
+def candidates(count: int, start: int = 0, generation: int = 0) -> list[Candidate]:
+    parents = [(), (0,), (1, 0)]
+    return [
+        Candidate(start + k, body, parents[min(start + k, 2)], "mutation" if k else "random", generation)
+        for k, body in enumerate(bodies(count, start))
+    ]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "archive.sqlite"
+
+
+@pytest.fixture
+def filled(path: Path) -> Archive:
+    """Two generations of three; the last candidate is still waiting."""
+    archive = Archive.create(path, SETTINGS)
+    archive.propose(candidates(3), seed=7)
+    archive.finish([Finished(k, Outcome(float(k), [(10, 0.5), (20, float(k))], 20), f"p{k}", "x") for k in range(3)])
+    archive.propose(candidates(3, start=3, generation=1), seed=7)
+    archive.finish(
+        [Finished(3, Outcome(-1.0, steps=5, stopped=True)), Finished(4, Outcome(2.0), reused=2)], seconds=1.5
+    )
+    yield archive
+    archive.close()
+
+
+def test_what_is_written_is_what_is_read(filled: Archive, path: Path) -> None:
+    with Archive.read(path) as archive:
+        assert archive.settings == SETTINGS
+        records = archive.records()
+        for record, candidate in zip(records, [*candidates(3), *candidates(3, 3, 1)], strict=True):
+            assert np.array_equal(record.candidate.body, candidate.body)
+            assert record.candidate.body.dtype == np.int8
+            for name in ("id", "parents", "origin", "generation"):
+                assert getattr(record.candidate, name) == getattr(candidate, name)
+            assert record.seed == candidate_seed(7, candidate.id)
+        assert [record.fitness for record in records] == [0.0, 1.0, 2.0, -1.0, 2.0, None]
+        assert records[1].curve == [(10, 0.5), (20, 1.0)]
+        assert (records[1].policy, records[1].policy_sha256, records[1].steps) == ("p1", "x", 20)
+        assert (records[3].stopped, records[3].seconds, records[4].reused) == (True, 1.5, 2)
+        assert (archive.count(), archive.trained()) == (6, 4)
+        assert [row["evaluated"] for row in archive.generations()] == [3, 2]
+        assert [(row["best"], row["mean"]) for row in archive.generations()] == [(2.0, 1.0), (2.0, 0.5)]
+
+
+def test_the_best_are_different_bodies_and_ties_go_to_the_first(path: Path) -> None:
+    one, two = bodies(2)
+    with Archive.create(path, {}) as archive:
+        archive.propose([Candidate(k, body) for k, body in enumerate([one, two, one, two])], 0)
+        assert archive.best() == []
+        archive.finish([Finished(k, Outcome(value)) for k, value in enumerate([1.0, 3.0, 2.0, 3.0])])
+        assert [record.id for record in archive.best(9)] == [1, 2]
+        assert [record.id for record in archive.best(1)] == [1]
+
+
+@given(data=st.data())
+def test_the_best_and_the_lineage_by_brute_force(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+    pool = bodies(4)
+    count = data.draw(st.integers(1, 12))
+    parents = [
+        tuple(data.draw(st.lists(st.integers(0, k - 1), max_size=2, unique=True))) if k else () for k in range(count)
+    ]
+    items = [Candidate(k, pool[data.draw(st.integers(0, 3))], parents[k]) for k in range(count)]
+    fitness = [data.draw(st.floats(-5, 5)) for _ in items]
+    with Archive.create(tmp_path_factory.mktemp("a") / "a.sqlite", {}) as archive:
+        archive.propose(items, 0)
+        archive.finish([Finished(k, Outcome(value)) for k, value in enumerate(fitness)])
+        ranked = sorted(range(count), key=lambda k: (-fitness[k], k))
+        seen, best = set(), []
+        for k in ranked:
+            text = str(items[k].body.tolist())
+            if text not in seen:
+                best.append(k)
+            seen.add(text)
+        assert [record.id for record in archive.best(3)] == best[:3]
+        line, left = set(), [count - 1]
+        while left:
+            number = left.pop()
+            line.add(number)
+            left += parents[number]
+        assert [record.id for record in archive.lineage(count - 1)] == sorted(line)
+
+
+def test_the_digest_is_of_the_content_alone(tmp_path: Path) -> None:
+    def make(name: str, settings: dict = SETTINGS, fitness: float = 1.0, seconds: float = 0.0, seed: int = 0) -> str:
+        with Archive.create(tmp_path / name, settings) as archive:
+            archive.propose(candidates(2), seed)
+            archive.finish([Finished(0, Outcome(fitness, [(1, 0.1)]))], seconds)
+            return archive.digest()
+
+    first = make("a")
+    assert make("b", seconds=9.0) == first
+    others = [make("c", {"task": "x"}), make("d", fitness=math.nextafter(1.0, 2.0)), make("e", seed=1)]
+    assert len({first, *others}) == 4
+
+
+def test_all_or_nothing_is_written(filled: Archive) -> None:
+    before = filled.digest()
+    with pytest.raises(RunError, match="waits for its evaluation"):
+        filled.finish([Finished(5, Outcome(1.0)), Finished(4, Outcome(1.0))])
+    with pytest.raises(RunError, match="gave no finite number"):
+        filled.finish([Finished(5, Outcome(1.0, [(1, math.nan)]))])
+    for wrong in (Candidate(7, bodies(1)[0]), Candidate(6, bodies(1)[0], parents=(6,))):
+        with pytest.raises(RunError, match=r"must have the id 6|descend from earlier"):
+            filled.propose([wrong], 0)
+    assert filled.digest() == before
+
+
+def test_one_process_writes_and_others_read(filled: Archive, path: Path) -> None:
+    with pytest.raises(RunError, match="Another process is writing"):
+        Archive.open(path)
+    with Archive.read(path) as reader:
+        assert reader.count() == 6
+        filled.finish([Finished(5, Outcome(9.0))])
+        assert reader.best()[0].fitness == 9.0
+        with pytest.raises(RunError, match="opened for reading"):
+            reader.finish([])
+    filled.close()
+    Archive.open(path).close()
+
+
+def test_a_killed_writer_leaves_what_it_had_finished(path: Path) -> None:
+    # killed in the middle of a transaction that SQLite has begun to write to the file
+    code = ENDLESS + (
+        "archive = Archive.create(Path(sys.argv[1]), {})\n"
+        "db = archive._db\n"
+        "db.execute('INSERT INTO experiment VALUES (?, ?)', ('kept', '1'))\n"
+        "db.execute('PRAGMA cache_size = 1'); db.execute('PRAGMA cache_spill = 1'); db.execute('BEGIN IMMEDIATE')\n"
+        "[db.execute('INSERT INTO experiment VALUES (?, ?)', (str(k), 'x' * 4000)) for k in range(200)]\n"
+        "print('ready', flush=True); time.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"ready\n"
+        size = path.stat().st_size
+        process.kill()
+    assert size > 200_000
+    assert path.with_name(path.name + "-journal").is_file()
+    with Archive.read(path) as archive:
+        keys = [key for (key,) in archive._db.execute("SELECT key FROM experiment ORDER BY key")]
+    assert keys == ["created_at", "kept", "settings"]
+    Archive.open(path).close()
+
+
+def test_files_that_are_no_archives_are_refused(tmp_path: Path) -> None:
+    def other(name: str, application: int = 0, version: int = 0) -> Path:
+        db = sqlite3.connect(tmp_path / name)
+        db.execute("CREATE TABLE t (x)")
+        db.execute(f"PRAGMA application_id = {application}")
+        db.execute(f"PRAGMA user_version = {version}")
+        db.commit()
+        db.close()
+        return tmp_path / name
+
+    text = tmp_path / "text"
+    text.write_text("not a database" * 100)
+    empty = tmp_path / "empty"
+    empty.write_text("")
+    good = tmp_path / "good"
+    with Archive.create(good, SETTINGS) as archive:
+        archive.propose(candidates(200), 0)
+    cut = tmp_path / "cut"
+    cut.write_bytes(good.read_bytes()[:9000])
+    for file, phrase in {
+        tmp_path / "nothing": "no archive at",
+        text: "no SQLite file",
+        empty: "no archive of warpvox",
+        other("foreign"): "no archive of warpvox",
+        other("newer", APPLICATION, VERSION + 1): "install a newer one",
+        other("lacking", APPLICATION, VERSION): "lacks the table",
+        cut: "damaged",
+    }.items():
+        for way in (Archive.read, Archive.open):
+            with pytest.raises(RunError, match=phrase):
+                way(file)
+    with pytest.raises(RunError, match="never overwritten"):
+        Archive.create(good, {})
+    with pytest.raises(RunError, match="cannot be written"):
+        Archive.create(tmp_path / "missing" / "a", {})
+    Archive.open(good).close()
+
+
+# ---------------------------------------------------------------------------------------------------- tables
+
+
+def test_csv_holds_every_candidate(filled: Archive, tmp_path: Path) -> None:
+    rows = list(csv.DictReader(write_csv(filled, tmp_path / "a.csv").open()))
+    assert tuple(rows[0]) == COLUMNS
+    for row, record in zip(rows, filled.records(), strict=True):
+        assert json.loads(row["body"]) == record.candidate.body.tolist()
+        assert json.loads(row["parents"]) == list(record.candidate.parents)
+        assert row["fitness"] == ("" if record.fitness is None else repr(record.fitness))
+        assert list(zip(json.loads(row["curve_steps"]), json.loads(row["curve_values"]), strict=True)) == record.curve
+
+
+def test_parquet_holds_the_same(filled: Archive, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+    table = parquet.read_table(write_parquet(filled, tmp_path / "a.parquet")).to_pylist()
+    rows = csv.DictReader(write_csv(filled, tmp_path / "a.csv").open())
+    for ours, theirs in zip(table, rows, strict=True):
+        for name, value in ours.items():
+            text = theirs[name]
+            assert value == (json.loads(text) if name not in ("body", "origin", "policy") and text else text or None)
+
+
+def test_parquet_without_pyarrow_says_what_to_do(
+    filled: Archive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(RunError, match=r"warpvox\[analysis\]"):
+        export(filled, tmp_path, "parquet")
+    with pytest.raises(RunError, match="Did you mean 'parquet'"):
+        export(filled, tmp_path, "parqet")
+    assert sorted(os.listdir(tmp_path)) == ["archive.sqlite", "archive.sqlite.lock"]
+
+
+@pytest.mark.parametrize("name", ["npz", "json"])
+def test_designs_leave_in_the_formats_of_evogym_and_come_back(filled: Archive, tmp_path: Path, name: str) -> None:
+    folder = export(filled, tmp_path, name)
+    done = [record for record in filled.records() if record.fitness is not None]
+    for record in done:
+        file = folder / f"generation_{record.candidate.generation}" / "structure" / f"{record.id}.{name}"
+        if name == "npz":
+            with np.load(file) as content:
+                assert sorted(content) == ["arr_0", "arr_1"]
+                assert np.array_equal(content["arr_0"], record.candidate.body)
+                assert np.array_equal(content["arr_1"], full_connections(record.candidate.body).T)
+    assert (folder / "generation_0" / "output.txt").read_text() == "2\t\t2.0\n1\t\t1.0\n0\t\t0.0\n"
+    back = {str(body.tolist()) for body in read_designs([str(folder)])}
+    assert back == {str(record.candidate.body.tolist()) for record in done}
+
+
+def test_designs_are_read_from_names_files_and_folders_once(tmp_path: Path) -> None:
+    body = example_design("walker")
+    np.save(tmp_path / "again.npy", body)
+    assert [other.tolist() for other in read_designs(["walker", str(tmp_path), "walker"])] == [body.tolist()]
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(DesignError, match="no design in"):
+        read_designs([str(tmp_path / "folder")])
+    (tmp_path / "folder" / "bad.npz").write_bytes(b"x")
+    with pytest.raises(DesignError, match=r"bad\.npz"):
+        read_designs([str(tmp_path / "folder")])

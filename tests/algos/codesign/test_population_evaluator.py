@@ -1,0 +1,421 @@
+"""A generation trained at once: in any company, however often it is killed or halved."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from population_cases import LIMIT, arena, candidates, small
+
+from warpvox.algos.candidate import PROGRESS, Candidate, Outcome, candidate_seed
+from warpvox.algos.checkpoints.files import Controller, PolicySpec, build_actor
+from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
+from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
+from warpvox.algos.evaluate import evaluate
+from warpvox.configs.presets import training_preset
+from warpvox.errors import ConfigError, RunError
+from warpvox.keys import MISSING
+
+TASKS = pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0"])
+DOUBLE = pytest.mark.usefixtures("double")
+SAME = 1e-6
+"""Of trainings in float64 that differ in rounding alone: in other company a design's matrix products have other sizes.
+How they are rounded is up to the library and the CPU. Contacts and Adam let differences grow by orders of magnitude."""
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def assert_equal(one: Outcome, other: Outcome) -> None:
+    """Bit for bit."""
+    assert (one.fitness, one.curve, one.steps, one.stopped) == (other.fitness, other.curve, other.steps, other.stopped)
+    assert one.policy.keys() == other.policy.keys()
+    for name, value in one.policy.items():
+        assert torch.equal(value, other.policy[name]), name
+
+
+def assert_close(one: Outcome, other: Outcome) -> None:
+    """But for rounding."""
+    assert [at for at, _ in one.curve] == [at for at, _ in other.curve]
+    assert [value for _, value in one.curve] == pytest.approx([value for _, value in other.curve], abs=SAME)
+    assert one.fitness == pytest.approx(other.fitness, abs=SAME)
+    assert (one.steps, one.stopped) == (other.steps, other.stopped)
+    assert one.policy.keys() == other.policy.keys()
+    for name, value in one.policy.items():
+        torch.testing.assert_close(value, other.policy[name], rtol=0, atol=SAME)
+
+
+def outcomes(
+    found: list[Candidate], task: str = "Walker-v0", seed: int = 0, dtype: str = "float32", **changes: Any
+) -> list[Outcome]:
+    return PopulationEvaluator(arena(task, dtype), small(**changes), seed).evaluate(found, {})
+
+
+# ------------------------------------------------------------------------------------------------ what comes out
+
+
+@TASKS
+def test_fitness_is_the_best_of_the_evaluations_and_the_policy_earns_it(task: str) -> None:
+    found = candidates(3)
+    how = small()
+    for candidate, outcome in zip(found, outcomes(found, task, seed=5), strict=True):
+        steps = [n * how.envs * how.ppo.steps for n in (2, 4, 6)]
+        assert [at for at, _ in outcome.curve] == steps
+        assert outcome.fitness == max(value for _, value in outcome.curve)
+        assert (outcome.steps, outcome.stopped) == (steps[-1], False)
+        seeds = [candidate_seed(5, candidate.id)]
+        env = arena(task).make([candidate.body], 1, seeds, auto_reset=False)
+        spec = PolicySpec(env.num_obs, env.num_actions, how.ppo.hidden, how.ppo.activation, True, 0.5)
+        actor = build_actor(spec)
+        actor.load_state_dict(outcome.policy)
+        again = evaluate(env, Controller(actor.eval(), spec), seed=seeds).mean_return
+        assert again == pytest.approx(outcome.fitness, abs=1e-4)
+
+
+@DOUBLE
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+def test_the_batched_evaluator_equals_the_sequential_one(preset: str) -> None:
+    found, how = candidates(3), small(preset)
+    batched, separate = (
+        evaluator(arena(dtype="float64"), how, 7).evaluate(found, {})
+        for evaluator in (PopulationEvaluator, SequentialEvaluator)
+    )
+    for ours, theirs in zip(batched, separate, strict=True):
+        assert_close(ours, theirs)
+
+
+def test_progress_is_reported() -> None:
+    seen: list[dict[str, Any]] = []
+    PopulationEvaluator(arena(), small(), 0).evaluate(candidates(2), {}, seen.append)
+    assert [event["iteration"] for event in seen] == [1, 2, 3, 4, 5, 6]
+    assert all(event.keys() == PROGRESS.keys() for event in seen)
+    assert all(math.isnan(value) for value in seen[0]["best"])
+    assert seen[-1]["steps"] == 2 * 6 * 16
+    assert [event["training"] for event in seen] == [[True, True]] * 5 + [[False, False]]
+
+
+def test_no_candidates_no_outcomes() -> None:
+    assert outcomes([]) == []
+
+
+def test_the_example_of_the_documentation_runs(repository: Path, capsys: pytest.CaptureFixture) -> None:
+    (example,) = re.findall(
+        r"```python\n(.*?)```", (repository / "docs" / "evaluation.md").read_text("utf-8"), re.DOTALL
+    )
+    names: dict[str, Any] = {}
+    exec(compile(example, "docs/evaluation.md", "exec"), names)
+    assert [len(outcome.curve) for outcome in names["outcomes"]] == [2, 2, 2]
+
+
+@pytest.mark.parametrize(("name", "words"), [("papr", "Did you mean 'paper'"), ("slow", "one of")])
+def test_an_unknown_preset_is_one_clear_error(name: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        training_preset(name)
+    with pytest.raises(ConfigError, match="Did you mean 'iterations'"):
+        training_preset("paper", iteration=3)
+    with pytest.raises(ConfigError, match="Did you mean 'epochs'"):
+        training_preset("paper", {"epoch": 3})
+
+
+@pytest.mark.parametrize(("name", "samples"), [("paper", 512), ("paper_wide", 512), ("fast", 2048)])
+def test_presets_spend_the_papers_control_steps(name: str, samples: int) -> None:
+    how = training_preset(name)
+    assert how.envs * how.ppo.steps == samples
+    assert how.iterations * samples == 512_000
+    values = dataclasses.asdict(how)
+    assert MISSING not in [*values.values(), *values["ppo"].values()]
+
+
+# ---------------------------------------------------------------------------------------------------- company
+
+
+@DOUBLE
+@TASKS
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+def test_an_outcome_does_not_depend_on_the_company(preset: str, task: str) -> None:
+    """Other bodies, other numbers of them, another order, or a twin beside it."""
+    found = candidates(5)
+    how = small(preset)
+    run = lambda part: PopulationEvaluator(arena(task, "float64"), how, 3).evaluate(part, {})  # noqa: E731
+    together = run(found)
+    for part in ([2], [4, 0], [3, 1, 2]):
+        for k, outcome in zip(part, run([found[k] for k in part]), strict=True):
+            assert_close(outcome, together[k])
+    twin = Candidate(9, found[1].body)
+    assert_close(run([found[1], twin, found[2]])[0], together[1])
+
+
+@TASKS
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+def test_the_same_batch_gives_the_same_bits(preset: str, task: str) -> None:
+    first, second = (PopulationEvaluator(arena(task), small(preset), 3).evaluate(candidates(3), {}) for _ in range(2))
+    for one, other in zip(first, second, strict=True):
+        assert_equal(one, other)
+
+
+def test_randomness_follows_from_seed_and_id() -> None:
+    body = candidates(1)[0].body
+    first, second = outcomes([Candidate(0, body), Candidate(1, body)])
+    assert first.curve != second.curve
+    assert outcomes([Candidate(0, body)], seed=1)[0].curve != first.curve
+
+
+def test_the_global_random_numbers_are_left_alone() -> None:
+    before = torch.get_rng_state()
+    for evaluator in (PopulationEvaluator, SequentialEvaluator):
+        evaluator(arena(), small(iterations=2), 0).evaluate(candidates(1), {})
+        assert torch.equal(torch.get_rng_state(), before)
+
+
+# ----------------------------------------------------------------------------------------------------- resume
+
+
+class Killed(Exception):
+    """Ends an evaluation as a killed process would."""
+
+
+def killed_at(iteration: int):
+    def report(event: dict[str, Any]) -> None:
+        if event["iteration"] == iteration:
+            raise Killed
+
+    return report
+
+
+@TASKS
+@pytest.mark.parametrize("changes", [{}, {"rungs": [0.34, 0.67]}], ids=["plain", "halving"])
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+def test_a_killed_evaluation_goes_on_to_the_same_outcomes(
+    tmp_path: Path, preset: str, changes: dict, task: str
+) -> None:
+    found, file = candidates(4), tmp_path / "state.pt"
+    how = small(preset, save_interval=1, **changes)
+    whole = PopulationEvaluator(arena(task), how, 2).evaluate(found, {})
+    for iteration in (1, 3, 5):
+        with pytest.raises(Killed):
+            PopulationEvaluator(arena(task), how, 2).evaluate(found, {}, killed_at(iteration), file)
+        torch.manual_seed(iteration)  # whatever happens between
+    for ours, theirs in zip(
+        PopulationEvaluator(arena(task), how, 2).evaluate(found, {}, None, file), whole, strict=True
+    ):
+        assert_equal(ours, theirs)
+
+
+def test_an_interrupted_evaluation_is_saved_and_goes_on(tmp_path: Path) -> None:
+    found, file, seen = candidates(2), tmp_path / "state.pt", []
+    how = small(save_interval=100)
+
+    def interrupt(event: dict[str, Any]) -> None:
+        seen.append(event["iteration"])
+        if event["iteration"] == 3:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        PopulationEvaluator(arena(), how, 0).evaluate(found, {}, interrupt, file)
+    assert seen == [1, 2, 3]
+    whole = PopulationEvaluator(arena(), how, 0).evaluate(found, {})
+    resumed = PopulationEvaluator(arena(), how, 0).evaluate(
+        found, {}, lambda event: seen.append(event["iteration"]), file
+    )
+    assert seen == [1, 2, 3, 4, 5, 6]
+    for ours, theirs in zip(resumed, whole, strict=True):
+        assert_equal(ours, theirs)
+
+
+def test_checkpoints_are_written_when_due_and_only_then(tmp_path: Path) -> None:
+    file, there = tmp_path / "state.pt", []
+    how = small(save_interval=4)
+    PopulationEvaluator(arena(), how, 0).evaluate(candidates(1), {}, lambda _: there.append(file.exists()), file)
+    assert there == [False, False, False, False, True, True]  # written after the report
+
+
+@pytest.mark.parametrize("evaluator", [PopulationEvaluator, SequentialEvaluator])
+def test_the_checkpoint_of_others_is_refused(tmp_path: Path, evaluator: type) -> None:
+    file, found = tmp_path / "state.pt", candidates(2)
+    how = small(save_interval=1, iterations=2)
+    evaluator(arena(), how, 0).evaluate(found, {}, None, file)
+    assert file.exists()
+    others = ((how, 1, found), (small(save_interval=1, iterations=3), 0, found), (how, 0, found[:1]))
+    for settings, seed, part in others:
+        with pytest.raises(RunError, match="other candidates or settings"):
+            evaluator(arena(), settings, seed).evaluate(part, {}, None, file)
+
+
+@pytest.mark.parametrize("iteration", range(1, 7))
+def test_one_by_one_a_killed_training_goes_on_within_a_design(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, iteration: int
+) -> None:
+    """The second design of two is killed after so many of its 6 iterations, saved every 2."""
+    from warpvox.algos.training.runner import Runner
+
+    file, found, how = tmp_path / "training" / "state.pt", candidates(2), small(save_interval=2)
+    whole = SequentialEvaluator(arena(), how, 0).evaluate(found, {})
+    iterate, count = Runner._iterate, []
+
+    def counted(runner: Runner, end: int) -> None:
+        iterate(runner, end)
+        count.append(runner.current_learning_iteration)
+        if len(count) == 6 + iteration:
+            raise Killed
+
+    monkeypatch.setattr(Runner, "_iterate", counted)
+    with pytest.raises(Killed):
+        SequentialEvaluator(arena(), how, 0).evaluate(found, {}, None, file)
+    torch.manual_seed(iteration)  # whatever happens between
+    count.clear()
+    for ours, theirs in zip(SequentialEvaluator(arena(), how, 0).evaluate(found, {}, None, file), whole, strict=True):
+        assert_equal(ours, theirs)
+    saved = {1: 0, 2: 2, 3: 2, 4: 4, 5: 4, 6: 4}[iteration]
+    assert count == list(range(saved + 1, 7))  # and nothing is done twice but what was not saved
+
+
+def test_one_by_one_an_interrupt_is_saved_within_a_design(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.algos.training.runner import Runner
+
+    file, found, how = tmp_path / "state.pt", candidates(1), small(save_interval=100)
+    whole = SequentialEvaluator(arena(), how, 0).evaluate(found, {})
+    iterate, count = Runner._iterate, []
+
+    def interrupted(runner: Runner, end: int) -> None:
+        iterate(runner, end)
+        count.append(runner.current_learning_iteration)
+        if len(count) == 3:
+            signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(Runner, "_iterate", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        SequentialEvaluator(arena(), how, 0).evaluate(found, {}, None, file)
+    (resumed,) = SequentialEvaluator(arena(), how, 0).evaluate(found, {}, None, file)
+    assert_equal(resumed, whole[0])
+    assert count == [1, 2, 3, 4, 5, 6]
+
+
+def test_designs_that_were_done_are_not_trained_again_one_by_one(tmp_path: Path) -> None:
+    file, found, how = tmp_path / "state.pt", candidates(3), small(iterations=2)
+    whole = SequentialEvaluator(arena(), how, 0).evaluate(found, {})
+    seen: list[int] = []
+
+    def report(event: dict[str, Any]) -> None:
+        seen.append(sum(not training for training in event["training"]))
+        if len(seen) == 2:
+            raise Killed
+
+    with pytest.raises(Killed):
+        SequentialEvaluator(arena(), how, 0).evaluate(found, {}, report, file)
+    for ours, theirs in zip(SequentialEvaluator(arena(), how, 0).evaluate(found, {}, report, file), whole, strict=True):
+        assert_equal(ours, theirs)
+    assert seen == [1, 2, 3]
+
+
+# ---------------------------------------------------------------------------------------------------- halving
+
+
+@DOUBLE
+@TASKS
+def test_halving_stops_the_least_promising_and_changes_no_survivor(task: str) -> None:
+    found = candidates(6)
+    whole = outcomes(found, task, dtype="float64")
+    halved = outcomes(found, task, dtype="float64", rungs=[0.34, 0.67], keep=0.5)
+    assert [outcome.stopped for outcome in halved].count(True) == 4  # 6, then 3, then 2 go on
+    left = list(range(6))
+    for rung, count in ((0, 3), (1, 2)):
+        best = {k: max(value for _, value in whole[k].curve[: rung + 1]) for k in left}
+        left = sorted(sorted(left, key=lambda k: -best[k])[:count])
+    assert [k for k in range(6) if not halved[k].stopped] == left
+    for k, (outcome, full) in enumerate(zip(halved, whole, strict=True)):
+        if k in left:
+            assert_close(outcome, full)
+        else:
+            values = [value for _, value in full.curve[: len(outcome.curve)]]
+            assert [value for _, value in outcome.curve] == pytest.approx(values, abs=SAME)
+            assert outcome.steps == outcome.curve[-1][0] < full.steps
+            assert outcome.fitness == max(value for _, value in outcome.curve)
+
+
+def test_a_rung_between_evaluations_brings_one_of_its_own() -> None:
+    results = outcomes(candidates(2), rungs=[0.5])  # after iteration 3 of 6, evaluations every 2
+    assert [len(outcome.curve) for outcome in results if outcome.stopped] == [2]
+    assert [at // 16 for outcome in results if not outcome.stopped for at, _ in outcome.curve] == [2, 3, 4, 6]
+
+
+def test_one_after_another_there_is_no_race() -> None:
+    with pytest.raises(ConfigError, match="method=population"):
+        SequentialEvaluator(arena(), small(rungs=[0.5]))
+
+
+@DOUBLE
+def test_a_diverged_design_leaves_with_what_it_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its networks are spoilt after its first evaluation; the others do not notice."""
+    from warpvox.algos.population.training import PopulationTraining
+
+    found, whole = candidates(3), outcomes(candidates(3), dtype="float64")
+    iterate = PopulationTraining.iterate
+
+    def spoil(training: PopulationTraining) -> None:
+        iterate(training)
+        if training.iteration == 3:
+            training.algorithm.actor.weights[1].data[1] = float("nan")
+
+    monkeypatch.setattr(PopulationTraining, "iterate", spoil)
+    results = outcomes(found, dtype="float64")
+    assert [outcome.stopped for outcome in results] == [False, True, False]
+    assert results[1].curve == whole[1].curve[:1]
+    for k in (0, 2):
+        assert_close(results[k], whole[k])
+
+
+@DOUBLE
+@pytest.mark.parametrize("moment", ["collect", "update", "evaluate"])
+def test_divergence_before_the_first_evaluation_is_a_fitness_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    """A policy gives no numbers while it collects, after its update, or when it is judged; the others do not notice."""
+    from warpvox.algos.population.training import PopulationTraining
+
+    found, whole = candidates(3), outcomes(candidates(3), dtype="float64")
+    iterate, evaluate_all = PopulationTraining.iterate, PopulationTraining.evaluate
+
+    def spoil(training: PopulationTraining) -> None:
+        if training.num_designs == 3:
+            training.algorithm.actor.weights[1].data[1] = math.nan
+
+    def iterated(training: PopulationTraining) -> None:
+        if (moment, training.iteration) == ("collect", 1):
+            spoil(training)
+        iterate(training)
+        if (moment, training.iteration) == ("update", 1):
+            spoil(training)
+
+    def evaluated(training: PopulationTraining) -> torch.Tensor:
+        if moment == "evaluate":
+            spoil(training)
+        return evaluate_all(training)
+
+    monkeypatch.setattr(PopulationTraining, "iterate", iterated)
+    monkeypatch.setattr(PopulationTraining, "evaluate", evaluated)
+    events: list[dict[str, Any]] = []
+    results = PopulationEvaluator(arena(dtype="float64"), small(), 0).evaluate(found, {}, events.append)
+    assert [outcome.diverged for outcome in results] == [False, True, False]
+    assert (results[1].curve, results[1].policy, results[1].stopped) == ([], None, True)
+    assert results[1].steps == (16 if moment == "update" else 32)
+    assert math.isnan(events[-1]["best"][1])
+    for k in (0, 2):
+        assert_close(results[k], whole[k])
+
+
+@pytest.mark.parametrize("evaluator", [PopulationEvaluator, SequentialEvaluator])
+def test_a_learning_rate_that_is_much_too_high_ends_no_evaluation(evaluator: type) -> None:
+    how = small(iterations=4)
+    how.ppo.learning_rate, how.ppo.schedule = 1e30, "fixed"
+    results = evaluator(arena(), how, 0).evaluate(candidates(2), {})
+    assert [(outcome.diverged, outcome.stopped, outcome.steps) for outcome in results] == [(True, True, 16)] * 2
+
+
+def test_episodes_are_as_long_as_the_arena_says() -> None:
+    env = arena().make([candidates(1)[0].body], 2, [0], auto_reset=False)
+    assert env.max_episode_steps == LIMIT

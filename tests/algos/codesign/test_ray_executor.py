@@ -1,0 +1,170 @@
+"""Evaluation on Ray: on two nodes, with workers that die, the results are those of this process."""
+
+from __future__ import annotations
+
+import functools
+import os
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import parallel
+import pytest
+from codesign_toys import POPULATION, ToyEvaluator, make_loop
+
+from warpvox.algos.candidate import Candidate, Outcome
+from warpvox.algos.codesign.archive import Archive
+from warpvox.algos.codesign.executors import Batch
+from warpvox.algos.codesign.loop import Listener
+from warpvox.errors import ConfigError, RunError
+
+ray = pytest.importorskip("ray", reason="Ray is not installed")
+
+from warpvox.algos.codesign import ray_executor  # noqa: E402
+
+pytestmark = pytest.mark.usefixtures("alone")
+
+
+class Mortal(ToyEvaluator):
+    """Ends its process once at each of some candidates; notes which processes evaluate what."""
+
+    def __init__(self, folder: Path, fatal: Sequence[int], once: bool = True) -> None:
+        super().__init__(seconds=0.05)
+        self.folder, self.fatal, self.once = folder, fatal, once
+
+    def evaluate(self, candidates: Sequence[Candidate], *more: Any) -> list[Outcome]:
+        number = candidates[0].id
+        mark = self.folder / f"died_{number}"
+        if number in self.fatal and not (self.once and mark.exists()):
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        outcomes = super().evaluate(candidates, *more)
+        (self.folder / f"done_{number}_{os.getpid()}").touch()
+        return outcomes
+
+
+class Refusing(ToyEvaluator):
+    """Fails in two ways."""
+
+    def evaluate(self, candidates: Sequence[Candidate], *more: Any) -> list[Outcome]:
+        if candidates[0].id == 0:
+            raise RunError("Learning diverged.")
+        raise ZeroDivisionError("a defect")
+
+
+@pytest.fixture(scope="module")
+def alone() -> Iterator[None]:
+    """One cluster at a time, also where tests run in several processes: its head has a port that is its own."""
+    with parallel.turn("ray"):
+        yield
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The digest of the experiment in this process."""
+    loop = make_loop(tmp_path_factory.mktemp("whole"))
+    loop.run()
+    return loop.archive.digest()
+
+
+@pytest.fixture
+def cluster(monkeypatch: pytest.MonkeyPatch):
+    """Two nodes with a CPU each on this machine, and a head without."""
+    from ray.cluster_utils import Cluster
+
+    # workers find the modules of the tests as this process does
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
+    handler = signal.getsignal(signal.SIGTERM)  # a node takes it over
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
+    cluster.wait_for_nodes()
+    yield cluster, nodes
+    ray.shutdown()
+    cluster.shutdown()
+    signal.signal(signal.SIGTERM, handler)
+
+
+def test_two_nodes_with_dying_workers_give_the_results_of_one_process(
+    cluster: tuple, tmp_path: Path, undisturbed: str
+) -> None:
+    where, nodes = cluster
+    make = functools.partial(Mortal, tmp_path, fatal=(1, POPULATION + 2))
+    executor = ray_executor.RayExecutor(make, address=where.address)
+    assert executor.size == 2
+
+    class LosingANode(Listener):
+        def told(self, generation: int, fresh: bool) -> None:
+            if generation == 2:
+                where.remove_node(nodes.pop(), allow_graceful=False)
+
+    run = tmp_path / "run"
+    heard: list[int] = []
+    listener = LosingANode()
+    listener.progress = lambda batch, event: heard.append(event["id"])
+    loop = make_loop(run, executor=executor, listener=listener)
+    loop.run()
+    executor.close()
+    assert loop.archive.digest() == undisturbed
+    assert {file.name for file in tmp_path.glob("died_*")} == {"died_1", f"died_{POPULATION + 2}"}
+    workers = {file.name.split("_")[2] for file in tmp_path.glob("done_*")}
+    assert len(workers) >= 2  # others after a death; how many more depends on how fast each of them starts
+    assert nodes == [nodes[0]]
+    assert set(heard) <= {record.id for record in loop.archive.records() if record.reused is None}
+
+
+def test_errors_of_an_evaluator_come_through_as_they_are(cluster: tuple, tmp_path: Path) -> None:
+    make = functools.partial(Mortal, tmp_path, fatal=(0,), once=False)
+    executor = ray_executor.RayExecutor(make, workers=2, address=cluster[0].address)
+    body = make_loop(tmp_path / "x").search.ask()[0].body
+    with pytest.raises(RunError, match=r"candidates \[0\] has ended its worker 3 times"):
+        list(executor.run([Batch([Candidate(0, body)])], {}, lambda place, event: None))
+    executor.close()
+    executor = ray_executor.RayExecutor(Refusing, address=cluster[0].address)
+    with pytest.raises(RunError, match="Learning diverged"):
+        list(executor.run([Batch([Candidate(0, body)])], {}, lambda place, event: None))
+    with pytest.raises(ZeroDivisionError, match="a defect"):
+        list(executor.run([Batch([Candidate(1, body)])], {}, lambda place, event: None))
+
+
+@pytest.mark.slow
+def test_started_here_and_without_room(tmp_path: Path, undisturbed: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
+    with pytest.raises(RunError, match="a worker takes 1 and 64"):
+        ray_executor.RayExecutor(ToyEvaluator, gpus=64)
+    handler = signal.getsignal(signal.SIGTERM)
+    executor = ray_executor.RayExecutor(functools.partial(ToyEvaluator, 0.0), workers=2)
+    assert signal.getsignal(signal.SIGTERM) is handler  # a request to end is ours to answer, not Ray's
+    loop = make_loop(tmp_path, executor=executor)
+    loop.run()
+    executor.close()
+    with Archive.read(loop.archive.path) as archive:
+        assert archive.digest() == undisturbed
+
+
+def test_no_cluster_and_no_ray_are_clear_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RunError, match=r"cannot be reached at 127\.0\.0\.1:1"):
+        ray_executor.RayExecutor(ToyEvaluator, address="127.0.0.1:1")
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ConfigError, match=r"warpvox\[ray\]"):
+        ray_executor.RayExecutor(ToyEvaluator)
+
+
+@pytest.mark.slow
+def test_when_the_last_node_is_lost_the_wait_for_another_has_an_end(
+    cluster: tuple, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ray_executor, "PATIENCE_SECONDS", 5.0)
+    where, nodes = cluster
+    executor = ray_executor.RayExecutor(functools.partial(ToyEvaluator, 0.2), address=where.address)
+
+    class LosingAllNodes(Listener):
+        def progress(self, batch: Sequence[Candidate], event: dict) -> None:
+            while nodes:
+                where.remove_node(nodes.pop(), allow_graceful=False)
+
+    loop = make_loop(tmp_path / "run", executor=executor, listener=LosingAllNodes())
+    with pytest.raises(RunError, match="No worker has come up for 5 s"):
+        loop.run()
+    assert loop.archive.count() == POPULATION

@@ -1,0 +1,200 @@
+"""Population PPO against stock rsl-rl trainings, one for each design."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from population_cases import arena, bodies
+
+from warpvox.algos.population.adam import PopulationAdam, clip_gradients
+from warpvox.algos.population.training import PopulationTraining
+from warpvox.algos.settings import TrainingConfig
+from warpvox.algos.training.runner import Runner, Schedule, adapt
+from warpvox.configs.presets import training_preset
+
+SEEDS = [11, 22, 33, 44]
+UPDATES = 5
+SAME = 1e-6
+"""The promise: after five updates, whatever is only rounding differs by less."""
+
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+class Stock:
+    """A stock training of one design, with torch's random numbers to itself."""
+
+    def __init__(self, task: str, dtype: str, design: int, how: TrainingConfig) -> None:
+        body, seed = bodies(len(SEEDS))[design], SEEDS[design]
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            env = adapt(arena(task, dtype).make([body], how.envs, [seed], auto_reset=True), how.ppo)
+            self.runner = Runner(env, how.ppo, Schedule(how.iterations, evaluate=10**6))
+            self.random = torch.get_rng_state()
+        self.random_start = how.ppo.random_start
+
+    def iterate(self, transitions: dict[str, torch.Tensor] | None = None) -> None:
+        """One iteration; with ``transitions`` the rollout is replaced by those before learning."""
+        with torch.random.fork_rng():
+            torch.set_rng_state(self.random)
+            if transitions is None:
+                self.runner.learn(1, init_at_random_ep_len=self.random_start)
+            else:
+                for actions in transitions["actions"]:  # what acting would have drawn
+                    torch.randn(actions.shape)
+                self.replace(transitions)
+                self.runner.alg.update()
+            self.random = torch.get_rng_state()
+
+    def replace(self, transitions: dict[str, torch.Tensor]) -> None:
+        storage = self.runner.alg.storage
+        storage.observations["policy"].copy_(transitions["obs"])
+        storage.actions.copy_(transitions["actions"])
+        for name in ("rewards", "dones", "values", "actions_log_prob"):
+            getattr(storage, name).copy_(transitions[name])
+        mean = transitions["mean"]
+        storage.distribution_params = (
+            mean,
+            self.runner.alg.actor.distribution.log_std_param.detach().exp().expand_as(mean),
+        )
+        with torch.no_grad():
+            self.runner.alg.compute_returns(transitions["last"])
+
+
+def differences(training: PopulationTraining, stocks: list[Stock]) -> dict[str, float]:
+    """The largest difference of every parameter and moment, by name."""
+    worst: dict[str, float] = {}
+    for design, stock in enumerate(stocks):
+        pairs = (
+            (training.algorithm.actor, stock.runner.alg.actor),
+            (training.algorithm.critic, stock.runner.alg.critic),
+        )
+        for ours, theirs in pairs:
+            mine, other = ours.member(design), theirs.state_dict()
+            assert mine.keys() == other.keys()
+            for name, value in mine.items():
+                assert value.shape == other[name].shape
+                gap = float((value.double() - other[name].double()).abs().max())
+                worst[name] = max(worst.get(name, 0.0), gap)
+    return worst
+
+
+def transitions_of(training: PopulationTraining, design: int) -> dict[str, torch.Tensor]:
+    """A design's part of the batched rollout, in its true size."""
+    storage, env, envs = training.algorithm.storage, training.env, training.settings.envs
+    rows = slice(design * envs, (design + 1) * envs)
+    inputs, outputs = (getattr(training.algorithm.actor, name)[design] for name in ("inputs", "outputs"))
+    columns = {"rewards": 1, "dones": 1, "values": 1, "actions_log_prob": 1}
+    parts = {name: getattr(storage, name)[:, rows, :count] for name, count in columns.items()}
+    return parts | {
+        "obs": storage.observations["policy"][:, rows, :inputs],
+        "actions": storage.actions[:, rows, :outputs],
+        "mean": storage.distribution_params[0][:, rows, :outputs],
+        "last": env.get_observations()[rows].apply(lambda obs: obs[:, :inputs]),
+    }
+
+
+def make(task: str, dtype: str, how: TrainingConfig) -> tuple[PopulationTraining, list[Stock]]:
+    stocks = [Stock(task, dtype, design, how) for design in range(len(SEEDS))]
+    return PopulationTraining(arena(task, dtype), bodies(len(SEEDS)), SEEDS, how), stocks
+
+
+def test_sizes_differ_so_that_padding_is_tested() -> None:
+    training = PopulationTraining(arena(), bodies(len(SEEDS)), SEEDS, training_preset("paper"))
+    assert len(set(training.algorithm.actor.inputs)) > 1
+    assert len(set(training.algorithm.actor.outputs)) > 1
+
+
+@pytest.mark.usefixtures("double")
+@pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0"])
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+def test_whole_trainings_equal_separate_stock_ones(preset: str, task: str) -> None:
+    """From the first weights on: noise, episodes, orders, losses, schedules. In float64, and with short rollouts:
+    contacts make what is rounding at first grow by an order of magnitude every few control steps."""
+    how = training_preset(preset, {"steps": 4}, envs=4)
+    training, stocks = make(task, "float64", how)
+    assert max(differences(training, stocks).values()) == 0.0
+    for _ in range(UPDATES):
+        training.iterate()
+        for stock in stocks:
+            stock.iterate()
+    assert max(differences(training, stocks).values()) < SAME
+    assert training.algorithm.rates.tolist() == pytest.approx([stock.runner.alg.learning_rate for stock in stocks])
+
+
+@pytest.mark.parametrize("envs", [4, pytest.param(16, marks=pytest.mark.slow)])
+def test_updates_with_the_papers_settings_equal_stock_ones_in_float32(envs: int) -> None:
+    """Table 6, 512 samples an iteration: from equal transitions equal parameters."""
+    how = training_preset("paper", {"steps": 512 // envs}, envs=envs)
+    training, stocks = make("Walker-v0", "float32", how)
+    for _ in range(UPDATES):
+        training._collect()
+        for design, stock in enumerate(stocks):
+            stock.iterate(transitions_of(training, design))
+        before = training.algorithm.actor.member(0)["mlp.0.weight"]
+        training.algorithm.update()
+        assert not torch.equal(training.algorithm.actor.member(0)["mlp.0.weight"], before)
+    gaps = differences(training, stocks)
+    assert max(gaps.values()) < SAME, gaps
+
+
+def test_adam_is_torchs_for_each_design() -> None:
+    generator = torch.Generator().manual_seed(0)
+    shape, rates = (3, 4, 5), torch.tensor([1e-3, 3e-4, 1e-2], dtype=torch.float64)
+    whole = torch.nn.Parameter(torch.randn(shape, generator=generator))
+    parts = [torch.nn.Parameter(part.detach().clone()) for part in whole]
+    ours = PopulationAdam([whole], eps=1e-5)
+    theirs = [torch.optim.Adam([part], lr=float(rate), eps=1e-5) for part, rate in zip(parts, rates, strict=True)]
+    for _ in range(20):
+        gradient = torch.randn(shape, generator=generator)
+        whole.grad = gradient.clone()
+        ours.step(rates)
+        for part, optimizer, own in zip(parts, theirs, gradient, strict=True):
+            part.grad = own.clone()
+            optimizer.step()
+    torch.testing.assert_close(whole.detach(), torch.stack([part.detach() for part in parts]), rtol=0, atol=SAME)
+
+
+def test_gradients_are_clipped_for_each_design() -> None:
+    generator = torch.Generator().manual_seed(0)
+    scales = torch.tensor([0.01, 1.0, 100.0])[:, None, None]
+    whole = [torch.nn.Parameter(torch.zeros(3, 2, columns)) for columns in (4, 5)]
+    for parameter in whole:
+        parameter.grad = torch.randn(parameter.shape, generator=generator) * scales
+    parts = [[torch.nn.Parameter(torch.zeros(p.shape[1:])) for p in whole] for _ in range(3)]
+    for design, group in enumerate(parts):
+        for part, parameter in zip(group, whole, strict=True):
+            part.grad = parameter.grad[design].clone()
+        torch.nn.utils.clip_grad_norm_(group, 0.5)
+    clip_gradients(whole, 0.5)
+    for design, group in enumerate(parts):
+        for part, parameter in zip(group, whole, strict=True):
+            torch.testing.assert_close(parameter.grad[design], part.grad)
+
+
+def test_a_design_that_diverges_leaves_the_others_alone() -> None:
+    spoilt, sound = (
+        PopulationTraining(arena(), bodies(3), SEEDS[:3], training_preset("paper", envs=4)) for _ in range(2)
+    )
+    for training in (spoilt, sound):
+        training._collect()
+    spoilt.algorithm.actor.weights[0].data[1, 0, 0] = float("nan")
+    for training in (spoilt, sound):
+        training.algorithm.update()
+    assert spoilt.algorithm.healthy().tolist() == [True, False, True]
+    for design in (0, 2):
+        for name, value in sound.policy(design).items():
+            assert torch.equal(spoilt.policy(design)[name], value)
+
+
+@pytest.mark.parametrize("threads", [2, 3, 8])
+def test_learning_is_the_same_bit_for_bit_with_any_number_of_threads(threads: int) -> None:
+    how = training_preset("fast", {"steps": 4, "epochs": 2}, envs=8)
+    one, many = (PopulationTraining(arena(), bodies(4), SEEDS, how) for _ in range(2))
+    many.algorithm.threads = threads
+    for training in (one, many):
+        for _ in range(2):
+            training.iterate()
+    for design in range(4):
+        for name, value in one.policy(design).items():
+            assert torch.equal(many.policy(design)[name], value)

@@ -1,0 +1,358 @@
+"""Learning: schedules, time limits, and that a resumed run is the run that was not interrupted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.evaluate import evaluate, evaluator
+from warpvox.algos.settings import PpoConfig
+from warpvox.algos.training.metrics import read_metrics
+from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
+from warpvox.cli.config import load
+from warpvox.envs.rsl_rl import RslRlVecEnv
+from warpvox.envs.vec_env import make_vec
+from warpvox.errors import ConfigError, RunError
+
+ENVS, STEPS, LIMIT = 8, 6, 14
+TIMING = {"steps_per_second", "elapsed"}
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Two threads would only be slower."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def small(**changes: object) -> PpoConfig:
+    """The settings of ``ppo=parallel`` with a short rollout and small networks."""
+    ppo = load("train", []).ppo
+    for name, value in {"steps": STEPS, "hidden": [8], "epochs": 2, "minibatches": 2, **changes}.items():
+        assert hasattr(ppo, name)
+        setattr(ppo, name, value)
+    return ppo
+
+
+def make_env(**changes: object):
+    options = dict(num_envs=ENVS, device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8)
+    return make_vec("Walker-v0", ["mini"], **(options | changes))
+
+
+def make_runner(total: int, ppo: PpoConfig | None = None, folder: Path | None = None, **schedule: int) -> Runner:
+    ppo = ppo or small()
+    torch.manual_seed(0)
+    judge = evaluator(make_env(num_envs=2, auto_reset=False))
+    timing = {"evaluate": 2, "save": 100} | schedule
+    return Runner(adapt(make_env(), ppo), ppo, Schedule(total, **timing), folder, judge)
+
+
+def weights(runner: Runner) -> dict[str, torch.Tensor]:
+    state = runner.alg.save()
+    return {**state["actor_state_dict"], **{f"critic {k}": v for k, v in state["critic_state_dict"].items()}}
+
+
+def assert_same_weights(one: Runner, other: Runner) -> None:
+    for name, value in weights(one).items():
+        assert torch.equal(value, weights(other)[name]), name
+
+
+# ------------------------------------------------------------------------------------------------- schedules
+
+
+def test_linear_decay_ends_one_step_above_zero() -> None:
+    rates = []
+    runner = make_runner(4, small(schedule="linear", learning_rate=0.004))
+    runner.report = lambda row: rates.append(row["learning_rate"])
+    runner.run()
+    assert rates == pytest.approx([0.004, 0.003, 0.002, 0.001])
+    assert {group["lr"] for group in runner.alg.optimizer.param_groups} == {rates[-1]}
+
+
+def test_a_fixed_rate_stays() -> None:
+    rates = []
+    runner = make_runner(3, small(schedule="fixed", learning_rate=0.004))
+    runner.report = lambda row: rates.append(row["learning_rate"])
+    runner.run()
+    assert rates == [0.004] * 3
+
+
+def test_adam_has_the_epsilon_asked_for() -> None:
+    runner = make_runner(1, small(adam_eps=1e-5))
+    assert {group["eps"] for group in runner.alg.optimizer.param_groups} == {1e-5}
+
+
+def test_learning_changes_the_policy_and_prints_nothing(capfd: pytest.CaptureFixture) -> None:
+    runner = make_runner(2)
+    before = {name: value.clone() for name, value in weights(runner).items()}
+    runner.run()
+    assert any(not torch.equal(value, weights(runner)[name]) for name, value in before.items())
+    assert capfd.readouterr().out == ""
+    assert runner.steps == 2 * STEPS * ENVS
+
+
+def test_an_evaluation_that_is_good_enough_ends_the_run() -> None:
+    runner = make_runner(50, evaluate=1)
+    runner.schedule = Schedule(50, evaluate=1, stop_return=-100.0)
+    runner.run()
+    assert runner.current_learning_iteration == 1
+
+
+def test_divergence_is_one_clear_error() -> None:
+    runner = make_runner(3)
+    for parameter in runner.alg.get_policy().mlp.parameters():
+        parameter.data.fill_(float("nan"))
+    with pytest.raises(RunError, match=r"diverged in iteration 1 .*learning_rate"):
+        runner.run()
+
+
+@pytest.mark.parametrize("part", ["weights", "moments"])
+def test_weights_that_are_not_finite_are_never_saved(
+    tmp_path: Path, part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runner = make_runner(6, folder=tmp_path, save=1, evaluate=100)
+    learn = runner.alg.update
+
+    def update() -> dict[str, float]:
+        losses = learn()  # which stay finite: the last step of the optimiser has gone wrong
+        if runner.current_learning_iteration == 3:
+            policy = runner.alg.get_policy()
+            broken = next(policy.mlp.parameters()) if part == "weights" else next(iter(policy.buffers()))
+            broken.data.fill_(float("nan"))
+        return losses
+
+    monkeypatch.setattr(runner.alg, "update", update)
+    with pytest.raises(RunError, match=r"diverged in iteration 4 .*checkpoints hold what was before.*learning_rate"):
+        runner.run()
+    assert {path.name for path in tmp_path.glob("*.pt")} == {
+        "state.pt",
+        "model_1.pt",
+        "model_2.pt",
+        "model_3.pt",
+    }
+    again = make_runner(6)
+    again.resume(tmp_path / "state.pt")
+    assert again.current_learning_iteration == 3
+    assert all(torch.isfinite(value).all() for value in weights(again).values())
+
+
+# ---------------------------------------------------------------------------------------------------- resume
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"schedule": "linear", "random_start": False}, {"normalize_reward": True, "bootstrap_time_limit": False}],
+    ids=["parallel", "linear", "normalised"],
+)
+def test_resumed_learning_is_the_same_bit_for_bit(tmp_path: Path, changes: dict) -> None:
+    whole = make_runner(4, small(**changes), tmp_path_of(tmp_path, "whole"))
+    whole.run()
+    folder = tmp_path_of(tmp_path, "parts")
+    first = make_runner(4, small(**changes), folder)
+    first.learn(2, init_at_random_ep_len=first.ppo.random_start)
+    torch.manual_seed(99)  # whatever happens between
+    second = make_runner(4, small(**changes), folder)
+    second.resume(folder / STATE)
+    assert second.current_learning_iteration == 2
+    second.run()
+    assert_same_weights(whole, second)
+    rows = [
+        [{k: v for k, v in row.items() if k not in TIMING} for row in read_metrics(r.folder)] for r in (whole, second)
+    ]
+    assert str(rows[0]) == str(rows[1])  # as text, because NaN is not equal to itself
+    assert [row["iteration"] for row in rows[0]] == [1, 2, 3, 4]
+
+
+def test_resumed_learning_goes_on_with_the_episodes_of_a_random_task(tmp_path: Path) -> None:
+    def runner(total: int, folder: Path) -> Runner:
+        torch.manual_seed(0)
+        env = make_vec("Catcher-v0", ["mini"], ENVS, device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8)
+        return Runner(adapt(env, small()), small(), Schedule(total, save=100), folder)
+
+    whole = runner(4, tmp_path_of(tmp_path, "whole"))
+    whole.run()
+    folder = tmp_path_of(tmp_path, "parts")
+    first = runner(4, folder)
+    first.learn(2, init_at_random_ep_len=first.ppo.random_start)
+    second = runner(4, folder)
+    second.resume(folder / STATE)
+    second.run()
+    assert_same_weights(whole, second)
+
+
+def tmp_path_of(root: Path, name: str) -> Path:
+    folder = root / name
+    folder.mkdir()
+    return folder
+
+
+def test_rows_beyond_the_checkpoint_are_written_again(tmp_path: Path) -> None:
+    first = make_runner(3, folder=tmp_path, save=1)
+    first.run()
+    (tmp_path / "metrics.csv").open("a").write("4,19")  # cut short by a crash
+    second = make_runner(4, folder=tmp_path)
+    second.resume(tmp_path / "model_2.pt")
+    second.run()
+    assert [row["iteration"] for row in read_metrics(tmp_path)] == [1, 2, 3, 4]
+
+
+def test_nothing_left_to_do_is_an_error(tmp_path: Path) -> None:
+    first = make_runner(1, folder=tmp_path)
+    first.run()
+    second = make_runner(1, folder=tmp_path)
+    second.resume(tmp_path / STATE)
+    with pytest.raises(RunError, match="max_iterations=2"):
+        second.run()
+
+
+def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
+    make_runner(1, folder=tmp_path).run()
+    with pytest.raises(RunError, match="another kind of policy"):
+        make_runner(2, small(hidden=[4, 4])).resume(tmp_path / STATE)
+
+
+def test_the_best_evaluation_is_kept(tmp_path: Path) -> None:
+    runner = make_runner(6, folder=tmp_path)
+    runner.run()
+    returns = {
+        row["iteration"]: row["eval_return"]
+        for row in read_metrics(tmp_path)
+        if row["eval_return"] == row["eval_return"]
+    }
+    assert sorted(returns) == [2, 4, 6]
+    best = max(returns, key=returns.get)
+    content = load_checkpoint(tmp_path / "model_best.pt")
+    assert content["iter"] == best == runner.best_iteration
+    assert content["eval_return"] == pytest.approx(returns[best])
+
+
+# ----------------------------------------------------------------------------------------------- the adapter
+
+
+def test_actions_are_centred_and_scaled() -> None:
+    env = adapt(make_env(), small(action_scale=0.25))
+    seen = []
+    inner = env.env.step
+    env.env.step = lambda actions: seen.append(actions) or inner(actions)
+    env.step(torch.ones(ENVS, env.num_actions))
+    env.step(-torch.ones(ENVS, env.num_actions))
+    torch.testing.assert_close(seen[0], torch.full_like(seen[0], 1.35))
+    torch.testing.assert_close(seen[1], torch.full_like(seen[1], 0.85))
+
+
+def test_time_limits_are_told_from_ends_and_rewards_are_scaled() -> None:
+    plain, scaled = adapt(make_env(), small(reward_scale=1.0)), adapt(make_env(), small(reward_scale=10.0))
+    for step in range(LIMIT):
+        actions = torch.full((ENVS, plain.num_actions), 0.3 if step % 2 else -0.3)
+        _, reward, done, extras = plain.step(actions)
+        _, reward_scaled, _, _ = scaled.step(actions)
+        torch.testing.assert_close(reward_scaled, 10 * reward)
+        assert bool(done.all()) == (step == LIMIT - 1)
+        assert torch.equal(extras["time_outs"], done)
+    episodes, again = plain.pop_episodes(), plain.pop_episodes()
+    assert episodes["episodes"] == ENVS
+    assert episodes["length"] == LIMIT
+    assert again["episodes"] == 0
+    assert scaled.pop_episodes()["return"] == pytest.approx(episodes["return"])
+
+
+def test_final_observations_belong_to_what_ended() -> None:
+    env = adapt(make_env(), small())
+    for _ in range(LIMIT):
+        obs, _, _, extras = env.step(torch.zeros(ENVS, env.num_actions))
+    assert not torch.equal(extras["final_obs"]["policy"], obs["policy"])
+    assert torch.equal(obs["policy"], env.reset()["policy"])
+
+
+def test_without_bootstrapping_time_limits_are_not_reported() -> None:
+    env = adapt(make_env(), small(bootstrap_time_limit=False))
+    assert "time_outs" not in env.step(torch.zeros(ENVS, env.num_actions))[3]
+
+
+def test_values_beyond_a_time_limit_are_those_of_the_final_state() -> None:
+    runner = make_runner(1)
+    env = runner.env
+    obs = env.get_observations()
+    for _ in range(LIMIT):
+        with torch.no_grad():
+            actions = runner.alg.act(obs)
+            obs, rewards, dones, extras = env.step(actions)
+            runner.alg.storage.clear()
+            runner.alg.process_env_step(obs, rewards, dones, extras)
+            expected = rewards + 0.99 * runner.alg.critic(extras["final_obs"]).squeeze(-1) * dones
+    assert bool(dones.all())
+    torch.testing.assert_close(runner.alg.storage.rewards[0].squeeze(-1), expected)
+
+
+def test_episodes_of_a_random_start_do_not_count() -> None:
+    env = adapt(make_env(), small())
+    env.episode_length_buf = torch.arange(ENVS)
+    ended = 0
+    for _ in range(LIMIT):
+        ended += int(env.step(torch.zeros(ENVS, env.num_actions))[2].sum())
+    assert ended == ENVS
+    assert env.pop_episodes()["episodes"] == 0
+
+
+def test_normalised_rewards_follow_the_spread_of_discounted_returns() -> None:
+    gamma = 0.9
+    env = RslRlVecEnv(make_env(max_episode_steps=500), reward_gamma=gamma)
+    twin = RslRlVecEnv(make_env(max_episode_steps=500))
+    total, seen = torch.zeros(ENVS, dtype=torch.float64), []
+    generator = torch.Generator().manual_seed(1)
+    for _ in range(40):
+        actions = torch.randn(ENVS, env.num_actions, generator=generator)
+        _, normalised, _, _ = env.step(actions)
+        _, reward, _, _ = twin.step(actions)
+        total = total * gamma + reward
+        seen.append(total.clone())
+    returns = torch.cat(seen)
+    variance = (returns.var(unbiased=False) * len(returns) + 1e-4) / len(returns)  # 1e-4: what it starts from
+    expected = (reward / variance.sqrt()).clamp(-10, 10).float()
+    assert expected.abs().max() > 0.1
+    torch.testing.assert_close(normalised, expected, rtol=1e-2, atol=1e-6)
+
+
+def test_training_wants_environments_that_reset_themselves() -> None:
+    with pytest.raises(ConfigError, match="auto_reset=True"):
+        adapt(make_env(auto_reset=False), small())
+
+
+# ------------------------------------------------------------------------------------------------ evaluation
+
+
+def test_an_evaluation_is_the_sum_of_rewards_of_one_episode() -> None:
+    env = make_env(auto_reset=False)
+    policy = lambda obs: 1.1 + 0.4 * torch.sin(obs[:, :1] * 50 + torch.arange(env.num_actions))  # noqa: E731
+    result = evaluate(env, policy)
+    obs, _ = env.reset()
+    total = torch.zeros(ENVS, dtype=torch.float64)
+    for _ in range(LIMIT):
+        obs, reward, _, _, _ = env.step(policy(obs))
+        total += reward.double()
+    torch.testing.assert_close(result.returns, total, rtol=1e-5, atol=1e-6)
+    assert result.lengths.tolist() == [LIMIT] * ENVS
+    assert not result.unstable.any()
+    assert evaluate(env, policy).mean_return == result.mean_return
+
+
+def test_fitness_is_per_design() -> None:
+    env = make_vec(
+        "Walker-v0", ["mini", "worm"], 4, device="cpu", max_episode_steps=6, threads=1, lanes=8, auto_reset=False
+    )
+    policy = lambda obs: torch.full((4, env.num_actions), 0.8)  # noqa: E731
+    result = evaluate(env, policy)
+    assert result.fitness.tolist() == pytest.approx(
+        [result.returns[:2].mean().item(), result.returns[2:].mean().item()]
+    )
+    assert result.fitness[0] != result.fitness[1]
+
+
+def test_an_evaluation_wants_environments_that_wait() -> None:
+    with pytest.raises(ConfigError, match="auto_reset=False"):
+        evaluate(make_env(), lambda obs: obs)

@@ -1,0 +1,140 @@
+"""Our PPO against rsl-rl's own, step by step and update by update: the same numbers drawn, the same things learned."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from rsl_rl.algorithms import PPO as StockPPO
+from rsl_rl.models import MLPModel
+
+from warpvox.algos.settings import PpoConfig
+from warpvox.algos.training.ppo import PPO, rsl_rl_config
+from warpvox.algos.training.runner import adapt
+from warpvox.cli.config import load
+from warpvox.envs.rsl_rl import RslRlVecEnv
+from warpvox.envs.vec_env import make_vec
+from warpvox.errors import ConfigError
+
+ENVS, STEPS, LIMIT, UPDATES = 8, 6, 10, 3
+ROUNDING = 1e-9
+"""What rounding in float64 can grow to in three updates."""
+CASES = {
+    "parallel": {},
+    "evogym": {"clip_values": True, "schedule": "fixed", "adam_eps": 1e-5, "clip": 0.1, "max_grad_norm": 0.5},
+    "no normaliser": {"normalize_obs": False, "schedule": "adaptive", "desired_kl": 1e-4},
+    "elu": {"activation": "elu"},
+}
+
+pytestmark = pytest.mark.usefixtures("double", "one_thread")
+
+
+def settings(changes: dict) -> PpoConfig:
+    ppo = load("train", []).ppo
+    for name, value in {"steps": STEPS, "hidden": [8, 8], "epochs": 2, "minibatches": 3, **changes}.items():
+        assert hasattr(ppo, name)
+        setattr(ppo, name, value)
+    return ppo
+
+
+def algorithms(env: RslRlVecEnv, ppo: PpoConfig) -> tuple[PPO, StockPPO]:
+    config = rsl_rl_config(ppo, 100) | {"multi_gpu": None}
+    torch.manual_seed(1)
+    ours = PPO.construct_algorithm(env.get_observations(), env, config, "cpu")
+    config = rsl_rl_config(ppo, 100) | {"multi_gpu": None}
+    config["actor"] |= {"class_name": "MLPModel"}
+    config["actor"]["distribution_cfg"] |= {"class_name": "GaussianDistribution"}
+    config["critic"] |= {"class_name": "MLPModel"}
+    algorithm = config["algorithm"] | {"class_name": "PPO"}
+    del algorithm["total_iterations"], algorithm["adam_eps"]
+    torch.manual_seed(1)
+    stock = StockPPO.construct_algorithm(env.get_observations(), env, config | {"algorithm": algorithm}, "cpu")
+    stock.optimizer.param_groups[0]["eps"] = ppo.adam_eps
+    assert type(stock) is StockPPO
+    assert type(stock.actor) is MLPModel
+    return ours, stock
+
+
+def roll_out(env: RslRlVecEnv, ours: PPO, stock: StockPPO, seed: int) -> None:
+    """Both act on the same observations; the storages must hold the same."""
+    obs = env.get_observations()
+    for step in range(STEPS):
+        actions = []
+        for algorithm in (ours, stock):
+            torch.manual_seed(1000 * seed + step)
+            actions.append(algorithm.act(obs))
+        torch.testing.assert_close(*actions, rtol=0, atol=ROUNDING)
+        obs, rewards, dones, extras = env.step(actions[1])
+        ours.process_env_step(obs, rewards, dones, extras)
+        stock.process_env_step(obs, ours.storage.rewards[step, :, 0], dones, {})
+    for algorithm in (ours, stock):
+        with torch.no_grad():
+            algorithm.compute_returns(obs)
+    for name in ("observations", "actions", "rewards", "dones", "values", "actions_log_prob", "returns", "advantages"):
+        one, other = (getattr(algorithm.storage, name) for algorithm in (ours, stock))
+        if name == "observations":
+            one, other = one["policy"], other["policy"]
+        torch.testing.assert_close(one, other, rtol=0, atol=ROUNDING, msg=name)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_rollouts_and_updates_are_rsl_rls(case: str) -> None:
+    ppo = settings(CASES[case])
+    env = adapt(make_vec("Walker-v0", ["mini"], ENVS, device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8), ppo)
+    env.episode_length_buf = torch.arange(ENVS)  # so that episodes end in every rollout
+    ours, stock = algorithms(env, ppo)
+    rates = set()
+    for update in range(UPDATES):
+        roll_out(env, ours, stock, update)
+        losses = []
+        for algorithm in (ours, stock):
+            torch.manual_seed(update)
+            losses.append(algorithm.update())
+        assert losses[0] == pytest.approx(losses[1], rel=0, abs=1e-8)
+        rates.add(ours.learning_rate)
+        assert ours.learning_rate == stock.learning_rate
+        for mine, other in ((ours.actor, stock.actor), (ours.critic, stock.critic)):
+            state = other.state_dict()
+            assert mine.state_dict().keys() == state.keys()
+            for name, value in mine.state_dict().items():
+                torch.testing.assert_close(value, state[name], rtol=0, atol=ROUNDING, msg=name)
+    assert (len(rates) > 1) == (ppo.schedule == "adaptive")
+
+
+def test_checkpoints_are_exchanged_with_rsl_rls_ppo() -> None:
+    ppo = settings({})
+    env = adapt(make_vec("Walker-v0", ["mini"], ENVS, device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8), ppo)
+    ours, stock = algorithms(env, ppo)
+    roll_out(env, ours, stock, 0)
+    for algorithm in (ours, stock):
+        torch.manual_seed(0)
+        algorithm.update()
+    there, back = ours.save(), stock.save()
+    fresh, fresh_stock = algorithms(env, ppo)
+    fresh.load(back, None, True)
+    fresh_stock.load(there, None, True)
+    roll_out(env, fresh, fresh_stock, 1)
+    for algorithm in (fresh, fresh_stock):
+        torch.manual_seed(1)
+        algorithm.update()
+    for name, value in fresh.actor.state_dict().items():
+        torch.testing.assert_close(value, fresh_stock.actor.state_dict()[name], rtol=0, atol=ROUNDING, msg=name)
+
+
+def test_other_networks_are_refused() -> None:
+    ppo = settings({})
+    env = adapt(make_vec("Walker-v0", ["mini"], ENVS, device="cpu", threads=1, lanes=8), ppo)
+    config = rsl_rl_config(ppo, 100) | {"multi_gpu": None}
+    config["critic"]["class_name"] = "MLPModel"
+    with pytest.raises(ConfigError, match="use rsl-rl's own"):
+        PPO.construct_algorithm(env.get_observations(), env, config, "cpu")
+
+
+def test_a_full_storage_refuses_another_step() -> None:
+    ppo = settings({})
+    env = adapt(make_vec("Walker-v0", ["mini"], ENVS, device="cpu", threads=1, lanes=8), ppo)
+    ours, _ = algorithms(env, ppo)
+    obs = env.get_observations()
+    for _ in range(STEPS):
+        ours.process_env_step(*env.step(ours.act(obs)))
+    with pytest.raises(OverflowError, match=f"{STEPS} steps"):
+        ours.act(obs)
