@@ -22,7 +22,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 BROUGHT = (
-    "warp-lang", "rsl-rl-lib", "tensordict", "pyvers", "hydra-core", "omegaconf", "antlr4-python3-runtime",
+    "warp-lang", "lazy-loader", "rsl-rl-lib", "tensordict", "pyvers", "hydra-core", "omegaconf", "antlr4-python3-runtime",
     "gymnasium", "farama-notifications", "gitpython", "gitdb", "smmap", "cloudpickle", "pyyaml", "rich", "pygments",
     "markdown-it-py", "mdurl", "packaging", "pillow",
 )  # fmt: skip

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from warpvox.batch.packs import lanes_for
 from warpvox.design import Design
-from warpvox.device import resolve_device
+from warpvox.devices.names import resolve_device
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
-from warpvox.packs import lanes_for
 from warpvox.types import Physics
 
 __all__ = ["Arena"]

@@ -15,11 +15,11 @@ import textwrap
 from pathlib import Path
 
 from warpvox.cli import COMMANDS, main
+from warpvox.cli.commands.train import flat
 from warpvox.cli.config import load
 from warpvox.cli.help import help_rows
-from warpvox.cli.train import flat
 from warpvox.configs.schema import COMMANDS as SCHEMAS
-from warpvox.files import write_text
+from warpvox.io.writing import write_text
 
 END = "<!-- end of help -->"
 OTHERS = "of all others"

@@ -14,8 +14,8 @@ import threading
 from pathlib import Path
 
 from warpvox.cli import main
-from warpvox.render import write_gif
-from warpvox.rollout import Rollout
+from warpvox.view.render import write_gif
+from warpvox.view.rollout import Rollout
 
 IMAGES = Path(__file__).parent / "images"
 WORK = Path("outputs") / "pictures"

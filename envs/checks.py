@@ -16,7 +16,7 @@ from warpvox.envs.draws import Draws
 from warpvox.envs.spec import Memory, Observation, TaskSpec, Term
 from warpvox.envs.state import State
 from warpvox.errors import SimulationError, TaskError, listing
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 
 __all__ = ["check_fields", "check_memory", "check_terms"]
 

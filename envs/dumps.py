@@ -11,8 +11,8 @@ import numpy as np
 import torch
 
 from warpvox.errors import ConfigError, RolloutError, did_you_mean, listing
-from warpvox.rollout import Rollout, points_of
 from warpvox.types import ACTION_HIGH, ACTION_LOW
+from warpvox.view.rollout import Rollout, points_of
 
 if TYPE_CHECKING:
     from warpvox.envs.vec_env import VoxelVecEnv
@@ -31,10 +31,10 @@ PATTERN = "diverged_*.npz"
 class DivergenceDump:
     """Keeps the last control steps of all environments, and writes those of one that diverges.
 
-    A file is a :class:`warpvox.rollout.Rollout` of one environment: positions before each of its last steps, at most
-    :data:`STEPS` and of the same episode, the actions taken and the rewards. The last step is the one that diverged; it
-    was undone, so that the last two entries of the positions are equal. The metadata say which environment it was and
-    in which step of its episode.
+    A file is a :class:`warpvox.view.rollout.Rollout` of one environment: positions before each of its last steps, at
+    most :data:`STEPS` and of the same episode, the actions taken and the rewards. The last step is the one that
+    diverged; it was undone, so that the last two entries of the positions are equal. The metadata say which environment
+    it was and in which step of its episode.
 
     On the CPU it is written in the step in which it happens. On CUDA looking would wait for the device: it happens
     every :data:`STEPS` steps, and of an environment that diverged twice meanwhile the first time is written.

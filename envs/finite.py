@@ -9,7 +9,7 @@ import torch
 
 from warpvox.envs.layout import Layout
 from warpvox.envs.spec import TaskSpec
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 
 __all__ = ["FiniteGuard", "all_finite"]
 

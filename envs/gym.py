@@ -12,8 +12,8 @@ import numpy as np
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ActionError, ConfigError, DisplayError, known_arguments, listing
-from warpvox.rollout import FRAME_SECONDS
 from warpvox.types import ACTION_HIGH, ACTION_LOW, Physics
+from warpvox.view.rollout import FRAME_SECONDS
 
 __all__ = ["VoxelEnv", "register", "register_task", "spaces_of"]
 
@@ -142,7 +142,7 @@ class VoxelEnv(gymnasium.Env):
 
     def _check_mode(self, mode: str | None) -> None:
         """Refuse modes that there are not, or not here; ``metadata`` becomes that of this machine."""
-        from warpvox.window import why_no_window
+        from warpvox.view.window import why_no_window
 
         modes = VoxelEnv.metadata["render_modes"]
         if mode is not None and mode not in modes:
@@ -233,7 +233,7 @@ class VoxelEnv(gymnasium.Env):
 
     def _picture(self) -> np.ndarray:
         if self._view is None:
-            from warpvox.live import LiveView
+            from warpvox.view.live import LiveView
 
             self._view = LiveView(self.sim, self.render_size)
         return self._view.pictures()[0]
@@ -243,7 +243,7 @@ class VoxelEnv(gymnasium.Env):
         if self.render_mode != "human":
             return
         if self._window is None:
-            from warpvox.window import Window
+            from warpvox.view.window import Window
 
             self._window = Window(self.render_size, f"{NAMESPACE} {self._vec.spec.id}")
         if self._window.closed:

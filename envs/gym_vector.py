@@ -219,7 +219,7 @@ class VoxelGymVectorEnv(VectorEnv):
             gymnasium.logger.warn("render() does nothing without render_mode='rgb_array'.")
             return None
         if self._view is None:
-            from warpvox.live import LiveView
+            from warpvox.view.live import LiveView
 
             self._view = LiveView(self.vec.sim, self.render_size)
         return tuple(self._view.pictures())

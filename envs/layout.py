@@ -6,7 +6,7 @@ import torch
 
 from warpvox.envs.spec import Observation
 from warpvox.envs.state import State
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 
 __all__ = ["Layout"]
 

@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from warpvox.device import resolve_device
+from warpvox.devices.names import resolve_device
+from warpvox.devices.out_of_memory import free_memory
 from warpvox.errors import MemoryLimitError
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.state import DATA
-from warpvox.memory import free_memory
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.world import World
 
 __all__ = [

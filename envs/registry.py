@@ -9,7 +9,7 @@ from warpvox.envs.sources import is_code, lacks_module, load_code, split
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.tasks import climb, locomotion, manipulate, misc, shape, traverse
 from warpvox.errors import TaskError, did_you_mean, listing
-from warpvox.reading import Missing
+from warpvox.io.reading import Missing
 
 __all__ = ["get_task", "released_id", "task_ids"]
 

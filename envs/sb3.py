@@ -118,7 +118,7 @@ class VoxelSB3VecEnv(VecEnv):
         if self._mode is None:
             return [None] * self.num_envs
         if self._view is None:
-            from warpvox.live import LiveView
+            from warpvox.view.live import LiveView
 
             self._view = LiveView(self.vec.sim, self.render_size)
         return list(self._view.pictures())

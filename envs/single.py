@@ -21,7 +21,7 @@ from warpvox.kernels.state import DIVERGED, UNSTABLE
 
 if TYPE_CHECKING:
     from warpvox.envs.vec_env import VoxelVecEnv
-    from warpvox.sim import Simulation
+    from warpvox.simulation import Simulation
 
 __all__ = ["Row", "SingleStepper", "fast_stepper"]
 

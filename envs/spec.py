@@ -17,9 +17,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from warpvox.devices.out_of_memory import shortage
 from warpvox.envs.about import About, about_of
 from warpvox.errors import ConfigError, TaskError, WarpvoxError, did_you_mean, listing
-from warpvox.memory import shortage
 from warpvox.world import WorldObject
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from warpvox.envs.spec import Memory
-    from warpvox.sim import Simulation
+    from warpvox.simulation import Simulation
 
 __all__ = ["Quantity", "State"]
 

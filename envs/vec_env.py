@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from warpvox.design import Design
+from warpvox.devices.out_of_memory import enough_memory, fewer
 from warpvox.envs.bodies import check_grid, load_connections, load_designs, one_body
 from warpvox.envs.checks import check_fields, check_memory, check_terms
 from warpvox.envs.draws import Draws
@@ -28,8 +29,7 @@ from warpvox.envs.state import Quantity, State
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, did_you_mean, known_arguments, listing
-from warpvox.memory import enough_memory, fewer
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.types import Physics
 
 __all__ = ["VoxelVecEnv", "make_vec", "one_body"]

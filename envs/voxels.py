@@ -16,7 +16,7 @@ from warpvox.envs.about import NUMBER, About
 from warpvox.envs.spec import Observation
 from warpvox.envs.state import State
 from warpvox.envs.terms.observations import shape
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.types import Cell
 
 __all__ = ["FEATURES", "NUM_FEATURES", "VoxelGrid", "VoxelLayout", "voxel_layouts", "voxel_observations"]

@@ -17,7 +17,7 @@ VOXEL = wp.constant(wp.float64(SIDE))
 
 @wp.struct
 class Batch:
-    """What all sensing kernels read; fields as in :mod:`warpvox.kernels.state` and :class:`warpvox.packs.State`."""
+    """The arrays that all sensing kernels read; fields as in :mod:`warpvox.kernels.state`."""
 
     pos: wp.array3d(dtype=wp.float64)
     vel: wp.array3d(dtype=wp.float64)

@@ -8,7 +8,7 @@ mobile, robot, row, object, cell, action`` are capacities over the meshes of a m
 ``node, leaf, plot, hit`` are capacities of what keeps the released order of contacts, in exact arithmetic only.
 
 Lanes of a pack may hold different bodies. A mesh lists what some lane has; fields named ``lanes`` are masks, bit k of
-an int for lane k of the pack, -1 for all (see :mod:`warpvox.grid_mesh`, also for twins). Not in exact arithmetic.
+an int for lane k of the pack, -1 for all (see :mod:`warpvox.batch.grid_mesh`, also for twins). Not in exact arithmetic.
 
 The arithmetic is ``fast`` or ``exact``; exact repeats every sum and product of the released simulator in its order, in
 float64. Three fields mean something else there, because it works on positions where fast works on displacements since

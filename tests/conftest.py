@@ -88,7 +88,7 @@ def warpvox(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.Captu
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
     # a reference that someone has made on this machine is none of the tests' business
-    monkeypatch.setattr("warpvox.cli.benchmarks.reference.reference_folder", lambda: tmp_path / "no_reference")
+    monkeypatch.setattr("warpvox.bench.reference.reference_folder", lambda: tmp_path / "no_reference")
     threads = torch.get_num_threads()
 
     def call(*words: str) -> Outcome:

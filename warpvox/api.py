@@ -68,9 +68,9 @@ def train(overrides: Mapping[str, Any] | None = None, /, *, progress: bool = Tru
     """
     from rich.console import Console
 
+    from warpvox.cli.commands.train import make_job
+    from warpvox.cli.commands.train import train as run
     from warpvox.cli.runs import SUMMARY
-    from warpvox.cli.train import make_job
-    from warpvox.cli.train import train as run
 
     words = [word for key, value in {**(overrides or {}), **keys}.items() for word in _words(key, value)]
     twice = sorted(set(overrides or {}) & set(keys))
@@ -102,7 +102,7 @@ def load_policy(
     from warpvox.algos.checkpoints.export import read_exported
     from warpvox.algos.checkpoints.policy import read_policy
     from warpvox.cli.runs import find_run
-    from warpvox.device import resolve_device
+    from warpvox.devices.names import resolve_device
 
     device, path = resolve_device(device), Path(source).expanduser()
     if str(source) != "latest" and path.is_file():

@@ -16,8 +16,8 @@ import numpy as np
 
 from warpvox.errors import DesignError, did_you_mean, listing
 from warpvox.examples import EXAMPLES
-from warpvox.files import atomic_path, write_text
-from warpvox.reading import ArrayFile, Missing, Unreadable, parse_json, read_npy, read_text
+from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_npy, read_text
+from warpvox.io.writing import atomic_path, write_text
 from warpvox.types import Cell
 
 __all__ = [

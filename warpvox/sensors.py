@@ -8,10 +8,10 @@ from contextlib import contextmanager
 import torch
 import warp as wp
 
+from warpvox.batch.objects import Objects
+from warpvox.batch.packs import State
 from warpvox.kernels import sensing
 from warpvox.kernels.device import Command
-from warpvox.objects import Objects
-from warpvox.packs import State
 from warpvox.types import SIGHT
 
 __all__ = ["Recorded", "Sensing"]

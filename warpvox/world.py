@@ -18,8 +18,8 @@ import numpy as np
 
 from warpvox.design import LARGEST_GRID, as_grid, full_connections
 from warpvox.errors import WorldError, did_you_mean, listing
-from warpvox.files import write_text
-from warpvox.reading import Missing, Unreadable, parse_json, read_text
+from warpvox.io.reading import Missing, Unreadable, parse_json, read_text
+from warpvox.io.writing import write_text
 from warpvox.types import Cell
 
 __all__ = ["World", "WorldObject"]

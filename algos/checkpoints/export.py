@@ -23,8 +23,8 @@ import torch
 
 from warpvox.algos.checkpoints.policy import LARGEST, Policy, parse_policy, policy_text
 from warpvox.errors import RunError
-from warpvox.files import atomic_path
-from warpvox.reading import Unreadable, read_bytes
+from warpvox.io.reading import Unreadable, read_bytes
+from warpvox.io.writing import atomic_path
 
 __all__ = ["POLICY_WRITERS", "read_exported", "write_onnx", "write_script"]
 

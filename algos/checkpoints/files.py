@@ -23,7 +23,7 @@ from warpvox.algos.population.model import PopulationModel
 from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError
-from warpvox.files import atomic_path
+from warpvox.io.writing import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["Controller", "PolicySpec", "load_checkpoint", "load_controller", "read_tensors", "save_checkpoint"]

@@ -18,7 +18,7 @@ from torch import nn
 from warpvox.algos.checkpoints.files import Controller, PolicySpec, check_spec, load_controller
 from warpvox.envs.rsl_rl import ACTION_CENTER
 from warpvox.errors import RunError
-from warpvox.reading import Unreadable, parse_json
+from warpvox.io.reading import Unreadable, parse_json
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["LARGEST", "Policy", "parse_policy", "policy_of", "policy_text", "read_policy"]

@@ -30,8 +30,8 @@ from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
 from warpvox.algos.codesign.archive_check import check_numbers, check_row, check_schema, harden
 from warpvox.design import as_grid
 from warpvox.errors import RunError, StorageError
-from warpvox.files import atomic_path
-from warpvox.reading import parse_json
+from warpvox.io.reading import parse_json
+from warpvox.io.writing import atomic_path
 
 __all__ = ["BACKUP", "FILE", "Archive", "Finished", "Record"]
 

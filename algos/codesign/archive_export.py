@@ -12,7 +12,7 @@ from typing import Any
 from warpvox.algos.codesign.archive import Archive, Record, body_text
 from warpvox.design import Design, load_design, save_design
 from warpvox.errors import DesignError, RunError, did_you_mean, listing
-from warpvox.files import atomic_path, write_text
+from warpvox.io.writing import atomic_path, write_text
 
 __all__ = ["FORMATS", "export", "read_designs", "write_csv", "write_designs", "write_parquet"]
 

@@ -16,11 +16,11 @@ from warpvox.algos.env_factory import Arena
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.population.training import Networks, PopulationTraining
 from warpvox.algos.settings import TrainingConfig
+from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError
-from warpvox.files import writing
-from warpvox.memory import enough_memory
+from warpvox.io.writing import writing
 
 __all__ = [
     "PopulationEvaluator",

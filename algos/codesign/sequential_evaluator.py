@@ -26,8 +26,8 @@ from warpvox.algos.evaluate import Evaluation, evaluator
 from warpvox.algos.population.training import Networks
 from warpvox.algos.settings import TrainingConfig
 from warpvox.algos.training.runner import Runner, Schedule, adapt
+from warpvox.devices.out_of_memory import enough_memory
 from warpvox.errors import ConfigError, DivergenceError
-from warpvox.memory import enough_memory
 
 __all__ = ["SequentialEvaluator"]
 

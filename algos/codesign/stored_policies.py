@@ -14,7 +14,7 @@ from warpvox.algos.checkpoints.files import PolicySpec, load_checkpoint, save_ch
 from warpvox.algos.population.model import width_for
 from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.runner import BEST
-from warpvox.files import write_text
+from warpvox.io.writing import write_text
 
 __all__ = ["Policies", "policy_sha256"]
 

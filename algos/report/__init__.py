@@ -15,8 +15,8 @@ from pathlib import Path
 from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.tree import family_tree
-from warpvox.files import write_text
-from warpvox.sketch import body_svg
+from warpvox.io.writing import write_text
+from warpvox.view.body_picture import body_svg
 
 __all__ = ["FILE", "report_page", "write_report"]
 

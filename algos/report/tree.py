@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from warpvox.algos.codesign.archive import Record
-from warpvox.sketch import body_svg
+from warpvox.view.body_picture import body_svg
 
 __all__ = ["family_tree", "places"]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.errors import RunError, listing
-from warpvox.files import write_text, writing
+from warpvox.io.writing import write_text, writing
 
 __all__ = ["COLUMNS", "Events", "Metrics", "read_metrics"]
 

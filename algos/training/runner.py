@@ -24,10 +24,10 @@ from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.distributed import ALONE, Team
 from warpvox.algos.training.metrics import Metrics
 from warpvox.algos.training.ppo import rsl_rl_config
+from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, DivergenceError, RunError
-from warpvox.files import check_folder
-from warpvox.memory import enough_memory
+from warpvox.io.writing import check_folder
 
 __all__ = ["BEST", "STATE", "Runner", "Schedule", "adapt"]
 

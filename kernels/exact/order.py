@@ -1,8 +1,8 @@
 """Contact forces in float64, added in the order in which the released simulator meets the contacts.
 
-It descends the box trees of two objects at once (``warpvox/contact_order.py`` builds them), always into the larger
-box, and adds to a point what it meets. Here contacts are found in any order and noted; then each gets as a key the path
-of that descent, and they are taken in the order of the keys. Contacts inside one object are met twice.
+It descends the box trees of two objects at once (:mod:`warpvox.contact_order` builds them), always into the
+larger box, and adds to a point what it meets. Here contacts are found in any order and noted; then each gets as a key
+the path of that descent, and they are taken in the order of the keys. Contacts inside one object are met twice.
 """
 
 import warp as wp

@@ -22,7 +22,7 @@ from warpvox.algos.codesign.executors import LocalExecutor
 from warpvox.algos.codesign.loop import Loop
 from warpvox.design import sample_design
 from warpvox.errors import RunError
-from warpvox.files import write_text
+from warpvox.io.writing import write_text
 
 SEED = 5
 POPULATION, GENERATIONS = 6, 5

@@ -28,12 +28,12 @@ from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.search import settings_from
 from warpvox.cli.bodies import body_rows
-from warpvox.cli.codesign import _archive, resolve
 from warpvox.cli.codesign_watch import Results, Watch
+from warpvox.cli.commands.codesign import _archive, resolve
 from warpvox.cli.config import load
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.errors import RunError
-from warpvox.sketch import cell_colour
+from warpvox.view.body_picture import cell_colour
 
 TINY = (
     "shape=[3,3] search.population=5 search.max_evaluations=8 search.survivor_rate=0.3 training.envs=8"

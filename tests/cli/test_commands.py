@@ -16,7 +16,7 @@ from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.cli import main
 from warpvox.design import example_design
-from warpvox.rollout import Rollout
+from warpvox.view.rollout import Rollout
 
 TIMING = {"steps_per_second", "elapsed"}
 

@@ -11,9 +11,9 @@ import yaml
 
 from warpvox.cli import COMMANDS, main
 from warpvox.cli.build import physics_of
+from warpvox.cli.commands.train import flat
 from warpvox.cli.config import Arguments, expand, load, load_values, to_yaml
 from warpvox.cli.help import flat_keys
-from warpvox.cli.train import flat
 from warpvox.configs import schema
 from warpvox.design import load_design
 from warpvox.errors import ConfigError

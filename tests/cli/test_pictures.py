@@ -11,13 +11,13 @@ import pytest
 from PIL import Image
 
 from warpvox.algos.statistics import mean_interval
-from warpvox.cli.curves import _points, curves_of
+from warpvox.cli.commands.curves import _points, curves_of
 from warpvox.cli.gallery import COLUMNS, TILE, draw_gallery
 from warpvox.cli.runs import Run
 from warpvox.envs.registry import task_ids
 from warpvox.errors import RunError
-from warpvox.palette import LEVELS, palette
 from warpvox.types import Cell
+from warpvox.view.palette import LEVELS, palette
 
 HEAD = "iteration,steps,eval_return,elapsed\n"
 

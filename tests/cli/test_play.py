@@ -16,7 +16,7 @@ from warpvox.algos.training.metrics import read_metrics
 from warpvox.cli.watch import watch
 from warpvox.envs.dumps import LIMIT
 from warpvox.envs.vec_env import make_vec
-from warpvox.rollout import Rollout, record
+from warpvox.view.rollout import Rollout, record
 
 QUICK = "task=Walker-v0 design=mini num_envs=2 steps=6 threads=1 device=cpu window=off".split()
 

@@ -19,9 +19,9 @@ from warpvox.cli.build import prepare
 from warpvox.cli.config import load
 from warpvox.cli.runs import LONGEST_BYTES, as_name
 from warpvox.cli.say import cell, plain, say, typed
+from warpvox.devices.startup import LOGGER
 from warpvox.envs.vec_env import make_vec
-from warpvox.rollout import Rollout, record
-from warpvox.startup import LOGGER
+from warpvox.view.rollout import Rollout, record
 
 EVIL = "[/bold]\x1b]0;owned\x07\x1b[2J\r[link=x]a\u202eb\x9b31m"
 """Markup that is not closed, a new title for the window, an empty screen, letters that run backwards."""

@@ -17,7 +17,7 @@ import warpvox as wv
 from warpvox.cli import consent
 from warpvox.cli.config import load
 from warpvox.errors import ConfigError
-from warpvox.rollout import Rollout
+from warpvox.view.rollout import Rollout
 
 EVIL = """
 from pathlib import Path

@@ -18,10 +18,10 @@ from warpvox.envs.about import UNITS, about_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.envs.worlds import task_world
-from warpvox.painter import BELOW
-from warpvox.palette import RAMPS
-from warpvox.still import AIR, draw_world, scene_of_world
 from warpvox.types import Cell
+from warpvox.view.painter import BELOW
+from warpvox.view.palette import RAMPS
+from warpvox.view.world_picture import AIR, draw_world, scene_of_world
 from warpvox.world import World
 
 ROW = re.compile(r"│\s+(\d+):(\d+) │ (.+?) +│ (\w+) +│ (.+?) +│")

@@ -13,7 +13,7 @@ from pins import FILE, load, this_platform
 from rollouts import digests
 
 from warpvox.envs.registry import task_ids
-from warpvox.files import write_text
+from warpvox.io.writing import write_text
 
 
 def main() -> None:

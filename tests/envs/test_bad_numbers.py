@@ -11,7 +11,7 @@ import torch
 
 from warpvox.envs.rsl_rl import RslRlVecEnv
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.types import Physics
 from warpvox.world import World
 

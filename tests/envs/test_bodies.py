@@ -10,7 +10,7 @@ from warpvox.design import full_connections, sample_design
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError, DesignError, SimulationError, WorldError
-from warpvox.rollout import record
+from warpvox.view.rollout import record
 
 LANES = 8
 OPTIONS = dict(device="cpu", threads=1, lanes=LANES)

@@ -11,8 +11,8 @@ import torch
 from warpvox.envs import dumps
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
-from warpvox.rollout import Rollout, scenes_of
 from warpvox.types import Physics
+from warpvox.view.rollout import Rollout, scenes_of
 
 STIFF = np.array([[3, 2], [4, 3]])  # diverges within a few steps under `stiff`
 SOUND = np.array([[3, 4], [4, 3], [3, 3]])

@@ -22,7 +22,7 @@ from warpvox.envs.spec import observes, rewards
 from warpvox.envs.terms.observations import orientation
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
-from warpvox.rollout import record
+from warpvox.view.rollout import record
 
 # Operations that read a value on the host, give a result whose size does, or bring data from the host.
 WAITING = (

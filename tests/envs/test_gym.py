@@ -20,7 +20,7 @@ from warpvox.envs.gym import VoxelEnv, register, register_task
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ActionError, ConfigError, DesignError, DisplayError, WorldError
-from warpvox.window import why_no_window
+from warpvox.view.window import why_no_window
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -41,8 +41,8 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
         def close(self) -> None:
             self.closed = True
 
-    monkeypatch.setattr("warpvox.window.Window", Window, raising=False)
-    monkeypatch.setattr("warpvox.window.why_no_window", lambda: None)
+    monkeypatch.setattr("warpvox.view.window.Window", Window, raising=False)
+    monkeypatch.setattr("warpvox.view.window.why_no_window", lambda: None)
     return shown
 
 
@@ -109,34 +109,17 @@ def test_the_time_limit_is_gymnasiums() -> None:
     assert ends == [(False, False), (False, False), (False, True)]
 
 
-def test_registered_for_both_orders_of_import(tmp_path: Path) -> None:
-    light = "import sys, warpvox; assert 'gymnasium' not in sys.modules; "
-    loader = (
-        "import gymnasium; gymnasium.spec('warpvox/Walker-v0');"
-        "assert type(gymnasium.__spec__.loader) is type(warpvox.__spec__.loader) is type(gymnasium.__loader__); "
-    )
-    asked = "import warpvox; from importlib.util import find_spec as f; assert f('gymnasium') and f('gymnasium'); "
-    for code in (
-        light + loader + "assert 'torch' not in sys.modules; assert 'discovery' not in str(sys.meta_path)",
-        "import gymnasium, warpvox; gymnasium.spec('warpvox/Walker-v0')",
-        asked + loader,
-        "import gymnasium; gymnasium.make('warpvox:warpvox/Walker-v0')",
-        "import warpvox; warpvox.task_ids(); import gymnasium; gymnasium.spec('warpvox/Walker-v0')",
-        "import warpvox; from gymnasium.envs.registration import spec; spec('warpvox/Walker-v0')",
-    ):
-        run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
-        assert run.returncode == 0, run.stderr
-
-
-def test_without_gymnasium_its_absence_is_what_is_said(tmp_path: Path) -> None:
-    code = (
-        "import sys, warpvox\n"
-        "sys.path[:] = []; sys.path_importer_cache.clear()\n"
-        "try: import gymnasium\n"
-        "except ModuleNotFoundError as error: print(error)"
-    )
-    run = subprocess.run([sys.executable, "-S", "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert run.stdout.strip() == "No module named 'gymnasium'", run.stderr
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import gymnasium, warpvox.envs; gymnasium.spec('warpvox/Walker-v0')",
+        "import warpvox.envs, gymnasium; gymnasium.spec('warpvox/Walker-v0')",
+        "import gymnasium; gymnasium.make('warpvox.envs:warpvox/Walker-v0', body='walker')",
+    ],
+)
+def test_importing_the_environments_registers_them(code: str, tmp_path: Path) -> None:
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
 
 
 def test_a_window_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -156,7 +139,7 @@ def test_a_window_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_no_display_is_said_and_the_mode_is_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("warpvox.window.why_no_window", lambda: "there is no display")
+    monkeypatch.setattr("warpvox.view.window.why_no_window", lambda: "there is no display")
     with pytest.raises(DisplayError, match="shows a window, but there is no display; render_mode='rgb_array' needs"):
         gymnasium.make("warpvox/Walker-v0", body="walker", render_mode="human")
     env = gymnasium.make("warpvox/Walker-v0", body="walker", render_mode="rgb_array")

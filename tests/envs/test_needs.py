@@ -11,7 +11,7 @@ from warpvox.envs.needs import check_environments, probed, simulation_bytes
 from warpvox.envs.registry import get_task
 from warpvox.envs.worlds import task_world
 from warpvox.errors import DeviceError, MemoryLimitError
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 
 BODIES = [np.full((2, 2), 3), np.full((5, 5), 4), np.full((3, 3), 3), np.full((1, 4), 3)]
 

@@ -13,7 +13,7 @@ from warpvox.errors import SimulationError
 from warpvox.evogym import EvoSim, EvoWorld
 from warpvox.evogym.engine import Engine, orientation
 from warpvox.evogym.simulator_cpp import Sim
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.world import World
 
 BODY = np.array([[3, 1, 3], [4, 2, 4], [4, 0, 4]])

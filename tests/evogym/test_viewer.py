@@ -12,8 +12,8 @@ import warpvox.evogym.envs  # noqa: F401  # the ids
 from warpvox.errors import DisplayError
 from warpvox.evogym import EvoSim, EvoViewer, EvoWorld
 from warpvox.evogym.simulator_cpp import Camera, Viewer
-from warpvox.palette import RAMPS
 from warpvox.types import Cell
+from warpvox.view.palette import RAMPS
 
 SIZE = (300, 150)
 

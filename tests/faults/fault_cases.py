@@ -17,7 +17,7 @@ from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.files import MARK
+from warpvox.io.writing import MARK
 
 COUNT, KILL, TORN, FULL, BROKEN = range(5)
 """What happens at the chosen change: nothing; killed before it; killed after half of it; from it on the disk is full;

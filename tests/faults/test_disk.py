@@ -18,12 +18,13 @@ from typing import Any
 import pytest
 from fault_cases import CODESIGN, TRAIN, check_training, only, same
 
-from warpvox import files, system
+from warpvox import system
 from warpvox.algos.checkpoints.files import load_checkpoint, save_checkpoint
 from warpvox.algos.training.metrics import TAGS, Events
 from warpvox.cli.runs import going_on
 from warpvox.errors import RolloutError, RunError, StorageError
-from warpvox.files import MARK, claimed, sweep, write_text
+from warpvox.io import writing as files
+from warpvox.io.writing import MARK, claimed, sweep, write_text
 
 LARGE_ENOUGH = 50_000_000
 OURS = {files.__file__, pathlib.__file__, system.__file__}
@@ -145,15 +146,15 @@ def small_files(size: int) -> Iterator[None]:
 def rollout() -> Any:
     from warpvox.design import example_design
     from warpvox.envs.vec_env import make_vec
-    from warpvox.rollout import record
+    from warpvox.view.rollout import record
 
     env = make_vec("Walker-v0", example_design("mini"), 1, device="cpu", auto_reset=False, threads=1)
     return record(env, "sine", 10)
 
 
 def _write(name: str, rollout: Any, path: Path) -> None:
-    from warpvox import render, usd
-    from warpvox.player import write_html
+    from warpvox.view import render, usd
+    from warpvox.view.player import write_html
 
     if path.suffix == ".mp4":
         pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
@@ -247,7 +248,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(
     def started(*_: Any, **__: Any) -> None:
         raise AssertionError("a simulation was made")
 
-    monkeypatch.setattr("warpvox.sim.Simulation.__init__", started)
+    monkeypatch.setattr("warpvox.simulation.Simulation.__init__", started)
     if how == "a file":
         (tmp_path / "place").write_text("mine")
         phrase = "place is a file, not a folder"
@@ -300,7 +301,7 @@ def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refus
 
 
 def test_a_claim_is_of_one_process_and_ends_with_it(tmp_path: Path) -> None:
-    code = "import sys; from pathlib import Path; from warpvox.files import claimed\n"
+    code = "import sys; from pathlib import Path; from warpvox.io.writing import claimed\n"
     code += "with claimed(Path(sys.argv[1])): print('mine', flush=True); sys.stdin.read()"
     with subprocess.Popen(
         [sys.executable, "-c", code, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 import warp as wp
 
+from warpvox.devices.startup import start_warp
 from warpvox.errors import DeviceError
-from warpvox.startup import start_warp
 
 DAMAGES = {
     "empty": lambda data: b"",

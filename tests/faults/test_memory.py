@@ -12,8 +12,8 @@ import pytest
 import torch
 from fault_cases import CODESIGN, TRAIN, check_search, check_training, only
 
+from warpvox.devices.out_of_memory import enough_memory, shortage
 from warpvox.errors import DeviceError
-from warpvox.memory import enough_memory, shortage
 
 TORCH = (
     "CUDA out of memory. Tried to allocate 2.00 GiB. GPU 0 has a total capacity of 15.77 GiB of which 1.19 GiB is free."
@@ -105,9 +105,9 @@ def test_a_training_says_how_many_fewer_environments_and_goes_on(
 def test_environments_that_do_not_fit_leave_nothing_behind(
     warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with raised_at(monkeypatch, "warpvox.sim.Simulation.__init__", 1, ERRORS["Warp on CUDA"]):
+    with raised_at(monkeypatch, "warpvox.simulation.Simulation.__init__", 1, ERRORS["Warp on CUDA"]):
         assert_advised(warpvox(*TRAIN), "num_envs=4 instead of 8", "8 GiB more could not be had on cuda:0")
-    with raised_at(monkeypatch, "warpvox.sim.Simulation.__init__", 1, ERRORS["numpy"]):
+    with raised_at(monkeypatch, "warpvox.simulation.Simulation.__init__", 1, ERRORS["numpy"]):
         assert_advised(warpvox("play", "agent=zero", "window=off"), "num_envs")
     assert list(tmp_path.iterdir()) == []
 

@@ -23,7 +23,7 @@ from fault_cases import (
     resume,
 )
 
-from warpvox.files import MARK
+from warpvox.io.writing import MARK
 
 MODES = pytest.mark.parametrize("mode", [KILL, TORN, FULL, BROKEN], ids=["killed", "torn", "full", "broken"])
 FEW = 1

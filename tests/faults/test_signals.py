@@ -65,7 +65,7 @@ def test_results_that_were_being_written_are_gone_or_whole(
     def stop(*_: Any) -> None:
         signal.raise_signal(number)
 
-    monkeypatch.setattr(f"warpvox.cli.play.{moment}", stop)
+    monkeypatch.setattr(f"warpvox.cli.commands.play.{moment}", stop)
     outcome = warpvox(*"play agent=zero steps=2 num_envs=1 window=off".split())
     assert outcome.code == code
     assert outcome.err.count("\n") == 1
@@ -174,7 +174,7 @@ def test_what_ends_before_its_first_checkpoint_can_be_resumed(
 
     with monkeypatch.context() as patch:
         patch.setattr(TrainingProgress, "__call__", kill)
-        patch.setattr("warpvox.cli.train.write_summary", lambda *_: None)
+        patch.setattr("warpvox.cli.commands.train.write_summary", lambda *_: None)
         patch.setattr("warpvox.cli.runs._has_result", lambda folder: True)  # who is killed cleans nothing up
         with pytest.raises(Killed):
             warpvox(*words)

@@ -136,7 +136,7 @@ class Environments:
     @cached_property
     def sim(self) -> Any:
         """Two environments of one small world."""
-        from warpvox.sim import Simulation
+        from warpvox.simulation import Simulation
 
         return Simulation([World.from_json(world_trees()[0])] * 2, device="cpu", threads=1)
 
@@ -230,7 +230,7 @@ class Environments:
 
     def use_simulation(self, given: dict[str, Any]) -> None:
         """What is accepted makes a step."""
-        from warpvox.sim import Simulation
+        from warpvox.simulation import Simulation
 
         if _large(given.get("threads")) or _large(given.get("lanes")):
             given = given | {"threads": 0}

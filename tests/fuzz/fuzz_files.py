@@ -23,8 +23,8 @@ from fuzz_harness import Target
 from warpvox.compile import compile_world
 from warpvox.design import example_designs, full_connections, load_design, sample_design, save_design
 from warpvox.errors import WorldError
-from warpvox.rollout import Rollout
 from warpvox.types import Physics
+from warpvox.view.rollout import Rollout
 from warpvox.world import World
 
 Draw = random.Random
@@ -58,7 +58,7 @@ def design_arrays() -> list[np.ndarray]:
 def rollout_bytes() -> tuple[bytes, ...]:
     """Two short rollouts: of one environment, and of two with different bodies."""
     from warpvox.envs.vec_env import make_vec
-    from warpvox.rollout import record
+    from warpvox.view.rollout import record
 
     made = []
     for designs, count in ((["mini"], 1), ([[[3]], [[4, 3]]], 2)):
@@ -402,14 +402,14 @@ class Readers:
 
     def rollout(self, data: bytes) -> None:
         """What is read can be drawn, put on a page, and every now and then written as USD."""
-        from warpvox.player import page_of
-        from warpvox.render import write_png
+        from warpvox.view.player import page_of
+        from warpvox.view.render import write_png
 
         rollout = Rollout.load(self._file("rollout.npz", data))
         write_png(rollout, self.folder / "picture.png", size=(64, 48))
         page_of(rollout).encode()
         if next(self._turn) % 10 == 0:
-            from warpvox.usd import write_usd
+            from warpvox.view.usd import write_usd
 
             write_usd(rollout, self.folder / "rollout.usda")
 

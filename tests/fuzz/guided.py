@@ -20,7 +20,7 @@ with atheris.instrument_imports(include=["warpvox", "zipfile", "pickletools"]):
 
     import warpvox.algos.checkpoints.files
     import warpvox.algos.codesign.archive
-    import warpvox.reading  # noqa: F401
+    import warpvox.io.reading  # noqa: F401
 
 from fuzz_harness import Figures, judge, make
 

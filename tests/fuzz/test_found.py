@@ -25,8 +25,8 @@ from warpvox.envs.gym import VoxelEnv
 from warpvox.envs.registry import get_task
 from warpvox.errors import ActionError, ConfigError, DesignError, RunError, SimulationError, TaskError, WorldError
 from warpvox.evogym.simulator_cpp import Sim
-from warpvox.rollout import Rollout
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
+from warpvox.view.rollout import Rollout
 from warpvox.world import World, WorldObject
 
 SMALL = {"device": "cpu", "threads": 1}

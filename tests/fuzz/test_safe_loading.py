@@ -30,8 +30,8 @@ from warpvox.cli.stored import parse_yaml
 from warpvox.design import LARGEST_BODY, check_design, load_design
 from warpvox.editor.documents import read_file
 from warpvox.errors import DesignError, RolloutError, RunError, WarpvoxError, WorldError
-from warpvox.reading import INFLATION, ArrayFile, Unreadable, parse_json, read_bytes, read_npy
-from warpvox.rollout import Rollout
+from warpvox.io.reading import INFLATION, ArrayFile, Unreadable, parse_json, read_bytes, read_npy
+from warpvox.view.rollout import Rollout
 from warpvox.world import LARGEST_GRID, World, WorldObject
 
 MUCH = 40_000_000
@@ -115,8 +115,8 @@ FORBIDDEN = {
     "marshal.loads": "reads code",
     "yaml.unsafe_load": "makes any object",
     "yaml.full_load": "makes objects",
-    "np.load": "of warpvox.reading, which checks sizes first",
-    "numpy.load": "of warpvox.reading, which checks sizes first",
+    "np.load": "of warpvox.io.reading, which checks sizes first",
+    "numpy.load": "of warpvox.io.reading, which checks sizes first",
     "os.system": "runs a shell",
 }
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from warpvox.design import sample_design
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.world import World
 
 CASES = {"float64": (8, 1e-9), "float32": (32, 2e-5)}

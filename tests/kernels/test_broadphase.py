@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from warpvox.batch.packs import MARGIN
 from warpvox.kernels.broadphase import (
     DISTANT,
     GRID_FROM,
@@ -17,8 +18,7 @@ from warpvox.kernels.broadphase import (
     mark_grid,
 )
 from warpvox.kernels.launch import launch_stage
-from warpvox.packs import MARGIN
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.world import World
 
 LANES = 8

@@ -13,7 +13,7 @@ from warpvox.errors import ConfigError
 from warpvox.kernels import step
 from warpvox.kernels.actuation import goals
 from warpvox.kernels.launch import launch_stage
-from warpvox.sim import STATE_FIELDS, Simulation
+from warpvox.simulation import STATE_FIELDS, Simulation
 from warpvox.types import Physics
 from warpvox.world import World
 

@@ -8,7 +8,7 @@ import torch
 
 from warpvox.design import sample_design
 from warpvox.kernels import step
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.types import Physics
 from warpvox.world import World
 

@@ -9,7 +9,7 @@ import torch
 from warpvox.contact_order import order_arrays, tree_of
 from warpvox.design import sample_design
 from warpvox.kernels import step
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.world import World
 
 SQUEEZE, NOISE = 0.7, 0.06

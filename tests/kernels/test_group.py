@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from warpvox import packs
+from warpvox.batch import packs
 from warpvox.design import sample_design
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import SimulationError
 from warpvox.kernels import group
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.world import World
 
 ROUNDING = 5e-9

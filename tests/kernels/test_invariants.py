@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from warpvox.design import sample_design
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.types import DT, SUBSTEPS, Physics
 from warpvox.world import World
 

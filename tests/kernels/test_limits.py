@@ -2,13 +2,13 @@
 
 import pytest
 
-from warpvox.cli.benchmarks.cuda import instructions
-from warpvox.cli.benchmarks.ptxas import ARCHITECTURES, Limits, assemble, find_program
+from warpvox.bench.cuda import instructions
+from warpvox.bench.ptxas import ARCHITECTURES, Limits, assemble, find_program
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import WarpvoxError
 from warpvox.kernels import group
 from warpvox.kernels.step import step_kernel
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 
 INSTRUCTIONS = 2200
 """Warp instructions of Walker-v0, an environment and sub-step (3,660 with one thread an environment)."""
@@ -43,7 +43,7 @@ def check_group(found, precision):
 
 @pytest.mark.parametrize(("release", "taken"), [("12.0", False), ("99.1", True)])
 def test_an_assembler_on_the_path_that_is_too_old_is_not_taken(release, taken, tmp_path, monkeypatch):
-    monkeypatch.setattr("warpvox.cli.benchmarks.ptxas.FETCHED", tmp_path)
+    monkeypatch.setattr("warpvox.bench.ptxas.FETCHED", tmp_path)
     program = tmp_path / "ptxas"
     program.write_text(f"#!/bin/sh\necho Cuda compilation tools, release {release}, V{release}.1\n")
     program.chmod(0o755)

@@ -7,7 +7,7 @@ import torch
 from warpvox.compile import compile_world
 from warpvox.design import sample_design
 from warpvox.errors import SimulationError
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.types import Physics
 from warpvox.world import World
 

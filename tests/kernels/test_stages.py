@@ -9,7 +9,7 @@ from warpvox.kernels import step
 from warpvox.kernels.actuation import goals
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.reset import save, settle
-from warpvox.sim import STATE_FIELDS, Simulation
+from warpvox.simulation import STATE_FIELDS, Simulation
 from warpvox.types import SUBSTEPS
 from warpvox.world import World
 

@@ -19,7 +19,7 @@ from warpvox.kernels import device, sensing
 from warpvox.kernels.launch import stage_kernel
 from warpvox.kernels.reset import follow_kernel, reset_kernel, save, settle
 from warpvox.kernels.step import STAGES, action_kernel, step_kernel
-from warpvox.rollout import record
+from warpvox.view.rollout import record
 
 ROOT = Path(__file__).resolve().parents[2]
 HELPER = ROOT / "kernels" / "device.py"

@@ -9,8 +9,8 @@ import torch
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import SimulationError
-from warpvox.rollout import record
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
+from warpvox.view.rollout import record
 from warpvox.world import World
 
 TOLERANCE = 1e-10  # in simulator units: rounding, amplified by the contacts of a control step

@@ -12,7 +12,7 @@ import pytest
 from judge import REWARD, compare, judge
 from replay import load_runs, replay
 
-from warpvox.cli.benchmarks.reference import reference_folder
+from warpvox.bench.reference import reference_folder
 from warpvox.envs.registry import task_ids
 
 REFERENCE = Path(os.environ.get("WARPVOX_REFERENCE") or reference_folder() / "bin" / "python")

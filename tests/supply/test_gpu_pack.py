@@ -30,7 +30,7 @@ WITH_TORCH |= {"markupsafe", "setuptools"}
 WITH_TENSORBOARD = {"tensorboard", "absl-py", "protobuf", "grpcio", "markdown", "werkzeug", "tensorboard-data-server"}
 LOADED = """
 import importlib.metadata, json, sys
-import warpvox.cli.gpu_check, warpvox.cli.benchmarks.gpu, warpvox.cli.bench
+import warpvox.bench.gpu_check, warpvox.bench.gpu, warpvox.cli.commands.bench
 from warpvox.cli import main
 assert main([]) is not None
 tops = {name.split(".")[0] for name in sys.modules}

@@ -10,8 +10,8 @@ import numpy as np
 import warpvox as wv
 from warpvox.compile import compile_world
 from warpvox.errors import RolloutError
-from warpvox.rollout import Rollout
-from warpvox.scene import Scene, SceneObject
+from warpvox.view.rollout import Rollout
+from warpvox.view.scene import Scene, SceneObject
 
 folder = Path(sys.argv[1])
 

@@ -1,7 +1,7 @@
 """The command line: ``warpvox COMMAND [KEY=VALUE ...]``.
 
-Each command lives in a module of its own with a function ``run``, imported when it is asked for, so that help
-and mistakes are answered at once. This package is the only place that imports Hydra.
+Each command is a module of :mod:`warpvox.cli.commands` with a function ``run``, imported when it is asked for, so that
+help and mistakes are answered at once; the modules beside this one are what commands share. Nothing else imports Hydra.
 
 Exit codes: 0 done, 2 bad usage, bad input or a machine that will not (one line on stderr), 130 interrupted by Ctrl-C,
 143 asked to end (SIGTERM), 129 its terminal was closed (SIGHUP).
@@ -17,9 +17,9 @@ from importlib import import_module
 import warpvox
 from warpvox.algos.interrupt import Terminated, terminable
 from warpvox.cli.streams import lasting_output, redirect
+from warpvox.devices.out_of_memory import enough_memory
 from warpvox.errors import ConfigError, WarpvoxError, did_you_mean
-from warpvox.files import OF_DISKS, complaint
-from warpvox.memory import enough_memory
+from warpvox.io.writing import OF_DISKS, complaint
 
 __all__ = ["COMMANDS", "invocation", "main"]
 
@@ -93,7 +93,7 @@ def _dispatch(arguments: list[str]) -> int:
     if command not in COMMANDS:
         hint = did_you_mean(command, COMMANDS)
         raise ConfigError(f"Unknown command '{command}'; there are {', '.join(COMMANDS)}.{hint}")
-    import_module(f"warpvox.cli.{command}").run(rest)
+    import_module(f"warpvox.cli.commands.{command}").run(rest)
     return DONE
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from warpvox.sketch import cell_colour
+from warpvox.view.body_picture import cell_colour
 
 __all__ = ["body_rows"]
 

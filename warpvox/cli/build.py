@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from warpvox.batch.packs import lanes_for
 from warpvox.design import load_design
-from warpvox.device import resolve_device
+from warpvox.devices.names import resolve_device
+from warpvox.devices.startup import LOGGER, start_warp
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import DesignError
-from warpvox.packs import lanes_for
-from warpvox.startup import LOGGER, start_warp
 from warpvox.types import Physics
 
 __all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "shown", "training_lanes"]

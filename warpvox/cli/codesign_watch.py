@@ -24,7 +24,7 @@ from warpvox.cli.bodies import body_rows
 from warpvox.cli.origin import origin
 from warpvox.cli.runs import SUMMARY, write_summary
 from warpvox.cli.say import say
-from warpvox.sketch import write_bodies
+from warpvox.view.body_picture import write_bodies
 
 __all__ = ["Results", "Watch"]
 

@@ -21,7 +21,7 @@ from warpvox.cli import invocation
 from warpvox.cli.say import plain, say
 from warpvox.envs.sources import Code, find_source, is_code, load_code, split
 from warpvox.errors import ConfigError, RunError, listing
-from warpvox.files import write_bytes
+from warpvox.io.writing import write_bytes
 
 __all__ = ["CODE_KEYS", "STORED", "again", "allow_code", "as_stored", "keep_code"]
 

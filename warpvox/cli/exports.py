@@ -16,7 +16,7 @@ from warpvox.configs.schema import EXPORTS
 from warpvox.errors import ConfigError, did_you_mean, listing
 
 if TYPE_CHECKING:
-    from warpvox.rollout import Rollout
+    from warpvox.view.rollout import Rollout
 
 __all__ = [
     "ROLLOUT",
@@ -33,12 +33,12 @@ __all__ = [
 ROLLOUT = "rollout.npz"
 # format -> file, module, function
 WRITERS = {
-    "usd": ("rollout.usd", "warpvox.usd", "write_usd"),
-    "gif": ("rollout.gif", "warpvox.render", "write_gif"),
-    "mp4": ("rollout.mp4", "warpvox.render", "write_mp4"),
-    "html": ("rollout.html", "warpvox.player", "write_html"),
-    "png": ("rollout.png", "warpvox.render", "write_png"),
-    "strip": ("rollout_strip.png", "warpvox.render", "write_filmstrip"),
+    "usd": ("rollout.usd", "warpvox.view.usd", "write_usd"),
+    "gif": ("rollout.gif", "warpvox.view.render", "write_gif"),
+    "mp4": ("rollout.mp4", "warpvox.view.render", "write_mp4"),
+    "html": ("rollout.html", "warpvox.view.player", "write_html"),
+    "png": ("rollout.png", "warpvox.view.render", "write_png"),
+    "strip": ("rollout_strip.png", "warpvox.view.render", "write_filmstrip"),
 }
 TILED = ("gif", "mp4", "png")
 SIZED = (*TILED, "strip")
@@ -89,7 +89,7 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
     from warpvox.cli.build import make_env, training_lanes
     from warpvox.cli.config import load_values
     from warpvox.cli.consent import allow_code
-    from warpvox.device import resolve_device
+    from warpvox.devices.names import resolve_device
 
     device = resolve_device(config.device, config.num_envs)
     path = run.find_checkpoint(config.checkpoint)
@@ -114,7 +114,7 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
 
 def record_run(run: Run, env: Any, controller: Any, steps: int | None, stochastic: bool = False) -> Rollout:
     """One episode of every environment; ``stochastic``: whether ``controller`` samples its actions."""
-    from warpvox.rollout import record
+    from warpvox.view.rollout import record
 
     rollout = record(env, controller, steps, metadata={"run": run.folder.name, "stochastic": stochastic})
     rollout.metadata["drawn"] = stochastic or draws_at_random(env)
@@ -142,7 +142,7 @@ def record_agent(config: Any) -> Rollout:
     """
     from warpvox.cli.build import load_bodies
     from warpvox.envs.vec_env import make_vec
-    from warpvox.rollout import record
+    from warpvox.view.rollout import record
 
     env = make_vec(
         config.task or "Walker-v0",

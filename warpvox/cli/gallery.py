@@ -12,10 +12,10 @@ from PIL import Image, ImageDraw
 from warpvox.design import load_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.worlds import task_world
-from warpvox.files import atomic_path
-from warpvox.painter import BELOW, INK, Canvas, font
-from warpvox.still import scene_of_world
+from warpvox.io.writing import atomic_path
 from warpvox.types import VOXEL
+from warpvox.view.painter import BELOW, INK, Canvas, font
+from warpvox.view.world_picture import scene_of_world
 
 __all__ = ["draw_gallery", "write_gallery"]
 

@@ -10,11 +10,11 @@ import numpy as np
 from warpvox.algos.needs import training_bytes
 from warpvox.algos.population.model import width_for
 from warpvox.cli.build import make_env, physics_of
-from warpvox.device import resolve_device
+from warpvox.devices.names import resolve_device
+from warpvox.devices.out_of_memory import free_memory
 from warpvox.envs.needs import PROBED, check_fits
 from warpvox.envs.vec_env import make_vec
 from warpvox.kernels.lanes import MAX_WIDTH
-from warpvox.memory import free_memory
 from warpvox.types import Cell
 
 __all__ = ["check_search", "check_training"]

@@ -10,7 +10,7 @@ from warpvox.cli.help import flat_keys
 from warpvox.cli.stored import LARGEST_CONFIG, parse_yaml
 from warpvox.configs.schema import COMMANDS
 from warpvox.errors import ConfigError, did_you_mean, listing
-from warpvox.reading import Unreadable, read_text
+from warpvox.io.reading import Unreadable, read_text
 
 __all__ = ["read_config_file"]
 

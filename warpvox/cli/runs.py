@@ -19,8 +19,8 @@ from warpvox.algos.codesign.archive import FILE as ARCHIVE
 from warpvox.algos.codesign.archive import Archive
 from warpvox.cli.stored import LARGEST_CONFIG, parse_yaml
 from warpvox.errors import ConfigError, RunError, StorageError, listing
-from warpvox.files import MARK, claimed, complaint, sweep, write_text
-from warpvox.reading import Unreadable, read_text
+from warpvox.io.reading import Unreadable, read_text
+from warpvox.io.writing import MARK, claimed, complaint, sweep, write_text
 
 __all__ = [
     "Run",

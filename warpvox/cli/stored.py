@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from warpvox.reading import Unreadable
+from warpvox.io.reading import Unreadable
 
 __all__ = ["LARGEST_CONFIG", "parse_yaml"]
 

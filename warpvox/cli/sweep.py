@@ -22,7 +22,7 @@ from warpvox.cli.runs import STAMP, SUMMARY, label
 from warpvox.cli.say import cell, say
 from warpvox.cli.words import parse
 from warpvox.errors import RunError, WarpvoxError
-from warpvox.files import write_text
+from warpvox.io.writing import write_text
 
 __all__ = ["Member", "each", "members"]
 

@@ -9,8 +9,8 @@ from rich.style import Style
 from rich.text import Text
 
 from warpvox.cli.say import say
-from warpvox.palette import CELL_NAMES, RAMPS
 from warpvox.types import Cell
+from warpvox.view.palette import CELL_NAMES, RAMPS
 from warpvox.world import World
 
 __all__ = ["print_world"]

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.cli.say import plain
 from warpvox.errors import DisplayError
-from warpvox.window import Window, why_no_window
+from warpvox.view.window import Window, why_no_window
 
 if TYPE_CHECKING:
-    from warpvox.rollout import Rollout
+    from warpvox.view.rollout import Rollout
 
 __all__ = ["wants_window", "watch"]
 
@@ -45,8 +45,8 @@ def watch(
     Raises:
         DisplayError: the display does not answer.
     """
-    from warpvox.render import Film
-    from warpvox.rollout import FRAME_SECONDS
+    from warpvox.view.render import Film
+    from warpvox.view.rollout import FRAME_SECONDS
 
     film = Film(rollout, envs, size)
     window = make_window(size, f"{plain(rollout.title)} - warpvox")

@@ -17,8 +17,8 @@ import numpy as np
 
 from warpvox.design import Design, as_grid, check_design, count_pieces, full_connections
 from warpvox.errors import DesignError, WarpvoxError, WorldError, did_you_mean, listing
-from warpvox.files import write_text
-from warpvox.reading import Unreadable, parse_json, read_text
+from warpvox.io.reading import Unreadable, parse_json, read_text
+from warpvox.io.writing import write_text
 from warpvox.types import Cell
 from warpvox.world import World, WorldObject
 

@@ -9,9 +9,9 @@ from typing import Any
 from warpvox.editor.documents import BODY_SIDE, WORLD_SIZE, document_of
 from warpvox.editor.trials import LONGEST
 from warpvox.examples import EXAMPLES
-from warpvox.palette import CELL_NAMES, RAMPS
-from warpvox.player import asset, fill_template
-from warpvox.rollout import AGENTS
+from warpvox.view.palette import CELL_NAMES, RAMPS
+from warpvox.view.player import asset, fill_template
+from warpvox.view.rollout import AGENTS
 
 __all__ = ["editor_page"]
 

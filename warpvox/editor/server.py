@@ -25,7 +25,7 @@ from warpvox.editor.limits import LimitedHandler, LimitedServer
 from warpvox.editor.page import editor_page
 from warpvox.editor.trials import try_out
 from warpvox.errors import ConfigError, DeviceError, WarpvoxError
-from warpvox.reading import parse_json
+from warpvox.io.reading import parse_json
 
 __all__ = ["EditorServer"]
 
@@ -123,7 +123,7 @@ class EditorServer(LimitedServer):
 
     def rollout(self, ask: dict[str, Any]) -> dict[str, Any]:
         """Try the document out; where to look at it, and what it returned. One at a time."""
-        from warpvox.player import page_of
+        from warpvox.view.player import page_of
 
         if not self._busy.acquire(blocking=False):
             raise ConfigError("Another rollout is being simulated: wait for its end.")

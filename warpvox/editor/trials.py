@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.editor.documents import design_of, world_of
 from warpvox.errors import ConfigError, TaskError, WorldError, did_you_mean, listing
-from warpvox.rollout import AGENTS, FRAME_SECONDS, Rollout, record
+from warpvox.view.rollout import AGENTS, FRAME_SECONDS, Rollout, record
 
 if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
@@ -38,7 +38,7 @@ def try_out(
 
     Args:
         document: see :mod:`warpvox.editor.documents`.
-        agent: one of :data:`warpvox.rollout.AGENTS`.
+        agent: one of :data:`warpvox.view.rollout.AGENTS`.
         seconds: of simulated time.
         seed: of the agent.
         task: one of ``tasks``, for a body.
@@ -74,7 +74,7 @@ def _task(document: Mapping[str, Any], task: object, tasks: Mapping[str, TaskSpe
 
 
 def _world(document: Mapping[str, Any], seed: int) -> OpenWorld:
-    from warpvox.sim import Simulation
+    from warpvox.simulation import Simulation
 
     world = world_of(document)
     moving = sum(int((obj.grid != 0).sum()) for obj in world.objects.values() if not obj.is_static)

@@ -12,7 +12,7 @@ import numpy as np
 from warpvox.errors import listing
 from warpvox.evogym.errors import ArgumentError
 from warpvox.kernels.state import DIVERGED, UNSTABLE
-from warpvox.sim import Simulation
+from warpvox.simulation import Simulation
 from warpvox.types import Cell
 from warpvox.world import World
 

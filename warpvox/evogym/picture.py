@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image, ImageDraw
 
-from warpvox.painter import GRID, INK, SKY
-from warpvox.palette import colour_index, palette
 from warpvox.types import VOXEL, Cell
+from warpvox.view.painter import GRID, INK, SKY
+from warpvox.view.palette import colour_index, palette
 
 if TYPE_CHECKING:
     from warpvox.evogym.engine import Engine

@@ -13,12 +13,12 @@ import numpy as np
 from warpvox.errors import DisplayError, SimulationError, WorldError
 from warpvox.evogym.errors import ArgumentError
 from warpvox.evogym.picture import paint
-from warpvox.reading import Missing, Unreadable, read_text
+from warpvox.io.reading import Missing, Unreadable, read_text
 from warpvox.world import LARGEST_FILE, World, WorldObject
 
 if TYPE_CHECKING:
     from warpvox.evogym.engine import Engine
-    from warpvox.window import Window
+    from warpvox.view.window import Window
 
 __all__ = ["Camera", "Sim", "Viewer"]
 
@@ -294,7 +294,7 @@ class Viewer:
 
     def _open(self, size: tuple[int, int]) -> Window:
         if self._window is None:
-            from warpvox.window import Window
+            from warpvox.view.window import Window
 
             self._window = Window(size, "warpvox")
         return self._window
@@ -305,7 +305,7 @@ class Viewer:
         Raises:
             DisplayError: windows cannot be shown here.
         """
-        from warpvox.window import OTHERWISE, why_no_window
+        from warpvox.view.window import OTHERWISE, why_no_window
 
         reason = why_no_window()
         if reason is not None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from warpvox.algos.search import ALGORITHMS, make_search, settings_from
 from warpvox.algos.search.bodies import neighbours
 from warpvox.algos.search.synthetic import SyntheticFitness, best_of
-from warpvox.cli.benchmarks.search import chance
+from warpvox.bench.search import chance
 from warpvox.cli.config import load
 from warpvox.design import check_design, sample_design
 

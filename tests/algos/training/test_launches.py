@@ -14,7 +14,7 @@ from warpvox.algos.env_factory import Arena
 from warpvox.algos.population.training import PopulationTraining
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import Runner, Schedule, adapt
-from warpvox.cli.benchmarks.launches import Launches
+from warpvox.bench.launches import Launches
 from warpvox.cli.config import load
 from warpvox.configs.presets import training_preset
 from warpvox.design import example_design
@@ -23,7 +23,7 @@ from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ActionError
 
 STEPS = 5
-LOOKS = {("warpvox.sim", "take"), ("warpvox.algos.training.ppo", "_beyond_the_limit")}
+LOOKS = {("warpvox.simulation", "take"), ("warpvox.algos.training.ppo", "_beyond_the_limit")}
 """Functions that look at tensors on the CPU and at no others (see the last tests)."""
 
 
@@ -134,7 +134,7 @@ def test_what_waits_or_launches_is_counted() -> None:
     assert found.kernels == 2  # the actions and the step
     with pytest.raises(ActionError), Launches() as found:
         env.step(torch.full((8, env.num_actions), torch.nan))
-    assert found.by("warpvox")["warpvox.sim", "take"] > 0
+    assert found.by("warpvox")["warpvox.simulation", "take"] > 0
 
 
 def test_time_limits_are_looked_at_on_the_cpu_alone() -> None:

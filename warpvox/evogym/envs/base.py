@@ -24,7 +24,7 @@ from warpvox.evogym.utils import __all__ as _of_utils
 from warpvox.evogym.viewer import EvoViewer
 from warpvox.evogym.world import EvoWorld, WorldObject
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
-from warpvox.window import why_no_window
+from warpvox.view.window import why_no_window
 
 # As in the release, `from evogym.envs import *` also gives what the modules import.
 __all__ = [  # noqa: PLE0604, RUF100

@@ -1,0 +1,80 @@
+"""Which device is taken, and what is said when its memory runs out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+import warp as wp
+
+from warpvox.algos.env_factory import Arena
+from warpvox.cli.build import resolve
+from warpvox.cli.config import load
+from warpvox.design import example_design
+from warpvox.devices.names import ENOUGH, resolve_device
+from warpvox.envs import needs
+from warpvox.envs.vec_env import make_vec
+from warpvox.errors import DeviceError, MemoryLimitError
+from warpvox.kernels import state
+from warpvox.simulation import Simulation
+
+
+@pytest.fixture
+def gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine that says it has a GPU."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    monkeypatch.setattr(wp, "is_cuda_available", lambda: True)
+
+
+@pytest.mark.usefixtures("gpu")
+def test_auto_takes_a_gpu_where_there_are_environments_enough() -> None:
+    assert [resolve_device("auto", count) for count in (1, ENOUGH - 1, ENOUGH)] == ["cpu", "cpu", "cuda:0"]
+    assert resolve_device("auto") == "cuda:0"
+    assert resolve_device("cuda", 1) == "cuda:0"
+
+
+def test_auto_is_the_cpu_where_there_is_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert resolve_device("auto", 10 * ENOUGH) == "cpu"
+
+
+@pytest.mark.usefixtures("gpu")
+def test_environments_and_commands_choose_by_their_number() -> None:
+    assert make_vec("Walker-v0", num_envs=2, threads=1, lanes=8).device == "cpu"
+    assert Arena("Walker-v0", device="auto").make([example_design("mini")], 2, [0], True).device == "cpu"
+    for count, device in ((ENOUGH - 8, "cpu"), (ENOUGH, "cuda:0")):
+        assert resolve(load("train", [f"num_envs={count}"])).device == device
+
+
+def exhausted(*args: Any, **options: Any) -> None:
+    raise torch.cuda.OutOfMemoryError(
+        "CUDA out of memory. Tried to allocate 2.00 GiB. GPU 0 has a total capacity of 4 GiB"
+    )
+
+
+def test_arrays_that_do_not_fit_say_what_to_lower(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(state, "zeros", exhausted)
+    with pytest.raises(DeviceError, match=r"CUDA out of memory.*Take num_envs=3 instead of 6, or free memory"):
+        make_vec("Walker-v0", num_envs=6, device="cpu")
+
+
+def test_a_step_that_does_not_fit_says_what_to_lower(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = make_vec("Walker-v0", num_envs=2, device="cpu", threads=1, lanes=8)
+    env.reset()
+    monkeypatch.setattr(Simulation, "com", exhausted)
+    with pytest.raises(DeviceError, match="Take num_envs=1 instead of 2"):
+        env.step(torch.ones((2, env.num_actions)))
+
+
+def test_what_does_not_fit_on_a_gpu_is_refused_before_it_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is free is what the driver says and what torch has cached; the arrays are measured on a few environments."""
+    monkeypatch.setattr(needs, "resolve_device", lambda device, num_envs=None: "cuda:0")
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2**30, 2**32))
+    monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: 3 * 2**20)
+    monkeypatch.setattr(torch.cuda, "memory_allocated", lambda device: 2**20)
+    with pytest.raises(
+        MemoryLimitError, match=r"100,000 environments need about .* GiB are free on cuda:0; .*num_envs="
+    ):
+        make_vec("Walker-v0", num_envs=100_000, device="cpu")

@@ -1,0 +1,74 @@
+"""Warp starts without its banner, and says in time that it compiles."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROBE = """
+import sys
+import warp as wp
+from warpvox.devices.startup import start_warp
+
+@wp.kernel
+def first(x: wp.array(dtype=float)):
+    x[wp.tid()] = 1.0
+
+@wp.kernel
+def second(x: wp.array(dtype=float)):
+    x[wp.tid()] = 2.0
+
+@wp.kernel
+def third(x: wp.array(dtype=float)):
+    x[wp.tid()] = 3.0
+
+exec(sys.argv[1])
+start_warp()
+array = wp.zeros(1, dtype=float, device="cpu")
+ours = {"__name__": "warpvox.probe", "wp": wp}
+exec("def launch(kernel, array): wp.launch(kernel, 1, inputs=[array], device='cpu')", ours)
+wp.launch(first, 1, inputs=[array], device="cpu")
+print("somebody else's", file=sys.stderr)
+"""
+OURS = """
+ours["launch"](second, array)
+print("ours", file=sys.stderr)
+ours["launch"](third, array)
+"""
+
+
+def probe(folder: Path, before: str = "", code: str = PROBE + OURS) -> subprocess.CompletedProcess:
+    # every kernel a module of its own, as those of the package are
+    (folder / "probe.py").write_text(code.replace("@wp.kernel", "@wp.kernel(module='unique')"))
+    environment = {**os.environ, "WARP_CACHE_PATH": str(folder / "cache")}
+    words = [sys.executable, str(folder / "probe.py"), before]
+    done = subprocess.run(words, capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def test_compilation_is_announced_once_and_only_where_there_is_any(tmp_path: Path) -> None:
+    cold = probe(tmp_path)
+    lines = cold.stderr.splitlines()
+    assert lines[0] == "somebody else's"
+    assert lines[1].startswith("Compiling kernels for the CPU (once per version and machine;")
+    assert lines[2:] == ["ours"]
+    assert cold.stdout == ""  # neither the banner nor a line for every module
+    assert "Compiling" not in probe(tmp_path).stderr  # they are in the cache
+
+
+@pytest.mark.parametrize("before", ["wp.config.log_level = wp.LOG_DEBUG", "wp.init()"])
+def test_who_asked_for_messages_of_warp_gets_them(tmp_path: Path, before: str) -> None:
+    done = probe(tmp_path, before, PROBE.split("array = ")[0] + "\nprint(wp.config.log_level)")
+    assert "Kernel cache:" in done.stdout
+    assert int(done.stdout.splitlines()[-1]) <= 20
+
+
+def test_a_simulation_starts_without_a_banner(tmp_path: Path) -> None:
+    code = "from warpvox.devices.names import resolve_device; print(resolve_device('cpu'))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
+    assert (done.stdout, done.stderr) == ("cpu\n", "")

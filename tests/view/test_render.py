@@ -1,0 +1,188 @@
+"""Pictures: right size, the robot in view in its colours, files whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from warpvox.errors import RolloutError
+from warpvox.types import Cell
+from warpvox.view import render
+from warpvox.view.painter import camera_path
+from warpvox.view.palette import LEVELS, RAMPS, colour_index, palette
+from warpvox.view.rollout import Rollout
+
+
+def count_near(picture: np.ndarray, colours: np.ndarray, within: int = 8) -> int:
+    """Pixels that have nearly one of the colours."""
+    distance = np.abs(picture.reshape(-1, 1, 3).astype(int) - colours.reshape(1, -1, 3)).max(axis=-1)
+    return int((distance.min(axis=1) < within).sum())
+
+
+def actuator_colours() -> np.ndarray:
+    return np.concatenate([palette()[LEVELS * (cell - 1) : LEVELS * cell] for cell in (Cell.H_ACT, Cell.V_ACT)]).astype(
+        int
+    )
+
+
+@given(width=st.integers(64, 400), height=st.integers(64, 300), frame=st.integers(-12, 11))
+def test_any_size_and_frame(rollouts, width: int, height: int, frame: int) -> None:
+    picture = render.draw_frame(rollouts(12, 1, ends=(9,)), frame, size=(width, height), hud=False)
+    assert picture.shape == (height, width, 3)
+    assert picture.dtype == np.uint8
+    assert count_near(picture, actuator_colours()) > 0.001 * width * height
+
+
+def test_robot_stays_in_view(rollouts: Callable[..., Rollout]) -> None:
+    rollout = rollouts(60, 1)
+    rollout.positions[30:] += np.float32([1.5, 0.9])  # a leap that no smoothing follows
+    view = (16.0, 9.0)
+    corner = camera_path(rollout.scene(0), rollout.positions[:, 0], view)
+    points = rollout.positions[:, 0, rollout.scene(0).robot_points] * 10
+    assert (points.min(axis=1) >= corner).all()
+    assert (points.max(axis=1) <= corner + view).all()
+
+
+def test_camera_moves_smoothly(rollouts: Callable[..., Rollout]) -> None:
+    rollout = rollouts(200, 1, noise=0.03)
+    path = camera_path(rollout.scene(0), rollout.positions[:, 0], (16.0, 9.0))
+    assert np.abs(np.diff(path, 2, axis=0)).max() < 0.05
+
+
+def test_colours_mean_what_they_mean() -> None:
+    table = palette()
+    cells = np.array([int(cell) for cell in RAMPS])
+    for stretch, stop in ((0.6, 0), (1.0, 1), (1.6, 2), (0.1, 0), (9.0, 2)):
+        shown = table[colour_index(cells, np.full(len(cells), stretch))]
+        for cell, colour in zip(cells, shown, strict=True):
+            expected = RAMPS[Cell(cell)][stop if cell in (Cell.H_ACT, Cell.V_ACT) else 1]
+            assert tuple(colour) == expected
+
+
+def test_pictures_are_the_same_every_time(rollouts: Callable[..., Rollout]) -> None:
+    rollout = rollouts(10, 2)
+    film = render.Film(rollout, 1)
+    for frame in (7, 3, 7):
+        np.testing.assert_array_equal(render.draw_frame(rollout, frame, 1), film.array(frame))
+
+
+def test_nothing_moving_in_view_is_no_error(rollouts: Callable[..., Rollout]) -> None:
+    rollout = rollouts(5, 1)
+    first, second = rollout.scene(0).moving
+    rollout.positions[:, 0, second.first_point :] += 300
+    assert count_near(render.draw_frame(rollout, 2), actuator_colours()) > 500
+    rollout.positions[:, 0, : first.num_points] -= 500
+    render.draw_frame(rollout, 2, size=(320, 180))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 16])
+def test_tiles_show_every_environment(rollouts: Callable[..., Rollout], count: int) -> None:
+    film = render.Film(rollouts(4, 16, designs=3), range(count), size=(800, 450))
+    picture = film.array(2)
+    assert picture.shape == (450, 800, 3)
+    columns, (wide, high) = film._columns, film._tile
+    band = film._band
+    for number in range(count):
+        row, column = divmod(number, columns)
+        x, y = column * (wide + render.MARGIN), band + row * (high + render.MARGIN)
+        assert count_near(picture[y : y + high, x : x + wide], actuator_colours()) > 20
+
+
+def test_gif(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
+    calls = []
+    path = render.write_gif(
+        rollouts(41, 2, ends=(20, 30)),
+        tmp_path / "film.gif",
+        envs=[0, 1],
+        size=(320, 180),
+        on_frame=lambda done, total: calls.append((done, total)),
+    )
+    with Image.open(path) as film:
+        assert film.size == (320, 180)
+        assert film.info["loop"] == 0
+        pictures = []
+        for number in range(film.n_frames):
+            film.seek(number)
+            assert film.info["duration"] == 40
+            pictures.append(np.asarray(film.convert("RGB")))
+    assert len(pictures) == 16  # 31 frames at 50 a second, shown at 25
+    assert calls == [(k + 1, 16) for k in range(16)]
+    assert all(count_near(picture, actuator_colours(), 14) > 300 for picture in pictures)
+    assert any((a != b).any() for a, b in pairwise(pictures))
+
+
+def test_gif_keeps_the_colours(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
+    rollout = rollouts(6, 1)
+    path = render.write_gif(rollout, tmp_path / "film.gif")
+    with Image.open(path) as film:
+        shown = np.asarray(film.convert("RGB")).astype(int)
+    exact = render.draw_frame(rollout, 0).astype(int)
+    assert np.abs(shown - exact).mean() < 1.5
+    assert (np.abs(shown - exact).max(axis=-1) == 0).mean() > 0.5
+
+
+def test_png_and_filmstrip(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
+    rollout = rollouts(30, 2, ends=(20,))
+    with Image.open(render.write_png(rollout, tmp_path / "one.png", frame=5, size=(200, 120))) as picture:
+        assert picture.size == (200, 120)
+    strip = render.filmstrip(rollout, 5, size=(1000, 160))
+    assert strip.shape == (160, 1000, 3)
+    each = (1000 - 4 * render.MARGIN) // 5
+    for number in range(5):
+        x = number * (each + render.MARGIN)
+        assert count_near(strip[:, x : x + each], actuator_colours()) > 200
+    path = render.write_filmstrip(rollout, tmp_path / "strip.png", frames=[0, -1], size=(600, 160))
+    with Image.open(path) as picture:
+        assert picture.size == (600, 160)
+
+
+def test_mp4(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    from imageio_ffmpeg import count_frames_and_secs
+
+    path = render.write_mp4(rollouts(21, 1), tmp_path / "film.mp4", size=(320, 180))
+    frames, seconds = count_frames_and_secs(str(path))
+    assert frames == 21
+    assert seconds == pytest.approx(0.42, abs=0.05)
+    with pytest.raises(RolloutError, match="even"):
+        render.write_mp4(rollouts(5, 1), tmp_path / "odd.mp4", size=(321, 180))
+
+
+def test_nothing_half_written_stays(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
+    def stop(done: int, total: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render.write_gif(rollouts(20, 1), tmp_path / "film.gif", size=(160, 90), on_frame=stop)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda r, p: render.draw_frame(r, 5), "No frame 5: the rollout has 5"),
+        (lambda r, p: render.draw_frame(r, True), "No frame True"),
+        (lambda r, p: render.draw_frame(r, 0, 2), "No environment 2: the rollout has 2"),
+        (lambda r, p: render.draw_frame(r, 0, []), "No environment was chosen"),
+        (lambda r, p: render.draw_frame(r, 0, size=(5, 5)), "16 to 8192"),
+        (lambda r, p: render.draw_frame(r, 0, size=(640, 360, 3)), "width, height"),
+        (lambda r, p: render.draw_frame(r, 0, voxels=0), "voxels"),
+        (lambda r, p: render.write_gif(r, p, fps=0), "fps"),
+        (lambda r, p: render.write_gif(r, p, start=4, stop=4), "no frames from 4 to 4"),
+        (lambda r, p: render.filmstrip(r, 0), "1 to 64 frames"),
+        (lambda r, p: render.filmstrip(r, []), "1 to 64 frames"),
+        (lambda r, p: render.filmstrip(r, [99]), "No frame 99"),
+    ],
+)
+def test_wrong_requests_get_one_clear_line(rollouts, tmp_path: Path, call, words: str) -> None:
+    with pytest.raises(RolloutError, match=words):
+        call(rollouts(5, 2), tmp_path / "film.gif")
+    assert not list(tmp_path.iterdir())

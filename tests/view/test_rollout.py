@@ -1,0 +1,296 @@
+"""Rollouts: what is recorded, what a file holds, and files that are none."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warpvox.envs.vec_env import make_vec
+from warpvox.errors import ActionError, ConfigError, RolloutError
+from warpvox.types import Physics
+from warpvox.view.rollout import AGENTS, Rollout, record
+
+ARRAYS = "positions design_index actions rewards terminated truncated".split()
+
+
+def assert_equal(one: Rollout, other: Rollout) -> None:
+    for name in ARRAYS:
+        a, b = getattr(one, name), getattr(other, name)
+        assert a.dtype == b.dtype, name
+        np.testing.assert_array_equal(a, b, err_msg=name)
+    assert one.metadata == other.metadata
+    assert len(one.scenes) == len(other.scenes)
+    for a, b in zip(one.scenes, other.scenes, strict=True):
+        assert (a.width, a.height) == (b.width, b.height)
+        for x, y in zip(a.objects, b.objects, strict=True):
+            assert (x.name, x.x, x.y, x.first_point, x.num_points) == (
+                y.name, y.x, y.y, y.first_point, y.num_points,
+            )  # fmt: skip
+            np.testing.assert_array_equal(x.grid, y.grid)
+            np.testing.assert_array_equal(x.corners, y.corners)
+
+
+# ------------------------------------------------------------------------------------------------------ files
+
+
+@given(frames=st.integers(1, 9), envs=st.integers(1, 5), designs=st.integers(1, 3), seed=st.integers(0, 99))
+def test_what_is_saved_is_loaded(rollouts, tmp_path_factory, frames, envs, designs, seed) -> None:
+    rollout = rollouts(frames, envs, designs, seed)
+    path = tmp_path_factory.mktemp("saved") / "deep" / "rollout.npz"
+    assert rollout.save(path) == path
+    assert_equal(rollout, Rollout.load(path))
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+
+def test_equal_rollouts_give_equal_files(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        rollouts(5, 2).save(tmp_path / name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_numpy_alone_can_read_it(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
+    rollout = rollouts(5, 2)
+    rollout.save(tmp_path / "rollout.npz")
+    with np.load(tmp_path / "rollout.npz", allow_pickle=False) as file:
+        header = json.loads(file["header"].tobytes())
+        assert set(file.files) == {"header", *ARRAYS}
+    assert header["format"] == "warpvox-rollout"
+    assert header["version"] == 1
+    assert header["units"] == {"voxel": 0.1, "dt": 0.02}
+    assert header["metadata"]["task"] == "Walker-v0"
+    assert [obj["name"] for obj in header["scenes"][0]["objects"]] == ["robot", "box_1", "ground"]
+
+
+@given(cut=st.floats(0, 1, exclude_max=True))
+def test_a_truncated_file_is_refused(rollouts, tmp_path_factory, cut: float) -> None:
+    path = tmp_path_factory.mktemp("cut") / "rollout.npz"
+    rollouts(4, 1).save(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(cut * len(data))])
+    with pytest.raises(RolloutError, match=r"rollout\.npz"):
+        Rollout.load(path)
+
+
+@given(where=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
+def test_a_damaged_file_is_refused_or_means_the_same(rollouts, tmp_path_factory, where, bit) -> None:
+    path = tmp_path_factory.mktemp("bits") / "rollout.npz"
+    rollout = rollouts(4, 1)
+    rollout.save(path)
+    data = bytearray(path.read_bytes())
+    data[int(where * len(data))] ^= 1 << bit
+    path.write_bytes(data)
+    try:
+        loaded = Rollout.load(path)
+    except RolloutError:
+        return
+    assert_equal(rollout, loaded)  # the bit was one that nobody reads, such as a date in the archive
+
+
+def foreign_npz(path: Path) -> None:
+    np.savez(path, positions=np.zeros(3))
+
+
+def foreign_header(path: Path) -> None:
+    np.savez(path, header=np.frombuffer(b'{"format": "something else"}', np.uint8))
+
+
+def text_header(path: Path) -> None:
+    np.savez(path, header=np.frombuffer(b"[1, 2", np.uint8))
+
+
+def bare_zip(path: Path) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("header.npy", b"no array")
+
+
+def plain_text(path: Path) -> None:
+    path.write_text("positions, rewards\n")
+
+
+@pytest.mark.parametrize("write", [foreign_npz, foreign_header, text_header, bare_zip, plain_text])
+def test_a_foreign_file_is_refused(tmp_path: Path, write: Callable[[Path], None]) -> None:
+    path = tmp_path / "file.npz"
+    write(path)
+    with pytest.raises(RolloutError, match=r"file\.npz is .*(no rollout|damaged)"):
+        Rollout.load(path)
+
+
+def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(RolloutError, match="no such file"):
+        Rollout.load(tmp_path / "nothing.npz")
+    with pytest.raises(RolloutError, match="no such file"):
+        Rollout.load(tmp_path)
+
+
+def rewrite(path: Path, change: Callable[[dict, dict], None]) -> None:
+    """Change the header and arrays of a file."""
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files}
+    header = json.loads(arrays.pop("header").tobytes())
+    change(header, arrays)
+    np.savez(path, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda h, a: h.update(version=2), "version 2.*Update warpvox"),
+        (lambda h, a: h.update(version="new"), "version 'new'"),
+        (lambda h, a: h.pop("scenes"), "does not describe scenes"),
+        (lambda h, a: h["scenes"][0]["objects"][0].pop("grid"), "does not describe scenes"),
+        (lambda h, a: h["scenes"][0]["objects"][0].update(grid=[[9]]), "unknown cell type"),
+        (lambda h, a: h["scenes"][0]["objects"][0].update(grid=[[1], [1, 2]]), "does not describe scenes"),
+        (lambda h, a: h["scenes"][0]["objects"][0].update(num_points=900), "but there are"),
+        (lambda h, a: h["scenes"][0]["objects"][0].update(x=500), "sticks out"),
+        (lambda h, a: h["scenes"][0]["objects"][1].update(first_point=0, num_points=3), "not its points"),
+        (lambda h, a: h["scenes"][0].update(objects=[]), "nothing that moves"),
+        (lambda h, a: a.update(rewards=a["rewards"][:-1]), r"rewards must have the shape \[3, 1\]"),
+        (lambda h, a: a.update(rewards=a["rewards"] * np.nan), "rewards must be finite"),
+        (lambda h, a: a.update(design_index=a["design_index"] + 1), "design_index must lie in 0 to 0"),
+        (lambda h, a: a.update(positions=a["positions"].astype(float)), "float64, expected float32"),
+        (lambda h, a: a.pop("actions"), "actions"),
+    ],
+)
+def test_contradictions_are_named(rollouts, tmp_path: Path, change, words: str) -> None:
+    path = tmp_path / "rollout.npz"
+    rollouts(4, 1).save(path)
+    rewrite(path, change)
+    with pytest.raises(RolloutError, match=words):
+        Rollout.load(path)
+
+
+def test_nothing_half_written_stays(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
+    rollout = rollouts(3, 1)
+    rollout.metadata["odd"] = object()
+    with pytest.raises(RolloutError, match="JSON"):
+        rollout.save(tmp_path / "rollout.npz")
+    assert not list(tmp_path.iterdir())
+
+
+# ----------------------------------------------------------------------------------------------------- values
+
+
+def test_lengths_and_returns(rollouts: Callable[..., Rollout]) -> None:
+    rollout = rollouts(20, 3, ends=(5, 19))
+    assert rollout.lengths.tolist() == [5, 19, 19]
+    assert rollout.returns.shape == (20, 3)
+    np.testing.assert_array_equal(rollout.returns[0], 0)
+    np.testing.assert_allclose(rollout.returns[-1], rollout.rewards.sum(axis=0))
+    assert rollouts(1, 2).lengths.tolist() == [0, 0]
+
+
+def test_stretch_follows_the_axis_of_actuation(rollouts: Callable[..., Rollout]) -> None:
+    rollout = rollouts(2, 1)
+    scene = rollout.scene(0)
+    np.testing.assert_allclose(rollout.stretch(0, 0), 1, atol=1e-5)
+    rollout.positions[1, 0] = rollout.positions[0, 0] * (1.5, 0.8)
+    wide = rollout.stretch(slice(None), 0)[1]
+    expected = np.select([scene.cells == 3, scene.cells == 4], [1.5, 0.8], 1.15)
+    np.testing.assert_allclose(wide, expected, atol=1e-5)
+
+
+# -------------------------------------------------------------------------------------------------- recording
+
+SMALL = [np.array([[3, 4], [1, 2]]), np.array([[4, 3, 4], [2, 0, 2]])]
+
+
+@pytest.mark.parametrize("auto_reset", [True, False])
+def test_record_holds_what_the_simulation_did(auto_reset: bool) -> None:
+    env = make_vec("Carrier-v0", SMALL, num_envs=4, device="cpu", lanes=1, auto_reset=auto_reset, max_episode_steps=6)
+    seen = []
+
+    def policy(obs: torch.Tensor) -> torch.Tensor:
+        seen.append({name: env.sim.object_positions(name).clone() for name in ("robot", "package")})
+        return torch.full((4, env.num_actions), 9.0)
+
+    rollout = record(env, policy, metadata={"note": "kept"})
+    assert rollout.num_steps == 6
+    assert rollout.truncated[-1].all()
+    assert rollout.design_index.tolist() == [0, 0, 1, 1]
+    assert rollout.actions.max() == np.float32(1.6)  # as applied
+    assert rollout.metadata["task"] == "Carrier-v0"
+    assert rollout.metadata["note"] == "kept"
+    assert env.auto_reset is auto_reset
+    for env_number in range(4):
+        scene = rollout.scene(env_number)
+        assert [obj.name for obj in scene.moving] == ["robot", "package"]
+        np.testing.assert_array_equal(scene.moving[0].grid, SMALL[env_number // 2])
+        assert scene.terrain.any()
+        for obj in scene.moving:
+            mine = slice(obj.first_point, obj.first_point + obj.num_points)
+            for frame, points in enumerate(seen):
+                expected = points[obj.name][env_number, : obj.num_points].numpy()
+                np.testing.assert_array_equal(rollout.positions[frame, env_number, mine], expected)
+        assert not rollout.positions[:, env_number, scene.num_points :].any()
+    np.testing.assert_allclose(rollout.stretch(0, 0), 1, atol=1e-5)  # corners and points belong together
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_agents_repeat_and_stay_in_bounds(agent: str) -> None:
+    runs = []
+    for _ in range(2):
+        env = make_vec("Walker-v0", SMALL, num_envs=2, device="cpu", lanes=1, seed=3)
+        runs.append(record(env, agent, num_steps=4))
+    assert_equal(*runs)
+    assert runs[0].num_steps == 4
+    assert runs[0].metadata["agent"] == agent
+    assert runs[0].actions.min() >= np.float32(0.6)
+    assert runs[0].actions.max() <= np.float32(1.6)
+
+
+def test_a_rollout_names_the_constants_that_were_changed() -> None:
+    physics = Physics.preset("paper", gravity=80.0)
+    env = make_vec("Walker-v0", ["mini"], device="cpu", physics=physics, threads=1)
+    assert record(env, "zero", num_steps=1).metadata["physics"] == "paper, gravity=80.0"
+
+
+def test_record_refuses_what_makes_no_sense() -> None:
+    env = make_vec("Walker-v0", SMALL, num_envs=2, device="cpu", lanes=1)
+    with pytest.raises(ConfigError, match="Did you mean 'random'"):
+        record(env, "randum")
+    with pytest.raises(ConfigError, match="num_steps"):
+        record(env, "zero", num_steps=0)
+    with pytest.raises(ActionError):
+        record(env, lambda obs: torch.ones(1, 1))
+    assert env.auto_reset is True
+
+
+def test_terrain_that_an_episode_moves_is_recorded_where_it_was() -> None:
+    env = make_vec("Catcher-v0", SMALL[:1], num_envs=2, device="cpu", lanes=1, max_episode_steps=3)
+    rollout = record(env, lambda obs: torch.ones(2, env.num_actions))
+    home = next(obj for obj in env.spec.objects if obj.name == "peg1")
+    for number in range(2):
+        peg = next(obj for obj in rollout.scene(number).objects if obj.name == "peg1")
+        points = rollout.positions[-1, number, peg.first_point : peg.first_point + peg.num_points]
+        assert peg.num_points == 12
+        cells = (points.min(0) / 0.1).round() - [home.x, home.y]
+        assert ((cells >= [-6, 0]) & (cells <= [4, 5])).all()
+        np.testing.assert_allclose(points, rollout.positions[0, number, peg.first_point : peg.first_point + 12])
+
+
+@pytest.mark.parametrize("agent", ["random", "sine"])
+def test_blocks_with_seeds_of_their_own_act_as_if_they_were_alone(agent: str, tmp_path: Path) -> None:
+    designs, seeds = ["mini", "worm"], [np.int64(3), 2**70]
+
+    def made(designs: list[str], num_envs: int, seed: object) -> Rollout:
+        env = make_vec("Walker-v0", designs, num_envs, device="cpu", threads=1, seed=seed)
+        return record(env, agent, 4)
+
+    both = made(designs, 4, seeds)
+    for number, (design, seed) in enumerate(zip(designs, seeds, strict=True)):
+        alone = made([design], 2, seed)
+        count = alone.actions.shape[2]
+        np.testing.assert_array_equal(both.actions[:, 2 * number : 2 * number + 2, :count], alone.actions)
+        assert alone.metadata["seed"] == int(seed)
+    assert Rollout.load(both.save(tmp_path / "a.npz")).metadata["seed"] == [3, 2**70]
+    each = made(["mini"], 2, [np.int32(5), 6])  # a seed for each environment
+    assert not np.array_equal(each.actions[:, 0], each.actions[:, 1])
+    np.testing.assert_array_equal(each.actions[:, :1], made(["mini"], 1, 5).actions)

@@ -1,0 +1,1 @@
+"""Many worlds as arrays: their tables, packs and lanes, and the objects in them by name."""

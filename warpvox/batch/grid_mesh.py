@@ -1,0 +1,391 @@
+"""Meshes of robots that share a pack: one table of points and springs for all its lanes, with lane masks.
+
+A pack advances its lanes by the same instructions, so they need the same indices even where their bodies differ. All
+bodies of a pack lie on one grid of cells. Its tables hold every point, spring and voxel that some lane has; masks, an
+int with a bit for each lane, say which lanes.
+
+Cells around a grid node share one point where they are connected around it, else they have points of their own (two
+cells that touch at a corner only). Lanes differ in this, too. So the cells around a node are spread over as many points
+as some lane needs, and where a lane has fewer, its points there are *twins*: they have the same position and velocity,
+and each feels the forces on all of them, in the same order, so that they never part.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpvox.types import VOXEL, Cell, Physics
+
+__all__ = ["GridMesh", "RobotCells", "most_points", "pack_bits"]
+
+# The cells around a node, in the order in which a mesh is made: above left, above right, below left, below right.
+ABOVE_LEFT, ABOVE_RIGHT, BELOW_LEFT, BELOW_RIGHT = range(4)
+# For the corners of a cell (top left, top right, bottom right, bottom left): its place among the cells around that
+# node, and the node's row and column from the cell's.
+CORNER_PLACE = (BELOW_RIGHT, BELOW_LEFT, ABOVE_LEFT, ABOVE_RIGHT)
+CORNER_NODE = ((0, 0), (0, 1), (1, 1), (1, 0))
+# The order in which a cell makes its corners, as ranks of top left, top right, bottom right, bottom left.
+CREATION_RANK = (0, 1, 3, 2)
+DIAGONAL = (VOXEL * VOXEL + VOXEL * VOXEL) ** 0.5
+TWIN_PAIRS = ((1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2))
+NOBODY = -1
+
+
+@dataclass(frozen=True)
+class RobotCells:
+    """The bodies of one robot in all lanes of packs, on a common grid whose lower left corner is cell (x, y).
+
+    Attributes:
+        cells: int8 ``[packs, rows, columns, lanes]``, row 0 on top; smaller bodies lie at the lower left.
+        right, down: bool, same shape: whether a cell is connected with its right and with its lower neighbour.
+        height: int ``[packs, lanes]``: rows of each body.
+        x, y: cell of the lower left corner.
+    """
+
+    cells: np.ndarray
+    right: np.ndarray
+    down: np.ndarray
+    height: np.ndarray
+    x: int
+    y: int
+
+
+def most_points(rows: int, columns: int, cut: bool = False) -> int:
+    """The most points that a body on a grid may have: inner nodes may hold two; four where connections are ``cut``."""
+    if cut:
+        return 4 * rows * columns
+    return (rows + 1) * (columns + 1) + (rows - 1) * (columns - 1)
+
+
+def pack_bits(lanes: np.ndarray) -> np.ndarray:
+    """int32 ``[...]`` from bool ``[..., lanes]``: bit k speaks of lane k; -1 where all lanes are set."""
+    width = lanes.shape[-1]
+    padded = np.zeros((*lanes.shape[:-1], 32), bool)
+    padded[..., :width] = lanes
+    padded[..., width:] = lanes.all(-1, keepdims=True)
+    return np.packbits(padded, axis=-1, bitorder="little").view("<i4")[..., 0].astype(np.int32)
+
+
+@dataclass(frozen=True)
+class _Springs:
+    """Every spring that some body on a grid may have, in a fixed order; index arrays of one entry a spring.
+
+    A side between two cells stands twice: as ``first`` of the cell above (left of) it and as that of the cell below
+    (right of) it. They are one where the cells share their corners, and two where they do not.
+    """
+
+    cell: np.ndarray  # the cell whose corners it runs between; -1: outside the grid
+    other: np.ndarray  # the cell on the other side of a side, -1: none
+    second: np.ndarray  # bool: the side as the lower (right) cell has it
+    across: np.ndarray  # bool: a side that horizontal actuators drive (top or bottom)
+    side: np.ndarray  # bool: a side, not a diagonal
+    node: np.ndarray  # [springs, 2]
+    place: np.ndarray  # [springs, 2]: the place of ``cell`` around those nodes
+    rest: np.ndarray
+    twin: np.ndarray  # the other entry of the same side; itself for diagonals
+    at_node: np.ndarray  # [nodes, 12]: springs that may end at a node, -1: none
+    end_at_node: np.ndarray  # [nodes, 12]: 0 where it begins there, 1 where it ends there
+    of_cell: np.ndarray  # [cells, 6]: sides of a cell: top (as first, second), right, bottom, left (as first, second)
+
+
+@functools.lru_cache(maxsize=64)
+def _springs(rows: int, columns: int) -> _Springs:
+    def cell(r: int, c: int) -> int:
+        return r * columns + c if 0 <= r < rows and 0 <= c < columns else NOBODY
+
+    def node(r: int, c: int) -> int:
+        return r * (columns + 1) + c
+
+    made: list[tuple] = []
+    index: dict[tuple, int] = {}
+    for r in range(rows + 1):
+        for c in range(columns):
+            above, below, ends = cell(r - 1, c), cell(r, c), (node(r, c), node(r, c + 1))
+            index["across", r, c] = len(made)
+            made.append((above, below, False, True, True, ends, (ABOVE_RIGHT, ABOVE_LEFT), VOXEL))
+            made.append((below, above, True, True, True, ends, (BELOW_RIGHT, BELOW_LEFT), VOXEL))
+        if r == rows:
+            break
+        for c in range(columns + 1):
+            left, right, ends = cell(r, c - 1), cell(r, c), (node(r, c), node(r + 1, c))
+            index["upright", r, c] = len(made)
+            made.append((left, right, False, False, True, ends, (BELOW_LEFT, ABOVE_LEFT), VOXEL))
+            made.append((right, left, True, False, True, ends, (BELOW_RIGHT, ABOVE_RIGHT), VOXEL))
+        for c in range(columns):
+            here = cell(r, c)
+            index["diagonal", r, c] = len(made)
+            for (r0, c0), (r1, c1), places in (
+                ((0, 1), (1, 0), (BELOW_LEFT, ABOVE_RIGHT)),
+                ((0, 0), (1, 1), (BELOW_RIGHT, ABOVE_LEFT)),
+            ):
+                ends = node(r + r0, c + c0), node(r + r1, c + c1)
+                made.append((here, NOBODY, False, False, False, ends, places, DIAGONAL))
+    fields = [np.array(column) for column in zip(*made, strict=True)]
+    twin = np.arange(len(made))
+    for key, first in index.items():
+        if key[0] != "diagonal":
+            twin[first], twin[first + 1] = first + 1, first
+    at_node = np.full(((rows + 1) * (columns + 1), 12), NOBODY)
+    end_at = np.zeros_like(at_node)
+    for r in range(rows + 1):
+        for c in range(columns + 1):
+            # Up, left, right, down, then the diagonals of the four cells: the order of a point's forces.
+            sides = [("upright", r - 1, c, 1), ("across", r, c - 1, 1), ("across", r, c, 0), ("upright", r, c, 0)]
+            row = []
+            for kind, sr, sc, end in sides:
+                first = index.get((kind, sr, sc), NOBODY)
+                row += [(first, end), (first + 1 if first >= 0 else NOBODY, end)]
+            for which, sr, sc, end in ((1, r - 1, c - 1, 1), (0, r - 1, c, 1), (0, r, c - 1, 0), (1, r, c, 0)):
+                first = index.get(("diagonal", sr, sc), NOBODY)
+                row.append((first + which if first >= 0 else NOBODY, end))
+            at_node[node(r, c)], end_at[node(r, c)] = zip(*row, strict=True)
+    of_cell = np.array(
+        [
+            [
+                index["across", r, c], index["across", r, c] + 1, index["upright", r, c + 1],
+                index["across", r + 1, c], index["upright", r, c], index["upright", r, c] + 1,
+            ]
+            for r in range(rows)
+            for c in range(columns)
+        ]
+    )  # fmt: skip
+    return _Springs(*fields, twin, at_node, end_at, of_cell)
+
+
+class GridMesh:
+    """The mesh of one robot in all lanes of packs: what some lane may have, with bool arrays over lanes.
+
+    The rows of arrays number what the grid may have at most: ``node * 4 + slot`` for points, the springs of
+    :func:`_springs`, cells row by row. :mod:`warpvox.batch.packs` leaves out what no lane of a pack has.
+
+    Attributes (P packs, L lanes, S points, E springs, V cells):
+        point: bool ``[P, S, L]``, points there are; ``free``: that can move; ``leader``: int8 ``[P, S, L]``, the slot
+            that stands for a point's twins (its own where it is that).
+        position: float64 ``[P, nodes, 2, L]``.
+        spring, ends, rest, stiffness, drive: bool ``[P, E, L]``; ``[P, E, 2]``; ``[E]``; ``[P, E, L]``; int
+            ``[P, E, 2, L]``: the one or two actions that drive a spring, else -1.
+        link: bool ``[P, S, 12, L]``: springs ``springs.at_node`` that pull at a point; ``partial``: bool
+            ``[P, S, 12]``, those that in some lane pull at another point of the node.
+        rigid: bool ``[P, V, 6, L]``: sides ``springs.of_cell`` of rigid cells.
+        corner: int ``[P, V, 4]``: points of a cell: top left, top right, bottom right, bottom left.
+        side: bool ``[P, V, 4, L]``: surface sides: top, right, bottom, left.
+        order: int ``[P, L, S]``: points in the order in which an observation lists them, then -1; ``count``: how many.
+        actions: int ``[P, L]``.
+    """
+
+    def __init__(self, robot: RobotCells, physics: Physics) -> None:
+        packs, self.rows, self.columns, lanes = robot.cells.shape
+        self.robot, self.physics = robot, physics
+        self.springs = _springs(self.rows, self.columns)
+        self.cells = robot.cells.reshape(packs, -1, lanes)
+        self.filled = self.cells != Cell.EMPTY
+        self._share_points()
+        self._number_points()
+        self._place_springs()
+        self._link_springs()
+        self._mark_surface()
+
+    def _around(self, values: np.ndarray, empty: object) -> list[np.ndarray]:
+        """``[P, nodes, L]`` of the four cells around every node, from ``[P, rows, columns, L]``."""
+        padded = np.pad(values, ((0, 0), (1, 1), (1, 1), (0, 0)), constant_values=empty)
+        parts = padded[:, :-1, :-1], padded[:, :-1, 1:], padded[:, 1:, :-1], padded[:, 1:, 1:]
+        return [part.reshape(len(part), -1, part.shape[-1]) for part in parts]
+
+    def _share_points(self) -> None:
+        """``owner`` [4, P, nodes, L]: which of the cells around a node has made the point that a cell has there."""
+        robot = self.robot
+        there = self._around(robot.cells != Cell.EMPTY, False)
+        right, down = self._around(robot.right, False), self._around(robot.down, False)
+        top, bottom = right[ABOVE_LEFT], right[BELOW_LEFT]  # connections between the cells around a node
+        left, side = down[ABOVE_LEFT], down[ABOVE_RIGHT]
+        a = np.zeros(top.shape, np.int8)
+        b = np.where(top, a, ABOVE_RIGHT)
+        # The rule of paper section A.1 as released: of several connected cells the last one looked at counts.
+        c = np.where((left & top) | (bottom & side), b, np.where(left, a, BELOW_LEFT))
+        d = np.where((side & top) | (bottom & left), a, np.where(bottom, c, np.where(side, b, BELOW_RIGHT)))
+        self.owner = np.stack([np.where(t, made, NOBODY) for t, made in zip(there, (a, b, c, d), strict=True)])
+        self.slot = _spread(self.owner)
+
+    def _number_points(self) -> None:
+        owner, slot, robot = self.owner, self.slot, self.robot
+        packs, nodes, lanes = owner.shape[1:]
+        used = np.full((packs, nodes, 4, lanes), NOBODY, np.int8)  # whose point a slot holds
+        for place in range(4):
+            for s in range(4):
+                mine = (slot[place] == s)[..., None] & (owner[place] >= 0)
+                used[:, :, s] = np.where(mine, owner[place], used[:, :, s])
+        self.used = used
+        leader = np.broadcast_to(np.arange(4, dtype=np.int8)[:, None], used.shape).copy()
+        for s, t in reversed(TWIN_PAIRS):  # the lowest slot of a point is looked at last
+            same = (used[:, :, s] == used[:, :, t]) & (used[:, :, s] >= 0)
+            leader[:, :, s] = np.where(same, t, leader[:, :, s])
+        fixed_cell = self._around(robot.cells == Cell.FIXED, False)
+        fixed = np.zeros(used.shape, bool)
+        for place in range(4):
+            fixed |= (fixed_cell[place][:, :, None] & (owner[place][:, :, None] == used)) & (used >= 0)
+        shape = (packs, nodes * 4, lanes)
+        self.leader = leader.reshape(shape)
+        self.point = (used >= 0).reshape(shape)
+        self.fixed = fixed.reshape(shape)
+        row, column = np.divmod(np.arange(nodes), self.columns + 1)
+        x = robot.x * VOXEL + column * VOXEL
+        # Exactly these expressions: the last bit of a coordinate decides which touching voxels are in contact.
+        own_row = row[None, :, None] - (self.rows - robot.height[:, None, :])
+        y = (robot.y * VOXEL + robot.height[:, None, :] * VOXEL) - own_row * VOXEL
+        self.position = np.stack([np.broadcast_to(x[None, :, None], y.shape), y], axis=2)
+        self._order_points(used, row, column)
+
+    def _order_points(self, used: np.ndarray, row: np.ndarray, column: np.ndarray) -> None:
+        """Points by the cell that made them and its corner; a point counts once, as its leader."""
+        packs, nodes, _, lanes = used.shape
+        # The cell at a place around a node, and the rank of that corner among those it makes.
+        rank = np.array([CREATION_RANK[CORNER_PLACE.index(place)] for place in range(4)])
+        above = np.array([1, 1, 0, 0])
+        leftward = np.array([1, 0, 1, 0])
+        key = 4 * ((row[:, None] - above) * (self.columns + 1) + column[:, None] - leftward) + rank
+        key = key + 4 * (self.columns + 3)  # so that none is negative
+        chosen = (used >= 0) & (self.leader.reshape(used.shape) == np.arange(4)[:, None])
+        keys = np.where(chosen, np.take_along_axis(key[None, :, :, None], np.maximum(used, 0), axis=2), 1 << 30)
+        keys = keys.reshape(packs, nodes * 4, lanes).transpose(0, 2, 1)
+        self.count = (keys < 1 << 30).sum(-1)
+        most = int(self.count.max())
+        order = np.argsort(keys, axis=-1, kind="stable")[..., :most]
+        self.order = np.where(np.arange(most) < self.count[..., None], order, NOBODY)
+
+    def _of(self, values: np.ndarray, cells: np.ndarray, empty: object) -> np.ndarray:
+        """Values [P, V, L] of the cells of springs; ``empty`` where there is none."""
+        out = values[:, np.maximum(cells, 0)]
+        return np.where((cells >= 0)[None, :, None], out, empty)
+
+    def _place_springs(self) -> None:
+        springs = self.springs
+        has = self._of(self.filled, springs.cell, False)
+        met = self._of(self.filled, springs.other, False)
+        joined = np.where(springs.across[:, None], *(self._joined(axis) for axis in ("down", "right")))
+        slots = self.slot[springs.place, :, springs.node]  # [E, 2, P]
+        slots = slots.transpose(2, 0, 1)
+        self.ends = springs.node * 4 + np.maximum(slots, 0)
+        # Both entries of a side run between the same points in this pack.
+        same = ((slots == slots[:, springs.twin]) & (slots >= 0)).all(-1)[..., None]
+        second, side = springs.second[:, None], springs.side[:, None]
+        as_second = has & ~joined & (met | ~same)
+        as_first = has | (met & same)
+        self.spring = np.where(side, np.where(second, as_second, as_first), has)
+        # The cells that have a part in a spring: its own, and the other where the side is common to both.
+        other = np.where(second | ~side, False, met & (joined | ~has))
+        kinds = self._of(self.cells, springs.cell, Cell.EMPTY), self._of(self.cells, springs.other, Cell.EMPTY)
+        self.stiffness = self._stiffness(kinds, has, other)
+        driven = np.where(springs.across, int(Cell.H_ACT), int(Cell.V_ACT))[:, None]
+        number = np.cumsum(np.isin(self.cells, (int(Cell.H_ACT), int(Cell.V_ACT))), axis=1) - 1
+        self.actions = number[:, -1] + 1
+        numbers = self._of(number, springs.cell, NOBODY), self._of(number, springs.other, NOBODY)
+        one, two = (
+            np.where(part & side & (kind == driven) & self.spring, n, NOBODY)
+            for part, kind, n in zip((has, other), kinds, numbers, strict=True)
+        )
+        self.drive = np.stack([np.where(one >= 0, one, two), np.where(one >= 0, two, NOBODY)], axis=2)
+        # Whose point a spring holds at each end.
+        owners = self.owner.transpose(1, 2, 0, 3)  # [P, nodes, 4, L]
+        mine = owners[:, springs.node, springs.place]  # [P, E, 2, L]
+        others = mine[:, springs.twin]
+        self.held = np.where(has[:, :, None], mine, np.where(side[:, None], others, NOBODY))
+        rigid = self.cells == Cell.RIGID
+        take_first = joined | (~met & same)  # for the lower (right) cell of a side
+        parts = []
+        for k, spring in enumerate(springs.of_cell.T):
+            if k in (0, 4):  # top and left, as the upper (left) cell has them
+                parts.append(rigid & take_first[:, spring + 1])
+            elif k in (1, 5):
+                parts.append(rigid & ~take_first[:, spring])
+            else:
+                parts.append(rigid)
+        self.rigid = np.stack(parts, axis=2)
+        self._drop_fixed()
+
+    def _joined(self, axis: str) -> np.ndarray:
+        """bool [P, E, L]: the two cells of a side are connected."""
+        springs = self.springs
+        first = np.where(springs.second, springs.other, springs.cell)  # the upper or left one
+        links = getattr(self.robot, axis).reshape(self.cells.shape)
+        return self._of(links, first, False)
+
+    def _stiffness(self, kinds, has: np.ndarray, other: np.ndarray) -> np.ndarray:
+        physics, springs = self.physics, self.springs
+        table = np.array([physics.stiffness(cell) for cell in range(len(Cell))])
+        main = [table[kind, 0] for kind in kinds]
+        upper = np.where(springs.second[:, None], False, True)
+        if physics.shared_edge == "stiffest":
+            k = np.maximum(np.where(has, main[0], 0.0), np.where(other, main[1], 0.0))
+        else:  # the last soft or actuator voxel sets it; rigid ones never do
+            k = np.full(has.shape, physics.rigid_main)
+            for kind, value, part in ((kinds[0], main[0], has), (kinds[1], main[1], other & upper)):
+                k = np.where(part & (kind != Cell.RIGID) & (kind != Cell.FIXED), value, k)
+        k = np.where(springs.side[:, None], k, table[kinds[0], 1])
+        return np.where(self.spring, k, 0.0)
+
+    def _drop_fixed(self) -> None:
+        """Springs between two fixed points are always at rest: no force, no strain."""
+        fixed = [np.take_along_axis(self.fixed, self.ends[:, :, end, None], axis=1) for end in (0, 1)]
+        at_rest = self.spring & fixed[0] & fixed[1]
+        self.free = self.point & ~self.fixed
+        if at_rest.any():
+            self.spring = self.spring & ~at_rest
+            self.stiffness = np.where(at_rest, 0.0, self.stiffness)
+            self.drive = np.where(at_rest[:, :, None], NOBODY, self.drive)
+            self.rigid = self.rigid & ~at_rest[:, self.springs.of_cell]
+
+    def _link_springs(self) -> None:
+        springs = self.springs
+        packs, _, lanes = self.point.shape
+        at, end = springs.at_node, springs.end_at_node
+        there = (self.spring[:, at] & (at >= 0)[None, :, :, None])[:, :, None]  # [P, nodes, 1, 12, L]
+        held = self.held[:, at, end][:, :, None]
+        used = self.used[:, :, :, None]  # [P, nodes, 4, 1, L]
+        link = there & (held == used) & (used >= 0)
+        elsewhere = there & ~link & (used >= 0)
+        self.link = link.reshape(packs, -1, at.shape[1], lanes)
+        self.partial = elsewhere.any(-1).reshape(packs, -1, at.shape[1])
+
+    def _mark_surface(self) -> None:
+        right, down = self.robot.right, self.robot.down
+        top = np.zeros_like(down)
+        top[:, 1:] = down[:, :-1]
+        left = np.zeros_like(right)
+        left[:, :, 1:] = right[:, :, :-1]
+        sides = np.stack([~top, ~right, ~down, ~left], axis=3)  # [P, rows, columns, 4, L]
+        packs, lanes = len(right), right.shape[-1]
+        self.side = sides.reshape(packs, -1, 4, lanes) & self.filled[:, :, None]
+        row, column = np.divmod(np.arange(self.cells.shape[1]), self.columns)
+        node = np.stack([(row + r) * (self.columns + 1) + column + c for r, c in CORNER_NODE], axis=-1)
+        slots = self.slot[list(CORNER_PLACE), :, node].transpose(2, 0, 1)  # [P, V, 4]
+        self.corner = node * 4 + np.maximum(slots, 0)
+
+
+def _spread(owner: np.ndarray) -> np.ndarray:
+    """int8 [4, P, nodes]: on which of a node's points each of the cells around it lies; -1: no lane has that cell.
+
+    Cells that have different points in some lane lie on different ones. Two rows of cells on a point each are tried
+    first, as this doubles the fewest springs, then two columns.
+    """
+
+    def apart(a: int, b: int) -> np.ndarray:
+        return ((owner[a] != owner[b]) & (owner[a] >= 0) & (owner[b] >= 0)).any(-1)
+
+    a, b, c, d = range(4)
+    conflict = {pair: apart(*pair) for pair in ((a, b), (c, d), (a, c), (b, d), (a, d), (b, c))}
+    one = ~np.any(list(conflict.values()), axis=0)
+    by_rows = ~one & ~conflict[a, b] & ~conflict[c, d]
+    by_columns = ~one & ~by_rows & ~conflict[a, c] & ~conflict[b, d]
+    each = ~one & ~by_rows & ~by_columns
+    slots = []
+    for place in range(4):
+        slot = np.zeros(one.shape, np.int8)
+        slot[by_rows] = place // 2
+        slot[by_columns] = place % 2
+        slot[each] = place
+        slot[~(owner[place] >= 0).any(-1)] = NOBODY
+        slots.append(slot)
+    return np.stack(slots)

@@ -1,0 +1,184 @@
+"""The objects of a batch by name: how many points they have, and where these lie in the simulation's arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+import warp as wp
+
+from warpvox.batch.grid_mesh import most_points
+from warpvox.batch.packs import Batch, State
+from warpvox.compile import Body, CompiledWorld, compile_world
+from warpvox.errors import SimulationError, did_you_mean, listing
+from warpvox.kernels.device import from_numpy
+from warpvox.types import VOXEL
+from warpvox.world import World
+
+__all__ = ["CompiledWorlds", "Objects"]
+
+
+class CompiledWorlds(Sequence):
+    """The worlds of a batch compiled one by one, when they are asked for."""
+
+    def __init__(self, batch: Batch) -> None:
+        self._batch = batch
+        self._made: dict[int, tuple[World, CompiledWorld]] = {}  # by the identity of the world, which is kept with it
+
+    def __len__(self) -> int:
+        return len(self._batch.worlds)
+
+    def __getitem__(self, number: int) -> CompiledWorld:
+        world = self._batch.worlds[number]  # IndexError ends a loop over them
+        if id(world) not in self._made:
+            self._made[id(world)] = world, compile_world(world, self._batch.physics, self._batch.loose)
+        return self._made[id(world)][1]
+
+    def forget(self) -> None:
+        """Drop those of worlds that are not in the batch any more."""
+        used = set(map(id, self._batch.worlds))
+        self._made = {key: kept for key, kept in self._made.items() if key in used}
+
+
+class Objects:
+    """Objects of all environments of a batch.
+
+    Attributes:
+        names: robots first, then by name.
+        mobile: names of those that can move in some world; ``terrain``: of those that never move in some.
+        num_points: by name the most points that an object has in any world (or may have, given ``batch.grid``).
+        rows: int ``[num_envs, points]``: the rows of an environment's points in the order of observations, padded with
+            the last of them.
+        total: int ``[num_envs]``: how many these are.
+    """
+
+    def __init__(self, batch: Batch, state: State) -> None:
+        self._batch, self._state = batch, state
+        self.names = batch.object_names
+        self.mobile = {body.name for world in batch.compiled for body in world.bodies}
+        self.mobile |= {name for frame in batch.frames for name in frame.names}
+        self.terrain = {body.name for world in batch.compiled for body in world.statics}
+        self.device = state.device
+        self.refresh()
+        self.num_points = {name: self._most(name) for name in self.names}
+
+    def refresh(self) -> None:
+        """Look again at which points the environments have."""
+        state = self._state
+        pack, lane = (wp.to_torch(array).long() for array in (state.env_pack, state.env_lane))
+        mesh = wp.to_torch(state.arrays["pack_mesh"]).long()[pack]
+        self.span = wp.to_torch(state.arrays["object_range"])[mesh, :, lane].long()  # [num_envs, objects, 2]
+        self.total = self.span[..., 1].max(1).values
+        order = wp.to_torch(state.arrays["order"])[mesh, :, lane].long()
+        last = (self.total - 1).clamp(min=0)[:, None]
+        self.rows = order.gather(1, torch.minimum(torch.arange(order.shape[1], device=order.device), last))
+        index = np.asarray(self._batch.index)
+        _, first = np.unique(index, return_index=True)
+        self._example = torch.as_tensor(first, device=order.device)  # an environment of every world
+
+    def index(self, name: str) -> int:
+        """The place of an object in ``names``.
+
+        Raises:
+            SimulationError: there is no such object.
+        """
+        if name not in self.names:
+            hint = did_you_mean(name, self.names)
+            raise SimulationError(f"No object named {name!r}; there are {listing(self.names)}.{hint}")
+        return self.names.index(name)
+
+    def moving(self, name: str) -> int:
+        """The place of an object that can move.
+
+        Raises:
+            SimulationError: there is no such object, or it never moves.
+        """
+        index = self.index(name)
+        if name not in self.mobile:
+            raise SimulationError(f"The object {name!r} is made of fixed cells only: it never moves.")
+        return index
+
+    def _still(self, name: str) -> list[Body | None]:
+        """The mesh of an object in every frame in which it never moves, else None."""
+        return [next((b for b in compiled.statics if b.name == name), None) for compiled in self._batch.compiled]
+
+    def counts(self, name: str) -> torch.Tensor:
+        """int ``[worlds]``: points of an object in every world."""
+        spans = self.span[self._example, self.index(name)]
+        counts = spans[:, 1] - spans[:, 0]
+        if name in self.terrain:
+            still = [len(body.points) if body else 0 for body in self._still(name)]
+            counts = counts + torch.tensor(still, device=counts.device)[self._batch.group_of]
+        return counts
+
+    def _most(self, name: str) -> int:
+        most = int(self.counts(name).max())
+        grid = self._batch.grid
+        if grid is not None and any(name in frame.names for frame in self._batch.frames):
+            most = max(most, most_points(*grid, self._batch.cut))
+        return most
+
+    def point_mask(self, name: str) -> torch.Tensor:
+        """bool ``[worlds, points]``: which points a world's object has."""
+        return (torch.arange(self.num_points[name], device=self.device) < self.counts(name)[:, None]).cpu()
+
+    def still_points(self, name: str, dtype: torch.dtype, relative: bool) -> tuple[torch.Tensor, torch.Tensor]:
+        """Points of an object where it never moves, ``[num_envs, points, 2]``, and bool: where that is."""
+        bodies = self._still(name)
+        fixed = torch.zeros((len(bodies), self.num_points[name], 2), dtype=torch.float64)
+        is_fixed = torch.zeros((len(bodies), self.num_points[name], 1), dtype=torch.bool)
+        for row, body in enumerate(bodies):
+            if body is not None:
+                points = torch.tensor(body.points, dtype=torch.float64)
+                fixed[row, : len(points)] = points - points.mean(0) if relative else points
+                is_fixed[row, : len(points)] = True
+        frame = self._batch.frame_of_envs()
+        return fixed[frame].to(self.device, dtype), is_fixed[frame].to(self.device)
+
+    def loose_points(self, names: Sequence[str]) -> tuple[torch.Tensor, ...]:
+        """Of all points of loose objects, for every environment: row, cell and height of the object, column and row."""
+        tables: list[list[list[int]]] = []
+        for compiled in self._batch.compiled:
+            rows = []
+            for name in names:
+                body = next((body for body in compiled.bodies if body.name == name), None)
+                if body is None:
+                    raise SimulationError(f"All worlds need the loose object {name!r}; one has no object of that name.")
+                source = body.source
+                for x, y in body.points:
+                    column, row = round(x / VOXEL) - source.x, source.y + source.height - round(y / VOXEL)
+                    rows.append([source.x, source.y, source.height, column, row])
+            tables.append(rows)
+        if len({len(rows) for rows in tables}) != 1:
+            raise SimulationError(f"The loose objects {listing(names)} must have the same cells in all worlds.")
+        table = torch.tensor(tables, dtype=torch.long).reshape(len(tables), -1 if tables[0] else 0, 5)
+        table = table[self._batch.frame_of_envs()].to(self.device)
+        places = []
+        for name in names:
+            begin = self.span[:, self.index(name), :1]
+            places.append(begin + torch.arange(self.num_points[name], device=self.device))
+        rows = self.rows.gather(1, torch.cat(places, dim=1)) if places else table[..., 0]
+        return rows, table[..., 0:2], table[..., 2], table[..., 3:5]
+
+    def scan_tables(self, objects: tuple[str, ...] | None) -> tuple[wp.array, wp.array, wp.array]:
+        """For scans: static points in voxels by lattice column, where each column starts, and listed moving objects."""
+        for name in objects or ():
+            self.index(name)
+        still = []
+        for compiled in self._batch.compiled:
+            listed = [body for body in compiled.statics if objects is None or body.name in objects]
+            points = [(x / VOXEL, y / VOXEL) for body in listed for x, y in body.points]
+            still.append(sorted(points, key=lambda p: round(p[0])))
+        moving = [self.index(name) for name in objects or () if name in self.mobile]
+        columns = max(compiled.width for compiled in self._batch.compiled) + 1
+        start = np.zeros((len(still), columns + 1), dtype=np.int32)
+        table = np.zeros((len(still), max(1, *(len(points) for points in still)), 2))
+        for row, points in enumerate(still):
+            start[row] = np.searchsorted([round(x) for x, _ in points], np.arange(columns + 1))
+            table[row, : len(points)] = np.reshape(points, (-1, 2))
+        return (
+            from_numpy(start, int, self.device),
+            from_numpy(table, wp.vec2d, self.device),
+            from_numpy(moving or [-1], int, self.device),
+        )

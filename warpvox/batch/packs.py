@@ -1,0 +1,465 @@
+"""How environments lie in memory: packs and lanes, and the arrays of a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+import warp as wp
+
+from warpvox.batch.frames import Frame, capacities, frame_key, is_cut, join
+from warpvox.compile import compile_world, exact_tables, pad, world_arrays
+from warpvox.contact_order import no_order
+from warpvox.errors import SimulationError, did_you_mean, listing
+from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
+from warpvox.kernels.device import from_numpy, on_cuda, zeros
+from warpvox.kernels.group import Group, choose
+from warpvox.kernels.lanes import MAX_WIDTH
+from warpvox.kernels.reset import STALE
+from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, allocate, structs
+from warpvox.kernels.step import STAGES
+from warpvox.system import usable_cores
+from warpvox.types import Physics
+from warpvox.world import World
+
+__all__ = [
+    "MARGIN",
+    "Batch",
+    "State",
+    "choose_lanes",
+    "choose_threads",
+    "group",
+    "lanes_for",
+    "lay_out",
+    "put_tables",
+    "resolve_arithmetic",
+]
+
+# Lane widths offered on the CPU; the narrowest that holds the environments that can share a pack is taken.
+WIDTHS = (1, 8, 16, 32)
+LAYOUTS = ("group", "lanes")
+CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
+MARGIN = 0.04  # width added to boxes when candidates are collected, two fifths of a voxel
+HITS, HITS_PER_VOXEL = 64, 12  # capacity for contacts that are put in order, in exact arithmetic
+PAIRS_PER_VOXEL = 24  # capacity of the candidate list of an environment that has one of its own
+CELLS_PER_VOXEL = 16  # the same for cells of the terrain, in the group layout
+# Lanes share a list. One that holds all pairs cannot be filled by an environment that has collapsed or exploded at the
+# cost of the others; up to so many surface voxels (33 MB a pack) it does.
+ALL_PAIRS = 2048
+FRAME_TABLES = ("still_at", "terrain", "terrain_side", "terrain_box")
+SIZES = {
+    "point": "home", "active": "active", "joint": "link_start", "spring": "spring_rest", "link": "link",
+    "rigid": "rigid_spring", "twin": "twin", "voxel": "body", "mobile": "mobile", "robot": "fold_limit",
+    "row": "order", "object": "object_range", "node": "node", "leaf": "leaf", "plot": "cell_leaf",
+}  # fmt: skip
+"""Capacities and the tables whose second axis has them."""
+
+
+@dataclass
+class State:
+    """What kernels need to run: the structs, their arrays and how environments lie in them.
+
+    ``group`` says what the group kernel is compiled for (see :mod:`warpvox.kernels.group`), None in the lanes layout;
+    ``scratch`` takes the place of its shared memory on the CPU.
+    """
+
+    arithmetic: str
+    precision: str
+    device: str
+    width: int
+    lanes: int
+    units: int
+    packs: int
+    num_envs: int
+    dt: float
+    sizes: dict[str, int]
+    model: object
+    data: object
+    arrays: dict[str, wp.array]
+    env_pack: wp.array
+    env_lane: wp.array
+    group: Group | None = None
+    scratch: wp.array | None = None
+
+
+def group(worlds: Sequence[World]) -> tuple[list[World], list[int]]:
+    """The different worlds, each once, and for every world the number of the one that is equal to it."""
+    seen: dict[bytes, int] = {}
+    by_id: dict[int, int] = {}
+    different, index = [], []
+    for world in worlds:
+        if id(world) not in by_id:
+            by_id[id(world)] = seen.setdefault(world.key(), len(seen))
+            if by_id[id(world)] == len(different):
+                different.append(world)
+        index.append(by_id[id(world)])
+    return different, index
+
+
+def lanes_for(environments: int) -> int:
+    """The lanes that are chosen on the CPU for a number of environments that can share packs."""
+    return next((width for width in WIDTHS if width >= environments), MAX_WIDTH)
+
+
+def resolve_layout(layout: str | None, arithmetic: str, device: str, lanes: int | None) -> str:
+    """'group' or 'lanes': None means 'group' on CUDA in fast arithmetic, unless ``lanes`` are asked for.
+
+    Raises:
+        SimulationError: neither of them, or a group for exact arithmetic or with lanes.
+    """
+    if layout is None:
+        return "group" if on_cuda(device) and arithmetic == "fast" and lanes is None else "lanes"
+    if layout not in LAYOUTS:
+        hint = did_you_mean(layout, LAYOUTS) if isinstance(layout, str) else ""
+        raise SimulationError(f"layout must be 'group', 'lanes' or None, got {layout!r:.80}.{hint}")
+    if layout == "group" and (arithmetic != "fast" or lanes is not None):
+        raise SimulationError(
+            f"layout='group' is for arithmetic='fast' and lanes=None, got {arithmetic!r} and {lanes!r:.80}."
+        )
+    return layout
+
+
+def choose_lanes(index: Sequence[int], lanes: int | None, device: str) -> int:
+    """Lanes of a pack, from the number of what each environment can share a pack with."""
+    if device != "cpu":
+        if lanes is not None and (type(lanes) is not int or lanes != CUDA_LANES):
+            raise SimulationError(f"lanes must be {CUDA_LANES} or None on CUDA, got {lanes!r}.")
+        return CUDA_LANES
+    if lanes is None:
+        return lanes_for(int(np.bincount(index).max()))
+    if type(lanes) is not int or lanes not in WIDTHS:
+        raise SimulationError(f"lanes must be one of {listing(WIDTHS)}, got {lanes!r:.80}.")
+    return lanes
+
+
+def choose_threads(threads: int | None) -> int:
+    if threads is None:
+        return usable_cores()
+    if type(threads) is not int or threads < 1:
+        raise SimulationError(f"threads must be a whole number >= 1 or None, got {threads!r:.80}.")
+    return threads
+
+
+def resolve_arithmetic(arithmetic: str | None, dtype: str) -> str:
+    """'fast' or 'exact'; None means 'fast' in float32 and 'exact' in float64.
+
+    Raises:
+        SimulationError: neither of them, or 'exact' in float32.
+    """
+    if arithmetic is None:
+        return "exact" if dtype == "float64" else "fast"
+    if not isinstance(arithmetic, str) or arithmetic not in STAGES:
+        hint = did_you_mean(arithmetic, list(STAGES)) if isinstance(arithmetic, str) else ""
+        raise SimulationError(f"arithmetic must be 'fast', 'exact' or None, got {arithmetic!r:.80}.{hint}")
+    if arithmetic == "exact" and dtype != "float64":
+        raise SimulationError(
+            f"arithmetic='exact' repeats sums of double precision and needs dtype='float64', got dtype={dtype!r}."
+        )
+    return arithmetic
+
+
+@dataclass
+class Batch:
+    """Which world every environment has, and in which lane of which pack it lies.
+
+    Args:
+        worlds: different worlds. index: the number of each environment's world.
+        arithmetic: packs of ``exact`` hold one world each; those of ``fast`` any worlds of one frame (see
+            :mod:`warpvox.batch.frames`).
+        wanted_lanes: see :class:`warpvox.Simulation`.
+        layout: 'lanes', or 'group', whose packs have one lane each.
+        grid: rows and columns up to which bodies may be exchanged later, or None.
+
+    Attributes:
+        env_pack, env_lane: int ``[num_envs]``.
+        lane_world: int ``[packs, lanes]``; lanes without an environment repeat the one before them.
+        object_names: of all worlds, robots first, then by name.
+    """
+
+    worlds: list[World]
+    index: list[int]
+    physics: Physics
+    arithmetic: str
+    device: str
+    wanted_lanes: int | None = None
+    loose: tuple[str, ...] = ()
+    grid: tuple[int, int] | None = None
+    layout: str = "lanes"
+    pack_group: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        worlds, self._keys = self.worlds, {}
+        if self.grid is not None and self.arithmetic == "exact":
+            raise SimulationError("Packs of exact arithmetic hold one world each: grid needs arithmetic='fast'.")
+        if self.arithmetic == "exact":
+            self.group_of = list(range(len(worlds)))
+        else:
+            keys: dict[tuple, int] = {}
+            self.group_of = [keys.setdefault(frame_key(world), len(keys)) for world in worlds]
+        self._compile()
+        groups = np.asarray(self.group_of)[np.asarray(self.index)]
+        self.lanes = 1 if self.layout == "group" else choose_lanes(groups, self.wanted_lanes, self.device)
+        self.env_pack, self.env_lane = (np.zeros(len(self.index), np.int32) for _ in range(2))
+        lane_world = []
+        for number in range(max(self.group_of) + 1):
+            members = np.flatnonzero(groups == number)
+            members = members[np.argsort(self._rank(number)[np.asarray(self.index)[members]], kind="stable")]
+            self.env_pack[members] = len(self.pack_group) + np.arange(len(members)) // self.lanes
+            self.env_lane[members] = np.arange(len(members)) % self.lanes
+            packs = -(-len(members) // self.lanes)
+            self.pack_group += [number] * packs
+            filled = np.asarray(self.index)[members]
+            lane_world.append(np.pad(filled, (0, packs * self.lanes - len(filled)), mode="edge"))
+        self.lane_world = np.concatenate(lane_world).reshape(-1, self.lanes)
+        robot = {obj.name: obj.is_robot for world in worlds for obj in world.objects.values()}
+        self.object_names = sorted(robot, key=lambda name: (not robot[name], name))
+        self.cut = any(is_cut(obj) for world in worlds for obj in world.objects.values() if obj.is_robot)
+
+    def _rank(self, group: int) -> np.ndarray:
+        """Which worlds of a group shall lie near each other: a pack is as slow as all of its bodies together."""
+        rank = np.arange(len(self.worlds))
+        if self.arithmetic == "fast" and self.layout == "lanes":
+            members = [k for k, own in enumerate(self.group_of) if own == group]
+            copies = np.bincount(np.asarray(self.index), minlength=len(self.worlds))[members]
+            rank[members] = self.frames[group].rank(copies, self.lanes)
+        return rank
+
+    def _compile(self) -> None:
+        if self.arithmetic == "exact":
+            self.compiled = [compile_world(world, self.physics, self.loose) for world in self.worlds]
+            self.frames = []
+            self.local = np.arange(len(self.worlds))
+        else:
+            self.local = np.zeros(len(self.worlds), int)
+            self.frames = []
+            for number in range(max(self.group_of) + 1):
+                members = [k for k, group in enumerate(self.group_of) if group == number]
+                self.local[members] = np.arange(len(members))
+                own = [self.worlds[k] for k in members]
+                self.frames.append(Frame(own, self.physics, self.loose, self.grid or (1, 1)))
+            self.compiled = [frame.others for frame in self.frames]
+
+    def replace(self, envs: Sequence[int], worlds: Sequence[World]) -> np.ndarray:
+        """Give environments other worlds of their frames; return the packs that this concerns.
+
+        Raises:
+            SimulationError: the batch has no ``grid``, or a world does not belong to it.
+        """
+        if self.grid is None:
+            raise SimulationError("Worlds can be exchanged in a simulation made with grid=(rows, columns) only.")
+        known = {frame_key(self.worlds[self.group_of.index(k)]): k for k in range(len(self.frames))}
+        old = {self._key(world): k for k, world in enumerate(self.worlds)}
+        added: dict[int, list[tuple[bytes, World]]] = {}
+        seen, chosen = set(old), []
+        for env, world in zip(envs, worlds, strict=True):
+            key = self._key(world)
+            chosen.append(key)
+            if key not in seen:
+                group = known.get(frame_key(world))
+                if group != self.group_of[self.index[env]]:
+                    raise SimulationError(
+                        f"Environment {env} can be given worlds that differ from its own in the bodies of robots only."
+                    )
+                self._check_bodies(world)
+                seen.add(key)
+                added.setdefault(group, []).append((key, world))
+        for group, new in added.items():
+            self.local = np.append(self.local, self.frames[group].add([world for _, world in new]))
+            self.worlds = [*self.worlds, *(world for _, world in new)]
+            self.group_of = [*self.group_of, *[group] * len(new)]
+        place = {key: k for k, key in enumerate([*old, *(key for new in added.values() for key, _ in new)])}
+        return self._assign(envs, [place[key] for key in chosen])
+
+    def _key(self, world: World) -> bytes:
+        """``world.key()``, looked up where the world is in use already."""
+        kept = self._keys.get(id(world))
+        if kept is None or kept[0] is not world:
+            kept = self._keys[id(world)] = world, world.key()
+        return kept[1]
+
+    def _check_bodies(self, world: World) -> None:
+        rows, columns = self.grid
+        for obj in world.objects.values():
+            if obj.is_robot and (obj.height > rows or obj.width > columns):
+                raise SimulationError(
+                    f"The {obj.height}x{obj.width} body of {obj.name!r} does not fit the simulation's grid of"
+                    f" {rows}x{columns}."
+                )
+            if obj.is_robot and not self.cut and is_cut(obj):
+                raise SimulationError(
+                    f"Neighbouring cells of {obj.name!r} are not connected; the simulation was made for connected ones."
+                )
+
+    def _assign(self, envs: Sequence[int], worlds: Sequence[int]) -> np.ndarray:
+        index = np.array(self.index)
+        index[list(envs)] = worlds
+        packs = np.unique(self.env_pack[list(envs)])
+        self.lane_world[self.env_pack, self.env_lane] = index
+        filled = np.zeros(self.lane_world.shape, bool)
+        filled[self.env_pack, self.env_lane] = True
+        last = np.maximum.accumulate(np.where(filled, np.arange(self.lanes), 0), axis=1)
+        self.lane_world = np.take_along_axis(self.lane_world, last, axis=1)
+        used, inverse = np.unique(index, return_inverse=True)
+        self.lane_world = np.searchsorted(used, self.lane_world)
+        self.index = inverse.tolist()
+        self.worlds = [self.worlds[k] for k in used]
+        self._keys = {id(world): (world, self._key(world)) for world in self.worlds}
+        self.group_of = [self.group_of[k] for k in used]
+        groups = np.asarray(self.group_of)
+        local = self.local[used]
+        for number, frame in enumerate(self.frames):
+            frame.keep(local[groups == number])
+            local[groups == number] = np.arange((groups == number).sum())
+        self.local = local
+        return packs
+
+    def frame_of_envs(self) -> np.ndarray:
+        """int ``[num_envs]``: the entry of ``compiled`` with what an environment's world has besides robots."""
+        return np.asarray(self.group_of)[np.asarray(self.index)]
+
+    def tables(self, packs: np.ndarray | None = None) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Tables of the different packs among ``packs`` (None: all), and which each of them has."""
+        packs = np.arange(len(self.pack_group)) if packs is None else packs
+        groups = np.asarray(self.pack_group)[packs]
+        if self.arithmetic == "exact":
+            kinds, which = np.unique(groups, return_inverse=True)
+            tables = exact_tables([self.compiled[kind] for kind in kinds], self.lanes)
+            names = [[body.name for body in self.compiled[kind].bodies] for kind in kinds]
+            tables["frame"] = kinds.astype(np.int32)
+        else:
+            rows = np.concatenate([groups[:, None], self.lane_world[packs]], axis=1)
+            kinds, which = np.unique(rows, axis=0, return_inverse=True)
+            parts, names = [], []
+            for number, frame in enumerate(self.frames):
+                mine = kinds[kinds[:, 0] == number, 1:]
+                if len(mine):
+                    part = frame.tables(self.local[mine])
+                    part["frame"] = np.full(len(mine), number, np.int32)
+                    parts.append(part)
+                    names += [frame.object_names] * len(mine)
+            tables = join(parts)
+            empty = no_order()
+            tables |= {name: np.repeat(np.asarray(value)[None], len(kinds), axis=0) for name, value in empty.items()}
+        tables["object_range"] = self._spans(tables.pop("object_points"), names)
+        return tables, which.reshape(-1)
+
+    def _spans(self, counts: np.ndarray, names: list[list[str]]) -> np.ndarray:
+        """int [tables, objects, lanes, 2]: where the points of each object lie in the order of points."""
+        stop = np.cumsum(counts, axis=1)
+        spans = np.zeros((len(counts), len(self.object_names), counts.shape[2], 2), np.int32)
+        column = {name: k for k, name in enumerate(self.object_names)}
+        for row, own in enumerate(names):
+            at = [column[name] for name in own]
+            spans[row, at, :, 1] = stop[row, : len(own)]
+            spans[row, at, :, 0] = stop[row, : len(own)] - counts[row, : len(own)]
+        return spans
+
+    def frame_tables(self) -> dict[str, np.ndarray]:
+        """Tables of the terrain of all frames."""
+        parts = [frame.arrays for frame in self.frames] or [world_arrays(world) for world in self.compiled]
+        return {name: pad([part[name] for part in parts], -1 if name == "still_at" else 0) for name in FRAME_TABLES}
+
+    def capacities(self) -> dict[str, int]:
+        """What bodies up to ``grid`` may need at most; empty without one."""
+        if self.grid is None:
+            return {}
+        most = [capacities(frame, *self.grid, self.cut) for frame in self.frames]
+        return {name: max(part[name] for part in most) for name in most[0]}
+
+
+def lay_out(batch: Batch, precision: str) -> State | None:
+    """Allocate and fill Model and Data for a batch; None where worlds are too large for the group layout."""
+    device, lanes = batch.device, batch.lanes
+    width = lanes if device == "cpu" else 1
+    units, packs = lanes // width, len(batch.pack_group)
+    tables, which = batch.tables()
+    if batch.grid is not None:  # any pack may come to differ from the others
+        tables, which = {name: values[which] for name, values in tables.items()}, np.arange(packs)
+    frames = batch.frame_tables()
+    sizes = {symbol: tables[name].shape[1] for symbol, name in SIZES.items()}
+    sizes |= {"point": sizes["point"] // 2, "active": sizes["active"] // 2}
+    sizes |= {"action": int(tables.pop("actions").max(initial=0))}
+    sizes |= {name: max(sizes[name], size) for name, size in batch.capacities().items()}
+    sizes |= {"mesh": len(which) if batch.grid else int(which.max()) + 1, "frame": len(frames["terrain"])}
+    sizes |= {"cell": frames["terrain_side"].shape[1]}
+    taken = None
+    if batch.layout == "group":
+        taken = choose(sizes["point"], sizes["spring"], precision, device)
+        if taken is None:
+            return None
+    hits = HITS + HITS_PER_VOXEL * sizes["mobile"] if batch.arithmetic == "exact" else 1
+    sizes |= _capacities(sizes["voxel"], sizes["mobile"], width, taken is not None) | {
+        "hit": hits,
+        "pack": packs,
+        "lane": lanes,
+        "unit": packs * units,
+    }
+    model, data = allocate(MODEL, sizes, precision, device), allocate(DATA, sizes, precision, device)
+    types = structs(precision)
+    state = State(
+        batch.arithmetic, precision, device, width, lanes, units, packs, len(batch.index), batch.physics.dt, sizes,
+        types.Model(), types.Data(), model | data,
+        from_numpy(batch.env_pack, int, device), from_numpy(batch.env_lane, int, device), taken,
+        zeros((1, 1) if taken is None or on_cuda(device) else (packs, taken.bytes // 8), wp.float64, device),
+    )  # fmt: skip
+    for struct, arrays in ((state.model, model), (state.data, data)):
+        for name, array in arrays.items():
+            setattr(struct, name, array)
+    _set_constants(state, batch.physics)
+    _fill(state, "pack_mesh", which.astype(np.int32))
+    for name, values in frames.items():
+        _fill(state, name, values)
+    put_tables(state, tables)
+    # Lanes without an environment hold a body at rest, frozen.
+    home = wp.to_torch(model["home"])[torch.as_tensor(which, device=device)]
+    wp.to_torch(data["pos"]).copy_(home)
+    wp.to_torch(data["drift"]).fill_(STALE)
+    return state
+
+
+def put_tables(state: State, tables: dict[str, np.ndarray], meshes: np.ndarray | None = None) -> None:
+    """Copy tables into the Model, those of ``meshes`` or all."""
+    for name in MODEL.keys() & tables.keys():
+        values = tables[name]
+        _fill(state, name, values, meshes)
+
+
+def _fill(state: State, name: str, values: np.ndarray, rows: np.ndarray | None = None) -> None:
+    """Copy values into the beginning of every axis of an array, or of some of its rows."""
+    if not values.size:
+        return
+    array = state.arrays[name]
+    view = wp.to_torch(array)
+    given = torch.from_numpy(np.ascontiguousarray(values)).to(view.device, view.dtype)
+    place = tuple(slice(n) for n in given.shape[1:])
+    if rows is None:
+        view[(slice(len(given)), *place)] = given
+    else:
+        view[(torch.as_tensor(rows, device=view.device), *place)] = given
+
+
+def _set_constants(state: State, physics: Physics) -> None:
+    for name in CONSTANTS:
+        setattr(state.model, name, MARGIN if name == "margin" else getattr(physics, name))
+    contact = structs(state.precision).Contact()
+    for name in CONTACT:
+        setattr(contact, name, getattr(physics, name if name.startswith("friction") else f"contact_{name}"))
+    state.model.contact = contact
+
+
+def _capacities(voxels: int, mobiles: int, width: int, grouped: bool) -> dict[str, int]:
+    """Capacities of the broad phase for a number of surface voxels, of those that are mobile, and of lanes.
+
+    A group lists the cells of the terrain that may be touched behind the pairs.
+    """
+    gridded = mobiles if mobiles >= GRID_FROM else 0
+    every = voxels * (voxels - 1) // 2
+    pairs = every if width > 1 and voxels <= ALL_PAIRS else min(every, PAIRS_PER_VOXEL * voxels)
+    return {
+        "pair": pairs + (CELLS_PER_VOXEL * mobiles if grouped else 0),
+        "word": voxels * -(-voxels // 32),
+        "entry": ENTRIES_PER_VOXEL * gridded,
+        "slot": 1 << (2 * gridded).bit_length(),
+    }

@@ -1,0 +1,83 @@
+"""Figures of a check that may be cut off at any moment: saved whenever one is added, within a time."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from warpvox.bench.report import Report
+from warpvox.cli.runs import write_summary
+from warpvox.cli.say import say
+
+__all__ = ["Progress"]
+
+
+class Progress:
+    """What the parts of a check have found so far.
+
+    Files are written whole or not at all, so whoever reads the folder meanwhile, or after the process was killed, finds
+    everything up to the last row.
+
+    Args:
+        report: what is shown; its folder gets ``summary.json`` and ``tables.md``.
+        about: what the figures begin with, such as the machine.
+        seconds: when no row and no part begins any more.
+
+    Attributes:
+        figures: by part a list of rows, or what the part returned; ``seconds`` of each, ``failed`` and ``left_out``.
+    """
+
+    def __init__(self, report: Report, about: dict[str, Any], seconds: float) -> None:
+        self.report, self._about = report, about
+        self._end, self._seconds = time.perf_counter() + seconds, seconds
+        self.figures: dict[str, Any] = {"seconds": {}, "failed": [], "left_out": []}
+
+    @property
+    def left(self) -> float:
+        """Seconds that are left; negative when they are over."""
+        return self._end - time.perf_counter()
+
+    def time_for(self, what: str, seconds: float = 0.0) -> bool:
+        """Whether so many seconds are left for something; if not, it is noted as left out."""
+        if self.left > seconds:
+            return True
+        self.figures["left_out"].append(what)
+        return False
+
+    def row(self, part: str, text: str, **values: Any) -> None:
+        """Show a line and keep its values."""
+        say(self.report.console, f"  {text}")
+        self.figures.setdefault(part, []).append(values)
+        self.save()
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Time a part, note how it failed, and save what there is."""
+        began = time.perf_counter()
+        say(self.report.console, f"\n{name} ({self.left:.0f} s left)")
+        try:
+            yield
+        except Exception as error:  # whatever it is, the other parts are worth having
+            self.figures["failed"].append(name)
+            self.figures[f"{name}, error"] = {"error": f"{type(error).__name__}: {error}"}
+            self.figures[f"{name}, error"]["traceback"] = traceback.format_exc()
+            self.report.note(f"FAILED, {name}: {type(error).__name__}: {error}")
+        finally:  # an interrupt, too
+            self.figures["seconds"][name] = round(time.perf_counter() - began, 1)
+            self.save()
+
+    def save(self) -> None:
+        """Write everything so far."""
+        self.report.write()
+        write_summary(self.report.folder, self._about | self.figures)
+
+    def close(self) -> dict[str, Any]:
+        """Say what was left out; returns the figures."""
+        if self.figures["left_out"]:
+            left = ", ".join(self.figures["left_out"])
+            self.report.note(f"Left out, for the {self._seconds:g} s were over: {left}.")
+        self.save()
+        return self.figures

@@ -1,0 +1,1 @@
+"""The commands of ``warpvox``: a module each, with a function ``run``."""

@@ -1,0 +1,69 @@
+"""``warpvox bench``: speed, with the results checked before a time is printed.
+
+A suite is a file of :mod:`warpvox.bench`. Each leaves ``summary.json``, ``tables.md`` and plots in
+``outputs/bench/<suite>/<date_time>/``.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from warpvox.cli.commands.train import describe
+from warpvox.cli.config import load, read_arguments, to_yaml
+from warpvox.cli.runs import check_name, new_folder, write_summary
+from warpvox.cli.say import say
+from warpvox.cli.sweep import each, members
+from warpvox.errors import SimulationError, listing
+from warpvox.io.writing import check_writable
+
+__all__ = ["run"]
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox bench`` is asked for."""
+    arguments = read_arguments(words)
+    if describe("bench", arguments):
+        return
+    console = Console()
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = 120  # a pipe has no width of its own
+    runs = members(arguments, "bench")
+    configs = [load("bench", member.overrides, arguments.config_dir) for member in runs]
+    each("bench", runs, configs, lambda config: measure(config, console), console, configs[0].output_dir)
+
+
+def measure(config: Any, console: Console) -> Path:
+    """Run one suite; returns the folder of its results.
+
+    Raises:
+        WarpvoxError: something asked for does not exist, or a result is wrong.
+    """
+    check_name(config.name)
+    check_writable(config.output_dir)
+    with console.status("preparing"):
+        from warpvox.bench.machine import machine, machine_line
+        from warpvox.bench.report import Document, Report
+        from warpvox.cli.build import prepare
+        from warpvox.devices.names import resolve_device
+
+        suite = import_module(f"warpvox.bench.{config.suite}")
+        prepare(config.torch_threads, config.seed)
+        config.device = resolve_device(config.device or ("cuda" if config.suite == "gpu" else "cpu"))
+        document = Document(Path(config.document), config.suite) if config.document else None
+    with new_folder(config.output_dir, "bench", config.suite, config.name, to_yaml(config)) as folder:
+        report, facts = Report(console, folder), machine(config.device)
+        say(console, machine_line(facts))
+        figures = suite.run(config, report)
+        write_summary(folder, {"suite": config.suite, "machine": facts} | figures)
+        text = report.write()
+        if document is not None:
+            document.replace(f"{text}\nMachine: {machine_line(facts)}.\n")
+        say(console, f"figures: {folder / 'summary.json'}")
+    if figures.get("failed"):
+        raise SimulationError(f"These parts failed: {listing(figures['failed'])}; see {folder / 'summary.json'}.")
+    return folder

@@ -1,0 +1,404 @@
+"""``warpvox codesign``: from a configuration to a folder with the designs that were tried, the best of them trained."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+
+from warpvox.algos.candidate import Candidate
+from warpvox.algos.codesign.archive import FILE as ARCHIVE
+from warpvox.algos.codesign.archive import Archive
+from warpvox.algos.codesign.archive_export import export
+from warpvox.algos.search import make_search, settings_from
+from warpvox.batch.packs import lanes_for
+from warpvox.cli.commands.train import check_unchanged, describe
+from warpvox.cli.config import load, load_values, read_arguments, to_yaml
+from warpvox.cli.consent import STORED, again, as_stored, keep_code
+from warpvox.cli.runs import CONFIG, SUMMARY, check_name, find_codesign, going_on, new_folder
+from warpvox.cli.say import say, typed
+from warpvox.cli.sweep import each, members
+from warpvox.configs.schema import CodesignConfig
+from warpvox.envs.sources import is_code
+from warpvox.errors import ConfigError, RunError, StorageError
+from warpvox.io.writing import check_writable
+
+if TYPE_CHECKING:
+    from warpvox.algos.candidate import DesignEvaluator
+    from warpvox.algos.codesign.executors import Executor
+
+__all__ = ["Job", "codesign", "make_evaluator", "run"]
+
+CHANGEABLE = (
+    "executor",
+    "address",
+    "workers",
+    "device",
+    "threads",
+    "torch_threads",
+    "top",
+    "export",
+    "name",
+    "training.save_interval",
+    "memory_check",
+    "resume",
+    "report",
+    "output_dir",
+)
+"""Keys that do not change what is found: they may differ when a search is resumed.
+
+But for rounding: another device, or other ``torch_threads`` with ``training.method=sequential`` (see ``train``).
+"""
+
+
+@dataclass
+class Job:
+    """One search to be made; of the one that it goes on with ``folder`` and configuration."""
+
+    config: CodesignConfig
+    folder: Path | None = None
+    stored: dict[str, Any] = field(default_factory=dict)
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox codesign`` is asked for; all runs of a sweep are checked before the first begins."""
+    arguments = read_arguments(words)
+    if describe("codesign", arguments):
+        return
+    runs = members(arguments, "codesign")
+    configs = [load("codesign", member.overrides, arguments.config_dir) for member in runs]
+    console = Console()
+    if any(config.report is not None for config in configs):
+        for config in configs:
+            write_again(config, console)
+        return
+    pairs = zip(configs, runs, strict=True)
+    jobs = [_job(config, member.overrides, arguments.config_dir) for config, member in pairs]
+    for job in jobs:  # a mistake in the last of a hundred runs should not show after a day
+        check(job.config)
+    each("codesign", runs, jobs, lambda job: codesign(job, console), console, configs[0].output_dir)
+
+
+def _job(config: CodesignConfig, overrides: list[str], config_dir: Path | None) -> Job:
+    """With ``resume`` on top of the configuration of the search that it goes on with.
+
+    Raises:
+        ConfigError, RunError: what is wrong with it.
+    """
+    check_name(config.name)
+    if config.resume is None:
+        check_writable(config.output_dir)
+        return Job(config)
+    source = find_codesign(config.resume, config.output_dir)
+    check_writable(source.folder)
+    config = load("codesign", overrides, config_dir, base=source.config, home=source.folder)
+    check_unchanged(source.config, as_stored(config, source.config), CHANGEABLE)
+    return Job(dataclasses.replace(config, resume=None), source.folder, source.config)
+
+
+def check(config: CodesignConfig) -> None:
+    """Find mistakes before anything is made.
+
+    Raises:
+        WarpvoxError: a task, shape, setting, device or library that does not exist or does not go with the others.
+    """
+    from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
+    from warpvox.cli.build import physics_of
+    from warpvox.cli.needs import check_search
+    from warpvox.devices.names import resolve_device
+    from warpvox.envs.registry import get_task
+    from warpvox.envs.worlds import task_world
+
+    if len(config.shape) != 2:
+        raise ConfigError(f"shape must be [rows,columns], such as [5,5]; got {config.shape}.")
+    task_world(get_task(config.task), np.full(config.shape, 3, np.int8))
+    make_search(settings_from(config.search), tuple(config.shape), config.seed)
+    physics_of(config)
+    if config.training.method == "sequential":
+        SequentialEvaluator(None, config.training)
+    if config.executor == "local":
+        resolve_device(config.device)
+        for key in ("address", "workers"):
+            if getattr(config, key) is not None:
+                raise ConfigError(f"{key} goes with executor=ray.")
+        check_search(config, _together(config))
+
+
+def _together(config: CodesignConfig) -> int:
+    """Designs that are trained side by side."""
+    return 1 if config.training.method == "sequential" else config.batch or config.search.population or 1
+
+
+def resolve(config: CodesignConfig) -> CodesignConfig:
+    """A copy with what its names stand for: settings, constants and, where it is this machine's, the device."""
+    from warpvox.cli.build import physics_of
+    from warpvox.devices.names import resolve_device
+
+    constants = dataclasses.asdict(physics_of(config))
+    preset = constants.pop("name")
+    # designs on workers run on the devices of the workers
+    envs = _together(config) * config.training.envs
+    device = resolve_device(config.device, envs) if config.executor == "local" else config.device
+    return dataclasses.replace(
+        config,
+        physics=type(config.physics)(preset=preset, **constants),
+        search=type(config.search)(**_all_settings(dataclasses.asdict(config.search))),
+        device=device,
+    )
+
+
+def _all_settings(search: dict[str, Any]) -> dict[str, Any]:
+    """Values of ``search.*`` with the defaults of the algorithm's settings in place of null."""
+    settings = dataclasses.asdict(settings_from(search))
+    return search | {name: list(value) if isinstance(value, tuple) else value for name, value in settings.items()}
+
+
+# ---------------------------------------------------------------------------------------------------- a search
+
+
+def codesign(job: Job, console: Console) -> Path:
+    """Make a search, or go on with one; returns its folder.
+
+    Raises:
+        WarpvoxError: something asked for is not valid, or an evaluation has failed; what was finished is kept.
+        KeyboardInterrupt: interrupted; the state has been saved.
+    """
+    with console.status("loading"):
+        from warpvox.algos.codesign.loop import Loop
+        from warpvox.algos.codesign.stored_policies import Policies
+        from warpvox.cli.build import prepare, shown
+        from warpvox.cli.codesign_watch import Results, Watch
+
+        config = resolve(job.config)
+        prepare(config.torch_threads, config.seed)
+        executor = make_executor(config)
+        config = dataclasses.replace(config, batch=_batch(config, executor))
+        written = as_stored(config, job.stored)
+    try:
+        with _folder(job, written) as folder, _archive(folder, written) as archive:
+            keep_code(config, folder, console)
+            settings = settings_from(config.search)
+            results = Results(folder, archive, written)
+            watch = Watch(results, settings.max_evaluations, console)
+            loop = Loop(
+                make_search(settings, tuple(config.shape), config.seed),
+                executor,
+                archive,
+                seed=config.seed,
+                policies=Policies(
+                    folder,
+                    config.training.ppo,
+                    functools.partial(design_config, written),
+                    side_by_side=config.training.method == "population",
+                ),
+                checkpoints=folder / "training",
+                batch=config.batch,
+                reuse=config.reuse,
+                inherit=config.training.inherit,
+                listener=watch,
+            )
+            done = f", {archive.trained()} of {settings.max_evaluations} designs done" if job.folder else ""
+            say(console, f"{results.search} on {config.task}, {_where(config, executor)}{done}")
+            say(console, f"run folder: {shown(folder)}")
+            if job.folder and archive.trained() >= settings.max_evaluations:
+                say(
+                    console,
+                    f"the search has spent its {settings.max_evaluations} evaluations: nothing is left to do. What it"
+                    " proposes depends on them, so that more make another search (search.max_evaluations=N)",
+                )
+            _search(loop, watch, config, console)
+    finally:
+        executor.close()
+    return folder
+
+
+def _search(loop: Any, watch: Any, config: CodesignConfig, console: Console) -> None:
+    """Run the loop with a live display, and sum up however it ends."""
+    try:
+        with watch:
+            loop.run()
+    except KeyboardInterrupt:
+        conclude(console, watch.results.write("interrupted"), watch.results.folder, config)
+        raise
+    except BaseException:
+        # a search that has failed may have failed because nothing can be written; that is what should be told
+        with suppress(StorageError, RunError):
+            conclude(console, watch.results.write("failed"), watch.results.folder, config)
+        raise
+    summary = watch.results.write("done")
+    write_exports(watch.archive, watch.results.folder, config.export, console)
+    conclude(console, summary, watch.results.folder, config)
+
+
+@contextmanager
+def _folder(job: Job, config: CodesignConfig) -> Iterator[Path]:
+    if job.folder is None:
+        with new_folder(config.output_dir, "codesign", config.task, config.name, to_yaml(config)) as folder:
+            yield folder
+    else:
+        with going_on(job.folder, to_yaml(config)) as folder:
+            yield folder
+
+
+def _archive(folder: Path, config: CodesignConfig) -> Archive:
+    """The archive in ``folder``, made if there is none.
+
+    Raises:
+        RunError: it was made with other settings.
+    """
+    settings = {name: value for name, value in dataclasses.asdict(config).items() if name not in CHANGEABLE}
+    settings["training"].pop("save_interval")
+    settings.pop("preset")  # a name for values that are here themselves
+    settings = json.loads(json.dumps(settings))
+    path = folder / ARCHIVE
+    if not path.is_file():
+        return Archive.create(path, settings)
+    archive = Archive.open(path)
+    known = archive.settings
+    known["search"] = _all_settings(known["search"])
+    if known != settings:
+        archive.close()
+        other = next(name for name in {**settings, **known} if known.get(name) != settings.get(name))
+        raise RunError(f"{path} was made with another value of '{other}' than {folder / CONFIG} has.")
+    return archive
+
+
+def design_config(config: CodesignConfig, candidate: Candidate) -> str:
+    """The text of ``config.yaml`` beside the policy of a design: that of a training which ``warpvox play`` can show."""
+    training = config.training
+    values = {
+        "task": config.task,
+        "design": candidate.body.tolist(),
+        "rules": config.rules,
+        "num_envs": training.envs,
+        "max_iterations": training.iterations,
+        "eval_interval": training.eval_interval,
+        "eval_envs": training.eval_envs,
+        "seed": config.seed,
+        "device": config.device,
+        "dtype": config.dtype,
+        "arithmetic": config.arithmetic,
+        "threads": config.threads,
+        # those of the evaluation that found the fitness, so that playing finds it again
+        "lanes": lanes_for(training.eval_envs),
+        "torch_threads": config.torch_threads,
+        "output_dir": config.output_dir,
+        "physics": dataclasses.asdict(config.physics),
+        "ppo": dataclasses.asdict(training.ppo),
+    }
+    return to_yaml(load_values("train", values))
+
+
+# -------------------------------------------------------------------------------------------------- evaluation
+
+
+def make_evaluator(config: CodesignConfig) -> DesignEvaluator:
+    """The evaluator of a configuration; called in the process that evaluates."""
+    from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
+    from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
+    from warpvox.algos.env_factory import Arena
+    from warpvox.cli.build import physics_of, prepare
+    from warpvox.devices.names import resolve_device
+
+    prepare(config.torch_threads, config.seed)
+    device = resolve_device(config.device, _together(config) * config.training.envs)
+    arena = Arena(
+        config.task,
+        config.rules,
+        physics_of(config),
+        device,
+        config.dtype,
+        config.threads,
+        arithmetic=config.arithmetic,
+    )
+    kinds = {"population": PopulationEvaluator, "sequential": SequentialEvaluator}
+    return kinds[config.training.method](arena, config.training, config.seed)
+
+
+def make_executor(config: CodesignConfig) -> Executor:
+    """Where the configuration wants designs to be trained.
+
+    Raises:
+        ConfigError, RunError: Ray is missing or cannot be reached.
+    """
+    if config.executor == "local":
+        from warpvox.algos.codesign.executors import LocalExecutor
+
+        return LocalExecutor(make_evaluator(config))
+    from warpvox.algos.codesign.ray_executor import RayExecutor
+
+    threads = config.threads or 1
+    make = functools.partial(make_evaluator, dataclasses.replace(config, threads=threads))
+    return RayExecutor(make, config.workers, config.address, threads, gpus=0 if config.device == "cpu" else None)
+
+
+def _batch(config: CodesignConfig, executor: Executor) -> int | None:
+    """How many designs are trained together; see the key ``batch``."""
+    if config.batch is not None:
+        return config.batch
+    if config.training.method == "sequential":
+        return 1
+    return -(-config.search.population // executor.size) if config.executor == "ray" else None
+
+
+def _where(config: CodesignConfig, executor: Executor) -> str:
+    if config.executor == "local":
+        return f"rules {config.rules}, on {config.device}"
+    return f"rules {config.rules}, on {executor.size} workers of Ray"
+
+
+# ------------------------------------------------------------------------------------------------------- after
+
+
+def write_exports(archive: Archive, folder: Path, formats: list[str], console: Console) -> None:
+    """Write the archive in other formats and say where."""
+    from warpvox.cli.build import shown
+
+    for name in dict.fromkeys(formats):
+        say(console, shown(export(archive, folder, name)))
+
+
+def write_again(config: CodesignConfig, console: Console) -> None:
+    """Make report, pictures and exports of a search again, also while it is running.
+
+    Raises:
+        RunError: no such search.
+    """
+    from warpvox.cli.build import shown
+    from warpvox.cli.codesign_watch import Results
+
+    source = find_codesign(config.report, config.output_dir)
+    stored = load_values("codesign", source.config)
+    with Archive.read(source.folder / ARCHIVE) as archive:
+        results = Results(source.folder, archive, dataclasses.replace(stored, top=config.top))
+        for row in archive.generations():
+            results.draw(row["generation"])
+        summary = source.folder / SUMMARY
+        known = json.loads(summary.read_text(encoding="utf-8")) if summary.is_file() else {"status": "running"}
+        say(console, shown(results.report(known)))
+        write_exports(archive, source.folder, config.export, console)
+
+
+def conclude(console: Console, summary: dict[str, Any], folder: Path, config: CodesignConfig) -> None:
+    """Say how the search has ended and what one can do next."""
+    from warpvox.algos.report import FILE as REPORT
+
+    words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[summary["status"]]
+    text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps"
+    if summary["best_design"] is not None:
+        text += f"; best fitness {summary['best_fitness']:.3f} (design {summary['best_design']})"
+    say(console, text)
+    if summary["best_design"] is not None:
+        say(console, f"report: {(folder / REPORT).resolve().as_uri()}")
+        task = f" task={STORED}" if is_code(config.task) else ""
+        say(console, f"look at the best: warpvox play {typed('run', folder)}{task}")
+    if summary["status"] != "done":
+        say(console, f"go on: warpvox codesign {typed('resume', folder)}{again(config)}")

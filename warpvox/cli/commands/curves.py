@@ -1,0 +1,214 @@
+"""``warpvox curves``: learning curves of runs as one picture, as a table and as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from warpvox.algos.statistics import LEVEL, mean_interval
+from warpvox.algos.training.metrics import read_metrics
+from warpvox.cli.commands.train import describe
+from warpvox.cli.config import load, read_arguments
+from warpvox.cli.groups import Group, group_runs
+from warpvox.cli.runs import Run, find_runs
+from warpvox.cli.say import cell, plain, say
+from warpvox.cli.sweep import each, members
+from warpvox.configs.schema import CurvesConfig
+from warpvox.errors import ConfigError, RunError, listing
+from warpvox.io.writing import atomic_path, write_text
+
+__all__ = ["Curve", "curves_of", "run", "write_curves"]
+
+SUFFIXES = (".png", ".svg", ".pdf")
+AXES = {"steps": "control steps", "elapsed": "seconds", "iteration": "iterations"}
+COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
+STYLES = ("-", "--", ":", "-.")
+"""Of groups that the colours do not suffice for."""
+POINTS = 200  # of the mean of several runs
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The learning curve of runs that differ by nothing but their seed.
+
+    ``places`` float64 ``[k]``; ``mean``, ``low``, ``high`` ``[k]``: the return there over the runs, with its interval
+    (NaN for a single run); ``runs``: where and what of each, ``[2, evaluations]``.
+    """
+
+    group: Group
+    places: np.ndarray
+    mean: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    runs: tuple[np.ndarray, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of runs."""
+        return len(self.runs)
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox curves`` is asked for."""
+    arguments = read_arguments(words)
+    if describe("curves", arguments):
+        return
+    console = Console()
+    runs = members(arguments, "curves")
+    configs = [load("curves", member.overrides, arguments.config_dir) for member in runs]
+    each("curves", runs, configs, lambda config: _draw(config, console), console, configs[0].output_dir)
+
+
+def _draw(config: CurvesConfig, console: Console) -> None:
+    if len(config.size) != 2:
+        raise ConfigError(f"size must be [width,height] in pixels, got {config.size}.")
+    check_file(config.file)
+    found = find_runs(config.runs, config.output_dir)
+    judged = [each_run for each_run in found if _evaluations(each_run)]
+    if not judged:
+        raise RunError(f"The run {found[0].folder} has no evaluation yet: there is nothing to draw.")
+    curves = curves_of(judged, config.x)
+    path = write_curves(curves, config.file, config.x, (config.size[0], config.size[1]))
+    _print(curves, config.x, console)
+    if len(judged) < len(found):
+        left = listing(each_run.folder.name for each_run in found if each_run not in judged)
+        say(console, f"left out, without an evaluation yet: {left}")
+    say(console, f"curves: {path}\ntable: {path.with_suffix('.csv')}")
+
+
+def curves_of(runs: Sequence[Run], x: str = "steps") -> list[Curve]:
+    """The deterministic return of runs over the column ``x`` of ``metrics.csv``, a curve for each group of settings.
+
+    A run that has stopped early keeps its last return.
+
+    Raises:
+        RunError: a run without an evaluation.
+    """
+    return [_curve(group, [_points(each_run, x) for each_run in group.runs]) for group in group_runs(runs)]
+
+
+def _curve(group: Group, runs: list[np.ndarray]) -> Curve:
+    if len(runs) == 1:
+        unknown = np.full(runs[0].shape[1], math.nan)
+        return Curve(group, runs[0][0], runs[0][1], unknown, unknown, tuple(runs))
+    places = np.linspace(max(points[0, 0] for points in runs), max(points[0, -1] for points in runs), POINTS)
+    values = np.stack([np.interp(places, *points) for points in runs], axis=1)
+    intervals = [mean_interval(row) for row in values]
+    mean, low, high = (np.array([getattr(i, name) for i in intervals]) for name in ("mean", "low", "high"))
+    return Curve(group, places, mean, low, high, tuple(runs))
+
+
+def _evaluations(found: Run) -> list[dict[str, float]]:
+    return [row for row in read_metrics(found.folder) if np.isfinite(row["eval_return"])]
+
+
+def _points(found: Run, x: str) -> np.ndarray:
+    """The evaluations of a run, float64 ``[2, k]``: where and what."""
+    rows = _evaluations(found)
+    if not rows:
+        raise RunError(f"The run {found.folder} has no evaluation yet: there is nothing to draw.")
+    return np.array([[row[x] for row in rows], [row["eval_return"] for row in rows]], float)
+
+
+# ------------------------------------------------------------------------------------------------- the results
+
+
+def write_curves(
+    curves: Sequence[Curve], path: str | os.PathLike[str], x: str = "steps", size: tuple[int, int] = (760, 340)
+) -> Path:
+    """Draw curves: runs thin, their mean thick, its 95 % interval as a band; the same numbers as CSV beside it.
+
+    Args:
+        curves: see :func:`curves_of`.
+        path: .png, .svg or .pdf; written whole or not at all.
+        x: what they are over.
+        size: in pixels.
+
+    Raises:
+        ConfigError: another suffix, or matplotlib is not installed.
+    """
+    target = check_file(path)
+    try:
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ConfigError("Curves need matplotlib, which is not installed: pip install 'warpvox[view]'.") from None
+    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, layout="constrained")
+    axes = figure.add_subplot()
+    for number, curve in enumerate(curves):
+        turn, place = divmod(number, len(COLOURS))
+        look = {"color": COLOURS[place], "linestyle": STYLES[turn % len(STYLES)]}
+        if curve.n > 1:
+            axes.fill_between(curve.places, curve.low, curve.high, color=COLOURS[place], alpha=0.18, linewidth=0)
+            for points in curve.runs:
+                axes.plot(*points, **look, linewidth=0.8, alpha=0.3)
+        label = plain(curve.group.title).replace("$", r"\$")
+        axes.plot(curve.places, curve.mean, **look, linewidth=2.2, label=label)
+    _dress(axes, AXES[x])
+    # Equal runs make equal files: names inside an SVG are hashes with a random salt otherwise.
+    with atomic_path(target) as temporary, rc_context({"svg.hashsalt": "warpvox"}):
+        figure.savefig(temporary, format=target.suffix[1:].lower(), metadata=_no_date(target.suffix))
+    _write_csv(curves, target.with_suffix(".csv"), x)
+    return target
+
+
+def check_file(path: str | os.PathLike[str]) -> Path:
+    """Raise ConfigError unless ``path`` ends as a picture does."""
+    target = Path(path)
+    if target.suffix.lower() not in SUFFIXES:
+        raise ConfigError(f"file must end in {listing(SUFFIXES)}, got '{path}'.")
+    return target
+
+
+def _write_csv(curves: Sequence[Curve], path: Path, x: str) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["settings", x, "n", "mean", "low", "high"])
+    for curve in curves:
+        for numbers in zip(curve.places, curve.mean, curve.low, curve.high, strict=True):
+            place, mean, low, high = (f"{number:.9g}" if math.isfinite(number) else "" for number in numbers)
+            writer.writerow([curve.group.label, place, curve.n, mean, low, high])
+    write_text(path, text.getvalue())
+
+
+def _print(curves: Sequence[Curve], x: str, console: Console) -> None:
+    """Where the curves end, and the best evaluations, over the runs of each group."""
+    percent = f"{100 * LEVEL:g} %"
+    table = Table(title=f"deterministic return, mean of n runs [{percent} interval, Student's t]".replace("[", r"\["))
+    table.title_justify = "left"
+    for heading in ("settings", "n", AXES[x], "last return", "best return"):
+        table.add_column(heading, justify="left" if heading == "settings" else "right", overflow="fold")
+    for curve in curves:
+        last = mean_interval([points[1, -1] for points in curve.runs])
+        best = mean_interval([points[1].max() for points in curve.runs])
+        end = f"{max(points[0, -1] for points in curve.runs):,.0f}"
+        table.add_row(*map(cell, (curve.group.label, curve.n, end, last, best)))
+    console.print(table)
+
+
+def _dress(axes: Any, label: str) -> None:
+    axes.set_xlabel(label)
+    axes.set_ylabel("deterministic return")
+    axes.grid(color="#dde2ea", linewidth=0.8)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.ticklabel_format(axis="x", style="plain")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+    axes.margins(x=0.01)
+    axes.legend(frameon=False, loc="best")
+
+
+def _no_date(suffix: str) -> dict[str, Any]:
+    """Metadata that makes equal pictures equal files."""
+    return {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}[suffix.lower()]

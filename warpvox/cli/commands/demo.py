@@ -1,0 +1,64 @@
+"""``warpvox demo``: from nothing to a walking robot that can be looked at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from warpvox.cli.commands.play import print_returns
+from warpvox.cli.commands.train import Job, describe, train
+from warpvox.cli.config import load, read_arguments
+from warpvox.cli.exports import ROLLOUT, check_formats, load_run, record_run, write_exports
+from warpvox.cli.runs import check_name, find_run
+from warpvox.cli.say import say
+from warpvox.cli.sweep import each, members
+from warpvox.configs.schema import DemoConfig, PlayConfig
+from warpvox.envs.sources import is_code
+from warpvox.errors import ConfigError
+from warpvox.io.writing import check_writable
+
+__all__ = ["demo", "run"]
+
+
+def run(words: list[str]) -> None:
+    """Train, record the best policy, export it, and say where everything is."""
+    arguments = read_arguments(words)
+    if describe("demo", arguments):
+        return
+    console = Console()
+    runs = members(arguments, "demo")
+    configs = [load("demo", member.overrides, arguments.config_dir) for member in runs]
+    each("demo", runs, configs, lambda config: demo(config, console), console, configs[0].output_dir)
+
+
+def demo(config: DemoConfig, console: Console) -> Path:
+    """Make a demo; returns its folder.
+
+    Raises:
+        WarpvoxError: what is asked for is not valid, or the training has failed.
+    """
+    if config.resume is not None:
+        raise ConfigError("A demo starts anew; go on with it by `warpvox train resume=FOLDER`.")
+    check_name(config.name)
+    check_writable(config.output_dir)
+    formats = check_formats(config.export, "export") if config.export else []
+    folder = train(Job(config), console, "demo")
+    _show(folder, config, formats, console)
+    return folder
+
+
+def _show(folder: Path, config: Any, formats: list[str], console: Console) -> None:
+    """Record the best policy of a run and write it into the run's folder."""
+    source = find_run(str(folder), config.output_dir)
+    own = config.task if is_code(config.task) else None
+    env, controller = load_run(source, PlayConfig(num_envs=1, device="cpu", task=own))
+    with console.status("simulating"):
+        rollout = record_run(source, env, controller, None)
+    print_returns(rollout, console)
+    rollout.save(folder / ROLLOUT)
+    write_exports(rollout, folder, formats, console)
+    page = folder / "rollout.html"
+    if page.is_file():
+        say(console, f"open in a browser: {page.resolve().as_uri()}")

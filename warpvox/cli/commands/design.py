@@ -1,0 +1,47 @@
+"""``warpvox design``: the design editor in the browser, served to this machine only."""
+
+from __future__ import annotations
+
+import webbrowser
+from pathlib import Path
+
+from rich.console import Console
+
+from warpvox.cli.commands.train import describe
+from warpvox.cli.config import expand, load, read_arguments
+from warpvox.cli.say import say
+from warpvox.errors import ConfigError
+from warpvox.system import has_display
+
+__all__ = ["run"]
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox design`` is asked for; returns when it is interrupted."""
+    arguments = read_arguments(words)
+    if describe("design", arguments):
+        return
+    runs = expand(arguments, "design")
+    if len(runs) > 1:
+        raise ConfigError("There is one editor at a time; --multirun has no meaning here.")
+    config, console = load("design", runs[0], arguments.config_dir), Console()
+    with console.status("starting"):
+        from warpvox.cli.build import prepare
+        from warpvox.editor.server import EditorServer
+
+        prepare(1, 0)
+        server = EditorServer(Path(config.folder), config.port, config.file, config.tasks)
+    with server:
+        say(console, f"design editor: {server.url}")
+        say(console, f"files are opened and saved in {server.folder.resolve()}; Ctrl+C ends it")
+        if config.browser == "on" or (config.browser == "auto" and _has_display()):
+            webbrowser.open(server.url)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            say(console, "stopped")
+
+
+def _has_display() -> bool:
+    """Whether a browser would appear on a screen; on others a text browser might take over the terminal."""
+    return has_display("DISPLAY", "WAYLAND_DISPLAY")

@@ -1,0 +1,209 @@
+"""``warpvox evaluate``: how good trained policies are, with confidence intervals, and how they compare."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.table import Table
+
+from warpvox.algos.statistics import Interval, difference, mean_interval
+from warpvox.cli.commands.train import describe
+from warpvox.cli.config import load, read_arguments, to_yaml
+from warpvox.cli.consent import STORED
+from warpvox.cli.exports import draws_at_random, load_run
+from warpvox.cli.groups import Group, group_runs
+from warpvox.cli.origin import origin
+from warpvox.cli.runs import Run, as_name, check_name, find_runs, new_folder, write_summary
+from warpvox.cli.say import cell, say
+from warpvox.cli.sweep import each, members
+from warpvox.configs.schema import EvaluateConfig, PlayConfig
+from warpvox.envs.sources import is_code
+from warpvox.errors import ConfigError
+from warpvox.io.writing import check_writable, write_text
+
+if TYPE_CHECKING:
+    from warpvox.algos.evaluate import Evaluation
+
+__all__ = ["Judged", "compare", "evaluate_runs", "run"]
+
+SEVERAL = "several"
+"""Name of the folder where the runs are of more than one task."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Runs with the same settings: ``returns`` of the independent episodes of each, and what of them is compared."""
+
+    group: Group
+    returns: list[list[float]]
+
+    @property
+    def over(self) -> str:
+        """What an interval is over: runs where there are several, else the episodes of the only one."""
+        return "runs" if len(self.returns) > 1 else "episodes"
+
+    @property
+    def values(self) -> list[float]:
+        """Independent values: the mean return of each run, or the returns of the only one."""
+        return [sum(run) / len(run) for run in self.returns] if len(self.returns) > 1 else self.returns[0]
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox evaluate`` is asked for."""
+    arguments = read_arguments(words)
+    if describe("evaluate", arguments):
+        return
+    console = Console()
+    runs = members(arguments, "evaluate")
+    configs = [load("evaluate", member.overrides, arguments.config_dir) for member in runs]
+    each("evaluate", runs, configs, lambda config: evaluate_runs(config, console), console, configs[0].output_dir)
+
+
+def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
+    """Evaluate the runs, print and write tables; returns the folder of the results.
+
+    Raises:
+        WarpvoxError: a run that does not exist or cannot be evaluated as asked; nothing is written then.
+    """
+    check_name(config.name)
+    check_writable(config.output_dir)
+    if config.task is not None and not (config.task == STORED or is_code(config.task)):
+        raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
+    found = find_runs(config.runs, config.output_dir)
+    every, returns, alike = {}, {}, []
+    for number, each_run in enumerate(found):
+        with console.status(f"evaluating run {number + 1} of {len(found)}"):
+            evaluation, drawn = _evaluate(each_run, config)
+        every[id(each_run)] = returns[id(each_run)] = evaluation.returns.tolist()
+        if not drawn and not config.stochastic and config.episodes > 1:
+            alike.append(each_run)
+            returns[id(each_run)] = [evaluation.mean_return]  # one episode, however often it is repeated
+    judged = [Judged(group, [returns[id(each_run)] for each_run in group.runs]) for group in group_runs(found)]
+    tasks = {str(each_run.config["task"]) for each_run in found}
+    place = as_name(tasks.pop()) if len(tasks) == 1 else SEVERAL
+    with new_folder(config.output_dir, "evaluate", place, config.name, to_yaml(config)) as folder:
+        _print(judged, config, console)
+        _say_alike(alike, found, config, console)
+        _write(folder, judged, every, config)
+    from warpvox.cli.build import shown
+
+    for name in ("runs.csv", "groups.csv", "comparisons.csv", "summary.json"):
+        if (folder / name).is_file():
+            say(console, shown(folder / name))
+    return folder
+
+
+def _evaluate(found: Run, config: EvaluateConfig) -> tuple[Evaluation, bool]:
+    """One episode in each of ``config.episodes`` environments, and whether anything in them is drawn at random."""
+    from warpvox.algos.evaluate import evaluate
+    from warpvox.cli.build import prepare
+
+    prepare(config.torch_threads, config.seed)
+    names = ("checkpoint", "stochastic", "seed", "device", "dtype", "arithmetic", "threads")
+    task = config.task if is_code(found.config["task"]) else None
+    same = {name: getattr(config, name) for name in names}
+    env, policy = load_run(found, PlayConfig(num_envs=config.episodes, task=task, **same))
+    return evaluate(env, policy), draws_at_random(env)
+
+
+def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged, Interval]]:
+    """The difference of the mean returns of each two groups, the first less the second, with Welch's interval."""
+    pairs = combinations(judged, 2)
+    return [(first, second, difference(first.values, second.values, level)) for first, second in pairs]
+
+
+# -------------------------------------------------------------------------------------------------- results
+
+
+def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> None:
+    percent = f"{100 * config.level:g} %"
+    kind = "sampled actions" if config.stochastic else "deterministic"
+    table = Table(title=f"mean return, {kind}, {config.episodes} episodes of each run", title_justify="left")
+    for heading in ("settings", "run", "mean", f"{percent} interval", "n", "over"):
+        table.add_column(heading, justify="right" if heading in ("mean", "n") else "left", overflow="fold")
+    for entry in judged:
+        for each_run, returns in zip(entry.group.runs, entry.returns, strict=True):
+            interval = mean_interval(returns, config.level)
+            table.add_row(*map(cell, (entry.group.label, each_run.folder.name, *_cells(interval), "episodes")))
+        if entry.over == "runs":
+            table.add_row(*map(cell, ("", "all", *_cells(mean_interval(entry.values, config.level)), "runs")))
+        table.add_section()
+    console.print(table)
+    pairs = compare(judged, config.level)
+    if pairs:
+        table = Table(title=f"differences of mean returns, Welch's {percent} interval", title_justify="left")
+        for heading in ("first", "less second", "difference", f"{percent} interval", "n", "over"):
+            table.add_column(heading, justify="right" if heading in ("difference", "n") else "left", overflow="fold")
+        for first, second, interval in pairs:
+            over = first.over if first.over == second.over else f"{first.over} and {second.over}"
+            cells = _cells(interval)
+            sizes = f"{len(first.values)}, {len(second.values)}"
+            table.add_row(*map(cell, (first.group.label, second.group.label, *cells[:2], sizes, over)))
+        console.print(table)
+    say(
+        console,
+        "Intervals are Student's t. Over runs they tell of other trainings, over episodes of this policy alone.",
+    )
+
+
+def _say_alike(alike: list[Run], found: list[Run], config: EvaluateConfig, console: Console) -> None:
+    """Tell of runs whose episodes are one and the same, so that their number tells nothing."""
+    if alike:
+        which = "all runs" if len(alike) == len(found) else f"{len(alike)} of {len(found)} runs"
+        say(
+            console,
+            f"The {config.episodes} episodes of {which} are one: the task draws nothing at random and the policy is"
+            " deterministic. episodes=1 says as much, stochastic=true samples actions.",
+        )
+
+
+def _cells(interval: Interval) -> tuple[str, str, str]:
+    known = math.isfinite(interval.low)
+    return f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}" if known else "-", str(interval.n)
+
+
+def _write(folder: Path, judged: list[Judged], every: dict[int, list[float]], config: EvaluateConfig) -> None:
+    """The tables as CSV, and everything in ``summary.json``."""
+    runs, groups = [], []
+    for entry in judged:
+        for each_run, returns in zip(entry.group.runs, entry.returns, strict=True):
+            row = {"settings": entry.group.label, "run": str(each_run.folder), "seed": each_run.config.get("seed")}
+            runs.append(row | _row(mean_interval(returns, config.level)) | {"returns": every[id(each_run)]})
+        row = {"settings": entry.group.label, "over": entry.over}
+        groups.append(row | _row(mean_interval(entry.values, config.level)))
+    pairs = [
+        {"first": first.group.label, "second": second.group.label, "over": f"{first.over}, {second.over}"}
+        | _row(interval, "difference")
+        for first, second, interval in compare(judged, config.level)
+    ]
+    _write_csv(folder / "runs.csv", ({name: row[name] for name in row if name != "returns"} for row in runs))
+    _write_csv(folder / "groups.csv", groups)
+    if pairs:
+        _write_csv(folder / "comparisons.csv", pairs)
+    values = [value for returns in every.values() for value in returns]
+    facts = {"command": "evaluate", "checkpoint": config.checkpoint, "stochastic": config.stochastic}
+    facts |= {"episodes": config.episodes, "seed": config.seed, "level": config.level, "interval": "Student t, Welch"}
+    facts["mean_return"] = sum(values) / len(values)
+    write_summary(folder, facts | origin() | {"runs": runs, "groups": groups, "comparisons": pairs})
+
+
+def _row(interval: Interval, name: str = "mean") -> dict[str, Any]:
+    low, high = ((value if math.isfinite(value) else None) for value in (interval.low, interval.high))
+    return {name: interval.mean, "low": low, "high": high, "n": interval.n}
+
+
+def _write_csv(path: Path, rows: Iterable[dict[str, Any]]) -> None:
+    several = list(rows)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(several[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(several)
+    write_text(path, text.getvalue())

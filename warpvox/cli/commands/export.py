@@ -1,0 +1,93 @@
+"""``warpvox export``: a run's policy, its rollout, or one that was recorded before, as files: one format or several."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from warpvox.cli.commands.play import play_run, write_results
+from warpvox.cli.commands.train import describe
+from warpvox.cli.config import load, read_arguments, to_yaml
+from warpvox.cli.exports import check_formats, check_size
+from warpvox.cli.origin import origin
+from warpvox.cli.runs import as_name, check_name, new_folder, write_summary
+from warpvox.cli.say import say
+from warpvox.cli.sweep import each, members
+from warpvox.configs.schema import EXPORTS, POLICY_EXPORTS
+from warpvox.errors import ConfigError
+from warpvox.io.writing import check_writable
+
+if TYPE_CHECKING:
+    from warpvox.algos.checkpoints.policy import Policy
+
+__all__ = ["run"]
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox export`` is asked for."""
+    arguments = read_arguments(words)
+    if describe("export", arguments):
+        return
+    console = Console()
+    runs = members(arguments, "export")
+    configs = [load("export", member.overrides, arguments.config_dir) for member in runs]
+    each("export", runs, configs, lambda config: _export(config, console), console, configs[0].output_dir)
+
+
+def _export(config: Any, console: Console) -> Path:
+    formats = check_formats(config.format, "format", (*EXPORTS, *POLICY_EXPORTS))
+    pictures = [name for name in formats if name in EXPORTS]
+    programs = [name for name in formats if name in POLICY_EXPORTS]
+    check_size(config.size)
+    check_name(config.name)
+    check_writable(config.output_dir)
+    if config.rollout is not None:
+        if programs:
+            raise ConfigError(f"format={programs[0]} writes the policy of a run; a rollout holds none.")
+        from warpvox.view.rollout import Rollout
+
+        rollout, source = Rollout.load(config.rollout), config.rollout
+        config = dataclasses.replace(config, run="")  # the run that is named by default has no part in it
+        return write_results(rollout, config, source, "export", pictures, console, keep=False)
+    policy = _load_policy(config, console) if programs else None  # what is wrong with it should show first
+    if pictures:
+        rollout, source = play_run(config, console)
+        folder = write_results(rollout, config, source, "export", pictures, console)
+        _write_policy(policy, folder, programs, console)
+        return folder
+    return _export_policy(policy, config, programs, console)
+
+
+def _load_policy(config: Any, console: Console) -> Policy:
+    with console.status("loading"):
+        from warpvox.api import load_policy
+
+        return load_policy(config.run, checkpoint=config.checkpoint, output_dir=config.output_dir)
+
+
+def _export_policy(policy: Policy, config: Any, formats: list[str], console: Console) -> Path:
+    """A folder with the policy alone."""
+    # The task's name comes from a file that somebody else may have written: it must stay a name.
+    place = as_name(str(policy.metadata.get("task", ""))) or "policy"
+    with new_folder(config.output_dir, "export", place, config.name, to_yaml(config)) as folder:
+        checks = _write_policy(policy, folder, formats, console)
+        summary = {"command": "export", "task": policy.metadata.get("task"), "source": policy.metadata.get("source")}
+        write_summary(folder, summary | origin() | {"checks": checks})
+    return folder
+
+
+def _write_policy(policy: Policy | None, folder: Path, formats: list[str], console: Console) -> dict[str, str]:
+    """Write the policy in each format and say what there is; returns how each was checked."""
+    from warpvox.algos.checkpoints.export import POLICY_WRITERS
+    from warpvox.cli.build import shown
+
+    checks = {}
+    for name in formats:
+        file, write = POLICY_WRITERS[name]
+        with console.status(f"writing {file}"):
+            checks[name] = write(policy, folder / file)
+        say(console, f"{shown(folder / file)}  ({(folder / file).stat().st_size / 1e3:.0f} kB), {checks[name]}")
+    return checks

@@ -1,0 +1,77 @@
+"""``warpvox info``: versions, devices and the kernel cache, for bug reports and for looking what is there."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+import warpvox
+from warpvox.cli.say import cell
+from warpvox.devices.startup import start_warp
+from warpvox.errors import ConfigError
+from warpvox.system import processor_name, usable_cores
+
+__all__ = ["run"]
+
+PACKAGES = ("warp-lang", "torch", "rsl-rl-lib", "numpy", "gymnasium", "hydra-core", "usd-core")
+
+
+def run(words: list[str]) -> None:
+    """Print the table."""
+    if words and words[0] in ("-h", "--help"):
+        print("usage: warpvox info\n\nVersions, devices and the kernel cache.")
+        return
+    if words:
+        raise ConfigError(f"`warpvox info` takes no arguments, got '{' '.join(words)}'.")
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for name, value in [*_versions(), *_devices(), *_cache()]:
+        table.add_row(cell(name), cell(value))
+    console = Console()
+    if not console.is_terminal:
+        console.width = 120
+    console.print(table, highlight=False)
+
+
+def _versions() -> list[tuple[str, str]]:
+    rows = [
+        ("warpvox", f"{warpvox.__version__} in {Path(warpvox.__file__).parent}"),
+        ("python", f"{platform.python_version()} in {sys.prefix}"),
+        ("system", platform.platform()),
+    ]
+    for package in PACKAGES:
+        try:
+            rows.append((package, version(package)))
+        except PackageNotFoundError:
+            rows.append((package, "not installed"))
+    return rows
+
+
+def _devices() -> list[tuple[str, str]]:
+    import torch
+    import warp as wp
+
+    start_warp()
+    rows = [("cpu", f"{processor_name()}, {usable_cores()} of {os.cpu_count()} cores usable")]
+    if torch.cuda.is_available() and wp.is_cuda_available():
+        for index in range(torch.cuda.device_count()):
+            properties = torch.cuda.get_device_properties(index)
+            rows.append((f"cuda:{index}", f"{properties.name}, {properties.total_memory / 2**30:.0f} GiB"))
+    else:
+        rows.append(("cuda", "none"))
+    return rows
+
+
+def _cache() -> list[tuple[str, str]]:
+    import warp as wp
+
+    folder = Path(wp.config.kernel_cache_dir)
+    files = [file for file in folder.rglob("*") if file.is_file()] if folder.is_dir() else []
+    modules = sum(1 for item in folder.iterdir() if item.is_dir()) if folder.is_dir() else 0
+    size = sum(file.stat().st_size for file in files) / 1e6
+    return [("kernel cache", f"{folder}: {modules} modules, {size:.1f} MB")]

@@ -1,0 +1,216 @@
+"""``warpvox play``: a trained policy without exploration, or a simple agent; its returns, and what it did."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from warpvox.cli.commands.train import describe
+from warpvox.cli.config import load, read_arguments, to_yaml
+from warpvox.cli.consent import STORED
+from warpvox.cli.exports import (
+    ROLLOUT,
+    TILES,
+    check_formats,
+    check_size,
+    load_run,
+    record_agent,
+    record_run,
+    write_exports,
+)
+from warpvox.cli.origin import origin
+from warpvox.cli.runs import as_name, check_name, find_run, new_folder, write_summary
+from warpvox.cli.say import cell, say
+from warpvox.cli.sweep import each, members
+from warpvox.cli.watch import wants_window, watch
+from warpvox.configs.schema import PlayConfig
+from warpvox.envs.sources import is_code
+from warpvox.errors import ConfigError, listing
+from warpvox.io.writing import check_writable
+
+if TYPE_CHECKING:
+    from warpvox.view.rollout import Rollout
+
+__all__ = ["play", "run", "write_results"]
+
+ROWS = 20
+"""Environments that the table lists at most."""
+OF_AGENTS = ("task", "design", "rules")
+"""Keys that a trained run answers itself."""
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox play`` is asked for."""
+    arguments = read_arguments(words)
+    if describe("play", arguments):
+        return
+    console = Console()
+    runs = members(arguments, "play")
+    configs = [load("play", member.overrides, arguments.config_dir) for member in runs]
+    each("play", runs, configs, lambda config: play(config, console), console, configs[0].output_dir)
+
+
+def play(config: PlayConfig, console: Console) -> Path:
+    """Run one episode everywhere, write it down and show it; returns the folder of the results.
+
+    Raises:
+        WarpvoxError: the run or agent, or what is asked of it, is not valid; nothing is written then.
+    """
+    in_window = wants_window(config.window)
+    formats = ([] if in_window else ["html"]) if config.export is None else config.export
+    formats = check_formats(formats, "export") if formats else []
+    size = check_size(config.size)
+    check_name(config.name)
+    check_writable(config.output_dir)
+    if config.rollout is not None:
+        rollout, source = stored_rollout(config)
+        config = dataclasses.replace(config, run="", record=False)
+    elif config.agent is None:
+        rollout, source = play_run(config, console)
+    else:
+        rollout, source = play_agent(config, console), f"agent {config.agent}"
+        config = dataclasses.replace(config, run="")
+    folder = write_results(rollout, config, source, "play", formats, console, config.record)
+    if in_window:
+        say(console, "close the window to go on")
+        watch(rollout, list(range(min(rollout.num_envs, TILES))), **({"size": size} if size else {}))
+    return folder
+
+
+def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
+    """The rollout of a trained run's policy, and the folder of the run.
+
+    Raises:
+        WarpvoxError: no such run, or one that does not do what ``config`` asks.
+    """
+    for name in OF_AGENTS:
+        value = getattr(config, name, None)
+        if value is not None and not (name == "task" and (value == STORED or is_code(value))):
+            raise ConfigError(f"{name} goes with agent=random|sine|zero; a trained run has its own {name}.")
+    source = find_run(config.run, config.output_dir)
+    with console.status("loading"):
+        from warpvox.cli.build import prepare, shown
+
+        prepare(config.torch_threads, config.seed or 0)
+        env, controller = load_run(source, config)
+    with console.status("simulating"):
+        rollout = record_run(source, env, controller, config.steps, config.stochastic)
+    say(console, f"run: {shown(source.folder)}")
+    return rollout, str(source.checkpoint or source.folder)
+
+
+def stored_rollout(config: PlayConfig) -> tuple[Rollout, str]:
+    """The rollout of a file, and the file.
+
+    Raises:
+        ConfigError: an agent is asked for as well. RolloutError: no such file, or no rollout.
+    """
+    from warpvox.view.rollout import Rollout
+
+    given = [name for name in ("agent", *OF_AGENTS) if getattr(config, name) is not None]
+    if given:
+        raise ConfigError(f"rollout shows what was recorded: {listing(given)} cannot be given with it.")
+    return Rollout.load(config.rollout), config.rollout
+
+
+def play_agent(config: PlayConfig, console: Console) -> Rollout:
+    """The rollout of an agent that needs no training.
+
+    Raises:
+        WarpvoxError: a task, design or count that is not valid.
+    """
+    with console.status("loading"):
+        from warpvox.cli.build import prepare
+
+        prepare(config.torch_threads, config.seed or 0)
+    with console.status("simulating"):
+        return record_agent(config)
+
+
+def write_results(
+    rollout: Rollout, config: Any, source: str, command: str, formats: list[str], console: Console, keep: bool = True
+) -> Path:
+    """Print the returns and write the folder of a play or an export; returns it.
+
+    Args:
+        source: what made the rollout; ``config.run`` is replaced by it where that names a run.
+        keep: whether to write the rollout itself as well.
+    """
+    resolved = dataclasses.replace(config, run=source) if config.run else config
+    # The task's name may come from a file that somebody else has written: it must stay a name.
+    place = as_name(rollout.title) or "rollout"
+    with new_folder(config.output_dir, command, place, config.name, to_yaml(resolved)) as folder:
+        print_returns(rollout, console)
+        if keep:
+            rollout.save(folder / ROLLOUT)
+        write_exports(rollout, folder, formats, console, check_size(config.size), config.every)
+        write_summary(folder, summary_of(rollout, command, source))
+    page = folder / "rollout.html"
+    if page.is_file():
+        say(console, f"open in a browser: {page.resolve().as_uri()}")
+    return folder
+
+
+def summary_of(rollout: Rollout, command: str, source: str) -> dict[str, Any]:
+    """The rollout in figures, for ``summary.json``; ``source``: what made it."""
+    returns = rollout.returns[-1]
+    return {
+        "command": command,
+        "task": rollout.title,
+        "source": source,
+        **origin(),
+        "seed": rollout.metadata.get("seed"),
+        "mean_return": float(returns.mean()),
+        "returns": [float(value) for value in returns],
+        "lengths": [int(value) for value in rollout.lengths],
+    }
+
+
+def print_returns(rollout: Rollout, console: Console) -> None:
+    """A table with a row for each environment (the first ones of many) and their mean."""
+    returns, lengths = rollout.returns[-1], rollout.lengths
+    several = len(rollout.scenes) > 1
+    agent = rollout.metadata.get("agent", "policy")
+    kind = "sampled actions" if rollout.metadata.get("stochastic") else "deterministic"
+    kind = kind if agent == "policy" else f"agent {agent}"
+    if rollout.metadata.get("diverged"):
+        kind = f"up to the step in which environment {rollout.metadata.get('environment')} diverged"
+    table = Table(title=cell(f"{rollout.title}, {kind}"))
+    for heading in ("environment", *(["design"] if several else []), "return", "steps", "end"):
+        table.add_column(heading, justify="left" if heading == "end" else "right")
+    for env in range(min(rollout.num_envs, ROWS)):
+        design = [str(rollout.design_index[env])] if several else []
+        table.add_row(str(env), *design, f"{returns[env]:.3f}", str(lengths[env]), _end(rollout, env))
+    if rollout.num_envs > ROWS:
+        table.add_row("...", *([""] if several else []), "", "", f"{rollout.num_envs - ROWS} more")
+    if rollout.num_envs > 1:
+        table.add_section()
+        mean = [f"{returns.mean():.3f}", f"{lengths.mean():.0f}", f"deviation {np.std(returns):.3f}"]
+        table.add_row("mean", *([""] if several else []), *mean)
+    console.print(table)
+    if agent == "policy" and rollout.num_envs > len(rollout.scenes) and rollout.metadata.get("drawn") is False:
+        say(console, _about_one_episode(rollout))
+
+
+def _about_one_episode(rollout: Rollout) -> str:
+    """That a deterministic policy in a task without chance shows one episode a design, however many are asked for."""
+    several = len(rollout.scenes)
+    differ = any(len(np.unique(rollout.returns[-1][rollout.design_index == design])) > 1 for design in range(several))
+    alike = "differ by rounding alone (of batched matrix products)" if differ else "are identical"
+    return (
+        f"the {rollout.num_envs} episodes {alike}: the task draws nothing at random and the policy is deterministic;"
+        f" num_envs={several} shows as much, stochastic=true samples its actions"
+    )
+
+
+def _end(rollout: Rollout, env: int) -> str:
+    if not rollout.num_steps or not rollout.done[-1, env]:
+        return "still going"
+    if rollout.metadata.get("diverged"):
+        return "diverged"
+    return "task ended" if rollout.terminated[-1, env] else "time limit"

@@ -1,0 +1,218 @@
+"""``warpvox tasks``: all tasks as a table, or one in detail with a picture of its world."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from warpvox.cli.say import cell, say
+from warpvox.errors import ConfigError, WorldError, did_you_mean, listing
+
+__all__ = ["run"]
+
+USAGE = """\
+usage: warpvox tasks [ID] [KEY=VALUE ...]
+
+Lists the tasks; with an ID (or module:NAME, or file.py:NAME) shows that task in detail, with its world.
+
+keys:
+  rules=evogym    as released (evogym) or as printed (paper)
+  design=walker   the body that the world is shown with, and that the layout of the observation is for
+  picture=FILE    also write the world as a picture (.png)
+
+keys without an ID:
+  gallery=FILE    instead of the list write all worlds into one picture (.png)
+  design=walker   the body that stands in them"""
+KEYS = {"rules": "evogym", "design": "walker", "picture": None}
+ALL_KEYS = {"gallery": None, "design": "walker"}
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox tasks`` is asked for."""
+    if any(word in ("-h", "--help") for word in words):
+        print(USAGE)
+        return
+    name, keys = _read(words)
+    console = Console()
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = 120  # a pipe has no width of its own; 80 columns would cut the sentences
+    if name is None and keys["gallery"] is not None:
+        _write_gallery(keys, console)
+    elif name is None:
+        _print_all(console)
+    else:
+        _print_task(name, keys, console)
+
+
+def _read(words: list[str]) -> tuple[str | None, dict[str, Any]]:
+    """The task's id, if there is one, and all keys.
+
+    Raises:
+        ConfigError: an unknown option or key, or several ids.
+    """
+    names = [word for word in words if "=" not in word]
+    if len(names) > 1 or any(word.startswith("-") for word in words):
+        raise ConfigError(f"`warpvox tasks` takes one task id at most, got '{' '.join(words)}'.")
+    keys = dict(KEYS if names else ALL_KEYS)
+    for word in words:
+        key, given, value = word.partition("=")
+        if not given:
+            continue
+        if key not in keys:
+            hint = did_you_mean(key, keys)
+            place = "`warpvox tasks ID`" if names else "Without an ID `warpvox tasks`"
+            raise ConfigError(f"{place} takes the keys {listing(keys)}, got '{word}'.{hint}")
+        keys[key] = value if key == "rules" else os.path.expanduser(value)
+    for key in ("picture", "gallery"):
+        if keys.get(key) is not None and Path(keys[key]).suffix.lower() != ".png":
+            raise ConfigError(f"{key} must be a file ending in .png, got '{keys[key]}'.")
+    return (names or [None])[0], keys
+
+
+def _print_all(console: Console) -> None:
+    from warpvox.envs.registry import get_task, task_ids
+
+    table = Table()
+    columns = {
+        "task": "left",
+        "level": "left",
+        "steps": "right",
+        "observes": "right",
+        "section": "left",
+        "goal": "left",
+    }
+    for heading, justify in columns.items():
+        table.add_column(heading, justify=justify, overflow="fold")
+    for name in task_ids():
+        task = get_task(name)
+        fixed, per_point = (sum(term.about.size(dict(term.params), n) for term in task.observations) for n in (0, 1))
+        observes = f"{fixed} + {per_point - fixed} n"
+        table.add_row(task.id, task.difficulty, str(task.max_episode_steps), observes, task.section, cell(task.summary))
+    console.print(table)
+    say(console, "steps: the longest episode; observes: numbers in an observation of a robot of n points")
+    say(console, "`warpvox tasks ID` shows one in detail.")
+
+
+def _write_gallery(keys: dict[str, Any], console: Console) -> None:
+    from warpvox.cli.gallery import write_gallery
+
+    path = write_gallery(keys["gallery"], keys["design"])
+    say(console, f"gallery: {path}")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One observation term of a task and where it lies."""
+
+    place: slice
+    formula: str
+    unit: str
+    values: str
+
+
+def _layout(task: Any, points: dict[str, int]) -> Iterator[Row]:
+    """The observation's parts for bodies with so many points (by the name of the object)."""
+    start = 0
+    for term in task.observations:
+        params = dict(term.params)
+        size = term.about.size(params, points.get(params.get("name", ""), 0))
+        low, high = (f"{bound:.4g}" for bound in (term.about.low, term.about.high))
+        values = "any" if (low, high) == ("-inf", "inf") else f"{low} to {high}"
+        yield Row(slice(start, start + size), term.formula, term.about.unit, values)
+        start += size
+
+
+def _print_task(name: str, keys: dict[str, Any], console: Console) -> None:
+    from warpvox.cli.terrain import print_world
+    from warpvox.design import load_design
+    from warpvox.envs.registry import get_task
+    from warpvox.envs.worlds import task_world
+    from warpvox.view.world_picture import scene_of_world, write_world_png
+
+    whole = get_task(name)
+    task = whole.under(keys["rules"])
+    world = task_world(task, load_design(keys["design"]))
+    scene, _ = scene_of_world(world)
+    points = {obj.name: obj.num_points for obj in scene.objects}
+    heading = cell(f" ({task.difficulty}, paper section {task.section}, rules={keys['rules']})")
+    console.print(Text.assemble(cell(task.id, "bold"), heading))
+    say(console, f"{task.summary}\n")
+    say(console, f"episode  {task.max_episode_steps} control steps at most")
+    for number, line in enumerate(_rewards(task)):
+        say(console, ("reward   " if number == 0 else "         ") + line)
+    for number, line in enumerate(_ends(task)):
+        say(console, ("ends     " if number == 0 else "         ") + line)
+    if task.memory:
+        moved = f"; every episode places {listing(task.scattered)} anew" if task.scattered else ""
+        say(console, f"memory   {listing(memory.name for memory in task.memory)}{moved}")
+    if whole.paper:
+        other = {"evogym": "rules=paper changes", "paper": "different under rules=evogym"}[keys["rules"]]
+        say(console, f"rules    {other}: {listing(key.replace('_', ' ') for key in whole.paper)}")
+    say(console, f"designs  {_designs(task)}")
+    _print_observation(task, keys["design"], points, console)
+    print_world(world, console)
+    if keys["picture"] is not None:
+        path = write_world_png(world, keys["picture"])
+        say(console, f"\npicture: {path}")
+
+
+def _designs(task: Any) -> str:
+    """The example designs that fit the task's world, those made for it first."""
+    from warpvox.design import example_designs
+    from warpvox.envs.worlds import task_world
+    from warpvox.examples import MADE_FOR
+
+    if task.partners:
+        return f"one each for {listing(task.robots)}"
+    fitting = []
+    for name, body in example_designs().items():
+        try:
+            task_world(task, body)
+        except WorldError:
+            continue
+        fitting.append(name)
+    made = {name for name in fitting if task.id in MADE_FOR.get(name, ())}
+    ordered = sorted(fitting, key=lambda name: name not in made)
+    return f"examples that fit: {listing(f'{name} (made for it)' if name in made else name for name in ordered)}"
+
+
+def _rewards(task: Any) -> Iterator[str]:
+    """What a control step is worth, term by term."""
+    for number, term in enumerate(task.rewards):
+        weight = "" if abs(term.weight) == 1 else f"{abs(term.weight):g} "
+        sign = "- " if term.weight < 0 else "+ " if number else ""
+        yield f"{sign}{weight}{term.formula}"
+    yield "(Δ: after the step less before; [condition]: only where it holds after the step)"
+
+
+def _ends(task: Any) -> Iterator[str]:
+    """Conditions of the end, with what each adds to the reward."""
+    for term in task.terminations:
+        yield f"{term.formula}: {term.bonus:+g}" if term.bonus else f"{term.formula}: no bonus"
+    yield f"the robot folds into itself: {task.unstable_penalty:+g}"
+
+
+def _print_observation(task: Any, design: str, points: dict[str, int], console: Console) -> None:
+    from warpvox.envs.about import UNITS
+
+    robots = ", ".join(f"{points[name]} points of {name}" for name in task.robots)
+    rows = list(_layout(task, points))
+    title = cell(f"observation: {rows[-1].place.stop} numbers ({robots}, design={design})")
+    table = Table(title=title, title_justify="left")
+    for heading in ("entries", "what", "unit", "values"):
+        table.add_column(heading, justify="right" if heading == "entries" else "left", overflow="fold")
+    for row in rows:
+        table.add_row(f"{row.place.start}:{row.place.stop}", cell(row.formula), cell(row.unit), row.values)
+    console.print()
+    console.print(table)
+    used = {row.unit for row in rows}
+    say(console, "; ".join(f"{unit}: {meaning}" for unit, meaning in UNITS.items() if unit in used))
+    say(console, "x, y: centre of mass; v: its velocity; θ: turn since the beginning; p: (x, y); 0:2 is [0] and [1]")
+    say(console, "obs=voxel: 25 numbers for every cell of the body instead of c, before the others\n")

@@ -1,0 +1,344 @@
+"""``warpvox train``: from a configuration to a run folder with a trained policy."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from warpvox.cli import COMMANDS
+from warpvox.cli.config import expand, load, read_arguments, to_yaml
+from warpvox.cli.consent import again, as_stored, keep_code
+from warpvox.cli.help import command_help
+from warpvox.cli.origin import origin
+from warpvox.cli.runs import (
+    STATE,
+    TRAINING,
+    Run,
+    check_name,
+    find_run,
+    going_on,
+    is_summed_up,
+    new_folder,
+    write_summary,
+)
+from warpvox.cli.say import say, typed
+from warpvox.cli.sweep import each, members
+from warpvox.configs.schema import TrainConfig
+from warpvox.devices.out_of_memory import enough_memory
+from warpvox.errors import ConfigError, RunError, StorageError, listing
+from warpvox.io.writing import check_writable
+from warpvox.system import usable_cores
+
+if TYPE_CHECKING:
+    from warpvox.algos.training.distributed import Team
+
+__all__ = ["Job", "check_unchanged", "describe", "flat", "make_job", "run", "train"]
+
+CHANGEABLE = (
+    "max_iterations",
+    "eval_interval",
+    "eval_envs",
+    "stop_return",
+    "save_interval",
+    "device",
+    "threads",
+    "torch_threads",
+    "cuda_graph",
+    "nan_guard",
+    "memory_check",
+    "resume",
+    "output_dir",
+)
+"""Keys that may differ when a run is resumed: they do not change what is learned.
+
+But for rounding: another device, or other ``torch_threads``, adds up the products of matrices in another order.
+"""
+
+
+@dataclass
+class Job:
+    """One run to be made: a configuration, and what it resumes, with the configuration that this has."""
+
+    config: TrainConfig
+    folder: Path | None = None
+    checkpoint: Path | None = None
+    stored: dict[str, Any] = field(default_factory=dict)
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox train`` is asked for; all runs of a sweep are checked before the first begins."""
+    arguments = read_arguments(words)
+    if describe("train", arguments):
+        return
+    runs = members(arguments, "train")
+    jobs = [make_job(member.overrides, arguments.config_dir) for member in runs]
+    if len(jobs) > 1:
+        from warpvox.cli.build import prepare, resolve
+
+        for job in jobs:  # a mistake in the last of a hundred runs should not show after a day
+            prepare(job.config.torch_threads, job.config.seed)
+            resolve(job.config)
+    console = Console()
+    each("train", runs, jobs, lambda job: train(job, console), console, jobs[0].config.output_dir)
+
+
+def describe(command: str, arguments: Any) -> bool:
+    """Print the help or the configuration, if that is what was asked for."""
+    if arguments.help:
+        defaults = load(command, [], None)
+        print(command_help(command, COMMANDS[command], flat(dataclasses.asdict(defaults))))
+        return True
+    if arguments.show:
+        for overrides in expand(arguments, command):
+            print(to_yaml(load(command, overrides, arguments.config_dir)), end="")
+        return True
+    return False
+
+
+def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested values by their dotted keys."""
+    found = {}
+    for name, value in values.items():
+        found |= flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+    return found
+
+
+def make_job(overrides: list[str], config_dir: Path | None) -> Job:
+    """Compose a run; with ``resume`` on top of the configuration of the run that it goes on with.
+
+    Raises:
+        ConfigError, RunError: what is wrong with it.
+    """
+    config = load("train", overrides, config_dir)
+    check_name(config.name)
+    if config.resume is None:
+        check_writable(config.output_dir)
+        return Job(config)
+    source = find_run(config.resume, config.output_dir, TRAINING, resume=True)
+    check_writable(source.folder)
+    stored = _known(source.config)
+    config = load("train", overrides, config_dir, base=stored, home=source.folder)
+    check_unchanged(stored, as_stored(config, stored), CHANGEABLE)
+    checkpoint = source.checkpoint or source.folder / STATE
+    if not checkpoint.is_file():
+        raise RunError(
+            f"The run {source.folder} cannot be resumed: it has no {STATE}. If it was stopped before its first"
+            " iteration, start it again."
+        )
+    _check_readable(source, checkpoint)
+    return Job(dataclasses.replace(config, resume=None), source.folder, checkpoint, stored)
+
+
+def _check_readable(source: Run, checkpoint: Path) -> None:
+    """Raise RunError, with the newest checkpoint that will do instead, if one is damaged."""
+    from warpvox.algos.checkpoints.files import load_checkpoint
+
+    try:
+        load_checkpoint(checkpoint)
+    except RunError as error:
+        for number in reversed(source.iterations):
+            other = source.folder / f"model_{number}.pt"
+            if other != checkpoint and _is_readable(other):
+                raise RunError(
+                    f"{str(error).rstrip('.')}. The newest checkpoint that can be read is that of iteration {number};"
+                    f" go on from there, with new episodes: warpvox train {typed('resume', other)}"
+                ) from None
+        raise RunError(f"{str(error).rstrip('.')}, and there is no other checkpoint: start the run again.") from None
+
+
+def _is_readable(checkpoint: Path) -> bool:
+    from warpvox.algos.checkpoints.files import load_checkpoint
+
+    try:
+        load_checkpoint(checkpoint)
+    except RunError:
+        return False
+    return True
+
+
+def check_unchanged(before: dict[str, Any], config: Any, changeable: Sequence[str]) -> None:
+    """Raise ConfigError if a resumed run is asked for something that would make it another one."""
+    old, new = flat(before), flat(dataclasses.asdict(config))
+    changed = [key for key, value in new.items() if key in old and old[key] != value and key not in changeable]
+    if changed:
+        key = changed[0]
+        raise ConfigError(
+            f"{key} cannot change when a run is resumed (it has {old[key]}, asked for {new[key]});"
+            f" what can: {listing(changeable[:-2])}."
+        )
+
+
+def _known(config: dict[str, Any]) -> dict[str, Any]:
+    """Without the keys that training does not have (a demo is trained like any other run)."""
+    names = {item.name for item in dataclasses.fields(TrainConfig)}
+    return {name: value for name, value in config.items() if name in names}
+
+
+def train(job: Job, console: Console, command: str = "train") -> Path:
+    """Make a run; returns its folder. Nothing is written before everything has been checked.
+
+    Raises:
+        WarpvoxError: something asked for does not exist or is not valid, or learning has diverged.
+        KeyboardInterrupt: interrupted; the state has been saved.
+    """
+    with console.status("loading"):
+        from warpvox.algos.evaluate import evaluator
+        from warpvox.algos.training.distributed import join_team
+        from warpvox.algos.training.runner import Runner, Schedule, adapt
+        from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes
+        from warpvox.cli.needs import check_training
+
+        team = join_team(job.config.device)
+        console.quiet = console.quiet or not team.leads
+        prepare(job.config.torch_threads, team.seed(job.config.seed))
+        config = resolve(share(job.config, team))
+        designs = load_bodies(config.design, config.seed)
+        check_training(config, designs)
+    advice = f"Train with fewer environments: num_envs={max(1, config.num_envs // 2)} instead of {config.num_envs}."
+    preparing = console.status("preparing the simulation (the first time on a machine its kernels are compiled)")
+    with preparing, enough_memory(advice):
+        schedule = Schedule(config.max_iterations, config.save_interval, config.eval_interval, config.stop_return)
+        seed, guard = team.seed(config.seed), config.nan_guard
+        env = adapt(make_env(config, config.num_envs, auto_reset=True, seed=seed, nan_guard=guard), config.ppo)
+        lanes = training_lanes(config, config.device)
+        judge = None
+        if team.leads:
+            judge = evaluator(make_env(config, config.eval_envs * len(designs), auto_reset=False, lanes=lanes))
+        runner = Runner(env, config.ppo, schedule, evaluator=judge, team=team)
+        if job.checkpoint is not None:
+            runner.resume(job.checkpoint)
+            _check_left(job.folder, runner)
+    if team.size > 1:
+        config = dataclasses.replace(config, num_envs=job.config.num_envs, device=config.device.split(":")[0])
+    with _folder(job, config, command, team) as folder:
+        runner.folder = folder
+        if env.env.dump is not None:
+            env.env.dump.folder = folder / ("dumps" if team.leads else f"dumps_{team.rank}")
+        _announce(console, as_stored(config, job.stored), runner, folder)
+        if team.leads:
+            keep_code(config, folder, console)
+        _learn(runner, console, folder, command, config)
+    return folder
+
+
+def _check_left(folder: Path, runner: Any) -> None:
+    """Raise RunError, with what to type instead, if a resumed run has nothing left to do.
+
+    One that was killed between its last iteration and its summary is let through: the summary is left.
+    """
+    done, total, goal = runner.current_learning_iteration, runner.schedule.total, runner.schedule.stop_return
+    again = f"go on with: warpvox train {typed('resume', folder)}"
+    ended = is_summed_up(folder)
+    if done > total or (ended and done == total):
+        raise RunError(
+            f"The run has already made {done} iterations, and max_iterations={total} asks for no more;"
+            f" {again} max_iterations={2 * done}"
+        )
+    if ended and goal is not None and runner.last_return >= goal:
+        raise RunError(
+            f"The run has ended because an evaluation ({runner.last_return:.3f}) has already reached"
+            f" stop_return={goal:g}; {again} stop_return=null"
+        )
+
+
+def share(config: TrainConfig, team: Team) -> TrainConfig:
+    """What a process of a team has to do of a training: its share of the environments, its own device and threads.
+
+    Raises:
+        ConfigError: the environments cannot be shared out evenly.
+    """
+    if team.size == 1:
+        return config
+    if config.num_envs % team.size:
+        raise ConfigError(f"num_envs={config.num_envs} cannot be shared out evenly to {team.size} processes.")
+    threads = config.threads or max(1, usable_cores() // team.local_size)
+    return dataclasses.replace(config, num_envs=config.num_envs // team.size, device=team.device, threads=threads)
+
+
+@contextmanager
+def _folder(job: Job, config: TrainConfig, command: str, team: Team) -> Iterator[Path]:
+    """The folder of a new run, or that of the one which is resumed; made by the first process."""
+    if not team.leads:
+        yield Path(team.leaders(None))
+    elif job.folder is None:
+        with new_folder(config.output_dir, command, config.task, config.name, to_yaml(config)) as folder:
+            team.leaders(str(folder))
+            yield folder
+    else:
+        with going_on(job.folder, to_yaml(as_stored(config, job.stored))) as folder:
+            team.leaders(str(folder))
+            yield folder
+
+
+def _announce(console: Console, config: TrainConfig, runner: Any, folder: Path) -> None:
+    from warpvox.cli.build import shown
+
+    done = runner.current_learning_iteration
+    verb = f"resuming after iteration {done}" if done else "training"
+    where = config.device if runner.team.size == 1 else f"{runner.team.size} processes, {config.device}"
+    text = f"{verb}: {config.task}, {config.num_envs} environments on {where}, rules {config.rules}"
+    say(console, f"{text}\nrun folder: {shown(folder)}")
+    if done and done == runner.schedule.total:
+        more = f"max_iterations={2 * done}"
+        say(
+            console,
+            f"all {done} iterations are made, only the summary was missing; for more of them resume with {more}",
+        )
+
+
+def _learn(runner: Any, console: Console, folder: Path, command: str, config: TrainConfig) -> None:
+    """Learn with a live line, and sum up however it ends."""
+    from warpvox.cli.progress import TrainingProgress
+
+    began, status = time.perf_counter(), "failed"
+    started_at = runner.steps
+    progress = TrainingProgress(runner.schedule.total, runner.current_learning_iteration, console)
+    runner.report = progress
+    try:
+        with progress:
+            if runner.current_learning_iteration < runner.schedule.total:
+                runner.run()
+        status = "done"
+    except KeyboardInterrupt:
+        status = "interrupted"
+        raise
+    finally:
+        seconds = time.perf_counter() - began
+        if runner.current_learning_iteration and runner.team.leads:
+            summary = {
+                "command": command,
+                "task": runner.env.cfg["task"],
+                "status": status,
+                "seed": config.seed,
+                "design": config.design,
+            }
+            summary |= origin() | runner.summary()
+            summary["steps_per_second"] = round((runner.steps - started_at) / seconds, 1)
+            # a run that has failed may have failed because nothing can be written; that is what should be told
+            with suppress(StorageError) if status == "failed" else nullcontext():
+                write_summary(folder, summary)
+            _conclude(console, runner, summary, seconds, folder, again(config))
+
+
+def _conclude(console: Console, runner: Any, summary: dict[str, Any], seconds: float, folder: Path, keys: str) -> None:
+    """Say how the run has ended and what one can do next."""
+    command, status, best = summary["command"], summary["status"], summary["best_return"]
+    done, saved = runner.current_learning_iteration, runner.saved_iteration
+    words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
+    if status != "done" and saved != done:
+        words = f"{status}, the state of iteration {saved} is kept,"
+    text = f"{words} after {runner.steps:,} control steps in {seconds:.0f} s"
+    if best is not None:
+        text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
+    say(console, text)
+    if status == "done" and command == "train":
+        say(console, f"look at it: warpvox play {typed('run', folder)}{keys} 'export=[gif,html]'")
+    if status != "done" and (folder / STATE).is_file():
+        say(console, f"go on: warpvox train {typed('resume', folder)}{keys}")

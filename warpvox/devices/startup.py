@@ -1,0 +1,94 @@
+"""Starts Warp without its chatter, says when kernels are being compiled, and has their cache mended.
+
+Warp prints a banner when it starts and a line for every module that it loads, but nothing when it begins to compile,
+which takes 10 to 40 seconds. Who has set ``warp.config.log_level``, or started Warp, before the first simulation gets
+what was asked for.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from typing import Any
+
+from warpvox.devices.kernel_cache import mended
+
+__all__ = ["LOGGER", "start_warp"]
+
+LOGGER = logging.getLogger("warpvox")
+"""Where the line about compilation goes, as a warning: it shows without any configuration."""
+NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
+"""Warp's native code prints this on every machine without a GPU, whatever its log level is."""
+BUILDERS = {"build_cpu": "the CPU", "build_cuda": "CUDA"}
+"""Functions in which Warp compiles. It offers no other way to learn of it before it is over."""
+
+
+@functools.cache
+def start_warp() -> None:
+    """Initialise Warp, unless it is; only what it complains about besides a missing GPU gets through."""
+    import warp as wp
+    from warp._src import build, context
+
+    context.Module.load = mended(context.Module.load, _is_ours, LOGGER.warning)
+    for name, where in BUILDERS.items():
+        if hasattr(build, name):
+            setattr(build, name, _announced(getattr(build, name), where))
+    if getattr(context, "runtime", None) is not None:
+        return
+    if wp.config.log_level != wp.LOG_INFO:  # not the default: somebody has chosen it
+        wp.init()
+        return
+    wp.config.log_level = wp.LOG_WARNING
+    _init_without_complaint()
+
+
+def _announced(build: Callable[..., Any], where: str) -> Callable[..., Any]:
+    """``build``, with a line before its first call on behalf of this package."""
+    told = False
+
+    @functools.wraps(build)
+    def call(*args: Any, **options: Any) -> Any:
+        nonlocal told
+        if not told and _is_ours():
+            told = True
+            LOGGER.warning("Compiling kernels for %s (once per version and machine; 10 to 40 s)", where)
+        return build(*args, **options)
+
+    return call
+
+
+def _is_ours() -> bool:
+    """Whether a module of this package has led to the present call, not a kernel of somebody else."""
+    frame = sys._getframe(2)  # above the function that asks
+    while frame is not None:
+        name = str(frame.f_globals.get("__name__", ""))
+        if name.startswith("warpvox.") and name not in (__name__, mended.__module__):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _init_without_complaint() -> None:
+    import warp as wp
+
+    sys.stderr.flush()
+    try:
+        caught, kept = tempfile.TemporaryFile(), os.dup(2)  # noqa: SIM115  (closed below)
+    except OSError:  # no stderr to keep clean, or no room to keep it
+        wp.init()
+        return
+    with caught:
+        os.dup2(caught.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+        caught.seek(0)
+        for line in caught:
+            if NO_DRIVER not in line:
+                sys.stderr.write(line.decode(errors="replace"))

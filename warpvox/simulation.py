@@ -1,0 +1,515 @@
+"""Simulation: many worlds stepped at once."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import torch
+import warp as wp
+
+from warpvox.batch.objects import CompiledWorlds, Objects
+from warpvox.batch.packs import (
+    Batch,
+    State,
+    choose_threads,
+    group,
+    lay_out,
+    put_tables,
+    resolve_arithmetic,
+    resolve_layout,
+)
+from warpvox.compile import Body
+from warpvox.devices.names import resolve_device
+from warpvox.errors import ActionError, SimulationError
+from warpvox.kernels import reset as reset_stage
+from warpvox.kernels import step as step_stage
+from warpvox.kernels.reset import STALE
+from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
+from warpvox.sensors import Recorded, Sensing
+from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, Physics
+from warpvox.world import World
+
+__all__ = ["STATE_FIELDS", "Simulation"]
+
+NUMBERS = {
+    torch.float32,
+    torch.float64,
+    torch.float16,
+    torch.bfloat16,
+    torch.int64,
+    torch.int32,
+    torch.int16,
+    torch.int8,
+}
+"""Types that actions may have."""
+
+DTYPES = {"float32": torch.float32, "float64": torch.float64}
+_STOPPED, _OVERFLOW = int(UNSTABLE | DIVERGED), int(OVERFLOW)
+
+
+class Simulation(Sensing):
+    """Worlds stepped together, one environment each.
+
+    Args:
+        worlds: one :class:`World` per environment.
+        device: 'auto' (CUDA where there is one, from 1,000 environments on), 'cpu', 'cuda' or 'cuda:<index>'.
+        physics: a preset's name or a :class:`Physics`.
+        dtype: precision of the springs and of what is returned: 'float32' or 'float64'. State and contacts are float64
+            in both.
+        lanes: environments that one CPU thread advances at once (1, 8, 16 or 32); None chooses.
+        threads: CPU threads; None takes all cores. Also an attribute.
+        loose: names of objects that :meth:`shift` may move; terrain among them is not merged with the rest.
+        grid: rows and columns up to which :meth:`set_worlds` may bring other bodies; arrays have room for them.
+            Only in fast arithmetic.
+        action_range: to what actions are clipped.
+        arithmetic: 'fast', or 'exact' (float64 only), which repeats the released simulator bit for bit: the same
+            physics, every sum in its order. None: 'fast' in float32, 'exact' in float64.
+        layout: 'lanes', one thread an environment (on the CPU as vectors over environments), or 'group', 16 or 32
+            threads an environment, with its state on the chip for a whole control step. None: 'group' on CUDA in fast
+            arithmetic where a world's state fits into 48 KiB, else 'lanes'. Also an attribute: what is in use. On the
+            CPU 'group' is slow, and meant for tests.
+
+    Positions are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step lasts
+    ``physics.substeps * physics.dt``, 30 x 1e-4). Tensors that methods return are fresh; they never alias the
+    simulator's buffers.
+
+    Raises:
+        SimulationError, DeviceError, ConfigError: what was asked for cannot be built.
+    """
+
+    def __init__(
+        self,
+        worlds: Sequence[World],
+        device: str = "auto",
+        physics: str | Physics = "evogym",
+        dtype: str = "float32",
+        lanes: int | None = None,
+        threads: int | None = None,
+        loose: Sequence[str] = (),
+        action_range: tuple[float, float] = (ACTION_LOW, ACTION_HIGH),
+        arithmetic: str | None = None,
+        grid: tuple[int, int] | None = None,
+        layout: str | None = None,
+    ):
+        if not isinstance(worlds, Sequence) or not worlds or not all(isinstance(world, World) for world in worlds):
+            raise SimulationError(f"Simulation needs a list of one World or more, got {worlds!r:.80}.")
+        if not isinstance(dtype, str) or dtype not in DTYPES:
+            raise SimulationError(f"dtype must be 'float32' or 'float64', got {dtype!r:.80}.")
+        self.arithmetic = resolve_arithmetic(arithmetic, dtype)
+        _check_names(loose)
+        low, high = _check_range(action_range)
+        self.device = resolve_device(device, len(worlds))
+        self.physics = physics if isinstance(physics, Physics) else Physics.preset(physics)
+        self.dtype = DTYPES[dtype]
+        different, index = group(worlds)
+        layout = resolve_layout(layout, self.arithmetic, self.device, lanes)
+        for self.layout in ("group", "lanes") if layout == "group" else ("lanes",):
+            self._batch = Batch(
+                different, index, self.physics, self.arithmetic, self.device, lanes, tuple(loose), grid, self.layout,
+            )  # fmt: skip
+            self._state = lay_out(self._batch, dtype)
+            if self._state is not None:
+                break
+        self.designs = CompiledWorlds(self._batch)
+        self.num_envs = len(worlds)
+        self.design_index = torch.tensor(index, dtype=torch.long, device=self.device)
+        self.num_actions = self._state.sizes["action"]
+        self._objects = Objects(self._batch, self._state)
+        self.object_names = self._objects.names
+        self.loose = tuple(loose)
+        self._loose = self._objects.loose_points(self.loose)
+        self.threads = choose_threads(threads)
+        self._pool = ThreadPoolExecutor(self.threads)
+        self._shares: list[Recorded] = []
+        self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
+        self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
+        self._slot = self._env[0] * self._state.lanes + self._env[1]
+        self._action_range = low, high
+        self._actions = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
+        self._action_array = wp.from_torch(self._actions)
+        self._begin_sensing()
+        self._follow_worlds()
+        self._views["frozen"].fill_(1)  # lanes that belong to no environment stay so
+        self.reset()
+
+    # ---------------------------------------------------------------- stepping
+
+    def step(self, actions) -> None:
+        """One control step of every environment that is not frozen.
+
+        Args:
+            actions: torch or numpy ``[num_envs, num_actions]``, goal lengths of the actuators in units of their
+                rest length, clipped to ``action_range``; columns beyond a design's own actuators are ignored.
+
+        Raises:
+            ActionError: wrong shape; on the CPU also values that are not finite (on CUDA such an environment
+                becomes unstable, because looking at them would wait for the device).
+        """
+        self.take(actions)
+        self.advance()
+
+    def take(self, actions) -> None:
+        """The first half of :meth:`step`: check the actions and keep them for :meth:`advance`."""
+        try:
+            actions = torch.as_tensor(actions)
+        except Exception as error:  # whatever an object that is no array says when it is asked for numbers
+            raise ActionError(f"Actions must be a tensor or array of numbers: {str(error)[:200]}.") from None
+        if tuple(actions.shape) != tuple(self._actions.shape):
+            expected = list(self._actions.shape)
+            raise ActionError(
+                f"Actions must have the shape {expected} [num_envs, num_actions], got {list(actions.shape)}."
+            )
+        if actions.dtype not in NUMBERS or actions.layout is not torch.strided or actions.device.type == "meta":
+            raise ActionError(
+                f"Actions must be plain numbers, got {actions.dtype}, {actions.layout} on {actions.device.type}."
+            )
+        if actions.device.type == "cpu" and not bool(torch.isfinite(actions).all()):
+            bad = int((~torch.isfinite(actions)).nonzero()[0, 0])
+            raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
+        self._actions.copy_(actions)
+
+    @property
+    def actions(self) -> torch.Tensor:
+        """``[num_envs, num_actions]``: the actions taken last, as they were given."""
+        return self._actions.clone()
+
+    def advance(self) -> None:
+        """The second half of :meth:`step`; on CUDA it goes to torch's current stream, and a graph may capture it."""
+        if not self._shares:
+            self._shares = self._record_shares()
+            self._take = step_stage.record_actions(self._state, self._action_array, *self._action_range)
+        if self.num_actions:
+            self._take.launch()
+        jobs = [self._pool.submit(share.launch) for share in self._shares[1:]]
+        self._shares[0].launch()
+        for job in jobs:
+            job.result()
+        self._centres_are_new = False
+
+    def _record_shares(self) -> list[Recorded]:
+        """On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs."""
+        packs = self._state.packs
+        count = min(self.threads, packs) if self.device == "cpu" else 1
+        cuts = [packs * k // count for k in range(count + 1)]
+        state, substeps = self._state, self.physics.substeps
+        return [step_stage.record_step(state, substeps, begin, end - begin) for begin, end in itertools.pairwise(cuts)]
+
+    def reset(self, mask: torch.Tensor | None = None) -> None:
+        """Put environments back to time 0 and thaw them.
+
+        Args:
+            mask: bool ``[num_envs]``; None means all.
+        """
+        if mask is None:
+            mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        mask = self._check_mask(mask)
+        reset_stage.launch(self._state, wp.from_torch(mask.contiguous()))
+        self._centres_are_new = False
+
+    def shift(self, cells: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+        """Put all ``loose`` objects where they would begin, had the world placed them ``cells`` further, and at rest.
+
+        Meant for the beginning of an episode: whether they then overlap other objects is not looked at.
+
+        Args:
+            cells: whole numbers ``[num_envs, 2]``, to the right and up, from their places in the world.
+            mask: bool ``[num_envs]``, the environments to change; None means all.
+        """
+        mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device) if mask is None else mask
+        mask = self._check_mask(mask)[:, None]
+        cells = torch.as_tensor(cells, device=self.device)
+        if tuple(cells.shape) != (self.num_envs, 2) or cells.dtype.is_floating_point:
+            raise SimulationError(f"Shifts must be whole numbers [{self.num_envs}, 2], got {list(cells.shape)}.")
+        point, corner, height, inside = self._loose
+        # The expressions with which a world is compiled, one operation at a time: the last bit matters.
+        x, y = (corner + cells[:, None]).double().unbind(-1)
+        across, down = inside.double().unbind(-1)
+        x = x * VOXEL + across * VOXEL
+        y = (y * VOXEL + height.double() * VOXEL) - down * VOXEL
+        pack, lane = (index[:, None] for index in self._env)
+        for row, values in ((2 * point, x), (2 * point + 1, y)):
+            for name in ("pos", "vel", "true_vel"):
+                view = self._views[name]
+                old = view[pack, row, lane]
+                new = torch.where(mask, values, old) if name == "pos" else old.masked_fill(mask, 0.0)
+                view.index_put_((pack, row, lane), new)
+        self.invalidate()
+
+    def invalidate(self) -> None:
+        """Drop what is derived from the points (contact candidates, centres): for code that has written to them."""
+        self._views["drift"].fill_(STALE)
+        self._centres_are_new = False
+
+    @property
+    def buffers(self) -> State:
+        """What kernels read and write, and how environments lie in it; for tools that launch kernels themselves."""
+        return self._state
+
+    def array(self, name: str) -> torch.Tensor:
+        """One of the arrays of :mod:`warpvox.kernels.state`, itself; who writes to it calls :meth:`invalidate`."""
+        return wp.to_torch(self._state.arrays[name])
+
+    @property
+    def slot(self) -> torch.Tensor:
+        """long ``[num_envs]``: where an environment lies in arrays ``[pack, lane]``, flattened."""
+        return self._slot
+
+    @property
+    def action_buffer(self) -> torch.Tensor:
+        """``[num_envs, num_actions]``: the tensor that :meth:`advance` takes actions from, itself."""
+        return self._actions
+
+    def set_frozen(self, mask: torch.Tensor) -> None:
+        """Freeze (True) or thaw environments: a frozen one keeps its state and its time.
+
+        Args:
+            mask: bool ``[num_envs]``.
+        """
+        self._views["frozen"].view(-1)[self._slot] = self._check_mask(mask).to(torch.int32)
+
+    def _check_mask(self, mask) -> torch.Tensor:
+        mask = torch.as_tensor(mask, device=self.device)
+        if tuple(mask.shape) != (self.num_envs,) or mask.dtype != torch.bool:
+            raise SimulationError(f"A mask must be bool [{self.num_envs}], got {mask.dtype} {list(mask.shape)}.")
+        return mask
+
+    # ------------------------------------------------------------------ status
+
+    def _of_environments(self, name: str) -> torch.Tensor:
+        return self._views[name].view(-1).index_select(0, self._slot)
+
+    @property
+    def frozen(self) -> torch.Tensor:
+        """bool [num_envs]: environments that keep their state."""
+        return self._of_environments("frozen") == 1
+
+    @property
+    def time(self) -> torch.Tensor:
+        """int64 [num_envs]: complete control steps since the reset."""
+        return self._of_environments("time").long()
+
+    @property
+    def unstable(self) -> torch.Tensor:
+        """bool [num_envs]: the last step was stopped (self-folding or divergence) and undone."""
+        return (self._of_environments("status") & _STOPPED) != 0
+
+    @property
+    def diverged(self) -> torch.Tensor:
+        """bool [num_envs]: the last step was stopped because it diverged; such an environment is unstable, too.
+
+        Bad are numbers that are not finite, speeds above 1e4 (units of inner time) and coordinates beyond 1e6; see
+        :mod:`warpvox.kernels.guard`. The step is undone. Had the step begun with non-finite values, which only
+        :meth:`set_state` can bring about, the environment stands at time 0 and at rest instead.
+        """
+        return (self._of_environments("status") & int(DIVERGED)) != 0
+
+    @property
+    def overflow(self) -> torch.Tensor:
+        """bool [num_envs]: the last step met more contact candidates than there is room for, and left some out."""
+        return (self._of_environments("status") & _OVERFLOW) != 0
+
+    # ----------------------------------------------------------------- objects
+
+    @property
+    def worlds(self) -> list[World]:
+        """The different worlds; ``design_index`` says which of them an environment has."""
+        return self._batch.worlds
+
+    @property
+    def grid(self) -> tuple[int, int] | None:
+        """Rows and columns up to which bodies may be exchanged."""
+        return self._batch.grid
+
+    @property
+    def num_designs(self) -> int:
+        """How many different worlds there are."""
+        return len(self._batch.worlds)
+
+    @property
+    def action_mask(self) -> torch.Tensor:
+        """bool [num_designs, num_actions]: which actions a design has."""
+        counts = [sum(obj.num_actuators for obj in world.objects.values()) for world in self.worlds]
+        counts = torch.tensor(counts, device=self.device)
+        return torch.arange(self.num_actions, device=self.device) < counts[:, None]
+
+    @property
+    def action_columns(self) -> list[dict[str, slice]]:
+        """For each design where the actions of its robots lie, ``{name: slice}``."""
+        columns: dict[tuple[tuple[str, int], ...], dict[str, slice]] = {}  # designs of one size have one entry
+        found = []
+        for world in self.worlds:
+            sizes = tuple(sorted((obj.name, obj.num_actuators) for obj in world.objects.values() if obj.is_robot))
+            if sizes not in columns:
+                stops = [0, *itertools.accumulate(count for _, count in sizes)]
+                columns[sizes] = {
+                    name: slice(*at) for (name, _), at in zip(sizes, itertools.pairwise(stops), strict=True)
+                }
+            found.append(columns[sizes])
+        return found
+
+    @property
+    def mobile_names(self) -> set[str]:
+        """Names of the objects that can move in some world."""
+        return set(self._objects.mobile)
+
+    def num_points(self, name: str) -> int:
+        """Points of an object, the most over the designs."""
+        self._objects.index(name)
+        return self._objects.num_points[name]
+
+    def point_mask(self, name: str) -> torch.Tensor:
+        """bool [num_designs, points]: which points a design's object has."""
+        return self._objects.point_mask(name)
+
+    def object_grid(self, name: str, design: int = 0) -> np.ndarray:
+        """int8 [rows, columns], row 0 on top: the cells of an object."""
+        if name not in self.worlds[design].objects:
+            self._body(name, design)
+        return self.worlds[design].objects[name].grid.copy()
+
+    def voxel_corners(self, name: str, design: int = 0) -> np.ndarray:
+        """int32 [voxels, 4]: points at the top left, top right, bottom right and bottom left of every voxel."""
+        return np.array(list(self._body(name, design).corners.values()), dtype=np.int32)
+
+    def _body(self, name: str, design: int) -> Body:
+        self._objects.index(name)
+        body = self.designs[design].body(name)
+        if body is None:
+            raise SimulationError(f"Design {design} has no object named {name!r}.")
+        return body
+
+    # ---------------------------------------------------------------- state io
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Everything that changes, a row for every environment: what :meth:`set_state` takes back.
+
+        Positions and velocities list the points as observations do, x and y alternately, padded with 0.
+        """
+        pack, lane = self._env
+        state = {}
+        for name in STATE_FIELDS:
+            view = self._views[name]
+            if view.ndim == 2:
+                state[name] = view[pack, lane]
+            else:
+                values = view[pack[:, None], self._rows, lane[:, None]]
+                state[name] = values.masked_fill(~self._has_row, 0.0)
+        return state
+
+    @property
+    def fixed_rows(self) -> torch.Tensor:
+        """bool [num_envs, rows]: which entries of the positions in :meth:`state` belong to points that never move."""
+        mesh = _torch(self._state.arrays["pack_mesh"])[self._env[0]]
+        free = wp.to_torch(self._state.arrays["free_lanes"])[mesh[:, None], self._rows // 2]
+        return ((free >> self._env[1][:, None]) & 1 == 0) & self._has_row
+
+    def rows_of(self, name: str) -> torch.Tensor:
+        """bool [num_envs, rows]: which entries of the positions in :meth:`state` belong to an object."""
+        span = self._objects.span[:, self._objects.index(name), :, None]
+        point = torch.arange(self._rows.shape[1], device=self.device) // 2
+        return (point >= span[:, 0]) & (point < span[:, 1])
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Restore what :meth:`state` gave: of the same worlds, or of environments of theirs picked row by row.
+
+        Rows may be longer or shorter than this simulation's by what is only padding: the most points of a world
+        depend on which worlds there are.
+
+        Raises:
+            SimulationError: fields or shapes that are not this simulation's.
+        """
+        least = 2 * int(self._objects.total.max())
+        for name in STATE_FIELDS:
+            view, given = self._views[name], state.get(name) if isinstance(state, Mapping) else None
+            fits = isinstance(given, torch.Tensor) and given.dtype == view.dtype and given.ndim == view.ndim - 1
+            if not fits or len(given) != self.num_envs or (given.ndim == 2 and given.shape[1] < least):
+                kind = str(view.dtype).removeprefix("torch.")
+                expected = f"{kind} [{self.num_envs}{f', {least} or more' if view.ndim == 3 else ''}]"
+                got = f"{given.dtype} {list(given.shape)}" if isinstance(given, torch.Tensor) else f"{given!r:.60}"
+                raise SimulationError(
+                    f"The state's {name!r} is not that of this simulation of {self.num_envs} environments: expected"
+                    f" {expected}, got {got.removeprefix('torch.')}."
+                )
+        self._write(state, torch.arange(self.num_envs, device=self.device))
+
+    def _write(self, state: dict[str, torch.Tensor], envs: torch.Tensor) -> None:
+        """Put rows of a state into environments, whose other points stay as they are."""
+        pack, lane = (index[envs] for index in self._env)
+        rows, real = self._rows[envs], self._has_row[envs]
+        env, column = real.nonzero(as_tuple=True)
+        place = pack[env], rows[env, column], lane[env]
+        for name in STATE_FIELDS:
+            view, values = self._views[name], state[name][envs]
+            if view.ndim == 2:
+                view[pack, lane] = values
+            else:
+                view[place] = values[env, column]
+        reset_stage.launch_follow(self._state)
+        self._views["drift"].fill_(STALE)
+        self._centres_are_new = False
+
+    def set_worlds(self, worlds: Sequence[World], mask: torch.Tensor) -> None:
+        """Give environments other worlds, which differ from their own in the bodies of robots alone; they begin anew.
+
+        Arrays stay where they are and no kernel is compiled. ``worlds``, ``designs`` and ``design_index`` follow.
+
+        Args:
+            worlds: one for each environment of the mask.
+            mask: bool ``[num_envs]``.
+
+        Raises:
+            SimulationError: the simulation was made without ``grid``, or a world that is not of this kind.
+        """
+        mask = self._check_mask(mask)
+        envs = mask.nonzero()[:, 0]
+        if len(worlds) != len(envs):
+            raise SimulationError(f"{len(envs)} environments need a world each, got {len(worlds)}.")
+        if not len(envs):
+            return
+        packs = self._batch.replace(envs.tolist(), worlds)
+        before = self.state()
+        tables, which = self._batch.tables(packs)
+        put_tables(self._state, {name: values[which] for name, values in tables.items()}, packs)
+        self._follow_worlds()
+        touched = torch.isin(self._env[0], torch.as_tensor(packs, device=self.device))
+        self.reset(touched)
+        self._write(before, (touched & ~mask).nonzero()[:, 0])
+
+    def _follow_worlds(self) -> None:
+        """Take over where the points of the environments' worlds lie."""
+        self._objects.refresh()
+        self.designs.forget()
+        self.design_index.copy_(torch.as_tensor(self._batch.index))
+        for buffer in self.sensing_buffers:  # entries of points that there are no more
+            buffer.zero_()
+        rows = self._objects.rows
+        self._rows = torch.stack([2 * rows, 2 * rows + 1], dim=-1).flatten(1)
+        count = torch.arange(rows.shape[1], device=rows.device) < self._objects.total[:, None]
+        self._has_row = count.repeat_interleave(2, dim=1)
+        for mine, new in zip(self._loose, self._objects.loose_points(self.loose), strict=True):
+            mine.copy_(new)  # in place: a captured step may read it
+
+
+STATE_FIELDS = ("pos", "vel", "true_vel", "frozen", "status", "time")
+
+
+def _torch(array: wp.array) -> torch.Tensor:
+    return wp.to_torch(array).long()
+
+
+def _check_names(loose: Sequence[str]) -> None:
+    if not isinstance(loose, Sequence) or isinstance(loose, str) or not all(isinstance(name, str) for name in loose):
+        raise SimulationError(f"loose must be a list of names of objects, got {loose!r:.80}.")
+
+
+def _check_range(action_range: tuple[float, float]) -> tuple[float, float]:
+    try:
+        low, high = (float(bound) for bound in action_range)
+    except (TypeError, ValueError, OverflowError):
+        low, high = 1.0, 0.0
+    if not low <= high:  # NaN, too
+        raise SimulationError(f"action_range must be two numbers low <= high, got {action_range!r:.80}.")
+    return low, high

@@ -1,0 +1,1 @@
+"""Rollouts and worlds as pictures, films, USD, browser pages and live windows."""

@@ -1,0 +1,97 @@
+"""Bodies at rest, drawn cell by cell: as SVG for pages and as a sheet of several for a PNG."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from warpvox.design import Design
+from warpvox.io.writing import atomic_path
+from warpvox.types import Cell
+from warpvox.view.painter import INK, font
+from warpvox.view.palette import CELL_NAMES, RAMPS
+
+__all__ = ["body_svg", "draw_bodies", "write_bodies"]
+
+PAPER, FAINT, EMPTY = (255, 255, 255), (108, 116, 130), (238, 241, 245)
+COLUMNS = 5
+"""Bodies in a row of a sheet."""
+
+
+def cell_colour(cell: int) -> tuple[int, int, int]:
+    """The colour of a cell at rest."""
+    ramp = RAMPS[Cell(cell)]
+    return ramp[len(ramp) // 2]
+
+
+def body_svg(body: Design, cell: int = 8, title: str | None = None) -> str:
+    """A body as an ``<svg>`` element, a path a material; ``cell`` is the size of a cell in pixels.
+
+    The paths have the classes ``c1`` to ``c4`` beside their colours, so that a page can restyle them.
+    """
+    rows, columns = body.shape
+    parts = [f"<title>{title}</title>"] if title else []
+    for kind in sorted({int(value) for value in np.unique(body)} - {int(Cell.EMPTY)}):
+        squares = "".join(f"M{x} {y}h1v1h-1z" for y, x in np.argwhere(body == kind).tolist())
+        colour = "#{:02x}{:02x}{:02x}".format(*cell_colour(kind))
+        parts.append(f'<path class="c{kind}" fill="{colour}" d="{squares}"/>')
+    names = sorted({CELL_NAMES[Cell(int(value))] for value in np.unique(body) if value})
+    label = f"body of {rows} x {columns} cells: {', '.join(names)}"
+    return (
+        f'<svg class="body" role="img" aria-label="{label}" viewBox="-.1 -.1 {columns + 0.2:g} {rows + 0.2:g}"'
+        f' width="{columns * cell}" height="{rows * cell}">{"".join(parts)}</svg>'
+    )
+
+
+def draw_bodies(
+    bodies: Sequence[Design], captions: Sequence[Sequence[str]], title: str = "", cell: int = 28
+) -> Image.Image:
+    """A sheet with bodies in rows, each above its caption.
+
+    Args:
+        captions: lines of text for each body.
+        title: a line on top.
+        cell: pixels of a cell.
+    """
+    gap, line = cell, 22
+    high, wide = (max(body.shape[axis] for body in bodies) * cell for axis in (0, 1))
+    lines = max(len(caption) for caption in captions)
+    columns = min(len(bodies), COLUMNS)
+    step = (wide + gap, high + lines * line + gap)
+    top = gap + (line + gap // 2 if title else 0)
+    size = (gap + columns * step[0], top + -(-len(bodies) // columns) * step[1])
+    # a title may be wider than a single body
+    size = (max(size[0], 2 * gap + round(font(20).getlength(title))), size[1])
+    image = Image.new("RGB", size, PAPER)
+    pen = ImageDraw.Draw(image)
+    if title:
+        pen.text((gap, gap // 2 + 4), title, INK, font(20))
+    for number, (body, caption) in enumerate(zip(bodies, captions, strict=True)):
+        left, upper = gap + number % columns * step[0], top + number // columns * step[1]
+        _draw(pen, body, (left, upper + high - body.shape[0] * cell), cell)
+        for place, text in enumerate(caption):
+            pen.text((left, upper + high + 8 + place * line), text, INK if place == 0 else FAINT, font(16))
+    return image
+
+
+def _draw(pen: ImageDraw.ImageDraw, body: Design, corner: tuple[int, int], cell: int) -> None:
+    for (row, column), kind in np.ndenumerate(body):
+        x, y = corner[0] + column * cell, corner[1] + row * cell
+        box = (x, y, x + cell - 1, y + cell - 1)
+        if kind == Cell.EMPTY:
+            pen.rectangle(box, outline=EMPTY)
+        else:
+            pen.rectangle(box, fill=cell_colour(int(kind)), outline=INK)
+
+
+def write_bodies(
+    path: str | os.PathLike[str], bodies: Sequence[Design], captions: Sequence[Sequence[str]], title: str = ""
+) -> Path:
+    """Write what :func:`draw_bodies` draws as PNG, whole or not at all; returns the path."""
+    with atomic_path(path) as temporary:
+        draw_bodies(bodies, captions, title).save(temporary, "PNG")
+    return Path(path)

@@ -1,0 +1,196 @@
+"""The browser player: a rollout as one self-contained page, which needs no network and no server.
+
+The page carries the rollout in two script elements that are not scripts. ``meta`` is JSON: the numbers below,
+the scenes and the colours. ``data`` is base64 of raw deflate of these little-endian arrays, one after the
+other, for E environments, P their points, F frames::
+
+    start    int32 [sum of P, 2]              positions in frame 0
+    rewards  float32 [E, F - 1]
+    low      uint8 [sum of P, 2, F - 1]       low bytes of the int16 differences from frame to frame
+    high     uint8 [sum of P, 2, F - 1]       their high bytes (apart, bytes repeat more and pack better)
+
+Positions are whole multiples of ``1 / scale`` simulator units. Differences are taken after rounding, so
+errors do not add up: a position is off by half of that at most.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import re
+import zlib
+from collections.abc import Mapping, Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpvox.errors import RolloutError
+from warpvox.io.writing import write_text
+from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
+from warpvox.view.palette import CELL_NAMES, RAMPS
+from warpvox.view.rollout import FRAME_SECONDS, Rollout
+from warpvox.view.scene import Scene
+
+__all__ = ["asset", "fill_template", "page_of", "write_html"]
+
+PRECISION = 4096  # steps per simulator unit: 0.24 % of a voxel
+MOST_NUMBERS = 1 << 28
+"""Coordinates of all points in all frames of a page, for which a browser takes about 2 GB."""
+SCRIPTS = ("data.js", "view.js", "player.js")
+
+
+def write_html(
+    rollout: Rollout,
+    path: str | os.PathLike[str],
+    envs: Sequence[int] | None = None,
+    title: str | None = None,
+    every: int = 1,
+) -> Path:
+    """Write a rollout as a page that plays it in a browser; return the path.
+
+    Args:
+        rollout: what was recorded.
+        path: where to; written whole or not at all.
+        envs: environments to show; None: all.
+        title: heading of the page; None: the task.
+        every: show every n-th frame only.
+
+    Raises:
+        RolloutError: no such environment, positions that are out of range, or more than a browser can hold.
+    """
+    write_text(path, page_of(rollout, envs, title, every))
+    return Path(path)
+
+
+def page_of(rollout: Rollout, envs: Sequence[int] | None = None, title: str | None = None, every: int = 1) -> str:
+    """The page that :func:`write_html` writes, as text."""
+    chosen = [rollout.check_env(env) for env in (range(rollout.num_envs) if envs is None else envs)]
+    if not chosen:
+        raise RolloutError("No environment was chosen to be shown.")
+    _check_length(rollout, chosen, every)
+    scale, data = _pack(rollout, chosen, every)
+    meta = _describe(rollout, chosen, scale, every) | {"title": title or rollout.title}
+    return fill_template(
+        asset("player.html"),
+        values={"meta": meta},
+        title=escape(meta["title"]),
+        style=asset("player.css"),
+        script="\n".join(asset(name) for name in SCRIPTS),
+        data=base64.b64encode(data).decode(),
+    )
+
+
+def fill_template(template: str, values: Mapping[str, Any], **texts: str) -> str:
+    """A page: ``{{name}}`` becomes the text of that name, or the JSON of the value of that name."""
+    # "<" could end the element that carries the text
+    parts = texts | {
+        name: json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+        for name, value in values.items()
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
+
+
+def asset(name: str) -> str:
+    """A file of this package as text."""
+    return files(__name__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _describe(rollout: Rollout, envs: list[int], scale: int, every: int) -> dict[str, Any]:
+    """All but the trajectories, as JSON values."""
+    used = sorted({int(rollout.design_index[env]) for env in envs})
+    about = {
+        key: rollout.metadata[key]
+        for key in ("rules", "physics", "agent", "seed", "iteration")
+        if isinstance(rollout.metadata.get(key), str | int)
+    }
+    lengths = rollout.lengths
+    return {
+        "frames": len(rollout.positions[::every]),
+        "dt": FRAME_SECONDS * every,
+        "scale": scale,
+        "voxel": VOXEL,
+        "limits": [ACTION_LOW, ACTION_HIGH],
+        "about": about,
+        "colours": {int(cell): ramp for cell, ramp in RAMPS.items()},
+        "names": {int(cell): name for cell, name in CELL_NAMES.items()},
+        "scenes": [_describe_scene(rollout.scenes[number]) for number in used],
+        "envs": [
+            {"env": env, "scene": used.index(int(rollout.design_index[env])), "length": int(lengths[env]) // every}
+            for env in envs
+        ],
+    }
+
+
+def _describe_scene(scene: Scene) -> dict[str, Any]:
+    return {
+        "width": scene.width,
+        "height": scene.height,
+        "terrain": ["".join(map(str, row)) for row in scene.terrain.tolist()],
+        "points": scene.num_points,
+        "robot": scene.robot_points.tolist(),
+        "objects": [
+            {
+                "name": obj.name,
+                "cells": obj.cells.tolist(),
+                "places": obj.places.tolist(),
+                "corners": obj.corners.tolist(),
+            }
+            for obj in scene.moving
+        ],
+    }
+
+
+def _pack(rollout: Rollout, envs: list[int], every: int) -> tuple[int, bytes]:
+    """Steps per simulator unit, and the compressed arrays; environment by environment, so that it takes little."""
+
+    def track(env: int) -> np.ndarray:
+        shown = rollout.positions[::every, env, : rollout.scene(env).num_points]
+        return shown.reshape(len(shown), -1).T.astype(np.float64)
+
+    # Differences must fit into 16 bits, what they start from into 32.
+    jump = max(_jump(track(env)) for env in envs)
+    scale = PRECISION
+    # A leap too long for 16 bits costs precision everywhere; in a simulation there is none.
+    while scale > 1 and jump * scale > 32766:
+        scale //= 2
+    if jump * scale > 32766:
+        raise RolloutError(f"Points leap {jump:.3g} simulator units in a step: too far for the page's format.")
+    packer = zlib.compressobj(6, zlib.DEFLATED, -zlib.MAX_WBITS)
+    parts = []
+    for env in envs:
+        parts.append(packer.compress(np.rint(track(env)[:, 0] * scale).astype("<i4").tobytes()))
+    for env in envs:
+        parts.append(packer.compress(_thinned_rewards(rollout, env, every).astype("<f4").tobytes()))
+    for shift in (0, 8):
+        for env in envs:
+            steps = np.diff(np.rint(track(env) * scale).astype(np.int32)).astype("<i2", order="C")
+            parts.append(packer.compress((steps >> shift).astype(np.uint8).tobytes()))
+    return scale, b"".join([*parts, packer.flush()])
+
+
+def _jump(values: np.ndarray) -> float:
+    return max(float(np.abs(np.diff(values)).max(initial=0)), float(np.abs(values).max()) / 2**16)
+
+
+def _thinned_rewards(rollout: Rollout, env: int, every: int) -> np.ndarray:
+    """Rewards from one shown frame to the next."""
+    steps = len(rollout.positions[::every]) - 1
+    return rollout.rewards[: steps * every, env].reshape(steps, every).sum(axis=1)
+
+
+def _check_length(rollout: Rollout, envs: list[int], every: int) -> None:
+    """Raise RolloutError if a browser could not hold the page."""
+    if not isinstance(every, int | np.integer) or isinstance(every, bool) or every < 1:
+        raise RolloutError(f"every must be a whole number >= 1, got {every!r}.")
+    points = sum(rollout.scene(env).num_points for env in envs)
+    numbers = 2 * points * len(range(0, rollout.num_frames, every))
+    if numbers > MOST_NUMBERS:
+        least = -(-numbers * every // MOST_NUMBERS)
+        raise RolloutError(
+            f"A page with {points:,} points in {rollout.num_frames:,} frames is more than a browser can hold; show"
+            f" every {least}th frame (every={least}), fewer environments, or write an MP4."
+        )

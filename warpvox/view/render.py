@@ -1,0 +1,424 @@
+"""Pictures, strips and films of rollouts; made on the CPU by Pillow, without a display or OpenGL."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from fractions import Fraction
+from pathlib import Path
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from warpvox.errors import RolloutError
+from warpvox.io.writing import atomic_path
+from warpvox.system import own_group
+from warpvox.types import VOXEL
+from warpvox.view.gif import write_pictures
+from warpvox.view.painter import INK, Painter, font
+from warpvox.view.rollout import FRAME_SECONDS, Rollout
+
+__all__ = ["Film", "draw_frame", "filmstrip", "write_filmstrip", "write_gif", "write_mp4", "write_png"]
+
+SIZE = (640, 360)
+MARGIN = 2  # pixels between tiles
+PAPER = (255, 255, 255)
+FAINT = (112, 118, 130)
+GIF_COLOURS = 255  # one of a GIF's 256 is left for "as before", which makes its frames small
+MOST_OF_GIF = 10_000
+"""Pictures of a GIF; those who show one keep all of them in memory."""
+MAX_PIXELS = 8192
+
+
+class Film:
+    """Pictures of one environment, or of several in tiles, frame by frame.
+
+    Args:
+        rollout: what was recorded.
+        envs: an environment or several; None: all, but 16 at most.
+        size: width and height in pixels.
+        hud: whether to write task, time and return.
+        voxels: voxels from the bottom to the top of an environment's picture; None fits the robot.
+
+    Raises:
+        RolloutError: no such environment, or a size that cannot be drawn.
+    """
+
+    def __init__(
+        self,
+        rollout: Rollout,
+        envs: int | Sequence[int] | None = None,
+        size: tuple[int, int] = SIZE,
+        hud: bool = True,
+        voxels: float | None = None,
+    ) -> None:
+        self.rollout, self.hud = rollout, hud
+        self.size = _check_size(size)
+        chosen = range(min(rollout.num_envs, 16)) if envs is None else [envs] if _is_whole(envs) else envs
+        self.envs = [rollout.check_env(env) for env in chosen]
+        if not self.envs:
+            raise RolloutError("No environment was chosen to be drawn.")
+        if voxels is not None and not 1 <= voxels <= 1000:
+            raise RolloutError(f"voxels must be a number from 1 to 1000, got {voxels!r}.")
+        self._band = max(20, self.size[1] // 22) if len(self.envs) > 1 and hud else 0
+        self._columns, self._tile = _layout(len(self.envs), (self.size[0], self.size[1] - self._band))
+        self._painters = [Painter(rollout, env, self._tile, voxels) for env in self.envs]
+
+    def image(self, frame: int) -> Image.Image:
+        """The picture of a frame (negative: from the end).
+
+        Raises:
+            RolloutError: no such frame.
+        """
+        frame = self.rollout.check_frame(frame)
+        if len(self.envs) == 1:
+            picture = self._painters[0].frame(frame)
+            if self.hud:
+                self._write_hud(picture, frame)
+            return picture
+        picture = Image.new("RGB", self.size, PAPER)
+        for number, painter in enumerate(self._painters):
+            row, column = divmod(number, self._columns)
+            tile = painter.frame(frame)
+            if self.hud:
+                self._write_label(tile, painter.env, frame)
+            place = (column * (self._tile[0] + MARGIN), self._band + row * (self._tile[1] + MARGIN))
+            picture.paste(tile, place)
+        if self.hud:
+            self._write_band(picture, frame)
+        return picture
+
+    def array(self, frame: int) -> np.ndarray:
+        """The picture of a frame, uint8 ``[height, width, 3]``."""
+        return np.array(self.image(frame))
+
+    def _write_hud(self, picture: Image.Image, frame: int) -> None:
+        """Task, time and return on a light panel in the upper left corner."""
+        unit = max(8, round(min(self.size[1] / 22, self.size[0] / 34)))
+        draw, large, small = ImageDraw.Draw(picture, "RGBA"), font(unit), font(round(unit * 0.86))
+        title = self.rollout.title
+        wide = max(draw.textlength(title, font=large), unit * 9.2) + unit * 1.6
+        gap = unit // 2
+        draw.rounded_rectangle((gap, gap, gap + wide, gap + unit * 3.3), radius=gap, fill=(255, 255, 255, 216))
+        x, y, line = gap + unit * 0.8, gap + unit * 0.95, unit * 1.4
+        draw.text((x, y), title, fill=INK, font=large, anchor="lm")
+        gained = self.rollout.returns[frame, self.envs[0]]
+        # Right-aligned numbers stand still while they count.
+        draw.text((x + unit * 3.2, y + line), f"{frame * FRAME_SECONDS:.2f} s", INK, small, "rm")
+        draw.text((x + unit * 4.2, y + line), "return", FAINT, small, "lm")
+        draw.text((x + unit * 9.6, y + line), f"{gained:.2f}", INK, small, "rm")
+
+    def _write_label(self, tile: Image.Image, env: int, frame: int) -> None:
+        unit = max(8, round(self._tile[1] / 14))
+        draw, letters = ImageDraw.Draw(tile, "RGBA"), font(unit)
+        text = f"{env}:  {self.rollout.returns[frame, env]:.2f}"
+        wide = draw.textlength(text, font=letters)
+        draw.rounded_rectangle((3, 3, wide + unit + 3, unit * 1.5 + 3), radius=unit // 3, fill=(255, 255, 255, 216))
+        draw.text((3 + unit / 2, 3 + unit * 0.76), text, INK, letters, "lm")
+
+    def _write_band(self, picture: Image.Image, frame: int) -> None:
+        unit = round(self._band * 0.62)
+        draw, letters, middle = ImageDraw.Draw(picture), font(unit), self._band / 2
+        mean = self.rollout.returns[frame, self.envs].mean()
+        draw.text((unit / 2, middle), self.rollout.title, INK, letters, "lm")
+        right = f"{frame * FRAME_SECONDS:.2f} s    mean return {mean:.2f}"
+        draw.text((self.size[0] - unit / 2, middle), right, INK, letters, "rm")
+
+
+_films: WeakKeyDictionary[Rollout, dict[tuple, Film]] = WeakKeyDictionary()
+
+
+def draw_frame(
+    rollout: Rollout,
+    frame: int,
+    env: int | Sequence[int] | None = 0,
+    size: tuple[int, int] = SIZE,
+    hud: bool = True,
+    voxels: float | None = None,
+) -> np.ndarray:
+    """A picture of one frame, uint8 ``[height, width, 3]``; arguments as for :class:`Film`.
+
+    Drawing many frames of a rollout this way is as fast as with a Film: what they share is kept.
+
+    Raises:
+        RolloutError: no such frame or environment, or a size that cannot be drawn.
+    """
+    key = (env if env is None or _is_whole(env) else tuple(env), tuple(size), hud, voxels)
+    films = _films.setdefault(rollout, {})
+    if key not in films:
+        # The newest few are enough for loops over environments or sizes, and bound the memory.
+        while len(films) >= 8:
+            films.pop(next(iter(films)))
+        films[key] = Film(rollout, env, size, hud, voxels)
+    return films[key].array(frame)
+
+
+def filmstrip(
+    rollout: Rollout,
+    frames: int | Sequence[int] = 6,
+    env: int = 0,
+    size: tuple[int, int] = (1440, 200),
+    voxels: float | None = None,
+) -> np.ndarray:
+    """Key frames of an episode side by side with their times, uint8 ``[height, width, 3]``.
+
+    Args:
+        rollout, env: what to show.
+        frames: frame numbers, or how many, spread evenly from the reset to the end of the episode.
+        size: of the whole strip in pixels.
+        voxels: voxels from bottom to top; None fits the robot.
+
+    Raises:
+        RolloutError: no such frame or environment, or a size that cannot be drawn.
+    """
+    width, height = _check_size(size)
+    env = rollout.check_env(env)
+    if _is_whole(frames):
+        if not 1 <= frames <= 64:
+            raise RolloutError(f"A strip shows 1 to 64 frames, got {frames!r}.")
+        last = int(rollout.lengths[env])
+        frames = np.unique(np.rint(np.linspace(0, last, frames)).astype(int)).tolist()
+    chosen = [rollout.check_frame(frame) for frame in frames]
+    if not chosen:
+        raise RolloutError("A strip shows 1 to 64 frames, got none.")
+    each = (width - MARGIN * (len(chosen) - 1)) // len(chosen)
+    painter = Painter(rollout, env, _check_size((each, height)), voxels or _fit(rollout, env))
+    strip, letters = Image.new("RGB", (width, height), PAPER), font(max(9, height // 14))
+    for number, frame in enumerate(chosen):
+        tile = painter.frame(frame)
+        at = (each - height // 24, height // 24)
+        ImageDraw.Draw(tile).text(at, f"{frame * FRAME_SECONDS:.1f} s", INK, letters, "rt")
+        strip.paste(tile, (number * (each + MARGIN), 0))
+    return np.array(strip)
+
+
+def write_png(
+    rollout: Rollout,
+    path: str | os.PathLike[str],
+    frame: int = -1,
+    envs: int | Sequence[int] | None = 0,
+    size: tuple[int, int] = SIZE,
+    hud: bool = True,
+    voxels: float | None = None,
+) -> Path:
+    """Write the picture of one frame; arguments as for :class:`Film`. Returns the path."""
+    return _save_png(Film(rollout, envs, size, hud, voxels).image(frame), path)
+
+
+def write_filmstrip(
+    rollout: Rollout,
+    path: str | os.PathLike[str],
+    frames: int | Sequence[int] = 6,
+    env: int = 0,
+    size: tuple[int, int] = (1440, 200),
+    voxels: float | None = None,
+) -> Path:
+    """Write what :func:`filmstrip` draws as PNG. Returns the path."""
+    return _save_png(Image.fromarray(filmstrip(rollout, frames, env, size, voxels)), path)
+
+
+def write_gif(
+    rollout: Rollout,
+    path: str | os.PathLike[str],
+    envs: int | Sequence[int] | None = 0,
+    size: tuple[int, int] = SIZE,
+    fps: float = 25,
+    start: int = 0,
+    stop: int | None = None,
+    hud: bool = True,
+    voxels: float | None = None,
+    on_frame: Callable[[int, int], None] | None = None,
+    every: int = 1,
+) -> Path:
+    """Write an animated GIF that loops.
+
+    Args:
+        rollout, envs, size, hud, voxels: as for :class:`Film`.
+        path: where to; written whole or not at all.
+        fps: pictures per second, 1 to 50; time runs as in the simulation, whatever it is.
+        start, stop: frames of the rollout, as in a slice; None: until the last episode ends.
+        on_frame: called with the number of pictures drawn and of all there are.
+        every: time runs so many times as fast.
+
+    Raises:
+        RolloutError: no such environment, a size, rate or range that cannot be drawn, or more pictures than viewers
+            of GIFs can hold.
+    """
+    frames = _frames(rollout, fps, start, stop, every, most=50)
+    if len(frames) > MOST_OF_GIF:
+        least = -(-len(frames) * every // MOST_OF_GIF)
+        raise RolloutError(
+            f"A GIF of {len(frames):,} pictures is more than viewers can hold ({MOST_OF_GIF:,}); show time"
+            f" {least} times as fast (every={least}), or write an MP4, which has no such limit."
+        )
+    film = Film(rollout, envs, size, hud, voxels)
+    sample = [film.image(frames[k]) for k in np.linspace(0, len(frames) - 1, min(6, len(frames))).astype(int)]
+    colours, table = _gif_palette(sample)
+
+    def pictures() -> Iterator[Image.Image]:
+        for number, frame in enumerate(frames):
+            if on_frame:
+                on_frame(number + 1, len(frames))
+            five = (film.array(frame) >> 3).astype(np.uint16)
+            picture = Image.fromarray(table[five[..., 0] << 10 | five[..., 1] << 5 | five[..., 2]])
+            picture.putpalette(colours)
+            yield picture
+
+    pause = round(100 / fps) * 10  # a GIF counts in hundredths of a second
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        write_pictures(file, pictures(), pause)
+    return Path(path)
+
+
+def write_mp4(
+    rollout: Rollout,
+    path: str | os.PathLike[str],
+    envs: int | Sequence[int] | None = 0,
+    size: tuple[int, int] = (1280, 720),
+    fps: float = 50,
+    start: int = 0,
+    stop: int | None = None,
+    hud: bool = True,
+    voxels: float | None = None,
+    on_frame: Callable[[int, int], None] | None = None,
+    every: int = 1,
+) -> Path:
+    """Write an H.264 film; arguments as for :func:`write_gif`. Needs the extra ``view`` (imageio-ffmpeg).
+
+    Raises:
+        RolloutError: as for write_gif; odd sizes; or imageio-ffmpeg is not installed.
+    """
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+    except ImportError:
+        raise RolloutError(
+            "MP4 needs imageio-ffmpeg, which is not installed: pip install 'warpvox[view]', or write a GIF."
+        ) from None
+    width, height = _check_size(size)
+    if width % 2 or height % 2:
+        raise RolloutError(f"The width and the height of an MP4 must be even, got {width} x {height}.")
+    frames = _frames(rollout, fps, start, stop, every, most=240)
+    film = Film(rollout, envs, size, hud, voxels)
+    with atomic_path(path) as temporary:
+        options = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+        options += ["-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"]
+        options += ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", "15", str(temporary)]
+        with _encoder([get_ffmpeg_exe(), "-y", "-v", "error", *options], path) as write:
+            for number, frame in enumerate(frames):
+                write(film.array(frame).tobytes())
+                if on_frame:
+                    on_frame(number + 1, len(frames))
+    return Path(path)
+
+
+@contextmanager
+def _encoder(command: list[str], path: str | os.PathLike[str]) -> Iterator[Callable[[bytes], object]]:
+    """A process that takes pictures; what it has to say of its failure counts, or half a film would pass for a whole.
+
+    Raises:
+        RolloutError: it has failed, most likely for want of space.
+    """
+    with tempfile.TemporaryFile() as log:
+        # Ctrl-C is ours to deal with: the encoder is in a group of its own
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, **own_group())
+        ended = False
+        try:
+            yield process.stdin.write
+        except BrokenPipeError:
+            ended = True  # before it had everything; why follows
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            with suppress(BrokenPipeError):
+                process.stdin.close()
+            code = process.wait()
+        if ended or code:
+            log.seek(0)
+            said = " ".join(log.read().decode(errors="replace").split())[-200:] or f"exit code {code}"
+            raise RolloutError(f"{path} cannot be written; is its disk full? The encoder says: {said}")
+
+
+# ---------------------------------------------------------------------------------------------------- helpers
+
+
+def _frames(rollout: Rollout, fps: float, start: int, stop: int | None, every: int, most: float) -> list[int]:
+    """Frames of the rollout to show, so that time runs as in the simulation, or ``every`` times as fast."""
+    if not _is_whole(every) or every < 1:
+        raise RolloutError(f"every must be a whole number >= 1, got {every!r}.")
+    if not 1 <= fps <= most:
+        raise RolloutError(f"fps must lie in 1 to {most:g}, got {fps!r}.")
+    if stop is None:
+        stop = int(rollout.lengths.max()) + 1
+    begin, end, _ = slice(start, stop).indices(rollout.num_frames)
+    if begin >= end:
+        raise RolloutError(f"There are no frames from {start} to {stop}; the rollout has {rollout.num_frames}.")
+    count = max(1, round((end - begin) * FRAME_SECONDS * fps / every))
+    return [min(end - 1, begin + round(k * every / (fps * FRAME_SECONDS))) for k in range(count)]
+
+
+def _gif_palette(sample: Sequence[Image.Image]) -> tuple[bytes, np.ndarray]:
+    """A palette for all frames, and the entry for each colour cut to 5 bits a channel, uint8 [32768].
+
+    One palette means that a pixel that does not change keeps its number, which is what makes the file small;
+    a table is many times faster than asking for the nearest entry pixel by pixel.
+    """
+    sheet = Image.fromarray(np.concatenate([np.asarray(image) for image in sample]))
+    reduced = sheet.quantize(GIF_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    colours = np.array(reduced.getpalette("RGB"), np.uint8).reshape(-1, 3)[:GIF_COLOURS]
+    levels = np.arange(32) * 8 + 4
+    cells = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    near = [((part.astype(np.float32) - colours) ** 2).sum(-1).argmin(-1) for part in np.array_split(cells, 16)]
+    table = np.concatenate(near).astype(np.uint8)
+    # Of the colours that share a cell the most frequent one owns it, so that large areas keep their exact
+    # colour.
+    for entry in np.argsort(reduced.histogram()[: len(colours)], kind="stable"):
+        red, green, blue = (colours[entry] >> 3).tolist()
+        table[red << 10 | green << 5 | blue] = entry
+    return colours.tobytes(), table
+
+
+def _layout(count: int, size: tuple[int, int]) -> tuple[int, tuple[int, int]]:
+    """Columns and size of tiles: the arrangement whose tiles come nearest to 16:9."""
+
+    def shape(columns: int) -> tuple[int, int]:
+        rows = -(-count // columns)
+        wide = (size[0] - MARGIN * (columns - 1)) // columns
+        return max(1, wide), max(1, (size[1] - MARGIN * (rows - 1)) // rows)
+
+    def fit(columns: int) -> float:
+        wide, high = shape(columns)
+        return min(wide / 16, high / 9)
+
+    best = max(range(1, count + 1), key=fit)
+    return best, shape(best)
+
+
+def _fit(rollout: Rollout, env: int) -> float:
+    """Voxels from bottom to top with which a robot fills a good part of a picture, and what it stands on shows."""
+    points = rollout.positions[0, env, rollout.scene(env).robot_points]
+    return max(6.5, 2.1 * float(np.ptp(points[:, 1])) / VOXEL)
+
+
+def _check_size(size: tuple[int, int]) -> tuple[int, int]:
+    try:
+        width, height = (int(value) for value in size)
+    except (TypeError, ValueError):
+        raise RolloutError(f"A size is (width, height) in pixels, got {size!r}.") from None
+    if not (16 <= width <= MAX_PIXELS and 16 <= height <= MAX_PIXELS):
+        raise RolloutError(f"Width and height must lie in 16 to {MAX_PIXELS} pixels, got {width} x {height}.")
+    return width, height
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def _save_png(image: Image.Image, path: str | os.PathLike[str]) -> Path:
+    with atomic_path(path) as temporary:
+        image.save(temporary, "PNG")
+    return Path(path)

@@ -1,0 +1,459 @@
+"""Rollouts: what environments did, step by step, in memory and in one file.
+
+Pictures, USD and the page of the browser player are all made from a :class:`Rollout`, so that an episode is
+simulated once and can be looked at anywhere later.
+
+The file (version 1) is a compressed ``.npz`` that numpy reads without pickle. T is the number of control
+steps, E of environments, P of points and A of actions (the largest over the designs; padded with 0)::
+
+    header        uint8 [bytes]            JSON in UTF-8, see below
+    positions     float32 [T + 1, E, P, 2] points of all that can move; entry 0 is the state after reset
+    design_index  int32 [E]                which scene an environment has
+    actions       float32 [T, E, A]        as applied, in [0.6, 1.6]
+    rewards       float64 [T, E]           0 after the end of an episode
+    terminated    bool [T, E]              stays True after the end; the points then rest where they ended
+    truncated     bool [T, E]
+
+The header: ``format`` ("warpvox-rollout"), ``version``, ``units`` (``voxel``: side of a voxel in units of
+``positions``; ``dt``: nominal seconds from one entry to the next), ``metadata`` (task, rules, seed and
+whatever the recorder added) and ``scenes``, one for every distinct world: ``width``, ``height`` and
+``objects``, each with ``name``, ``grid`` (cells, row 0 on top), ``x``, ``y`` (cell of its lower left corner),
+``first_point``, ``num_points`` (0 for terrain, which its grid describes completely) and ``corners``, for
+every cell that is not empty, row by row from the top left, its points at the top left, top right, bottom
+right and bottom left.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpvox.errors import ConfigError, RolloutError, did_you_mean, listing
+from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
+from warpvox.io.writing import atomic_path
+from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
+from warpvox.view.scene import Scene, SceneObject, check_scene, scene_from_json, scene_to_json, stretch
+
+__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "points_of", "record", "scenes_of"]
+
+FORMAT, VERSION = "warpvox-rollout", 1
+FRAME_SECONDS = 1 / 50
+"""Nominal seconds of a control step (paper section A.2: 50 Hz)."""
+LARGEST = 1 << 32
+"""Bytes that the arrays of a file may have together (4 GiB)."""
+LARGEST_HEADER = 1 << 26
+"""Bytes of a file's header (64 MiB)."""
+MOST_SCENES = 1 << 16
+"""Scenes that a file may hold."""
+AGENTS = ("zero", "random", "sine")
+"""Agents that need no training: all actuators at rest, uniformly random actions, a steady gait."""
+ARRAYS = {
+    "positions": np.float32,
+    "design_index": np.int32,
+    "actions": np.float32,
+    "rewards": np.float64,
+    "terminated": np.bool_,
+    "truncated": np.bool_,
+}
+
+
+@dataclass(eq=False)
+class Rollout:
+    """Recorded environments; see the module's text for shapes and units.
+
+    Attributes:
+        positions: float32 ``[T + 1, E, P, 2]`` in simulator units (0.1 a voxel); entry 0 follows the reset.
+        design_index: int32 ``[E]``, index into ``scenes``.
+        scenes: the distinct worlds.
+        actions: float32 ``[T, E, A]`` in [0.6, 1.6].
+        rewards: float64 ``[T, E]``.
+        terminated, truncated: bool ``[T, E]``; they stay True after the end of an episode.
+        metadata: JSON values: task, rules, seed, ...
+
+    Raises:
+        RolloutError: parts that do not fit together.
+    """
+
+    positions: np.ndarray
+    design_index: np.ndarray
+    scenes: tuple[Scene, ...]
+    actions: np.ndarray
+    rewards: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, dtype in ARRAYS.items():
+            setattr(self, name, np.ascontiguousarray(getattr(self, name), dtype=dtype))
+        self.scenes = tuple(self.scenes)
+        _check_shapes(self)
+        for number, scene in enumerate(self.scenes):
+            check_scene(scene, number, self.positions.shape[2])
+
+    @property
+    def num_frames(self) -> int:
+        """States recorded: one more than there are steps."""
+        return self.positions.shape[0]
+
+    @property
+    def num_steps(self) -> int:
+        """Control steps recorded."""
+        return self.positions.shape[0] - 1
+
+    @property
+    def num_envs(self) -> int:
+        """Environments recorded."""
+        return self.positions.shape[1]
+
+    @property
+    def title(self) -> str:
+        """The task's id, or "rollout" where there is none."""
+        return str(self.metadata.get("task") or "rollout")
+
+    @property
+    def done(self) -> np.ndarray:
+        """bool ``[T, E]``: the episode has ended in this step or before."""
+        return self.terminated | self.truncated
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """int ``[E]``: control steps up to the end of each episode (or of the recording)."""
+        over = np.concatenate([self.done, np.ones((1, self.num_envs), bool)])
+        return np.minimum(over.argmax(axis=0) + 1, self.num_steps)
+
+    @cached_property
+    def returns(self) -> np.ndarray:
+        """float64 ``[T + 1, E]``: reward collected up to each entry of ``positions``."""
+        start = np.zeros((1, self.num_envs))
+        return np.concatenate([start, self.rewards.cumsum(axis=0)])
+
+    def scene(self, env: int) -> Scene:
+        """The scene of an environment."""
+        return self.scenes[self.design_index[env]]
+
+    def check_env(self, env: int) -> int:
+        """Return ``env`` if there is such an environment.
+
+        Raises:
+            RolloutError: there is not.
+        """
+        if not isinstance(env, int | np.integer) or isinstance(env, bool) or not 0 <= env < self.num_envs:
+            raise RolloutError(f"No environment {env!r}: the rollout has {self.num_envs}, counted from 0.")
+        return int(env)
+
+    def check_frame(self, frame: int) -> int:
+        """Return ``frame`` with negative numbers counted from the end.
+
+        Raises:
+            RolloutError: there is no such frame.
+        """
+        count = self.num_frames
+        if not isinstance(frame, int | np.integer) or isinstance(frame, bool) or not -count <= frame < count:
+            raise RolloutError(f"No frame {frame!r}: the rollout has {count}, 0 to {count - 1} (-1: the last).")
+        return int(frame) % count
+
+    def stretch(self, frame: int | slice, env: int) -> np.ndarray:
+        """Length of cells against rest along the axis of actuation (of other cells: the mean of both axes).
+
+        Args:
+            frame: an index, which gives float32 ``[cells]``, or a slice, which gives ``[frames, cells]``.
+            env: environment; the cells are those of ``scene(env).cells``.
+        """
+        return stretch(self.scene(env), self.positions[frame, env])
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the rollout to ``path`` (``.npz``), whole or not at all; return the path.
+
+        Raises:
+            RolloutError: metadata that JSON cannot hold.
+        """
+        header = {
+            "format": FORMAT,
+            "version": VERSION,
+            "units": {"voxel": VOXEL, "dt": FRAME_SECONDS},
+            "metadata": self.metadata,
+            "scenes": [scene_to_json(scene) for scene in self.scenes],
+        }
+        try:
+            text = json.dumps(header, allow_nan=False).encode()
+        except (TypeError, ValueError) as error:
+            raise RolloutError(f"The rollout's metadata must consist of JSON values: {error}.") from None
+        arrays = {name: getattr(self, name) for name in ARRAYS}
+        with atomic_path(path) as temporary, open(temporary, "wb") as file:
+            np.savez_compressed(file, header=np.frombuffer(text, np.uint8), **arrays)
+        return Path(path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Rollout:
+        """Read a rollout that :meth:`save` wrote.
+
+        Raises:
+            RolloutError: no such file, a file that is truncated, damaged or no rollout, or a newer version.
+        """
+        header, arrays = _read(Path(path))
+        try:
+            if len(header["scenes"]) > MOST_SCENES:
+                raise ValueError(f"there are at most {MOST_SCENES} scenes")
+            scenes = tuple(scene_from_json(scene) for scene in header["scenes"])
+            metadata = dict(header["metadata"])
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+            reason = f"'{error.args[0]}' is missing" if isinstance(error, KeyError) else error
+            raise RolloutError(f"{path} is damaged: its header does not describe scenes ({reason}).") from None
+        try:
+            return cls(scenes=scenes, metadata=metadata, **arrays)
+        except RolloutError as error:
+            raise RolloutError(f"{path} is damaged: {error}") from None
+
+
+# -------------------------------------------------------------------------------------------------- recording
+
+
+def record(
+    env: Any,
+    policy: str | Callable[[Any], Any] = "sine",
+    num_steps: int | None = None,
+    *,
+    metadata: Mapping[str, Any] | None = None,
+) -> Rollout:
+    """Reset ``env``, let ``policy`` act for one episode everywhere and return what happened.
+
+    An environment whose episode ends stays as it ended until the recording is over, whatever
+    ``env.auto_reset`` says (an environment that resets itself is left reset).
+
+    Args:
+        env: what :func:`warpvox.make_vec` makes.
+        policy: ``function(obs)`` giving actions ``[num_envs, num_actions]`` in [0.6, 1.6], or one of
+            :data:`AGENTS`, which follow ``env.seed``.
+        num_steps: at most so many control steps; None: until all episodes have ended.
+        metadata: JSON values to keep with the rollout, for instance the configuration of a run.
+
+    Raises:
+        ConfigError: an unknown agent or a number of steps below 1. ActionError: what the policy gives is
+        refused.
+    """
+    import torch
+
+    if num_steps is not None and (
+        not isinstance(num_steps, int | np.integer) or isinstance(num_steps, bool) or num_steps < 1
+    ):
+        raise ConfigError(f"num_steps must be a whole number >= 1 or None, got {num_steps!r}.")
+    act = _agent(policy, env) if isinstance(policy, str) else policy
+    scenes, gather = scenes_of(env.sim)
+    limit = env.max_episode_steps if num_steps is None else min(int(num_steps), env.max_episode_steps)
+    label = policy if isinstance(policy, str) else "policy"
+    resets_itself, env.auto_reset = env.auto_reset, False
+    try:
+        with torch.no_grad():
+            columns = _run(env, act, limit, gather)
+    finally:
+        env.auto_reset = resets_itself
+        if resets_itself:
+            env.reset()
+    about = {
+        "task": getattr(getattr(env, "spec", None), "id", None),
+        "rules": getattr(env, "rules", None),
+        "physics": env.sim.physics.label,
+        "seed": _plain_seed(getattr(env, "seed", None)),
+        "dtype": str(env.sim.dtype).removeprefix("torch."),
+        "arithmetic": env.sim.arithmetic,
+        "agent": label,
+    }
+    return Rollout(
+        design_index=env.sim.design_index.cpu().numpy(),
+        scenes=scenes,
+        metadata=about | dict(metadata or {}),
+        **columns,
+    )
+
+
+def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], np.ndarray]) -> dict[str, np.ndarray]:
+    """Step until all episodes have ended; what happened, as arrays with the step first."""
+    import torch
+
+    obs, _ = env.reset()
+    seen: dict[str, list] = {name: [] for name in ("actions", "rewards", "terminated", "truncated")}
+    positions = [gather()]
+    for _ in range(limit):
+        actions = torch.as_tensor(act(obs))
+        obs, reward, terminated, truncated, _ = env.step(actions)
+        row = (actions.clamp(ACTION_LOW, ACTION_HIGH), reward, terminated, truncated)
+        for name, value in zip(seen, row, strict=True):
+            seen[name].append(value.cpu().numpy())
+        positions.append(gather())
+        if bool((terminated | truncated).all()):
+            break
+    return {"positions": np.stack(positions), **{name: np.stack(rows) for name, rows in seen.items()}}
+
+
+def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], np.ndarray]]:
+    """The scenes of a simulation, one a distinct world, and a function that gives its points, float32 ``[E, P, 2]``."""
+    scenes, points = points_of(sim)
+    return scenes, lambda: points().cpu().numpy()
+
+
+def points_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
+    """:func:`scenes_of` with the points as a tensor on the simulation's device, which nothing waits for."""
+    import torch
+
+    names = [
+        name
+        for name in sim.object_names
+        if name in sim.loose or any(name in world and not world.objects[name].is_static for world in sim.worlds)
+    ]
+    starts = dict(zip(names, np.cumsum([0, *(sim.num_points(name) for name in names)]).tolist(), strict=False))
+    scenes, sources = [], []
+    for design, world in enumerate(sim.worlds):
+        objects, source = [], []
+        for name in (name for name in sim.object_names if name in world):
+            item = world.objects[name]
+            corners, count, first = np.zeros((0, 4), np.int32), 0, len(source)
+            if name in sim.loose or not item.is_static:
+                corners = sim.voxel_corners(name, design=design)
+                count = int(corners.max()) + 1
+                source += range(starts[name], starts[name] + count)
+            grid = np.asarray(item.grid, np.int8)
+            objects.append(SceneObject(name, grid, item.x, item.y, first if count else 0, count, corners + first))
+        scenes.append(Scene(world.width, world.height, tuple(objects)))
+        sources.append(source)
+    longest = max(len(source) for source in sources)
+    # Objects have their widest design's room in the simulation; here the points of an environment are
+    # contiguous.
+    table = torch.tensor([source + [0] * (longest - len(source)) for source in sources], device=sim.device)
+    index = table[sim.design_index]
+    real = (
+        torch.arange(longest, device=sim.device)
+        < torch.tensor([len(source) for source in sources], device=sim.device)[sim.design_index][:, None]
+    )
+
+    def points() -> Any:
+        every = torch.cat([sim.object_positions(name) for name in names], dim=1)
+        found = torch.gather(every, 1, index[:, :, None].expand(-1, -1, 2)) * real[:, :, None]
+        return found.to(torch.float32)
+
+    return tuple(scenes), points
+
+
+def _agent(name: str, env: Any) -> Callable[[Any], Any]:
+    """One of :data:`AGENTS` as a policy."""
+    if name not in AGENTS:
+        raise ConfigError(f"Unknown agent {name!r}; valid are {listing(AGENTS)}.{did_you_mean(name, AGENTS)}")
+    import torch
+
+    draw = _draws(env)
+    if name == "zero":
+        return lambda obs: torch.ones((env.num_envs, env.num_actions))
+    if name == "random":
+        return lambda obs: ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * draw()
+    # One second a cycle, each actuator with a phase of its own: enough for most bodies to get somewhere.
+    phase = 2 * torch.pi * draw()
+    steps = iter(range(2**62))
+
+    def sine(obs: Any) -> Any:
+        middle, swing = (ACTION_LOW + ACTION_HIGH) / 2, (ACTION_HIGH - ACTION_LOW) / 2
+        return middle + swing * torch.sin(2 * torch.pi * FRAME_SECONDS * next(steps) + phase)
+
+    return sine
+
+
+def _draws(env: Any) -> Callable[[], Any]:
+    """A function that draws numbers in [0, 1) for all actions, ``[num_envs, num_actions]``, by the seed of ``env``.
+
+    With several seeds, each for an equal block of environments, a block draws as if it were alone.
+    """
+    import torch
+
+    seed = _plain_seed(getattr(env, "seed", None))
+    if not isinstance(seed, list):
+        generator = torch.Generator().manual_seed((seed or 0) % 2**64)
+        return lambda: torch.rand((env.num_envs, env.num_actions), generator=generator)
+    generators = [torch.Generator().manual_seed(one % 2**64) for one in seed]
+    block = env.num_envs // len(seed)
+    counts = env.action_mask.sum(1)[env.design_index[::block]].tolist()
+
+    def draw() -> Any:
+        values = torch.zeros((env.num_envs, env.num_actions))
+        for number, (generator, count) in enumerate(zip(generators, counts, strict=True)):
+            values[number * block : (number + 1) * block, :count] = torch.rand((block, count), generator=generator)
+        return values
+
+    return draw
+
+
+def _plain_seed(seed: Any) -> int | list[int] | None:
+    """A seed, or the seeds of several blocks of environments, as JSON has them."""
+    if isinstance(seed, Sequence | np.ndarray):
+        return [int(one) for one in seed]
+    return None if seed is None else int(seed)
+
+
+# ------------------------------------------------------------------------------------------------------ files
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of a file."""
+    try:
+        with ArrayFile(path, LARGEST) as archive:
+            if "header" not in archive.names:
+                raise RolloutError(f"{path} is no rollout: it is an archive without a header of warpvox.")
+            text = archive.read("header", LARGEST_HEADER)
+            if text.dtype != np.uint8:
+                raise RolloutError(f"{path} is damaged: its header is {text.dtype}, expected uint8.")
+            header = parse_json(text.tobytes().decode())
+            _check_version(path, header)
+            arrays = {name: archive.read(name) for name in ARRAYS}
+    except Missing:
+        raise RolloutError(f"There is no rollout at {path}: no such file.") from None
+    except UnicodeDecodeError:
+        raise RolloutError(f"{path} is damaged: its header is no text.") from None
+    except Unreadable as error:
+        raise RolloutError(f"{path} is truncated, damaged or no rollout that warpvox has written: {error}.") from None
+    for name, dtype in ARRAYS.items():
+        if arrays[name].dtype != dtype:
+            raise RolloutError(f"{path} is damaged: {name} is {arrays[name].dtype}, expected {np.dtype(dtype)}.")
+    return header, arrays
+
+
+def _check_version(path: Path, header: Any) -> None:
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise RolloutError(f"{path} is no rollout: its header is not one of {FORMAT}.")
+    version = header.get("version")
+    if not isinstance(version, int) or version < 1:
+        raise RolloutError(f"{path} is damaged: version {version!r} does not exist.")
+    if version > VERSION:
+        raise RolloutError(
+            f"{path} has version {version} of the format; this warpvox reads up to {VERSION}. Update warpvox."
+        )
+
+
+def _check_shapes(rollout: Rollout) -> None:
+    shape = rollout.positions.shape
+    if len(shape) != 4 or shape[0] < 1 or shape[1] < 1 or shape[3] != 2:
+        raise RolloutError(f"positions must be [frames, envs, points, 2] with a frame or more, got {list(shape)}.")
+    frames, envs = shape[:2]
+    expected = {
+        "design_index": (envs,),
+        "actions": (frames - 1, envs, rollout.actions.shape[-1] if rollout.actions.ndim else 0),
+        "rewards": (frames - 1, envs),
+        "terminated": (frames - 1, envs),
+        "truncated": (frames - 1, envs),
+    }
+    for name, want in expected.items():
+        got = getattr(rollout, name).shape
+        if got != want:
+            raise RolloutError(
+                f"{name} must have the shape {list(want)} to fit positions {list(shape)}, got {list(got)}."
+            )
+    for name in ("positions", "actions", "rewards"):
+        if not np.isfinite(getattr(rollout, name)).all():
+            raise RolloutError(f"{name} must be finite numbers.")
+    index, count = rollout.design_index, len(rollout.scenes)
+    if index.min() < 0 or index.max() >= count:
+        raise RolloutError(f"design_index must lie in 0 to {count - 1}, got {index.min()} to {index.max()}.")

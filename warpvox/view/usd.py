@@ -1,0 +1,319 @@
+"""Rollouts as USD stages: time-sampled meshes that usdview, Blender and Omniverse open.
+
+Conventions: Y is up, one unit is a metre (a voxel is 0.1, as in the simulator), 50 time codes a second, frame
+k of the rollout at time code k. The default prim ``/World`` holds an Xform ``env_000`` for every environment
+(set apart by a translation, so that points are those of the rollout) with
+
+- ``voxels``: one Mesh, a quad for every cell that moves, counter-clockwise seen from +Z. Its points are
+  time-sampled. ``displayColor`` is a palette that never changes with one time-sampled index for every face,
+  so that shading actuators by their stretch costs next to nothing. A GeomSubset for each cell type binds a
+  material: a constant colour, or for actuators displayColor.
+- ``terrain``: one Mesh of everything that never moves, a hair behind the voxels.
+
+Beside them: ``camera`` (follows the robot of the first environment), ``overview`` (all environments), ``sun``
+and ``sky``. Task, rules and returns stand in the custom data of ``/World`` and of every environment.
+"""
+
+from __future__ import annotations
+
+import os
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpvox.devices.out_of_memory import free_memory
+from warpvox.errors import RolloutError
+from warpvox.io.writing import atomic_path
+from warpvox.types import VOXEL, Cell
+from warpvox.view.palette import RAMPS, colour_index, palette
+from warpvox.view.rollout import FRAME_SECONDS, Rollout
+
+__all__ = ["write_usd"]
+
+SUFFIXES = (".usdc", ".usd", ".usda")
+SUBSET_NAMES = {
+    Cell.RIGID: "rigid",
+    Cell.SOFT: "soft",
+    Cell.H_ACT: "actuator_horizontal",
+    Cell.V_ACT: "actuator_vertical",
+    Cell.FIXED: "fixed",
+}
+COLUMNS = 8  # environments side by side
+GAP = 10 * VOXEL  # between environments
+VIEW = 14 * VOXEL  # height of what the following camera sees
+BEHIND = 0.001  # the terrain's distance behind the voxels, against flicker where they touch
+APERTURE = (20.955, 11.787)  # of the cameras, mm: 35 mm film cut to 16:9
+FOCAL = 50.0
+BYTES_OF_POINT, BYTES_OF_CELL = 26, 10
+"""Of a frame, at the peak: samples, and what they are made from."""
+SHARE = 0.9
+"""Of the memory that is free, what may be taken."""
+
+
+def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | None = None, stride: int = 1) -> Path:
+    """Write a rollout as a USD stage; return the path.
+
+    Args:
+        rollout: what was recorded.
+        path: ``.usdc`` or ``.usd`` (binary) or ``.usda`` (text); written whole or not at all.
+        envs: environments; None: all.
+        stride: write every stride-th frame only; time codes stay those of the rollout.
+
+    Raises:
+        RolloutError: another suffix, no such environment, a stride below 1, or a stage that does not fit into memory.
+    """
+    from pxr import Sdf, Tf, Usd, UsdGeom
+
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise RolloutError(f"A USD file ends in .usdc, .usd or .usda, got {str(path)!r}.")
+    if not isinstance(stride, int) or stride < 1:
+        raise RolloutError(f"stride must be a whole number >= 1, got {stride!r}.")
+    chosen = [rollout.check_env(env) for env in (range(rollout.num_envs) if envs is None else envs)]
+    if not chosen:
+        raise RolloutError("No environment was chosen to be written.")
+    frames = list(range(0, rollout.num_frames, stride))
+    _check_fits(rollout, chosen, len(frames), stride)
+    stage = Usd.Stage.CreateInMemory(f"rollout{suffix}")
+    layer = stage.GetRootLayer()
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetTimeCodesPerSecond(1 / FRAME_SECONDS)
+    stage.SetFramesPerSecond(1 / FRAME_SECONDS)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(frames[-1])
+    world = UsdGeom.Xform.Define(stage, "/World")
+    stage.SetDefaultPrim(world.GetPrim())
+    _describe(world.GetPrim(), rollout, chosen)
+    materials = _define_materials(stage)
+    places = _places(rollout, chosen)
+    for env, place in zip(chosen, places, strict=True):
+        # Values go straight to the layer: composing the stage anew after each of 64,000 would take minutes.
+        _define_env(stage, rollout, env, place, materials)
+        with Sdf.ChangeBlock():
+            _animate(layer, rollout, env, frames)
+    _define_cameras(stage, rollout, chosen, places, frames)
+    _define_lights(stage)
+    with atomic_path(path) as temporary:
+        try:
+            written = layer.Export(str(temporary))
+            reason = "no reason is given"
+        except Tf.ErrorException as error:
+            written, reason = False, str(error).rpartition("file: ")[2].split("'")[0]
+        if not written:
+            raise RolloutError(f"{path} cannot be written; is its disk full? USD says: {reason}.")
+    return Path(path)
+
+
+def _check_fits(rollout: Rollout, envs: list[int], frames: int, stride: int) -> None:
+    """Raise RolloutError if the stage, which USD builds in memory, is larger than what is free."""
+    cells = sum(len(rollout.scene(env).cells) for env in envs)
+    points = sum(rollout.scene(env).num_points for env in envs)
+    needed, free = frames * (BYTES_OF_POINT * points + BYTES_OF_CELL * cells), free_memory("cpu")
+    if free is not None and needed > SHARE * free:
+        least = -(-stride * needed // int(SHARE * free))
+        raise RolloutError(
+            f"A USD stage of {frames:,} frames needs about {needed / 2**30:.3g} GiB, and {free / 2**30:.3g} GiB are"
+            f" free; write every {least}th frame (every={least}) or fewer environments."
+        )
+
+
+def _root(env: int) -> str:
+    return f"/World/env_{env:03d}"
+
+
+def _describe(prim: Any, rollout: Rollout, envs: list[int]) -> None:
+    """Metadata of the whole, values that USD can hold only."""
+    for key, value in rollout.metadata.items():
+        if isinstance(value, str | bool | float) or (isinstance(value, int) and abs(value) < 2**31):
+            prim.SetCustomDataByKey(f"warpvox:{_identifier(key)}", value)
+    prim.SetCustomDataByKey("warpvox:meanReturn", float(rollout.returns[-1, envs].mean()))
+
+
+def _identifier(key: object) -> str:
+    text = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in str(key))
+    return text if text and not text[0].isdigit() else f"_{text}"
+
+
+def _define_materials(stage: Any) -> dict[Cell, Any]:
+    """A preview surface for every cell type; those of actuators show displayColor."""
+    from pxr import Gf, Sdf, UsdGeom, UsdShade
+
+    UsdGeom.Scope.Define(stage, "/World/materials")
+    materials = {}
+    for cell, name in SUBSET_NAMES.items():
+        path = f"/World/materials/{name}"
+        material = UsdShade.Material.Define(stage, path)
+        surface = UsdShade.Shader.Define(stage, f"{path}/surface")
+        surface.CreateIdAttr("UsdPreviewSurface")
+        surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.7)
+        diffuse = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+        rest = Gf.Vec3f(*_linear(np.array(RAMPS[cell][1])).tolist())
+        if cell in (Cell.H_ACT, Cell.V_ACT):
+            reader = UsdShade.Shader.Define(stage, f"{path}/colour")
+            reader.CreateIdAttr("UsdPrimvarReader_float3")
+            reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
+            reader.CreateInput("fallback", Sdf.ValueTypeNames.Float3).Set(rest)
+            diffuse.ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float3))
+        else:
+            diffuse.Set(rest)
+        material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+        materials[cell] = material
+    return materials
+
+
+def _linear(colour: np.ndarray) -> np.ndarray:
+    """Screen colours 0 to 255 as the linear ones in which USD counts, float32."""
+    value = colour / 255.0
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def _places(rollout: Rollout, envs: list[int]) -> np.ndarray:
+    """Where environments stand, float64 ``[envs, 2]``: in rows of COLUMNS, all cells of one size."""
+    sizes = np.array([[rollout.scene(env).width, rollout.scene(env).height] for env in envs]) * VOXEL
+    step = sizes.max(axis=0) + GAP
+    number = np.arange(len(envs))
+    return np.stack([number % COLUMNS, -(number // COLUMNS)], axis=1) * step
+
+
+def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, materials: dict[Cell, Any]) -> None:
+    from pxr import Gf, UsdGeom
+
+    scene, root = rollout.scene(env), _root(env)
+    xform = UsdGeom.Xform.Define(stage, root)
+    xform.AddTranslateOp().Set(Gf.Vec3d(*place.tolist(), 0.0))
+    prim = xform.GetPrim()
+    prim.SetCustomDataByKey("warpvox:return", float(rollout.returns[-1, env]))
+    prim.SetCustomDataByKey("warpvox:length", int(rollout.lengths[env]))
+    prim.SetCustomDataByKey("warpvox:design", int(rollout.design_index[env]))
+    points = rollout.positions[:, env, : scene.num_points]
+    low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
+    # Top left, bottom left, bottom right, top right: counter-clockwise seen from +Z.
+    quads = scene.corners[:, [0, 3, 2, 1]]
+    mesh = _define_mesh(stage, f"{root}/voxels", quads, np.array([[*low, 0], [*high, 0]]))
+    mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.uniform).Set(_vec3(_linear(palette())))
+    mesh.GetDisplayColorPrimvar().CreateIndicesAttr()
+    _bind(mesh, scene.cells, materials)
+    _define_terrain(stage, f"{root}/terrain", scene.terrain, materials[Cell.FIXED])
+
+
+def _define_mesh(stage: Any, path: str, quads: np.ndarray, extent: np.ndarray) -> Any:
+    from pxr import UsdGeom, Vt
+
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(quads), 4, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(quads.astype(np.int32).ravel()))
+    mesh.CreateExtentAttr(_vec3(extent))
+    mesh.CreatePointsAttr()
+    return mesh
+
+
+def _bind(mesh: Any, cells: np.ndarray, materials: dict[Cell, Any]) -> None:
+    """A GeomSubset with its material for each cell type that occurs."""
+    from pxr import UsdGeom, UsdShade, Vt
+
+    binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
+    for cell in sorted(set(cells.tolist())):
+        faces = Vt.IntArray.FromNumpy(np.flatnonzero(cells == cell).astype(np.int32))
+        subset = binding.CreateMaterialBindSubset(SUBSET_NAMES[Cell(cell)], faces, UsdGeom.Tokens.face)
+        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(materials[Cell(cell)])
+    binding.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
+
+
+def _define_terrain(stage: Any, path: str, terrain: np.ndarray, material: Any) -> None:
+    """One Mesh for all that stands still; neighbours share corners. None if there is nothing."""
+    from pxr import UsdGeom, UsdShade
+
+    if not terrain.any():
+        return
+    height, width = terrain.shape
+    rows, columns = np.nonzero(terrain)
+    upper = height - rows
+    ends = [(columns, upper), (columns, upper - 1), (columns + 1, upper - 1), (columns + 1, upper)]
+    numbers = np.stack([y * (width + 1) + x for x, y in ends], axis=1)
+    used, quads = np.unique(numbers, return_inverse=True)
+    points = np.zeros((len(used), 3), np.float32)
+    points[:, 0], points[:, 1] = used % (width + 1) * VOXEL, used // (width + 1) * VOXEL
+    points[:, 2] = -BEHIND
+    mesh = _define_mesh(stage, path, quads.reshape(-1, 4), np.array([points.min(axis=0), points.max(axis=0)]))
+    mesh.GetPointsAttr().Set(_vec3(points))
+    colour = _linear(np.array(RAMPS[Cell.FIXED][1]))
+    mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set(_vec3(colour[None]))
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+
+
+def _animate(layer: Any, rollout: Rollout, env: int, frames: list[int]) -> None:
+    """Time samples of an environment's points and colours."""
+    from pxr import Vt
+
+    scene, mesh = rollout.scene(env), f"{_root(env)}/voxels"
+    points = np.zeros((len(frames), scene.num_points, 3), np.float32)
+    points[..., :2] = rollout.positions[frames, env, : scene.num_points]
+    colours = colour_index(scene.cells, rollout.stretch(slice(None), env)[frames]).astype(np.int32)
+    for number in _changes(points, interpolated=True):
+        layer.SetTimeSample(f"{mesh}.points", float(frames[number]), _vec3(points[number]))
+    for number in _changes(colours, interpolated=False):
+        sample = Vt.IntArray.FromNumpy(colours[number])
+        layer.SetTimeSample(f"{mesh}.primvars:displayColor:indices", float(frames[number]), sample)
+
+
+def _changes(values: np.ndarray, interpolated: bool) -> list[int]:
+    """Frames that must be written: those unlike the one before, and, if between samples values are
+    interpolated, the last one before each change as well."""
+    differs = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
+    moved = [0, *(np.flatnonzero(differs) + 1)]
+    if interpolated:
+        held = [after - 1 for before, after in pairwise(moved) if after - 1 > before]
+        moved = sorted([*moved, *held])
+    return [int(frame) for frame in moved]
+
+
+def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.ndarray, frames: list[int]) -> None:
+    """One camera that follows the first environment's robot, one that sees everything."""
+    from pxr import Gf
+
+    from warpvox.view.painter import camera_path
+
+    view = np.array([VIEW * APERTURE[0] / APERTURE[1], VIEW])
+    corner = camera_path(rollout.scene(envs[0]), rollout.positions[:, envs[0]], tuple((view / VOXEL).tolist())) * VOXEL
+    follow = _define_camera(stage, "/World/camera")
+    distance = VIEW * FOCAL / APERTURE[1]
+    for frame in frames:
+        x, y = (corner[frame] + view / 2 + places[0]).tolist()
+        follow.Set(Gf.Vec3d(x, y, distance), float(frame))
+    sizes = np.array([[rollout.scene(env).width, rollout.scene(env).height] for env in envs]) * VOXEL
+    low, high = places.min(axis=0), (places + sizes).max(axis=0)
+    away = 1.1 * max((high[0] - low[0]) / APERTURE[0], (high[1] - low[1]) / APERTURE[1]) * FOCAL
+    middle = ((low + high) / 2).tolist()
+    _define_camera(stage, "/World/overview").Set(Gf.Vec3d(*middle, away))
+
+
+def _define_camera(stage: Any, path: str) -> Any:
+    """A camera that looks along -Z; its translation."""
+    from pxr import Gf, UsdGeom
+
+    camera = UsdGeom.Camera.Define(stage, path)
+    camera.CreateHorizontalApertureAttr(APERTURE[0])
+    camera.CreateVerticalApertureAttr(APERTURE[1])
+    camera.CreateFocalLengthAttr(FOCAL)
+    camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 10000.0))
+    return camera.AddTranslateOp()
+
+
+def _define_lights(stage: Any) -> None:
+    from pxr import Gf, UsdGeom, UsdLux
+
+    sun = UsdLux.DistantLight.Define(stage, "/World/sun")
+    sun.CreateIntensityAttr(2.0)
+    UsdGeom.Xformable(sun).AddRotateXYZOp().Set(Gf.Vec3f(-35.0, 20.0, 0.0))
+    UsdLux.DomeLight.Define(stage, "/World/sky").CreateIntensityAttr(0.6)
+
+
+def _vec3(values: np.ndarray) -> Any:
+    from pxr import Vt
+
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))

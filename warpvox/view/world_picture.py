@@ -1,0 +1,67 @@
+"""Worlds as they begin, as pictures: nothing is simulated."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from warpvox.compile import Body, compile_world
+from warpvox.io.writing import atomic_path
+from warpvox.types import Physics
+from warpvox.view.painter import BELOW, Canvas
+from warpvox.view.scene import Scene, SceneObject
+from warpvox.world import World
+
+__all__ = ["draw_world", "scene_of_world", "write_world_png"]
+
+LONGEST = 1600
+"""Pixels that the longer side of a picture has at most, unless the world is very large."""
+SCALES = (6, 32)
+AIR = 2  # voxels above the world
+
+
+def scene_of_world(world: World) -> tuple[Scene, np.ndarray]:
+    """A world as a scene, and its points as they begin, float64 ``[P, 2]`` in simulator units.
+
+    Raises:
+        SimulationError: the world has nothing that can move.
+    """
+    design = compile_world(world, Physics())
+    moving = [_scene_object(body, body.first_point) for body in design.bodies]
+    still = [_scene_object(body, None) for body in design.statics]
+    points = np.array([point for body in design.bodies for point in body.points])
+    ordered = sorted([*moving, *still], key=lambda obj: (not obj.is_robot, obj.name))
+    return Scene(world.width, world.height, tuple(ordered)), points
+
+
+def _scene_object(body: Body, first: int | None) -> SceneObject:
+    """An object as a mesh; ``first`` is None for terrain."""
+    source = body.source
+    corners = np.zeros((0, 4), np.int32)
+    if first is not None:
+        corners = np.array(list(body.corners.values()), np.int32) + first
+    count = 0 if first is None else len(body.points)
+    return SceneObject(body.name, source.grid, source.x, source.y, first or 0, count, corners)
+
+
+def draw_world(world: World) -> Image.Image:
+    """The whole world with all its objects, with the distance in voxels below.
+
+    Raises:
+        SimulationError: the world has nothing that can move.
+    """
+    scene, points = scene_of_world(world)
+    width, height = world.width + 2 * BELOW, world.height + BELOW + AIR
+    scale = int(np.clip(LONGEST / max(width, height), *SCALES))
+    canvas = Canvas(scene, (round(width * scale), round(height * scale)), scale)
+    return canvas.picture(points, (-round(BELOW * scale), -round(BELOW * scale)))
+
+
+def write_world_png(world: World, path: str | os.PathLike[str]) -> Path:
+    """Write what :func:`draw_world` draws. Returns the path."""
+    with atomic_path(path) as temporary:
+        draw_world(world).save(temporary, "PNG")
+    return Path(path)
