@@ -22,9 +22,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 BROUGHT = (
-    "warp-lang", "lazy-loader", "rsl-rl-lib", "tensordict", "pyvers", "hydra-core", "omegaconf", "antlr4-python3-runtime",
+    "warp-lang", "rsl-rl-lib", "tensordict", "pyvers", "hydra-core", "omegaconf", "antlr4-python3-runtime",
     "gymnasium", "farama-notifications", "gitpython", "gitdb", "smmap", "cloudpickle", "pyyaml", "rich", "pygments",
-    "markdown-it-py", "mdurl", "packaging", "pillow",
+    "markdown-it-py", "mdurl", "packaging", "pillow", "lazy-loader",
 )  # fmt: skip
 """Distributions in the pack, besides warpvox itself; what they need in turn is among them or comes with torch."""
 NEEDED = ("torch", "numpy", "tensorboard", "typing_extensions")
