@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from warpvox.batch.packs import lanes_for
+from warpvox.batch.options import lanes_for
 from warpvox.design import Design
 from warpvox.devices.names import resolve_device
 from warpvox.envs.spec import TaskSpec

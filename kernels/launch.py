@@ -27,6 +27,6 @@ def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
 
 
 def launch_stage(build, state) -> None:
-    """Run one stage for every environment of a :class:`warpvox.batch.packs.State`."""
+    """Run one stage for every environment of a :class:`warpvox.batch.arrays.Buffers`."""
     alone = stage_kernel(build, state.precision, state.width)
     launch(alone, (state.packs, state.units), [state.model, state.data, state.units, state.dt], state.device)

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 import torch
 import warp as wp
 
+from warpvox.batch.arrays import Buffers
 from warpvox.batch.objects import Objects
-from warpvox.batch.packs import State
 from warpvox.kernels import sensing
 from warpvox.kernels.device import Command
 from warpvox.types import SIGHT
@@ -26,7 +26,7 @@ class Sensing:
     device: str
     dtype: torch.dtype
     object_names: list[str]
-    _state: State
+    _state: Buffers
     _objects: Objects
 
     def _begin_sensing(self) -> None:

@@ -10,17 +10,10 @@ import numpy as np
 import torch
 import warp as wp
 
+from warpvox.batch.arrays import Buffers, allocate_buffers, put_tables
 from warpvox.batch.objects import CompiledWorlds, Objects
-from warpvox.batch.packs import (
-    Batch,
-    State,
-    choose_threads,
-    group,
-    lay_out,
-    put_tables,
-    resolve_arithmetic,
-    resolve_layout,
-)
+from warpvox.batch.options import choose_threads, resolve_arithmetic, resolve_layout
+from warpvox.batch.packs import Batch, group
 from warpvox.compile import Body
 from warpvox.devices.names import resolve_device
 from warpvox.errors import ActionError, SimulationError
@@ -110,7 +103,7 @@ class Simulation(Sensing):
             self._batch = Batch(
                 different, index, self.physics, self.arithmetic, self.device, lanes, tuple(loose), grid, self.layout,
             )  # fmt: skip
-            self._state = lay_out(self._batch, dtype)
+            self._state = allocate_buffers(self._batch, dtype)
             if self._state is not None:
                 break
         self.designs = CompiledWorlds(self._batch)
@@ -155,7 +148,7 @@ class Simulation(Sensing):
         """The first half of :meth:`step`: check the actions and keep them for :meth:`advance`."""
         try:
             actions = torch.as_tensor(actions)
-        except Exception as error:  # whatever an object that is no array says when it is asked for numbers
+        except Exception as error:  # `as_tensor` may raise anything for non-array input
             raise ActionError(f"Actions must be a tensor or array of numbers: {str(error)[:200]}.") from None
         if tuple(actions.shape) != tuple(self._actions.shape):
             expected = list(self._actions.shape)
@@ -198,7 +191,7 @@ class Simulation(Sensing):
         return [step_stage.record_step(state, substeps, begin, end - begin) for begin, end in itertools.pairwise(cuts)]
 
     def reset(self, mask: torch.Tensor | None = None) -> None:
-        """Put environments back to time 0 and thaw them.
+        """Reset environments to time 0 and unfreeze them.
 
         Args:
             mask: bool ``[num_envs]``; None means all.
@@ -210,19 +203,19 @@ class Simulation(Sensing):
         self._centres_are_new = False
 
     def shift(self, cells: torch.Tensor, mask: torch.Tensor | None = None) -> None:
-        """Put all ``loose`` objects where they would begin, had the world placed them ``cells`` further, and at rest.
+        """Move all ``loose`` objects to their initial place plus ``cells``, at rest.
 
-        Meant for the beginning of an episode: whether they then overlap other objects is not looked at.
+        Meant for the beginning of an episode. Overlaps with other objects are not checked.
 
         Args:
-            cells: whole numbers ``[num_envs, 2]``, to the right and up, from their places in the world.
+            cells: integers ``[num_envs, 2]``, to the right and up, from their places in the world.
             mask: bool ``[num_envs]``, the environments to change; None means all.
         """
         mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device) if mask is None else mask
         mask = self._check_mask(mask)[:, None]
         cells = torch.as_tensor(cells, device=self.device)
         if tuple(cells.shape) != (self.num_envs, 2) or cells.dtype.is_floating_point:
-            raise SimulationError(f"Shifts must be whole numbers [{self.num_envs}, 2], got {list(cells.shape)}.")
+            raise SimulationError(f"Shifts must be integers [{self.num_envs}, 2], got {list(cells.shape)}.")
         point, corner, height, inside = self._loose
         # The expressions with which a world is compiled, one operation at a time: the last bit matters.
         x, y = (corner + cells[:, None]).double().unbind(-1)
@@ -239,17 +232,17 @@ class Simulation(Sensing):
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Drop what is derived from the points (contact candidates, centres): for code that has written to them."""
+        """Discard what is derived from the points (contact candidates, centres); call it after writing to them."""
         self._views["drift"].fill_(STALE)
         self._centres_are_new = False
 
     @property
-    def buffers(self) -> State:
-        """What kernels read and write, and how environments lie in it; for tools that launch kernels themselves."""
+    def buffers(self) -> Buffers:
+        """The arrays of the kernels, and where environments lie in them: for tools that launch kernels themselves."""
         return self._state
 
     def array(self, name: str) -> torch.Tensor:
-        """One of the arrays of :mod:`warpvox.kernels.state`, itself; who writes to it calls :meth:`invalidate`."""
+        """An array of :mod:`warpvox.kernels.state`, not a copy; call :meth:`invalidate` after writing to it."""
         return wp.to_torch(self._state.arrays[name])
 
     @property
@@ -259,11 +252,11 @@ class Simulation(Sensing):
 
     @property
     def action_buffer(self) -> torch.Tensor:
-        """``[num_envs, num_actions]``: the tensor that :meth:`advance` takes actions from, itself."""
+        """``[num_envs, num_actions]``: the tensor that :meth:`advance` reads actions from, not a copy."""
         return self._actions
 
     def set_frozen(self, mask: torch.Tensor) -> None:
-        """Freeze (True) or thaw environments: a frozen one keeps its state and its time.
+        """Freeze (True) or unfreeze environments: a frozen one keeps its state and its time.
 
         Args:
             mask: bool ``[num_envs]``.
@@ -300,9 +293,9 @@ class Simulation(Sensing):
     def diverged(self) -> torch.Tensor:
         """bool [num_envs]: the last step was stopped because it diverged; such an environment is unstable, too.
 
-        Bad are numbers that are not finite, speeds above 1e4 (units of inner time) and coordinates beyond 1e6; see
-        :mod:`warpvox.kernels.guard`. The step is undone. Had the step begun with non-finite values, which only
-        :meth:`set_state` can bring about, the environment stands at time 0 and at rest instead.
+        A step diverges with values that are not finite, speeds above 1e4 (units of inner time) or coordinates beyond
+        1e6; see :mod:`warpvox.kernels.guard`. The step is undone; if it began with non-finite values, which only
+        :meth:`set_state` can cause, the environment is reset instead.
         """
         return (self._of_environments("status") & int(DIVERGED)) != 0
 
@@ -452,9 +445,9 @@ class Simulation(Sensing):
         self._centres_are_new = False
 
     def set_worlds(self, worlds: Sequence[World], mask: torch.Tensor) -> None:
-        """Give environments other worlds, which differ from their own in the bodies of robots alone; they begin anew.
+        """Replace the worlds of environments by worlds that differ in the bodies of robots alone, and reset them.
 
-        Arrays stay where they are and no kernel is compiled. ``worlds``, ``designs`` and ``design_index`` follow.
+        No array moves and no kernel is compiled. ``worlds``, ``designs`` and ``design_index`` are updated.
 
         Args:
             worlds: one for each environment of the mask.
@@ -479,7 +472,7 @@ class Simulation(Sensing):
         self._write(before, (touched & ~mask).nonzero()[:, 0])
 
     def _follow_worlds(self) -> None:
-        """Take over where the points of the environments' worlds lie."""
+        """Update everything that depends on where the points of the environments' worlds lie."""
         self._objects.refresh()
         self.designs.forget()
         self.design_index.copy_(torch.as_tensor(self._batch.index))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpvox.batch.packs import MARGIN
+from warpvox.batch.arrays import MARGIN
 from warpvox.kernels.broadphase import (
     DISTANT,
     GRID_FROM,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from warpvox.batch import packs
+from warpvox.batch import arrays, options
 from warpvox.design import sample_design
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec
@@ -208,12 +208,12 @@ def test_an_environment_runs_in_the_group_layout(monkeypatch):
 def test_the_layout_is_chosen_by_device_arithmetic_and_size(monkeypatch):
     walker = pair_of_task("Walker-v0", count=1)[0]
     assert walker.layout == "lanes"
-    resolved = packs.resolve_layout
+    resolved = options.resolve_layout
     assert resolved(None, "fast", "cpu", None) == "lanes"
     assert resolved(None, "fast", "cuda:0", None) == "group"
     assert resolved(None, "fast", "cuda:0", 32) == "lanes"
     assert resolved(None, "exact", "cuda:0", None) == "lanes"
-    monkeypatch.setattr(packs, "choose", lambda *sizes: None)
+    monkeypatch.setattr(arrays, "choose", lambda *sizes: None)
     assert pair_of_task("Walker-v0", count=1)[1].layout == "lanes"  # too large for a group
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import torch
 import warp as wp
 
+from warpvox.batch.arrays import Buffers
 from warpvox.batch.grid_mesh import most_points
-from warpvox.batch.packs import Batch, State
+from warpvox.batch.packs import Batch
 from warpvox.compile import Body, CompiledWorld, compile_world
 from warpvox.errors import SimulationError, did_you_mean, listing
 from warpvox.kernels.device import from_numpy
@@ -53,7 +54,7 @@ class Objects:
         total: int ``[num_envs]``: how many these are.
     """
 
-    def __init__(self, batch: Batch, state: State) -> None:
+    def __init__(self, batch: Batch, state: Buffers) -> None:
         self._batch, self._state = batch, state
         self.names = batch.object_names
         self.mobile = {body.name for world in batch.compiled for body in world.bodies}

@@ -7,7 +7,7 @@ from typing import Any
 
 from warpvox.algos.env_factory import Arena
 from warpvox.algos.population.training import PopulationTraining
-from warpvox.batch.packs import CUDA_LANES
+from warpvox.batch.options import CUDA_LANES
 from warpvox.bench.bodies import full_body, one_body
 from warpvox.bench.kernels import STAGES, stage_times
 from warpvox.bench.launches import Launches

@@ -10,7 +10,7 @@ import torch
 
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.training.runner import Runner, Schedule, adapt
-from warpvox.batch.packs import lanes_for
+from warpvox.batch.options import lanes_for
 from warpvox.bench.bodies import one_body
 from warpvox.bench.check import against_scalar
 from warpvox.bench.reference import open_reference

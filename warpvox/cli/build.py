@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.batch.packs import lanes_for
+from warpvox.batch.options import lanes_for
 from warpvox.design import load_design
 from warpvox.devices.names import resolve_device
 from warpvox.devices.startup import LOGGER, start_warp

@@ -19,7 +19,7 @@ from warpvox.algos.codesign.archive import FILE as ARCHIVE
 from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.codesign.archive_export import export
 from warpvox.algos.search import make_search, settings_from
-from warpvox.batch.packs import lanes_for
+from warpvox.batch.options import lanes_for
 from warpvox.cli.commands.train import check_unchanged, describe
 from warpvox.cli.config import load, load_values, read_arguments, to_yaml
 from warpvox.cli.consent import STORED, again, as_stored, keep_code

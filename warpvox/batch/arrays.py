@@ -1,0 +1,156 @@
+"""The arrays of a simulation: their sizes, allocation and values, from the tables of a batch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import warp as wp
+
+from warpvox.batch.packs import Batch
+from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
+from warpvox.kernels.device import from_numpy, on_cuda, zeros
+from warpvox.kernels.group import Group, choose
+from warpvox.kernels.reset import STALE
+from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, allocate, structs
+from warpvox.types import Physics
+
+__all__ = ["MARGIN", "Buffers", "allocate_buffers", "put_tables"]
+
+MARGIN = 0.04  # width added to boxes when candidates are collected, two fifths of a voxel
+HITS, HITS_PER_VOXEL = 64, 12  # capacity for contacts that are put in order, in exact arithmetic
+PAIRS_PER_VOXEL = 24  # capacity of the candidate list of an environment that has one of its own
+CELLS_PER_VOXEL = 16  # the same for cells of the terrain, in the group layout
+# Lanes share a list. One that holds all pairs cannot be filled by an environment that has collapsed or exploded at the
+# cost of the others; up to so many surface voxels (33 MB a pack) it does.
+ALL_PAIRS = 2048
+SIZES = {
+    "point": "home", "active": "active", "joint": "link_start", "spring": "spring_rest", "link": "link",
+    "rigid": "rigid_spring", "twin": "twin", "voxel": "body", "mobile": "mobile", "robot": "fold_limit",
+    "row": "order", "object": "object_range", "node": "node", "leaf": "leaf", "plot": "cell_leaf",
+}  # fmt: skip
+"""Capacities and the tables whose second axis has them."""
+
+
+@dataclass
+class Buffers:
+    """What kernels need to run: the structs, their arrays and how environments lie in them.
+
+    ``group`` says what the group kernel is compiled for (see :mod:`warpvox.kernels.group`), None in the lanes layout;
+    ``scratch`` takes the place of its shared memory on the CPU.
+    """
+
+    arithmetic: str
+    precision: str
+    device: str
+    width: int
+    lanes: int
+    units: int
+    packs: int
+    num_envs: int
+    dt: float
+    sizes: dict[str, int]
+    model: object
+    data: object
+    arrays: dict[str, wp.array]
+    env_pack: wp.array
+    env_lane: wp.array
+    group: Group | None = None
+    scratch: wp.array | None = None
+
+
+def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
+    """Allocate and fill Model and Data for a batch; None where worlds are too large for the group layout."""
+    device, lanes = batch.device, batch.lanes
+    width = lanes if device == "cpu" else 1
+    units, packs = lanes // width, len(batch.pack_group)
+    tables, which = batch.tables()
+    if batch.grid is not None:  # any pack may come to differ from the others
+        tables, which = {name: values[which] for name, values in tables.items()}, np.arange(packs)
+    frames = batch.frame_tables()
+    sizes = {symbol: tables[name].shape[1] for symbol, name in SIZES.items()}
+    sizes |= {"point": sizes["point"] // 2, "active": sizes["active"] // 2}
+    sizes |= {"action": int(tables.pop("actions").max(initial=0))}
+    sizes |= {name: max(sizes[name], size) for name, size in batch.capacities().items()}
+    sizes |= {"mesh": len(which) if batch.grid else int(which.max()) + 1, "frame": len(frames["terrain"])}
+    sizes |= {"cell": frames["terrain_side"].shape[1]}
+    taken = None
+    if batch.layout == "group":
+        taken = choose(sizes["point"], sizes["spring"], precision, device)
+        if taken is None:
+            return None
+    hits = HITS + HITS_PER_VOXEL * sizes["mobile"] if batch.arithmetic == "exact" else 1
+    sizes |= _capacities(sizes["voxel"], sizes["mobile"], width, taken is not None) | {
+        "hit": hits,
+        "pack": packs,
+        "lane": lanes,
+        "unit": packs * units,
+    }
+    model, data = allocate(MODEL, sizes, precision, device), allocate(DATA, sizes, precision, device)
+    types = structs(precision)
+    state = Buffers(
+        batch.arithmetic, precision, device, width, lanes, units, packs, len(batch.index), batch.physics.dt, sizes,
+        types.Model(), types.Data(), model | data,
+        from_numpy(batch.env_pack, int, device), from_numpy(batch.env_lane, int, device), taken,
+        zeros((1, 1) if taken is None or on_cuda(device) else (packs, taken.bytes // 8), wp.float64, device),
+    )  # fmt: skip
+    for struct, arrays in ((state.model, model), (state.data, data)):
+        for name, array in arrays.items():
+            setattr(struct, name, array)
+    _set_constants(state, batch.physics)
+    _fill(state, "pack_mesh", which.astype(np.int32))
+    for name, values in frames.items():
+        _fill(state, name, values)
+    put_tables(state, tables)
+    # Lanes without an environment hold a body at rest, frozen.
+    home = wp.to_torch(model["home"])[torch.as_tensor(which, device=device)]
+    wp.to_torch(data["pos"]).copy_(home)
+    wp.to_torch(data["drift"]).fill_(STALE)
+    return state
+
+
+def put_tables(state: Buffers, tables: dict[str, np.ndarray], meshes: np.ndarray | None = None) -> None:
+    """Copy tables into the Model, those of ``meshes`` or all."""
+    for name in MODEL.keys() & tables.keys():
+        values = tables[name]
+        _fill(state, name, values, meshes)
+
+
+def _fill(state: Buffers, name: str, values: np.ndarray, rows: np.ndarray | None = None) -> None:
+    """Copy values into the beginning of every axis of an array, or of some of its rows."""
+    if not values.size:
+        return
+    array = state.arrays[name]
+    view = wp.to_torch(array)
+    given = torch.from_numpy(np.ascontiguousarray(values)).to(view.device, view.dtype)
+    place = tuple(slice(n) for n in given.shape[1:])
+    if rows is None:
+        view[(slice(len(given)), *place)] = given
+    else:
+        view[(torch.as_tensor(rows, device=view.device), *place)] = given
+
+
+def _set_constants(state: Buffers, physics: Physics) -> None:
+    for name in CONSTANTS:
+        setattr(state.model, name, MARGIN if name == "margin" else getattr(physics, name))
+    contact = structs(state.precision).Contact()
+    for name in CONTACT:
+        setattr(contact, name, getattr(physics, name if name.startswith("friction") else f"contact_{name}"))
+    state.model.contact = contact
+
+
+def _capacities(voxels: int, mobiles: int, width: int, grouped: bool) -> dict[str, int]:
+    """Capacities of the broad phase for a number of surface voxels, of those that are mobile, and of lanes.
+
+    A group lists the cells of the terrain that may be touched behind the pairs.
+    """
+    gridded = mobiles if mobiles >= GRID_FROM else 0
+    every = voxels * (voxels - 1) // 2
+    pairs = every if width > 1 and voxels <= ALL_PAIRS else min(every, PAIRS_PER_VOXEL * voxels)
+    return {
+        "pair": pairs + (CELLS_PER_VOXEL * mobiles if grouped else 0),
+        "word": voxels * -(-voxels // 32),
+        "entry": ENTRIES_PER_VOXEL * gridded,
+        "slot": 1 << (2 * gridded).bit_length(),
+    }
