@@ -39,7 +39,7 @@ def free(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """``free(gibibytes)``: what the machine has left."""
 
     def call(gibibytes: float) -> None:
-        for place in ("warpvox.envs.needs", "warpvox.cli.needs"):
+        for place in ("warpvox.envs.needs", "warpvox.cli.memory_check"):
             monkeypatch.setattr(f"{place}.free_memory", lambda device: int(gibibytes * GIB))
 
     return call

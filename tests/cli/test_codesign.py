@@ -28,7 +28,7 @@ from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.search import settings_from
 from warpvox.cli.bodies import body_rows
-from warpvox.cli.codesign_watch import Results, Watch
+from warpvox.cli.codesign_progress import Results, SearchProgress
 from warpvox.cli.commands.codesign import _archive, resolve
 from warpvox.cli.config import load
 from warpvox.design import example_design, load_design, sample_design
@@ -136,15 +136,15 @@ def test_an_interrupt_saves_and_the_search_goes_on_to_the_same(
     search: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch, number: int, code: int
 ) -> None:
     whole = search()
-    shown = Watch.progress
+    shown = SearchProgress.progress
 
-    def interrupt(self: Watch, batch: object, event: dict) -> None:
+    def interrupt(self: SearchProgress, batch: object, event: dict) -> None:
         shown(self, batch, event)
         if self.archive.count() > 5 and event["iteration"] == 1:
             signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Watch, "progress", interrupt)
+        patch.setattr(SearchProgress, "progress", interrupt)
         parts = search(code=code)
     assert summary(parts)["status"] == "interrupted"
     assert digest(parts) != digest(whole)
@@ -205,7 +205,8 @@ def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None
     config = load("codesign", ["search.max_evaluations=4", "top=2"])
     console = Console(force_terminal=True, color_system="truecolor", width=120, file=io.StringIO())
     bodies = [example_design("walker"), sample_design((5, 5), 0)]
-    with Archive.create(tmp_path / FILE, {}) as archive, Watch(Results(tmp_path, archive, config), 4, console) as watch:
+    results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), config)
+    with results.archive as archive, SearchProgress(results, 4, console) as watch:
         asked = [Candidate(k, body) for k, body in enumerate(bodies)]
         archive.propose(asked, 0)
         watch.proposed(0, asked, 2)

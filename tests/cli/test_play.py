@@ -13,7 +13,7 @@ import yaml
 from PIL import Image
 
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.cli.watch import watch
+from warpvox.cli.playback import play_in_window
 from warpvox.envs.dumps import LIMIT
 from warpvox.envs.vec_env import make_vec
 from warpvox.view.rollout import Rollout, record
@@ -107,7 +107,7 @@ def test_the_window_shows_real_time_and_begins_anew(speed: float) -> None:
         screens.append(Screen(size, title, 200))
         return screens[-1]
 
-    count = watch(rollout, [0], (200, 120), clock=lambda: next(now), make_window=open_screen)
+    count = play_in_window(rollout, [0], (200, 120), clock=lambda: next(now), make_window=open_screen)
     assert "Walker-v0" in screens[0].title
     first, shown = screens[0].pictures[0], screens[0].pictures
     again = [k for k in range(1, 200) if (shown[k] == first).all() and (shown[k - 1] != first).any()]

@@ -190,14 +190,14 @@ def test_strange_journals_beside_an_archive_do_no_harm(
 def test_a_damaged_training_of_designs_is_to_be_removed_and_made_again(
     warpvox: Callable, tmp_path: Path, runs: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from warpvox.cli.codesign_watch import Watch
+    from warpvox.cli.codesign_progress import SearchProgress
 
     def stop(*_: Any) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
         seen: list[int] = []
-        patch.setattr(Watch, "progress", lambda *_: seen.append(1) or (len(seen) == 2 and stop()))
+        patch.setattr(SearchProgress, "progress", lambda *_: seen.append(1) or (len(seen) == 2 and stop()))
         assert warpvox(*CODESIGN).code == 130
     run = only(tmp_path, "codesign")
     (saved,) = (run / "training").iterdir()

@@ -265,14 +265,14 @@ def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(
 def test_a_folder_that_vanishes_is_told_of_and_not_made_anew(
     command: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from warpvox.cli.codesign_watch import Watch
+    from warpvox.cli.codesign_progress import SearchProgress
     from warpvox.cli.progress import TrainingProgress
 
     def remove(*_: Any) -> None:
         shutil.rmtree(tmp_path / "outputs", ignore_errors=True)
 
     monkeypatch.setattr(TrainingProgress, "__call__", remove)
-    monkeypatch.setattr(Watch, "progress", remove)
+    monkeypatch.setattr(SearchProgress, "progress", remove)
     outcome = warpvox(*COMMANDS[command])
     assert_refused(outcome, "outputs")
     assert "vanished" in outcome.err or "folder is gone" in outcome.err

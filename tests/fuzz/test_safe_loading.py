@@ -25,8 +25,8 @@ from fuzz_harness import within
 from warpvox.algos.checkpoints.check import check_claims
 from warpvox.algos.checkpoints.files import load_controller, read_tensors
 from warpvox.algos.codesign.archive import Archive
+from warpvox.cli.plain_yaml import parse_yaml
 from warpvox.cli.runs import find_run
-from warpvox.cli.stored import parse_yaml
 from warpvox.design import LARGEST_BODY, check_design, load_design
 from warpvox.editor.documents import read_file
 from warpvox.errors import DesignError, RolloutError, RunError, WarpvoxError, WorldError

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from warpvox.bench.report import Report
+from warpvox.cli.console import echo
 from warpvox.cli.runs import write_summary
-from warpvox.cli.say import say
 
 __all__ = ["Progress"]
 
@@ -49,7 +49,7 @@ class Progress:
 
     def row(self, part: str, text: str, **values: Any) -> None:
         """Show a line and keep its values."""
-        say(self.report.console, f"  {text}")
+        echo(self.report.console, f"  {text}")
         self.figures.setdefault(part, []).append(values)
         self.save()
 
@@ -57,7 +57,7 @@ class Progress:
     def part(self, name: str) -> Iterator[None]:
         """Time a part, note how it failed, and save what there is."""
         began = time.perf_counter()
-        say(self.report.console, f"\n{name} ({self.left:.0f} s left)")
+        echo(self.report.console, f"\n{name} ({self.left:.0f} s left)")
         try:
             yield
         except Exception as error:  # whatever it is, the other parts are worth having

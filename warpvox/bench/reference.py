@@ -13,7 +13,7 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from warpvox.cli.say import say
+from warpvox.cli.console import echo
 from warpvox.errors import ConfigError
 from warpvox.system import python_of
 
@@ -38,7 +38,7 @@ def open_reference(config: Any, report: Any, needed: bool = True) -> AbstractCon
     if config.peer.make and python is None:
         with report.status(f"making an environment with {PACKAGE}"):
             python = str(make_reference(reference_folder()))
-        say(report.console, f"the reference: {python}")
+        echo(report.console, f"the reference: {python}")
     made = python_of(reference_folder())
     if python is None and made.is_file():
         python = str(made)

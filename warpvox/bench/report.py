@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from warpvox.cli.say import cell, say
+from warpvox.cli.console import echo, literal
 from warpvox.errors import ConfigError
 from warpvox.io.writing import atomic_path, write_text
 
@@ -34,19 +34,19 @@ class Report:
 
     def table(self, title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Show a table; the first column is text, the others are numbers."""
-        say(self.console, f"\n{title}")
+        echo(self.console, f"\n{title}")
         shown = Table()
         for column, heading in enumerate(headings):
-            shown.add_column(cell(heading), justify="right" if column else "left")
+            shown.add_column(literal(heading), justify="right" if column else "left")
         for row in rows:
-            shown.add_row(*map(cell, row))
+            shown.add_row(*map(literal, row))
         self.console.print(shown)
         lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]
         self._parts.append("\n".join([f"{title}:", "", *("| " + " | ".join(line) + " |" for line in lines)]))
 
     def note(self, text: str) -> None:
         """Show a sentence."""
-        say(self.console, text)
+        echo(self.console, text)
         self._parts.append(text)
 
     def status(self, text: str) -> Any:
@@ -58,14 +58,14 @@ class Report:
         try:
             from matplotlib.figure import Figure
         except ModuleNotFoundError:
-            say(self.console, "no plot: matplotlib is missing (pip install 'warpvox[view]')")
+            echo(self.console, "no plot: matplotlib is missing (pip install 'warpvox[view]')")
             return
         figure = Figure(figsize=PLOT_SIZE, layout="constrained")
         draw(figure)
         path = self.folder / f"{name}.png"
         with atomic_path(path) as temporary:
             figure.savefig(temporary, dpi=DOTS)
-        say(self.console, f"plot: {path}")
+        echo(self.console, f"plot: {path}")
 
     def write(self) -> str:
         """Write all tables and sentences as ``tables.md``; returns the text."""

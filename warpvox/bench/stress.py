@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from warpvox.bench.report import Report, number
-from warpvox.cli.say import say
+from warpvox.cli.console import echo
 from warpvox.design import sample_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
@@ -221,7 +221,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
                 seed=config.seed,
             )
             found[task] = one = stress(env, options.steps, config.seed)
-        say(report.console, f"{task}: {', '.join(f'{n} {v:.10g}' for n, v in vars(one).items())}")
+        echo(report.console, f"{task}: {', '.join(f'{n} {v:.10g}' for n, v in vars(one).items())}")
     _show(report, found)
     wrong = [task for task, one in found.items() if one.not_finite or one.moved or one.depth > options.depth]
     return {"tasks": {task: vars(one) for task, one in found.items()}, "failed": wrong}

@@ -108,9 +108,9 @@ def _help() -> str:
 
 
 def _complain(error: WarpvoxError | str) -> int:
-    from warpvox.cli.say import plain
+    from warpvox.cli.console import escaped
 
     # one line, with the blanks of paths as they are
     text = " ".join(line.strip() for line in str(error).splitlines())
-    print(f"warpvox: {plain(text)}", file=sys.stderr)
+    print(f"warpvox: {escaped(text)}", file=sys.stderr)
     return BAD_INPUT

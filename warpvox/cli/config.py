@@ -18,10 +18,10 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from warpvox.cli.consent import allow_code
+from warpvox.cli.config_file import read_config_file
 from warpvox.cli.help import flat_keys, presets_of
-from warpvox.cli.rerun import read_config_file
-from warpvox.cli.words import as_list, parse, quoted, readable
+from warpvox.cli.quoting import as_list, parse, quoted, readable
+from warpvox.cli.trust import allow_code
 from warpvox.configs.paper import design_of, shape_of
 from warpvox.configs.schema import COMMANDS, GROUPS, PRESET
 from warpvox.errors import ConfigError, did_you_mean, listing
@@ -120,7 +120,7 @@ def load(
         overrides: of a single run.
         base: values that lie below the overrides, instead of those of the YAML files.
         home: the folder whose ``config.yaml`` the base is; code that it names is only let through if the overrides
-            name it again or the user agrees (:func:`warpvox.cli.consent.allow_code`).
+            name it again or the user agrees (:func:`warpvox.cli.trust.allow_code`).
 
     Raises:
         ConfigError: anything wrong with keys, values or YAML files; code that the user has not named.
@@ -168,7 +168,7 @@ def load(
 def load_values(command: str, values: dict[str, Any]) -> Any:
     """The dataclass of a command from the values of a stored ``config.yaml``; unknown ones are left out.
 
-    The code that they name may only be imported after :func:`warpvox.cli.consent.allow_code`.
+    The code that they name may only be imported after :func:`warpvox.cli.trust.allow_code`.
 
     Raises:
         ConfigError: values of the wrong type or out of range.

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from warpvox.cli.console import echo
 from warpvox.cli.runs import Run
-from warpvox.cli.say import say
 from warpvox.configs.schema import EXPORTS
 from warpvox.errors import ConfigError, did_you_mean, listing
 
@@ -88,7 +88,7 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
     from warpvox.algos.checkpoints.files import load_controller
     from warpvox.cli.build import make_env, training_lanes
     from warpvox.cli.config import load_values
-    from warpvox.cli.consent import allow_code
+    from warpvox.cli.trust import allow_code
     from warpvox.devices.names import resolve_device
 
     device = resolve_device(config.device, config.num_envs)
@@ -188,7 +188,7 @@ def write_exports(
             getattr(import_module(module), function)(rollout, folder / file, **options)
         written.append(folder / file)
     for path in written:
-        say(console, f"{shown(path)}  ({_size(path)})")
+        echo(console, f"{shown(path)}  ({_size(path)})")
     return written
 
 
@@ -206,7 +206,7 @@ class Estimate:
         left = seconds / done * (total - done)
         if left >= LONG:
             words = f"{left / 60:.0f} minutes" if left >= 120 else f"{left:.0f} seconds"
-            say(self.console, f"{self.file}: {total:,} pictures, about {words} more; every=N makes fewer")
+            echo(self.console, f"{self.file}: {total:,} pictures, about {words} more; every=N makes fewer")
 
 
 def _size(path: Path) -> str:

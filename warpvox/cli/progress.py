@@ -15,7 +15,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from warpvox.cli.say import say
+from warpvox.cli.console import echo
 
 __all__ = ["TrainingProgress"]
 
@@ -80,7 +80,7 @@ class TrainingProgress:
         if evaluated or now - self._printed >= QUIET_SECONDS or row["iteration"] == self.total:
             self._printed = now
             left = self._left(row["iteration"], now)
-            say(self.console, f"iteration {row['iteration']}/{self.total}  {figures}  left {left}")
+            echo(self.console, f"iteration {row['iteration']}/{self.total}  {figures}  left {left}")
 
     def _figures(self, row: Mapping[str, float]) -> str:
         return (

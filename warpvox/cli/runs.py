@@ -17,7 +17,7 @@ from typing import Any
 
 from warpvox.algos.codesign.archive import FILE as ARCHIVE
 from warpvox.algos.codesign.archive import Archive
-from warpvox.cli.stored import LARGEST_CONFIG, parse_yaml
+from warpvox.cli.plain_yaml import LARGEST_CONFIG, parse_yaml
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.reading import Unreadable, read_text
 from warpvox.io.writing import MARK, claimed, complaint, sweep, write_text

@@ -18,9 +18,9 @@ from rich.console import Console
 from rich.table import Table
 
 from warpvox.cli.config import Arguments, expand
+from warpvox.cli.console import echo, literal
+from warpvox.cli.quoting import parse
 from warpvox.cli.runs import STAMP, SUMMARY, label
-from warpvox.cli.say import cell, say
-from warpvox.cli.words import parse
 from warpvox.errors import RunError, WarpvoxError
 from warpvox.io.writing import write_text
 
@@ -130,7 +130,7 @@ class _Sweep:
         """Do one job and note what has come of it."""
         number = len(self.rows) + 1
         values = " ".join(f"{key}={value}" for key, value in member.varied.items())
-        self.console.rule(cell(f"run {number} of {self.total}: {values}"))
+        self.console.rule(literal(f"run {number} of {self.total}: {values}"))
         row: dict[str, Any] = {"run": number, **member.varied, "status": "interrupted"}
         self.rows.append(row)
         token = label.set(member.label)
@@ -140,7 +140,7 @@ class _Sweep:
             raise
         except WarpvoxError as error:
             row |= {"status": "failed", "error": " ".join(str(error).split())}
-            say(self.console, f"failed: {row['error']}")
+            echo(self.console, f"failed: {row['error']}")
         except Exception as error:  # a defect; the others have nothing to do with it
             row |= {"status": "failed", "error": f"{type(error).__name__}: {error}"}
             traceback.print_exc()
@@ -171,11 +171,11 @@ class _Sweep:
         columns = [name for name in self.columns if name not in ("folder", "error")]
         table = Table(title=f"{len(self.rows)} of {self.total} runs", title_justify="left")
         for name in columns:
-            table.add_column(cell(name), justify="right" if name in ("run", *FIGURES) else "left", overflow="fold")
+            table.add_column(literal(name), justify="right" if name in ("run", *FIGURES) else "left", overflow="fold")
         for row in self.rows:
-            table.add_row(*(cell(_shown(row.get(name))) for name in columns))
+            table.add_row(*(literal(_shown(row.get(name))) for name in columns))
         self.console.print(table)
-        say(self.console, f"table: {self.file}")
+        echo(self.console, f"table: {self.file}")
 
 
 def _figures(folder: Path | None) -> dict[str, Any]:

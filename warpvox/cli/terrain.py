@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
-from warpvox.cli.say import say
+from warpvox.cli.console import echo
 from warpvox.types import Cell
 from warpvox.view.palette import CELL_NAMES, RAMPS
 from warpvox.world import World
@@ -27,12 +27,12 @@ def print_world(world: World, console: Console) -> None:
     colour = console.is_terminal and console.color_system is not None and not console.options.ascii_only
     fold = max(console.width - 1, 10)
     kinds = [Cell(kind) for kind in np.unique(cells) if kind]
-    say(console, f"world: {world.width} x {world.height} cells")
+    echo(console, f"world: {world.width} x {world.height} cells")
     if colour:
         legend = Text.assemble(*((f"{UPPER} {CELL_NAMES[kind]}  ", Style(color=_colour(kind))) for kind in kinds))
         console.print(legend)
     else:
-        say(console, ", ".join(f"{GLYPHS[kind]} {CELL_NAMES[kind]}" for kind in kinds))
+        echo(console, ", ".join(f"{GLYPHS[kind]} {CELL_NAMES[kind]}" for kind in kinds))
     for start in range(0, world.width, fold):
         if start:
             console.print()

@@ -15,8 +15,8 @@ from rich.console import Console
 
 from warpvox.cli.commands.train import describe
 from warpvox.cli.config import load, read_arguments, to_yaml
+from warpvox.cli.console import echo
 from warpvox.cli.runs import check_name, new_folder, write_summary
-from warpvox.cli.say import say
 from warpvox.cli.sweep import each, members
 from warpvox.errors import SimulationError, listing
 from warpvox.io.writing import check_writable
@@ -57,13 +57,13 @@ def measure(config: Any, console: Console) -> Path:
         document = Document(Path(config.document), config.suite) if config.document else None
     with new_folder(config.output_dir, "bench", config.suite, config.name, to_yaml(config)) as folder:
         report, facts = Report(console, folder), machine(config.device)
-        say(console, machine_line(facts))
+        echo(console, machine_line(facts))
         figures = suite.run(config, report)
         write_summary(folder, {"suite": config.suite, "machine": facts} | figures)
         text = report.write()
         if document is not None:
             document.replace(f"{text}\nMachine: {machine_line(facts)}.\n")
-        say(console, f"figures: {folder / 'summary.json'}")
+        echo(console, f"figures: {folder / 'summary.json'}")
     if figures.get("failed"):
         raise SimulationError(f"These parts failed: {listing(figures['failed'])}; see {folder / 'summary.json'}.")
     return folder

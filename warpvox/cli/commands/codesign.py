@@ -22,10 +22,10 @@ from warpvox.algos.search import make_search, settings_from
 from warpvox.batch.options import lanes_for
 from warpvox.cli.commands.train import check_unchanged, describe
 from warpvox.cli.config import load, load_values, read_arguments, to_yaml
-from warpvox.cli.consent import STORED, again, as_stored, keep_code
+from warpvox.cli.console import echo, shell_argument
 from warpvox.cli.runs import CONFIG, SUMMARY, check_name, find_codesign, going_on, new_folder
-from warpvox.cli.say import say, typed
 from warpvox.cli.sweep import each, members
+from warpvox.cli.trust import STORED, again, as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, RunError, StorageError
@@ -112,7 +112,7 @@ def check(config: CodesignConfig) -> None:
     """
     from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
     from warpvox.cli.build import physics_of
-    from warpvox.cli.needs import check_search
+    from warpvox.cli.memory_check import check_search
     from warpvox.devices.names import resolve_device
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
@@ -175,7 +175,7 @@ def codesign(job: Job, console: Console) -> Path:
         from warpvox.algos.codesign.loop import Loop
         from warpvox.algos.codesign.stored_policies import Policies
         from warpvox.cli.build import prepare, shown
-        from warpvox.cli.codesign_watch import Results, Watch
+        from warpvox.cli.codesign_progress import Results, SearchProgress
 
         config = resolve(job.config)
         prepare(config.torch_threads, config.seed)
@@ -187,7 +187,7 @@ def codesign(job: Job, console: Console) -> Path:
             keep_code(config, folder, console)
             settings = settings_from(config.search)
             results = Results(folder, archive, written)
-            watch = Watch(results, settings.max_evaluations, console)
+            watch = SearchProgress(results, settings.max_evaluations, console)
             loop = Loop(
                 make_search(settings, tuple(config.shape), config.seed),
                 executor,
@@ -206,10 +206,10 @@ def codesign(job: Job, console: Console) -> Path:
                 listener=watch,
             )
             done = f", {archive.trained()} of {settings.max_evaluations} designs done" if job.folder else ""
-            say(console, f"{results.search} on {config.task}, {_where(config, executor)}{done}")
-            say(console, f"run folder: {shown(folder)}")
+            echo(console, f"{results.search} on {config.task}, {_where(config, executor)}{done}")
+            echo(console, f"run folder: {shown(folder)}")
             if job.folder and archive.trained() >= settings.max_evaluations:
-                say(
+                echo(
                     console,
                     f"the search has spent its {settings.max_evaluations} evaluations: nothing is left to do. What it"
                     " proposes depends on them, so that more make another search (search.max_evaluations=N)",
@@ -363,7 +363,7 @@ def write_exports(archive: Archive, folder: Path, formats: list[str], console: C
     from warpvox.cli.build import shown
 
     for name in dict.fromkeys(formats):
-        say(console, shown(export(archive, folder, name)))
+        echo(console, shown(export(archive, folder, name)))
 
 
 def write_again(config: CodesignConfig, console: Console) -> None:
@@ -373,7 +373,7 @@ def write_again(config: CodesignConfig, console: Console) -> None:
         RunError: no such search.
     """
     from warpvox.cli.build import shown
-    from warpvox.cli.codesign_watch import Results
+    from warpvox.cli.codesign_progress import Results
 
     source = find_codesign(config.report, config.output_dir)
     stored = load_values("codesign", source.config)
@@ -383,7 +383,7 @@ def write_again(config: CodesignConfig, console: Console) -> None:
             results.draw(row["generation"])
         summary = source.folder / SUMMARY
         known = json.loads(summary.read_text(encoding="utf-8")) if summary.is_file() else {"status": "running"}
-        say(console, shown(results.report(known)))
+        echo(console, shown(results.report(known)))
         write_exports(archive, source.folder, config.export, console)
 
 
@@ -395,10 +395,10 @@ def conclude(console: Console, summary: dict[str, Any], folder: Path, config: Co
     text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps"
     if summary["best_design"] is not None:
         text += f"; best fitness {summary['best_fitness']:.3f} (design {summary['best_design']})"
-    say(console, text)
+    echo(console, text)
     if summary["best_design"] is not None:
-        say(console, f"report: {(folder / REPORT).resolve().as_uri()}")
+        echo(console, f"report: {(folder / REPORT).resolve().as_uri()}")
         task = f" task={STORED}" if is_code(config.task) else ""
-        say(console, f"look at the best: warpvox play {typed('run', folder)}{task}")
+        echo(console, f"look at the best: warpvox play {shell_argument('run', folder)}{task}")
     if summary["status"] != "done":
-        say(console, f"go on: warpvox codesign {typed('resume', folder)}{again(config)}")
+        echo(console, f"go on: warpvox codesign {shell_argument('resume', folder)}{again(config)}")

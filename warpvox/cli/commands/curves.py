@@ -19,9 +19,9 @@ from warpvox.algos.statistics import LEVEL, mean_interval
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.cli.commands.train import describe
 from warpvox.cli.config import load, read_arguments
-from warpvox.cli.groups import Group, group_runs
+from warpvox.cli.console import echo, escaped, literal
+from warpvox.cli.run_groups import Group, group_runs
 from warpvox.cli.runs import Run, find_runs
-from warpvox.cli.say import cell, plain, say
 from warpvox.cli.sweep import each, members
 from warpvox.configs.schema import CurvesConfig
 from warpvox.errors import ConfigError, RunError, listing
@@ -82,8 +82,8 @@ def _draw(config: CurvesConfig, console: Console) -> None:
     _print(curves, config.x, console)
     if len(judged) < len(found):
         left = listing(each_run.folder.name for each_run in found if each_run not in judged)
-        say(console, f"left out, without an evaluation yet: {left}")
-    say(console, f"curves: {path}\ntable: {path.with_suffix('.csv')}")
+        echo(console, f"left out, without an evaluation yet: {left}")
+    echo(console, f"curves: {path}\ntable: {path.with_suffix('.csv')}")
 
 
 def curves_of(runs: Sequence[Run], x: str = "steps") -> list[Curve]:
@@ -152,7 +152,7 @@ def write_curves(
             axes.fill_between(curve.places, curve.low, curve.high, color=COLOURS[place], alpha=0.18, linewidth=0)
             for points in curve.runs:
                 axes.plot(*points, **look, linewidth=0.8, alpha=0.3)
-        label = plain(curve.group.title).replace("$", r"\$")
+        label = escaped(curve.group.title).replace("$", r"\$")
         axes.plot(curve.places, curve.mean, **look, linewidth=2.2, label=label)
     _dress(axes, AXES[x])
     # Equal runs make equal files: names inside an SVG are hashes with a random salt otherwise.
@@ -192,7 +192,7 @@ def _print(curves: Sequence[Curve], x: str, console: Console) -> None:
         last = mean_interval([points[1, -1] for points in curve.runs])
         best = mean_interval([points[1].max() for points in curve.runs])
         end = f"{max(points[0, -1] for points in curve.runs):,.0f}"
-        table.add_row(*map(cell, (curve.group.label, curve.n, end, last, best)))
+        table.add_row(*map(literal, (curve.group.label, curve.n, end, last, best)))
     console.print(table)
 
 

@@ -10,9 +10,9 @@ from rich.console import Console
 from warpvox.cli.commands.play import print_returns
 from warpvox.cli.commands.train import Job, describe, train
 from warpvox.cli.config import load, read_arguments
+from warpvox.cli.console import echo
 from warpvox.cli.exports import ROLLOUT, check_formats, load_run, record_run, write_exports
 from warpvox.cli.runs import check_name, find_run
-from warpvox.cli.say import say
 from warpvox.cli.sweep import each, members
 from warpvox.configs.schema import DemoConfig, PlayConfig
 from warpvox.envs.sources import is_code
@@ -61,4 +61,4 @@ def _show(folder: Path, config: Any, formats: list[str], console: Console) -> No
     write_exports(rollout, folder, formats, console)
     page = folder / "rollout.html"
     if page.is_file():
-        say(console, f"open in a browser: {page.resolve().as_uri()}")
+        echo(console, f"open in a browser: {page.resolve().as_uri()}")

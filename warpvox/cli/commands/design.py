@@ -9,7 +9,7 @@ from rich.console import Console
 
 from warpvox.cli.commands.train import describe
 from warpvox.cli.config import expand, load, read_arguments
-from warpvox.cli.say import say
+from warpvox.cli.console import echo
 from warpvox.errors import ConfigError
 from warpvox.system import has_display
 
@@ -32,14 +32,14 @@ def run(words: list[str]) -> None:
         prepare(1, 0)
         server = EditorServer(Path(config.folder), config.port, config.file, config.tasks)
     with server:
-        say(console, f"design editor: {server.url}")
-        say(console, f"files are opened and saved in {server.folder.resolve()}; Ctrl+C ends it")
+        echo(console, f"design editor: {server.url}")
+        echo(console, f"files are opened and saved in {server.folder.resolve()}; Ctrl+C ends it")
         if config.browser == "on" or (config.browser == "auto" and _has_display()):
             webbrowser.open(server.url)
         try:
             server.serve_forever()
         except KeyboardInterrupt:
-            say(console, "stopped")
+            echo(console, "stopped")
 
 
 def _has_display() -> bool:

@@ -17,13 +17,13 @@ from rich.table import Table
 from warpvox.algos.statistics import Interval, difference, mean_interval
 from warpvox.cli.commands.train import describe
 from warpvox.cli.config import load, read_arguments, to_yaml
-from warpvox.cli.consent import STORED
+from warpvox.cli.console import echo, literal
 from warpvox.cli.exports import draws_at_random, load_run
-from warpvox.cli.groups import Group, group_runs
-from warpvox.cli.origin import origin
+from warpvox.cli.provenance import provenance
+from warpvox.cli.run_groups import Group, group_runs
 from warpvox.cli.runs import Run, as_name, check_name, find_runs, new_folder, write_summary
-from warpvox.cli.say import cell, say
 from warpvox.cli.sweep import each, members
+from warpvox.cli.trust import STORED
 from warpvox.configs.schema import EvaluateConfig, PlayConfig
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError
@@ -97,7 +97,7 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
 
     for name in ("runs.csv", "groups.csv", "comparisons.csv", "summary.json"):
         if (folder / name).is_file():
-            say(console, shown(folder / name))
+            echo(console, shown(folder / name))
     return folder
 
 
@@ -132,9 +132,9 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
     for entry in judged:
         for each_run, returns in zip(entry.group.runs, entry.returns, strict=True):
             interval = mean_interval(returns, config.level)
-            table.add_row(*map(cell, (entry.group.label, each_run.folder.name, *_cells(interval), "episodes")))
+            table.add_row(*map(literal, (entry.group.label, each_run.folder.name, *_cells(interval), "episodes")))
         if entry.over == "runs":
-            table.add_row(*map(cell, ("", "all", *_cells(mean_interval(entry.values, config.level)), "runs")))
+            table.add_row(*map(literal, ("", "all", *_cells(mean_interval(entry.values, config.level)), "runs")))
         table.add_section()
     console.print(table)
     pairs = compare(judged, config.level)
@@ -146,9 +146,9 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
             over = first.over if first.over == second.over else f"{first.over} and {second.over}"
             cells = _cells(interval)
             sizes = f"{len(first.values)}, {len(second.values)}"
-            table.add_row(*map(cell, (first.group.label, second.group.label, *cells[:2], sizes, over)))
+            table.add_row(*map(literal, (first.group.label, second.group.label, *cells[:2], sizes, over)))
         console.print(table)
-    say(
+    echo(
         console,
         "Intervals are Student's t. Over runs they tell of other trainings, over episodes of this policy alone.",
     )
@@ -158,7 +158,7 @@ def _say_alike(alike: list[Run], found: list[Run], config: EvaluateConfig, conso
     """Tell of runs whose episodes are one and the same, so that their number tells nothing."""
     if alike:
         which = "all runs" if len(alike) == len(found) else f"{len(alike)} of {len(found)} runs"
-        say(
+        echo(
             console,
             f"The {config.episodes} episodes of {which} are one: the task draws nothing at random and the policy is"
             " deterministic. episodes=1 says as much, stochastic=true samples actions.",
@@ -192,7 +192,7 @@ def _write(folder: Path, judged: list[Judged], every: dict[int, list[float]], co
     facts = {"command": "evaluate", "checkpoint": config.checkpoint, "stochastic": config.stochastic}
     facts |= {"episodes": config.episodes, "seed": config.seed, "level": config.level, "interval": "Student t, Welch"}
     facts["mean_return"] = sum(values) / len(values)
-    write_summary(folder, facts | origin() | {"runs": runs, "groups": groups, "comparisons": pairs})
+    write_summary(folder, facts | provenance() | {"runs": runs, "groups": groups, "comparisons": pairs})
 
 
 def _row(interval: Interval, name: str = "mean") -> dict[str, Any]:

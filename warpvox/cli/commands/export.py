@@ -11,10 +11,10 @@ from rich.console import Console
 from warpvox.cli.commands.play import play_run, write_results
 from warpvox.cli.commands.train import describe
 from warpvox.cli.config import load, read_arguments, to_yaml
+from warpvox.cli.console import echo
 from warpvox.cli.exports import check_formats, check_size
-from warpvox.cli.origin import origin
+from warpvox.cli.provenance import provenance
 from warpvox.cli.runs import as_name, check_name, new_folder, write_summary
-from warpvox.cli.say import say
 from warpvox.cli.sweep import each, members
 from warpvox.configs.schema import EXPORTS, POLICY_EXPORTS
 from warpvox.errors import ConfigError
@@ -75,7 +75,7 @@ def _export_policy(policy: Policy, config: Any, formats: list[str], console: Con
     with new_folder(config.output_dir, "export", place, config.name, to_yaml(config)) as folder:
         checks = _write_policy(policy, folder, formats, console)
         summary = {"command": "export", "task": policy.metadata.get("task"), "source": policy.metadata.get("source")}
-        write_summary(folder, summary | origin() | {"checks": checks})
+        write_summary(folder, summary | provenance() | {"checks": checks})
     return folder
 
 
@@ -89,5 +89,5 @@ def _write_policy(policy: Policy | None, folder: Path, formats: list[str], conso
         file, write = POLICY_WRITERS[name]
         with console.status(f"writing {file}"):
             checks[name] = write(policy, folder / file)
-        say(console, f"{shown(folder / file)}  ({(folder / file).stat().st_size / 1e3:.0f} kB), {checks[name]}")
+        echo(console, f"{shown(folder / file)}  ({(folder / file).stat().st_size / 1e3:.0f} kB), {checks[name]}")
     return checks

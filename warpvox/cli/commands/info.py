@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 import warpvox
-from warpvox.cli.say import cell
+from warpvox.cli.console import literal
 from warpvox.devices.startup import start_warp
 from warpvox.errors import ConfigError
 from warpvox.system import processor_name, usable_cores
@@ -31,7 +31,7 @@ def run(words: list[str]) -> None:
         raise ConfigError(f"`warpvox info` takes no arguments, got '{' '.join(words)}'.")
     table = Table(show_header=False, box=None, pad_edge=False)
     for name, value in [*_versions(), *_devices(), *_cache()]:
-        table.add_row(cell(name), cell(value))
+        table.add_row(literal(name), literal(value))
     console = Console()
     if not console.is_terminal:
         console.width = 120

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from warpvox.cli.commands.train import describe
 from warpvox.cli.config import load, read_arguments, to_yaml
-from warpvox.cli.consent import STORED
+from warpvox.cli.console import echo, literal
 from warpvox.cli.exports import (
     ROLLOUT,
     TILES,
@@ -23,11 +23,11 @@ from warpvox.cli.exports import (
     record_run,
     write_exports,
 )
-from warpvox.cli.origin import origin
+from warpvox.cli.playback import play_in_window, wants_window
+from warpvox.cli.provenance import provenance
 from warpvox.cli.runs import as_name, check_name, find_run, new_folder, write_summary
-from warpvox.cli.say import cell, say
 from warpvox.cli.sweep import each, members
-from warpvox.cli.watch import wants_window, watch
+from warpvox.cli.trust import STORED
 from warpvox.configs.schema import PlayConfig
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, listing
@@ -77,8 +77,8 @@ def play(config: PlayConfig, console: Console) -> Path:
         config = dataclasses.replace(config, run="")
     folder = write_results(rollout, config, source, "play", formats, console, config.record)
     if in_window:
-        say(console, "close the window to go on")
-        watch(rollout, list(range(min(rollout.num_envs, TILES))), **({"size": size} if size else {}))
+        echo(console, "close the window to go on")
+        play_in_window(rollout, list(range(min(rollout.num_envs, TILES))), **({"size": size} if size else {}))
     return folder
 
 
@@ -100,7 +100,7 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
         env, controller = load_run(source, config)
     with console.status("simulating"):
         rollout = record_run(source, env, controller, config.steps, config.stochastic)
-    say(console, f"run: {shown(source.folder)}")
+    echo(console, f"run: {shown(source.folder)}")
     return rollout, str(source.checkpoint or source.folder)
 
 
@@ -152,7 +152,7 @@ def write_results(
         write_summary(folder, summary_of(rollout, command, source))
     page = folder / "rollout.html"
     if page.is_file():
-        say(console, f"open in a browser: {page.resolve().as_uri()}")
+        echo(console, f"open in a browser: {page.resolve().as_uri()}")
     return folder
 
 
@@ -163,7 +163,7 @@ def summary_of(rollout: Rollout, command: str, source: str) -> dict[str, Any]:
         "command": command,
         "task": rollout.title,
         "source": source,
-        **origin(),
+        **provenance(),
         "seed": rollout.metadata.get("seed"),
         "mean_return": float(returns.mean()),
         "returns": [float(value) for value in returns],
@@ -180,7 +180,7 @@ def print_returns(rollout: Rollout, console: Console) -> None:
     kind = kind if agent == "policy" else f"agent {agent}"
     if rollout.metadata.get("diverged"):
         kind = f"up to the step in which environment {rollout.metadata.get('environment')} diverged"
-    table = Table(title=cell(f"{rollout.title}, {kind}"))
+    table = Table(title=literal(f"{rollout.title}, {kind}"))
     for heading in ("environment", *(["design"] if several else []), "return", "steps", "end"):
         table.add_column(heading, justify="left" if heading == "end" else "right")
     for env in range(min(rollout.num_envs, ROWS)):
@@ -194,7 +194,7 @@ def print_returns(rollout: Rollout, console: Console) -> None:
         table.add_row("mean", *([""] if several else []), *mean)
     console.print(table)
     if agent == "policy" and rollout.num_envs > len(rollout.scenes) and rollout.metadata.get("drawn") is False:
-        say(console, _about_one_episode(rollout))
+        echo(console, _about_one_episode(rollout))
 
 
 def _about_one_episode(rollout: Rollout) -> str:

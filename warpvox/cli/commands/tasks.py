@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from warpvox.cli.say import cell, say
+from warpvox.cli.console import echo, literal
 from warpvox.errors import ConfigError, WorldError, did_you_mean, listing
 
 __all__ = ["run"]
@@ -94,17 +94,18 @@ def _print_all(console: Console) -> None:
         task = get_task(name)
         fixed, per_point = (sum(term.about.size(dict(term.params), n) for term in task.observations) for n in (0, 1))
         observes = f"{fixed} + {per_point - fixed} n"
-        table.add_row(task.id, task.difficulty, str(task.max_episode_steps), observes, task.section, cell(task.summary))
+        row = (task.id, task.difficulty, str(task.max_episode_steps), observes, task.section)
+        table.add_row(*row, literal(task.summary))
     console.print(table)
-    say(console, "steps: the longest episode; observes: numbers in an observation of a robot of n points")
-    say(console, "`warpvox tasks ID` shows one in detail.")
+    echo(console, "steps: the longest episode; observes: numbers in an observation of a robot of n points")
+    echo(console, "`warpvox tasks ID` shows one in detail.")
 
 
 def _write_gallery(keys: dict[str, Any], console: Console) -> None:
     from warpvox.cli.gallery import write_gallery
 
     path = write_gallery(keys["gallery"], keys["design"])
-    say(console, f"gallery: {path}")
+    echo(console, f"gallery: {path}")
 
 
 @dataclass(frozen=True)
@@ -141,26 +142,26 @@ def _print_task(name: str, keys: dict[str, Any], console: Console) -> None:
     world = task_world(task, load_design(keys["design"]))
     scene, _ = scene_of_world(world)
     points = {obj.name: obj.num_points for obj in scene.objects}
-    heading = cell(f" ({task.difficulty}, paper section {task.section}, rules={keys['rules']})")
-    console.print(Text.assemble(cell(task.id, "bold"), heading))
-    say(console, f"{task.summary}\n")
-    say(console, f"episode  {task.max_episode_steps} control steps at most")
+    heading = literal(f" ({task.difficulty}, paper section {task.section}, rules={keys['rules']})")
+    console.print(Text.assemble(literal(task.id, "bold"), heading))
+    echo(console, f"{task.summary}\n")
+    echo(console, f"episode  {task.max_episode_steps} control steps at most")
     for number, line in enumerate(_rewards(task)):
-        say(console, ("reward   " if number == 0 else "         ") + line)
+        echo(console, ("reward   " if number == 0 else "         ") + line)
     for number, line in enumerate(_ends(task)):
-        say(console, ("ends     " if number == 0 else "         ") + line)
+        echo(console, ("ends     " if number == 0 else "         ") + line)
     if task.memory:
         moved = f"; every episode places {listing(task.scattered)} anew" if task.scattered else ""
-        say(console, f"memory   {listing(memory.name for memory in task.memory)}{moved}")
+        echo(console, f"memory   {listing(memory.name for memory in task.memory)}{moved}")
     if whole.paper:
         other = {"evogym": "rules=paper changes", "paper": "different under rules=evogym"}[keys["rules"]]
-        say(console, f"rules    {other}: {listing(key.replace('_', ' ') for key in whole.paper)}")
-    say(console, f"designs  {_designs(task)}")
+        echo(console, f"rules    {other}: {listing(key.replace('_', ' ') for key in whole.paper)}")
+    echo(console, f"designs  {_designs(task)}")
     _print_observation(task, keys["design"], points, console)
     print_world(world, console)
     if keys["picture"] is not None:
         path = write_world_png(world, keys["picture"])
-        say(console, f"\npicture: {path}")
+        echo(console, f"\npicture: {path}")
 
 
 def _designs(task: Any) -> str:
@@ -204,15 +205,15 @@ def _print_observation(task: Any, design: str, points: dict[str, int], console: 
 
     robots = ", ".join(f"{points[name]} points of {name}" for name in task.robots)
     rows = list(_layout(task, points))
-    title = cell(f"observation: {rows[-1].place.stop} numbers ({robots}, design={design})")
+    title = literal(f"observation: {rows[-1].place.stop} numbers ({robots}, design={design})")
     table = Table(title=title, title_justify="left")
     for heading in ("entries", "what", "unit", "values"):
         table.add_column(heading, justify="right" if heading == "entries" else "left", overflow="fold")
     for row in rows:
-        table.add_row(f"{row.place.start}:{row.place.stop}", cell(row.formula), cell(row.unit), row.values)
+        table.add_row(f"{row.place.start}:{row.place.stop}", literal(row.formula), literal(row.unit), row.values)
     console.print()
     console.print(table)
     used = {row.unit for row in rows}
-    say(console, "; ".join(f"{unit}: {meaning}" for unit, meaning in UNITS.items() if unit in used))
-    say(console, "x, y: centre of mass; v: its velocity; θ: turn since the beginning; p: (x, y); 0:2 is [0] and [1]")
-    say(console, "obs=voxel: 25 numbers for every cell of the body instead of c, before the others\n")
+    echo(console, "; ".join(f"{unit}: {meaning}" for unit, meaning in UNITS.items() if unit in used))
+    echo(console, "x, y: centre of mass; v: its velocity; θ: turn since the beginning; p: (x, y); 0:2 is [0] and [1]")
+    echo(console, "obs=voxel: 25 numbers for every cell of the body instead of c, before the others\n")

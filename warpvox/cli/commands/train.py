@@ -14,9 +14,9 @@ from rich.console import Console
 
 from warpvox.cli import COMMANDS
 from warpvox.cli.config import expand, load, read_arguments, to_yaml
-from warpvox.cli.consent import again, as_stored, keep_code
+from warpvox.cli.console import echo, shell_argument
 from warpvox.cli.help import command_help
-from warpvox.cli.origin import origin
+from warpvox.cli.provenance import provenance
 from warpvox.cli.runs import (
     STATE,
     TRAINING,
@@ -28,8 +28,8 @@ from warpvox.cli.runs import (
     new_folder,
     write_summary,
 )
-from warpvox.cli.say import say, typed
 from warpvox.cli.sweep import each, members
+from warpvox.cli.trust import again, as_stored, keep_code
 from warpvox.configs.schema import TrainConfig
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.errors import ConfigError, RunError, StorageError, listing
@@ -148,7 +148,7 @@ def _check_readable(source: Run, checkpoint: Path) -> None:
             if other != checkpoint and _is_readable(other):
                 raise RunError(
                     f"{str(error).rstrip('.')}. The newest checkpoint that can be read is that of iteration {number};"
-                    f" go on from there, with new episodes: warpvox train {typed('resume', other)}"
+                    f" go on from there, with new episodes: warpvox train {shell_argument('resume', other)}"
                 ) from None
         raise RunError(f"{str(error).rstrip('.')}, and there is no other checkpoint: start the run again.") from None
 
@@ -193,7 +193,7 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         from warpvox.algos.training.distributed import join_team
         from warpvox.algos.training.runner import Runner, Schedule, adapt
         from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes
-        from warpvox.cli.needs import check_training
+        from warpvox.cli.memory_check import check_training
 
         team = join_team(job.config.device)
         console.quiet = console.quiet or not team.leads
@@ -234,7 +234,7 @@ def _check_left(folder: Path, runner: Any) -> None:
     One that was killed between its last iteration and its summary is let through: the summary is left.
     """
     done, total, goal = runner.current_learning_iteration, runner.schedule.total, runner.schedule.stop_return
-    again = f"go on with: warpvox train {typed('resume', folder)}"
+    again = f"go on with: warpvox train {shell_argument('resume', folder)}"
     ended = is_summed_up(folder)
     if done > total or (ended and done == total):
         raise RunError(
@@ -284,10 +284,10 @@ def _announce(console: Console, config: TrainConfig, runner: Any, folder: Path) 
     verb = f"resuming after iteration {done}" if done else "training"
     where = config.device if runner.team.size == 1 else f"{runner.team.size} processes, {config.device}"
     text = f"{verb}: {config.task}, {config.num_envs} environments on {where}, rules {config.rules}"
-    say(console, f"{text}\nrun folder: {shown(folder)}")
+    echo(console, f"{text}\nrun folder: {shown(folder)}")
     if done and done == runner.schedule.total:
         more = f"max_iterations={2 * done}"
-        say(
+        echo(
             console,
             f"all {done} iterations are made, only the summary was missing; for more of them resume with {more}",
         )
@@ -319,7 +319,7 @@ def _learn(runner: Any, console: Console, folder: Path, command: str, config: Tr
                 "seed": config.seed,
                 "design": config.design,
             }
-            summary |= origin() | runner.summary()
+            summary |= provenance() | runner.summary()
             summary["steps_per_second"] = round((runner.steps - started_at) / seconds, 1)
             # a run that has failed may have failed because nothing can be written; that is what should be told
             with suppress(StorageError) if status == "failed" else nullcontext():
@@ -337,8 +337,8 @@ def _conclude(console: Console, runner: Any, summary: dict[str, Any], seconds: f
     text = f"{words} after {runner.steps:,} control steps in {seconds:.0f} s"
     if best is not None:
         text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
-    say(console, text)
+    echo(console, text)
     if status == "done" and command == "train":
-        say(console, f"look at it: warpvox play {typed('run', folder)}{keys} 'export=[gif,html]'")
+        echo(console, f"look at it: warpvox play {shell_argument('run', folder)}{keys} 'export=[gif,html]'")
     if status != "done" and (folder / STATE).is_file():
-        say(console, f"go on: warpvox train {typed('resume', folder)}{keys}")
+        echo(console, f"go on: warpvox train {shell_argument('resume', folder)}{keys}")

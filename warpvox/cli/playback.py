@@ -6,14 +6,14 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from warpvox.cli.say import plain
+from warpvox.cli.console import escaped
 from warpvox.errors import DisplayError
 from warpvox.view.window import Window, why_no_window
 
 if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
 
-__all__ = ["wants_window", "watch"]
+__all__ = ["play_in_window", "wants_window"]
 
 SIZE = (960, 540)
 REST = 1.0  # seconds that the last picture stands before the episode begins anew
@@ -31,7 +31,7 @@ def wants_window(choice: str) -> bool:
     return choice != "off" and reason is None
 
 
-def watch(
+def play_in_window(
     rollout: Rollout,
     envs: list[int],
     size: tuple[int, int] = SIZE,
@@ -49,7 +49,7 @@ def watch(
     from warpvox.view.rollout import FRAME_SECONDS
 
     film = Film(rollout, envs, size)
-    window = make_window(size, f"{plain(rollout.title)} - warpvox")
+    window = make_window(size, f"{escaped(rollout.title)} - warpvox")
     last, shown, count, start = int(rollout.lengths.max()), -1, 0, clock()
     while not window.closed:
         passed = clock() - start

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from warpvox import __version__
 
-__all__ = ["origin"]
+__all__ = ["provenance"]
 
 PATIENCE = 20.0
 """Seconds that git may take, on the disk of a network for instance."""
 
 
-def origin() -> dict[str, str | None]:
+def provenance() -> dict[str, str | None]:
     """For ``summary.json``: the version and, in a checkout, the commit (with ``-dirty`` where files were changed)."""
     return {"version": __version__, "commit": _commit()}
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-__all__ = ["cell", "plain", "say", "typed"]
+__all__ = ["echo", "escaped", "literal", "shell_argument"]
 
 CONTROL = {"Cc", "Cs", "Zl", "Zp"}
 """Unicode's categories of control characters, halves of characters, and ends of lines and paragraphs."""
@@ -18,23 +18,23 @@ TURNING = {*range(0x202A, 0x202F), *range(0x2066, 0x206A), 0x200E, 0x200F, 0x061
 """Characters that turn the direction of writing, so that a text reads differently from what it is."""
 
 
-def say(console: Console, text: str) -> None:
+def echo(console: Console, text: str) -> None:
     """Print ``text`` as it is: neither coloured, nor folded, nor searched for markup such as ``[gif,html]``."""
-    lines = "\n".join(plain(line) for line in text.split("\n"))
+    lines = "\n".join(escaped(line) for line in text.split("\n"))
     console.print(lines, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
-def plain(text: object) -> str:
+def escaped(text: object) -> str:
     """``text`` with what a terminal would obey written as ``\\x1b``; an end of line is among it."""
     return "".join(_escaped(character) if _obeyed(character) else character for character in str(text))
 
 
-def cell(text: object, style: str = "") -> Text:
+def literal(text: object, style: str = "") -> Text:
     """``text`` for a table, a title or a rule: no markup, nothing that a terminal would obey."""
-    return Text(plain(text), style)
+    return Text(escaped(text), style)
 
 
-def typed(key: str, path: str | os.PathLike[str]) -> str:
+def shell_argument(key: str, path: str | os.PathLike[str]) -> str:
     """``KEY=PATH`` as it can be pasted into a shell, whatever the current folder is and whatever the path contains."""
     return shlex.quote(f"{key}={Path(path).absolute()}")
 

@@ -18,7 +18,7 @@ from typing import Any
 from rich.console import Console
 
 from warpvox.cli import invocation
-from warpvox.cli.say import plain, say
+from warpvox.cli.console import echo, escaped
 from warpvox.envs.sources import Code, find_source, is_code, load_code, split
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.writing import write_bytes
@@ -57,7 +57,7 @@ def allow_code(config: Any, stored: Mapping[str, Any], named: Mapping[str, Any],
         elif given == STORED:
             copy = _copy(home, key, text)
             if copy is None:
-                raise RunError(f"{home} holds no copy of {plain(text)}: name the code itself, {key}=FILE.py:NAME.")
+                raise RunError(f"{home} holds no copy of {escaped(text)}: name the code itself, {key}=FILE.py:NAME.")
             config = _replaced(config, key, copy)
         elif is_code(given):
             config = _replaced(config, key, given)
@@ -102,9 +102,9 @@ def keep_code(config: Any, folder: Path, console: Console) -> None:
                 if str(above) != "." and not (place / above / "__init__.py").is_file():
                     write_bytes(place / above / "__init__.py", b"")  # so that the copy is a package, too
     for file in left_out:
-        say(console, f"not copied into the run's folder, which needs it where it is: {file}")
+        echo(console, f"not copied into the run's folder, which needs it where it is: {file}")
     if changed:
-        say(console, f"not as it was when the run began: {listing(changed)}; the run's copy has been replaced")
+        echo(console, f"not as it was when the run began: {listing(changed)}; the run's copy has been replaced")
 
 
 def _copy_files(code: Code, place: Path, left_out: list[str], changed: list[str]) -> None:
@@ -149,8 +149,8 @@ def _ask(key: str, text: str, home: Path) -> str:
     name = copy or text
     value = STORED if copy else text
     source = find_source(split(name)[0])
-    where = "which is not to be found from here" if source is None else f"the file {plain(source)}"
-    what = f"The configuration in {plain(home)} names code: {key}={plain(text)}, {where}"
+    where = "which is not to be found from here" if source is None else f"the file {escaped(source)}"
+    what = f"The configuration in {escaped(home)} names code: {key}={escaped(text)}, {where}"
     beside = _beside(source) if copy else []
     if beside:
         what += f", with {listing(beside, 20)} beside it"
@@ -167,7 +167,7 @@ def _beside(source: Path | None) -> list[str]:
     if source is None:
         return []
     root = next(above for above in source.parents if above.parent.name == FOLDER)
-    return sorted(plain(file.relative_to(root)) for file in root.rglob("*") if file.is_file() and file != source)
+    return sorted(escaped(file.relative_to(root)) for file in root.rglob("*") if file.is_file() and file != source)
 
 
 def _check_address(config: Any, stored: Mapping[str, Any], named: Mapping[str, Any]) -> None:
@@ -175,10 +175,10 @@ def _check_address(config: Any, stored: Mapping[str, Any], named: Mapping[str, A
     address = _value(stored, "address")
     if address is None or "address" in named or getattr(config, "executor", None) != "ray":
         return
-    what = f"The stored configuration names a Ray cluster, address={plain(address)}."
+    what = f"The stored configuration names a Ray cluster, address={escaped(address)}."
     if not _agreed(what, "Connect to it?"):
         raise ConfigError(
-            f"{what} Connecting to a cluster means to trust it; name it yourself (address={plain(address)}), or add"
+            f"{what} Connecting to a cluster means to trust it; name it yourself (address={escaped(address)}), or add"
             " address=null to start Ray on this machine, or executor=local."
         )
 
@@ -198,8 +198,8 @@ def _command(home: Path, key: str, value: str) -> str:
         re.sub("^(run|resume)=latest$", lambda match: f"{match[1]}={home.absolute()}", word)
         for word in invocation.get()
     ]
-    if not given or plain(value) != value:
-        return f"{key}={plain(value)}"
+    if not given or escaped(value) != value:
+        return f"{key}={escaped(value)}"
     return shlex.join(["warpvox", *given, f"{key}={value}"])
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.cli.help import flat_keys
-from warpvox.cli.stored import LARGEST_CONFIG, parse_yaml
+from warpvox.cli.plain_yaml import LARGEST_CONFIG, parse_yaml
 from warpvox.configs.schema import COMMANDS
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.io.reading import Unreadable, read_text

@@ -21,12 +21,12 @@ from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.report import FILE as REPORT
 from warpvox.algos.report import write_report
 from warpvox.cli.bodies import body_rows
-from warpvox.cli.origin import origin
+from warpvox.cli.console import echo
+from warpvox.cli.provenance import provenance
 from warpvox.cli.runs import SUMMARY, write_summary
-from warpvox.cli.say import say
 from warpvox.view.body_picture import write_bodies
 
-__all__ = ["Results", "Watch"]
+__all__ = ["Results", "SearchProgress"]
 
 QUIET_SECONDS = 30.0
 """Without a terminal, seconds between lines."""
@@ -86,7 +86,7 @@ class Results:
             "search": self.config.search.algorithm,
             "status": status,
             "seed": self.config.seed,
-            **origin(),
+            **provenance(),
             "evaluations": self.archive.trained(),
             "generations": sum(row["evaluated"] == row["designs"] for row in rows),
             "steps": steps,
@@ -113,7 +113,7 @@ class Results:
         return write_report(self.archive, self.folder / REPORT, facts)
 
 
-class Watch(Listener):
+class SearchProgress(Listener):
     """Shows the search: a live block on a terminal, else a line now and then; keeps the results up to date.
 
     A context manager. Args:
@@ -137,7 +137,7 @@ class Watch(Listener):
         self._line = self._progress.add_task("", total=total, completed=self._start, figures="")
         self._live = Live(console=console, refresh_per_second=4, transient=True) if console.is_terminal else None
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> SearchProgress:
         if self._live is not None:
             self._live.start()
             self._show()
@@ -154,7 +154,7 @@ class Watch(Listener):
         self._generation, self._work = generation, {}
         if self._live is None:
             reused = f", {total - len(waiting)} known" if total > len(waiting) else ""
-            say(self.console, f"generation {generation}: {len(waiting)} designs to train{reused}")
+            echo(self.console, f"generation {generation}: {len(waiting)} designs to train{reused}")
         self._show()
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
@@ -164,7 +164,7 @@ class Watch(Listener):
         now = time.monotonic()
         if self._live is None and now - self._printed >= QUIET_SECONDS:
             self._printed = now
-            say(self.console, f"  {self._inside()}  {self._figures()}")
+            echo(self.console, f"  {self._inside()}  {self._figures()}")
         self._show()
 
     def finished(self, records: Sequence[Record]) -> None:
@@ -182,7 +182,7 @@ class Watch(Listener):
             return
         self.results.write("running")
         row = self.archive.generations()[generation]
-        say(
+        echo(
             self.console,
             f"generation {generation} done: {self.archive.trained()}/{self.total} designs  best {row['best']:.3f}"
             f"  mean {row['mean']:.3f}  best so far {self.archive.best()[0].fitness:.3f}{self._diverged(generation)}"

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from warpvox.cli.config import Arguments, expand, load, to_yaml
 from warpvox.cli.help import flat_keys
-from warpvox.cli.words import parse, readable
+from warpvox.cli.quoting import parse, readable
 from warpvox.configs.schema import COMMANDS
 from warpvox.errors import ConfigError
 

@@ -17,8 +17,8 @@ from rich.table import Table
 
 from warpvox.cli.build import prepare
 from warpvox.cli.config import load
+from warpvox.cli.console import echo, escaped, literal, shell_argument
 from warpvox.cli.runs import LONGEST_BYTES, as_name
-from warpvox.cli.say import cell, plain, say, typed
 from warpvox.devices.startup import LOGGER
 from warpvox.envs.vec_env import make_vec
 from warpvox.view.rollout import Rollout, record
@@ -31,12 +31,12 @@ EVIL = "[/bold]\x1b]0;owned\x07\x1b[2J\r[link=x]a\u202eb\x9b31m"
 def test_nothing_that_a_terminal_obeys_gets_through(text: str) -> None:
     out = io.StringIO()
     console = Console(file=out, width=2000)
-    say(console, text)
-    table = Table(title=cell(text))
-    table.add_row(cell(text))
+    echo(console, text)
+    table = Table(title=literal(text))
+    table.add_row(literal(text))
     console.print(table)
     assert all(ord(letter) >= 32 or letter == "\n" for letter in out.getvalue())
-    assert plain("über [gif,html] ✓") == "über [gif,html] ✓"
+    assert escaped("über [gif,html] ✓") == "über [gif,html] ✓"
 
 
 def spoilt(folder: Path) -> Path:
@@ -73,7 +73,7 @@ def test_an_error_keeps_the_blanks_of_a_path_and_obeys_nothing(warpvox: Callable
 def test_advice_can_be_pasted_anywhere(folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / folder).mkdir()
     monkeypatch.chdir(tmp_path)
-    line = f"printf '%s' {typed('run', folder)}"
+    line = f"printf '%s' {shell_argument('run', folder)}"
     word = subprocess.run(["sh", "-c", line], capture_output=True, text=True, check=True, cwd="/").stdout
     assert word == f"run={tmp_path / folder}"
     assert load("play", [word]).run == str(tmp_path / folder)
