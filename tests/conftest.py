@@ -24,7 +24,7 @@ settings.load_profile("repeatable")
 LONGEST = (
     *("test_ray_executor", "test_paths", "test_bench", "test_processes", "test_codesign", "test_moments"),
     *("test_needs", "test_population_evaluator", "test_protocol", "test_cuda_build", "test_disk", "test_damage"),
-    *("test_signals", "test_fuzz", "test_stored_code", "test_bad_numbers", "test_bodies", "test_ppo"),
+    *("test_signals", "test_fuzz", "test_trust", "test_bad_numbers", "test_bodies", "test_ppo"),
     *("test_group", "test_commands"),
 )
 """Files that take ten seconds or more. They go first, so that no process waits for another at the end."""
