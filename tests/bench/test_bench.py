@@ -553,3 +553,26 @@ def test_equal_bit_for_bit_is_tested(offset: int) -> None:
             _compare(one, other, "Runs")
     else:
         _compare(one, other, "Runs")
+
+
+@pytest.mark.parametrize(("code", "failed"), [(0, False), (1, True)])
+def test_the_gpu_check_runs_the_tests_of_this_checkout(
+    code: int, failed: bool, tmp_path: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rich.console import Console
+
+    from warpvox.bench import gpu_checks
+    from warpvox.bench.report import Report
+
+    words: list[str] = []
+
+    def tests(command: list[str], **_: object) -> SimpleNamespace:
+        words.extend(command)
+        return SimpleNamespace(stdout="2 passed\n", returncode=code)
+
+    monkeypatch.setattr(gpu_checks.subprocess, "run", tests)
+    report = Report(Console(quiet=True), tmp_path)
+    with pytest.raises(SimulationError, match="2 passed") if failed else nullcontext():
+        found = gpu_checks.recordings(SimpleNamespace(device="cuda:0"), report, seconds=60.0)
+        assert found == {"replayed": True, "result": "2 passed"}
+    assert words[-1] == str(repository / "tests")

@@ -3,7 +3,7 @@
 import pytest
 
 from warpvox.bench.cuda import instructions
-from warpvox.bench.ptxas import ARCHITECTURES, Limits, assemble, find_program
+from warpvox.bench.ptxas import ARCHITECTURES, FETCHED, Limits, assemble, find_program
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import WarpvoxError
 from warpvox.kernels import group
@@ -39,6 +39,10 @@ def check_group(found, precision):
     assert found.stack == 0
     assert found.registers <= group.REGISTERS[precision]
     assert 0 < found.shared <= BLOCK_SHARED
+
+
+def test_the_assembler_is_looked_for_where_make_puts_it(repository):
+    assert repository / "build" / "ptxas" / "nvidia" == FETCHED
 
 
 @pytest.mark.parametrize(("release", "taken"), [("12.0", False), ("99.1", True)])

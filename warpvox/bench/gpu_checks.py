@@ -153,7 +153,7 @@ def recordings(config: Any, report: Report, seconds: float) -> dict[str, Any]:
     Raises:
         SimulationError: a test has failed.
     """
-    tests = Path(__file__).resolve().parents[3] / "tests"
+    tests = Path(__file__).resolve().parents[2] / "tests"
     if config.device == "cpu" or not (tests / "parity").is_dir() or find_spec("pytest") is None:
         reason = "tests of the GPU need one" if config.device == "cpu" else "this is no checkout with pytest"
         report.note(f"Recordings of the reference were not replayed: {reason}.")

@@ -23,7 +23,7 @@ __all__ = ["ARCHITECTURES", "Limits", "assemble", "counted", "find_program"]
 
 ARCHITECTURES = {80: "A100", 89: "RTX 40", 90: "H100, H200", 100: "B200"}
 """Compute capabilities for which limits are held, and what has them."""
-FETCHED = Path(__file__).resolve().parents[3] / "build" / "ptxas" / "nvidia"
+FETCHED = Path(__file__).resolve().parents[2] / "build" / "ptxas" / "nvidia"
 OUTSIDE = "outside"
 """Instructions that belong to no counted place: before the first sub-step, after the last, and detours."""
 
