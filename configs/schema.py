@@ -300,14 +300,7 @@ SUITES = {
     "mixed": "a different body in every environment, beside one in all",
     "scaling": "bodies of n x n voxels, numbers of environments, threads",
     "learning": "time to a return",
-    "population": "designs trained at once, against one after another",
     "kernels": "times of the stages, memory, compilation",
-    "precision": "float32 against float64",
-    "pictures": "films, USD and the page of an episode",
-    "search": "search algorithms on a made-up fitness, against random search",
-    "options": "inheritance and early stopping against the plain genetic algorithm, at equal control steps",
-    "soak": "a training or design search watched for an hour: memory, open files, speed",
-    "stress": "all tasks under extreme actions with random bodies: what must never happen",
     "cuda": "the CUDA kernel without a GPU: limits, instructions by stage, predicted speed",
     "gpu": "checks and figures of a CUDA device in one go",
 }
@@ -348,60 +341,12 @@ class LearningConfig:
 
 
 @dataclass
-class SearchesConfig:
-    """Keys ``searches.*``: which algorithms are compared, on what."""
-
-    names: list[str] = key(["ga", "map_elites", "cppn_neat", "bo"], "names of configs/search")
-    seeds: int = key(20, "runs of each, every one with its own optimum", low=1)
-    evaluations: int = key(250, "of a run", low=1)
-    shape: list[int] = key([5, 5], "rows and columns of the bodies", low=3)
-
-
-@dataclass
-class OptionsConfig:
-    """Keys ``options.*``: what the suite of that name spends."""
-
-    seeds: int = key(3, "runs of each option", low=1)
-    steps: int = key(5_000_000, "control steps of a run", low=1)
-    population: int = key(12, "designs of a generation", low=2)
-    iterations: int = key(60, "training iterations of a design", low=4)
-
-
-@dataclass
-class SoakConfig:
-    """Keys ``soak.*``: what the suite of that name watches."""
-
-    command: str = key("train", "train or codesign", choices=("train", "codesign"))
-    seconds: float = key(3600.0, "how long", above=0)
-    interval: float = key(5.0, "seconds between two looks", above=0)
-    overrides: list[str] = key([], "more keys for the command, each in quotes: ['num_envs=64','ppo=evogym']")
-
-
-@dataclass
-class StressConfig:
-    """Keys ``stress.*``: what the suite of that name does to every task."""
-
-    steps: int = key(1_000_000, "control steps of a task, of all environments together", low=1)
-    bodies: int = key(8, "random bodies, 32 environments each", low=1)
-    largest: int = key(5, "voxels of a side of a body at most", low=2)
-    depth: float = key(1.0, "voxels that a point may be inside terrain before the suite fails", above=0)
-
-
-@dataclass
-class GenerationConfig:
-    """Keys ``population.*``: a generation of a design search."""
-
-    designs: int = key(25, "random bodies that are trained side by side", low=1)
-    training: str = key("paper_wide", "settings: a name of configs/training", choices=("paper", "paper_wide", "fast"))
-
-
-@dataclass
 class BenchConfig:
     """Keys of ``warpvox bench``."""
 
     suite: str = key("peer", "; ".join(f"{name}: {text}" for name, text in SUITES.items()), choices=tuple(SUITES))
     task: str = key("Walker-v0", "task id", path="read")
-    tasks: list[str] = key([], "tasks of suite=tasks, suite=stress and suite=gpu; []: all", path="read")
+    tasks: list[str] = key([], "tasks of suite=tasks and suite=gpu; []: all", path="read")
     design: Any = key("walker", "body, as for train", path="read")
     num_envs: int = key(512, "environments stepped together", low=1)
     steps: int = key(40, "control steps of a timed repetition, fewer where they would take longer than limit", low=1)
@@ -414,18 +359,11 @@ class BenchConfig:
     threads: int = key(1, "threads of the simulation on the CPU", low=1, high=MOST_THREADS)
     torch_threads: int = key(1, "threads of PyTorch", low=1, high=MOST_THREADS)
     seed: int = key(0, "of the random actions", low=0)
-    designs: int = key(50, "random bodies of suite=precision", low=2)
-    frames: int = key(500, "control steps of the episode of suite=pictures", low=1)
     compile: bool = key(True, "suite=kernels compiles all kernels of a control step once more and times that")
     peer: PeerConfig = key(PeerConfig, "the reference")
     scaling: ScalingConfig = key(ScalingConfig, "suite=scaling")
     learning: LearningConfig = key(LearningConfig, "suite=learning")
-    searches: SearchesConfig = key(SearchesConfig, "suite=search")
-    options: OptionsConfig = key(OptionsConfig, "suite=options")
-    soak: SoakConfig = key(SoakConfig, "suite=soak")
-    stress: StressConfig = key(StressConfig, "suite=stress")
     seconds: float = key(400.0, "suite=gpu begins no part after so many", above=0)
-    population: GenerationConfig = key(GenerationConfig, "suite=population")
     document: str | None = key(
         None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)", path="written"
     )

@@ -1,4 +1,4 @@
-"""Everything that depends on the operating system: signals, locks, flushing, memory, processors, processes.
+"""Everything that depends on the operating system: signals, locks, flushing, memory, processors.
 
 Tests run on Linux. macOS and Windows have an implementation of each function here, written from their documentation and
 not tested on those systems; a library that a system lacks (``fcntl``, ``resource``) is imported only where it is used,
@@ -18,22 +18,19 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 __all__ = [
     "HANGUP",
-    "ProcessUsage",
     "available_memory",
     "flush_to_disk",
     "folder_lock",
     "has_display",
-    "knows_processes",
     "own_group",
     "processor_name",
     "python_of",
     "stop_signals",
     "usable_cores",
-    "usage_of",
 ]
 
 WINDOWS, MACOS = sys.platform == "win32", sys.platform == "darwin"
@@ -275,29 +272,6 @@ def _windows_memory() -> int | None:
 def own_group() -> dict[str, Any]:
     """Arguments of ``subprocess.Popen`` for a process that Ctrl-C in the terminal does not reach."""
     return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if WINDOWS else {"start_new_session": True}
-
-
-class ProcessUsage(NamedTuple):
-    """What a process has used: CPU seconds, bytes in memory, open files."""
-
-    cpu: float
-    memory: int
-    files: int
-
-
-def knows_processes() -> bool:
-    """Whether :func:`usage_of` works here: it reads ``/proc``, which Linux has."""
-    return Path("/proc/self/fd").is_dir()
-
-
-def usage_of(pid: int) -> ProcessUsage:
-    """What a running process has used; see :func:`knows_processes`."""
-    place = Path("/proc") / str(pid)
-    # the name of the program, in brackets, may hold blanks: fields are counted from behind it
-    times = (place / "stat").read_text().rpartition(")")[2].split()
-    cpu = (int(times[11]) + int(times[12])) / os.sysconf("SC_CLK_TCK")
-    memory = int((place / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    return ProcessUsage(cpu, memory, len(os.listdir(place / "fd")))
 
 
 def _output(*words: str) -> str:

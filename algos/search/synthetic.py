@@ -8,7 +8,6 @@ optima, and structure is worth something, as with real bodies; only the optimum 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
@@ -46,15 +45,10 @@ class SyntheticFitness:
         return float((voxels + pairs) / 2)
 
 
-def best_of(search: Search, fitness: Callable[[np.ndarray], float], origins: Counter[str] | None = None) -> list[float]:
-    """Run a search to its end; returns the best fitness after each evaluation.
-
-    ``origins``, if given, counts where the bodies after the first generation come from.
-    """
+def best_of(search: Search, fitness: Callable[[np.ndarray], float]) -> list[float]:
+    """Run a search to its end; returns the best fitness after each evaluation."""
     best: list[float] = []
     while asked := search.ask():
-        if origins is not None:
-            origins.update(candidate.origin for candidate in asked if candidate.generation)
         told = [fitness(candidate.body) for candidate in asked]
         search.tell(told)
         for value in told:

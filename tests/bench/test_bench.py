@@ -6,7 +6,6 @@ import json
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,7 +15,6 @@ import pytest
 from warpvox.bench import check, reference
 from warpvox.bench.bodies import full_body, sampled_or_full
 from warpvox.bench.report import number
-from warpvox.configs.presets import training_preset
 from warpvox.configs.schema import ScalingConfig
 from warpvox.design import check_design
 from warpvox.errors import ConfigError, SimulationError, WarpvoxError
@@ -210,28 +208,6 @@ def test_learning_has_a_curve(warpvox: Callable) -> None:
     assert run["best_return"] >= run["curve"][-1]["return"] > -100
 
 
-def test_population_is_checked_against_stock_trainings(warpvox: Callable) -> None:
-    words = "population.designs=4 population.training=fast".split()
-    outcome = warpvox("bench", "suite=population", *TINY, *words)
-    assert outcome.code == 0, outcome.err
-    figures = results("population")[1]
-    assert 0 <= figures["check_error"] < 1e-6
-    assert figures["designs"] == 4
-    assert all(rate > 0 for rates in figures["rates"].values() for rate in rates.values())
-    together, apart = (figures["rates"][name]["cpu"] for name in ("all at once", "one after another"))
-    assert figures["ratio"]["cpu"] == pytest.approx(together / apart)
-
-
-def test_population_prints_no_time_of_a_wrong_training(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    from warpvox.algos.population import ppo as population_ppo
-
-    monkeypatch.setattr(population_ppo, "clip_gradients", lambda parameters, limit: None)
-    outcome = warpvox("bench", "suite=population", *TINY, "population.designs=2", "population.training=fast")
-    assert outcome.code == 2
-    assert "no speed is worth printing" in outcome.err
-    assert "control steps/s" not in outcome.out
-
-
 def test_kernels_names_every_stage(warpvox: Callable) -> None:
     from warpvox.kernels.step import STAGES
 
@@ -347,63 +323,6 @@ def test_figures_keep_what_matters(value: float | None, text: str) -> None:
 
 
 # ----------------------------------------------------------------------------------------------------- gpu
-
-
-def test_pictures_have_sizes_and_rates(warpvox: Callable) -> None:
-    outcome = warpvox("bench", *TINY, "suite=pictures", "frames=4")
-    assert outcome.code == 0, outcome.err
-    _, figures = results("pictures")
-    assert figures["frames"] == 5
-    assert figures["environments"] == 8
-    assert all(figures[name] > 0 for name in ("film_per_second", "usd_mb", "usd_seconds", "page_mb"))
-    assert figures["page_per_second"] is None or figures["page_per_second"] > 0
-
-
-def test_search_compares_with_random_search(warpvox: Callable) -> None:
-    words = "searches.names=[ga,cppn_neat] searches.seeds=5 searches.evaluations=120 searches.shape=[4,5]".split()
-    outcome = warpvox("bench", "suite=search", *words)
-    assert outcome.code == 0, outcome.err
-    assert "Best fitness, mean of 5 seeds, bodies of 4 x 5; the optimum is 1" in outcome.out
-    _, figures = results("search")
-    assert list(figures["searches"]) == ["random", "ga", "cppn_neat"]
-    for figure in figures["searches"].values():
-        assert [len(curve) for curve in figure["curves"]] == [120] * 5
-        assert sum(figure["origins"].values()) == 5 * (120 - 25)
-    assert figures["searches"]["random"]["origins"] == {"random": 5 * (120 - 25)}
-    assert "Origin of the bodies after the first generation" in outcome.out
-    # the smallest p of five pairs is 1/32
-    assert figures["searches"]["cppn_neat"]["p"]["random"] < 0.05
-
-
-def test_search_wants_names_of_searches(warpvox: Callable) -> None:
-    outcome = warpvox("bench", "suite=search", "searches.names=[gaa]")
-    assert outcome.code == 2
-    assert "search must be one of bo, " in outcome.err
-    assert "Did you mean 'ga'?" in outcome.err
-
-
-def test_options_spend_the_same(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    from warpvox.bench import options as suite
-
-    tiny = {"steps": 4, "minibatches": 2, "epochs": 1}
-    monkeypatch.setattr(suite, "training_preset", partial(training_preset, ppo=tiny, envs=4))
-    monkeypatch.setattr(suite, "Arena", partial(suite.Arena, max_episode_steps=20))
-    words = f"options.seeds=1 options.steps={6 * 4 * 4 * 4} options.population=3 options.iterations=4".split()
-    outcome = warpvox("bench", "suite=options", *words)
-    assert outcome.code == 0, outcome.err
-    _, figures = results("options")
-    options = figures["options"]
-    assert list(options) == ["plain", "inherit=true", "rungs=[0.25,0.5]", "both"]
-    assert [figure["designs"] for figure in options.values()] == [6, 6, 12, 12]
-    starts = {figure["curves"][0][0][1] for figure in options.values() if figure["designs"] == 6}
-    assert len(starts) == 1  # the same bodies, trained the same, before anyone has a parent
-    assert "beats plain" in outcome.out
-
-
-def test_options_need_a_second_generation(warpvox: Callable) -> None:
-    outcome = warpvox("bench", "suite=options", "options.steps=1000000")
-    assert outcome.code == 2
-    assert "trains 8 designs of 60 iterations, which is not more than one generation" in outcome.err
 
 
 @pytest.mark.slow  # tests/kernels/test_limits.py holds the figures
