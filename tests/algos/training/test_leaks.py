@@ -40,12 +40,11 @@ def watch(process: subprocess.Popen, seconds: float) -> list[tuple[int, int]]:
 
 
 def growth(samples: list[tuple[int, int]]) -> tuple[float, int]:
-    """Share by which memory has grown, and open files more, from the second quarter to the last: the most of each."""
+    """From the second quarter to the last: growth of the most memory, and of the fewest files (others are closed)."""
     quarter = len(samples) // 4
-    (memory, files), (memory_last, files_last) = (
-        tuple(map(max, zip(*part, strict=True))) for part in (samples[quarter : 2 * quarter], samples[-quarter:])
-    )
-    return memory_last / memory - 1, files_last - files
+    middle, last = samples[quarter : 2 * quarter], samples[-quarter:]
+    memory = max(memory for memory, _ in last) / max(memory for memory, _ in middle) - 1
+    return memory, min(files for _, files in last) - min(files for _, files in middle)
 
 
 @pytest.mark.parametrize("command", ["train", "codesign"])
