@@ -9,39 +9,22 @@ up on the lattice of the terrain. All ways give the same candidates: a bit each,
 
 import warp as wp
 
-from warpvox.kernels.guard import FARTHEST
 from warpvox.kernels.kit import Kit, builder
+from warpvox.kernels.state import FARTHEST
 from warpvox.types import VOXEL
 
 GRID_FROM = 64  # mobile voxels from which the grid is used ...
 WIDE_GRID_FROM = 256  # ... where comparing boxes serves many lanes at once
 SLOT = 0.2  # size of a grid cell: a voxel with its margin covers 1 to 4 cells
 ENTRIES_PER_VOXEL = 9  # capacity; a voxel cannot be stretched over more cells than 3 x 3
-DISTANT = wp.constant(16)  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
 WIDE_HULL = 2.0  # lanes that are further apart are looked at one by one
 TORN = 5.0  # a voxel wider than this has exploded: its environment is lost, and its cells are too many to visit
 
 
 @builder
-def voxel_boxes(kit: Kit):
-    """Function: axis-aligned bounds of voxels, into ``box``: of those that may have moved (``mobile`` 1) or of all."""
-
-    @kit.func_native("native/voxel_boxes.h", precision="float64")
-    def enclose(model, data, mesh, pack, lane, mobile): ...
-
-    return enclose
-
-
-@builder
 def boxes(kit: Kit):
     """Stage: bounds of the surface voxels that may have moved."""
-    enclose = voxel_boxes(kit)
-
-    @kit.func
-    def stage(model, data, mesh, pack, lane, unit, dt):
-        enclose(model, data, mesh, pack, lane, 1)
-
-    return stage
+    return kit.stage("native/voxel_boxes.h", precision="float64", mobile=1)
 
 
 @builder
@@ -72,29 +55,13 @@ def mark_pair(kit: Kit):
 @builder
 def hulls(kit: Kit):
     """Stage: boxes of the mobile voxels around all lanes."""
-
-    @kit.func_native("native/hulls.h", precision="float64")
-    def enclose(model, data, mesh, pack, lane, unit): ...
-
-    @kit.func
-    def stage(model, data, mesh, pack, lane, unit, dt):
-        enclose(model, data, mesh, pack, lane, unit)
-
-    return stage
+    return kit.stage("native/hulls.h", precision="float64")
 
 
 @builder
 def mark_all(kit: Kit):
     """Stage: candidates among mobile voxels by comparing all boxes with all, after their hulls."""
-
-    @kit.func_native("native/mark_all.h", precision="float64")
-    def mark(model, data, mesh, pack, lane, unit, margin): ...
-
-    @kit.func
-    def stage(model, data, mesh, pack, lane, unit, dt):
-        mark(model, data, mesh, pack, lane, unit, model.margin)
-
-    return stage
+    return kit.stage("native/mark_all.h", precision="float64")
 
 
 @builder
@@ -269,15 +236,7 @@ def mark_still(kit: Kit):
 @builder
 def list_pairs(kit: Kit):
     """Stage: the marked candidates in ascending order, into ``pairs``, with the corners that may come to touch."""
-
-    @kit.func_native("native/list_pairs.h", precision="float64")
-    def enlist(model, data, mesh, pack, lane, unit, margin, distant): ...
-
-    @kit.func
-    def stage(model, data, mesh, pack, lane, unit, dt):
-        enlist(model, data, mesh, pack, lane, unit, model.margin, DISTANT)
-
-    return stage
+    return kit.stage("native/list_pairs.h", precision="float64")
 
 
 @builder
@@ -341,15 +300,14 @@ def collect_near(kit: Kit):
 @builder
 def collect_pairs(kit: Kit):
     """Stage: the candidate pairs anew."""
-    enclose = voxel_boxes(kit)
     grid_from = GRID_FROM if kit.width == 1 else WIDE_GRID_FROM
-    around, by_grid, by_all = hulls(kit), mark_grid(kit), mark_all(kit)
-    by_lattice, listed = mark_still(kit), list_pairs(kit)
+    all_boxes, around = kit.stage("native/voxel_boxes.h", precision="float64", mobile=0), hulls(kit)
+    by_grid, by_all, by_lattice, listed = mark_grid(kit), mark_all(kit), mark_still(kit), list_pairs(kit)
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
         if model.mobiles[mesh] < model.voxels[mesh]:
-            enclose(model, data, mesh, pack, lane, 0)
+            all_boxes(model, data, mesh, pack, lane, unit, dt)
         around(model, data, mesh, pack, lane, unit, dt)
         if model.mobiles[mesh] >= grid_from:
             by_grid(model, data, mesh, pack, lane, unit, dt)

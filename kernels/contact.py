@@ -11,7 +11,7 @@ import warp as wp
 
 from warpvox.kernels.broadphase import boxes_meet, lattice_range
 from warpvox.kernels.kit import Kit, builder
-from warpvox.kernels.lanes import text
+from warpvox.kernels.lanes import first_lane, text, without_first
 
 PARALLEL = 1.0e-4  # |det| of two edges below which they do not cross
 DEGENERATE = 1.0e-6  # a side shorter than this is never the nearest
@@ -268,8 +268,8 @@ def voxel_contacts(kit: Kit, act):
             times = wp.where(model.body[mesh, i] == model.body[mesh, j], real(2.0), real(1.0))
             lanes = data.touching[unit]
             while lanes != 0:
-                touch(model, data, mesh, pack, lane + kit.first(lanes), i, j, at & 3, times)
-                lanes = kit.drop(lanes)
+                touch(model, data, mesh, pack, lane + first_lane(lanes), i, j, at & 3, times)
+                lanes = without_first(lanes)
             at = touch_from(model, data, mesh, pack, lane, unit, active, at + 1)
 
     return all_pairs
@@ -340,8 +340,8 @@ def terrain_contacts(kit: Kit, act):
             v = data.near[unit, n]
             lanes = active & overlap(data.box, v, data.near_box, v, pack, lane)
             while lanes != 0:
-                with_terrain(model, data, mesh, pack, lane + kit.first(lanes), v)
-                lanes = kit.drop(lanes)
+                with_terrain(model, data, mesh, pack, lane + first_lane(lanes), v)
+                lanes = without_first(lanes)
 
     return all_near
 
@@ -351,6 +351,7 @@ def find(kit: Kit, act):
     """Stage: set ``contact`` to 0 and look for contacts; ``act`` is called with each."""
     width = kit.width
     with_voxels, with_terrain = voxel_contacts(kit, act), terrain_contacts(kit, act)
+    clear = kit.stage("native/springs.h", "native/clear_contact.h")
 
     @kit.func
     def active_lanes(data, pack, lane):
@@ -363,8 +364,7 @@ def find(kit: Kit, act):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
-        for n in range(2 * model.actives[mesh]):
-            kit.store(data.contact, pack, model.active[mesh, n], lane, kit.splat(kit.real(0.0)))
+        clear(model, data, mesh, pack, lane, unit, dt)
         active = active_lanes(data, pack, lane)
         with_voxels(model, data, mesh, pack, lane, unit, active)
         with_terrain(model, data, mesh, pack, lane, unit, active)

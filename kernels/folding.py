@@ -3,9 +3,10 @@
 Uses the boxes of the sub-step's start; a pair counts in both orders.
 """
 
-from warpvox.kernels.broadphase import DISTANT, boxes_meet
+from warpvox.kernels.broadphase import boxes_meet
 from warpvox.kernels.kit import Kit, builder
-from warpvox.kernels.state import UNSTABLE
+from warpvox.kernels.lanes import first_lane, without_first
+from warpvox.kernels.state import DISTANT, UNSTABLE
 
 
 @builder
@@ -40,10 +41,10 @@ def check(kit: Kit):
                     clear(data, pack, lane, model.robots[mesh])
                     found = 1
                 while lanes != 0:
-                    k = lane + kit.first(lanes)
+                    k = lane + first_lane(lanes)
                     robot = model.robot[mesh, pair[0]]
                     data.folds[pack, robot, k] = data.folds[pack, robot, k] + 2
-                    lanes = kit.drop(lanes)
+                    lanes = without_first(lanes)
         if found == 1:
             judge(model, data, mesh, pack, lane)
 

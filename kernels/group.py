@@ -16,14 +16,11 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from warpvox.kernels.broadphase import DISTANT
 from warpvox.kernels.contact import DEGENERATE, PARALLEL
 from warpvox.kernels.device import Command, on_cuda, record, register_limited
-from warpvox.kernels.guard import FARTHEST, FASTEST
 from warpvox.kernels.kit import kit_of
-from warpvox.kernels.lanes import text
-from warpvox.kernels.reset import STALE
-from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
+from warpvox.kernels.lanes import constants, text
+from warpvox.kernels.state import CPP_CONSTANTS
 from warpvox.types import VOXEL
 
 WARP = 32
@@ -44,9 +41,6 @@ ON_CPU = 512, 1024
 FILES = ("base.h", "law.h", "load.h", "candidates.h", "contact.h", "move.h", "limit.h", "step.h")
 CLOSE_MARGIN = 0.012
 """Distance from another voxel below which corners are tested in every sub-step, until a point has moved half of it."""
-DOUBLES = dict(FARTHEST=FARTHEST, FASTEST=FASTEST, STALE=STALE, VOXEL=VOXEL, PARALLEL=PARALLEL, DEGENERATE=DEGENERATE)
-DOUBLES["CLOSE_MARGIN"] = CLOSE_MARGIN
-INTS = dict(DISTANT=DISTANT, DIVERGED=DIVERGED, UNSTABLE=UNSTABLE, OVERFLOW=OVERFLOW, SHARED_BYTES=SHARED_BYTES)
 
 
 @dataclass(frozen=True)
@@ -96,11 +90,12 @@ def places() -> list[str]:
 def source(group: Group, tallied: bool = False) -> str:
     """The C++ of a group kernel."""
     sizes = dict(PARTS=group.parts, POINTS=group.points, SPRINGS=group.springs, GROUP_BYTES=group.bytes, FEW=FEW)
-    sizes |= INTS | dict(PLACES=len(places())) | {f"PLACE_{name}": k for k, name in enumerate(places())}
+    sizes |= CPP_CONSTANTS | dict(VOXEL=VOXEL, PARALLEL=PARALLEL, DEGENERATE=DEGENERATE, CLOSE_MARGIN=CLOSE_MARGIN)
+    sizes |= dict(SHARED_BYTES=SHARED_BYTES, PLACES=len(places()))
+    sizes |= {f"PLACE_{name}": k for k, name in enumerate(places())}
     lines = [f"typedef {'float' if group.precision == 'float32' else 'double'} Real;"]
     lines += [f"#define APPROXIMATE {int(group.approximate)}", f"#define TALLIED {int(tallied)}"]
-    lines += [f"constexpr int {name} = {int(value)};" for name, value in sizes.items()]
-    lines += [f"constexpr double {name} = {float(value)!r};" for name, value in DOUBLES.items()]
+    lines += [constants(**sizes)]
     files = (f"native/group/{file}" for file in FILES)
     lines += [text(next(files), "native/triangles.h", "native/forces.h", *files)]
     lines += ["#undef APPROXIMATE", "#undef TALLIED\n"]

@@ -1,4 +1,4 @@
-"""What stages are written with: types and operations for one precision and lane width, and two decorators.
+"""What stages are written with: types for one precision and lane width, and decorators.
 
 A stage is made by a *builder*, a function of a :class:`Kit` that returns a Warp function. In Warp functions an argument
 without a type gets it by its name: ``model`` and ``data`` are the structs, ``dt`` and ``margin`` float64, others int.
@@ -6,41 +6,50 @@ without a type gets it by its name: ``model`` and ``data`` are the structs, ``dt
 
 import functools
 import inspect
+from pathlib import Path
 
 import warp as wp
 
-from warpvox.kernels.lanes import REALS, casts, inline, lane_ops, native
-from warpvox.kernels.state import structs
+from warpvox.kernels.lanes import REALS, constants, inline, native
+from warpvox.kernels.state import CPP_CONSTANTS, structs
 
 
 class Kit:
-    """Types and operations of a precision and a lane width.
+    """Types of a precision and a lane width.
 
     Attributes:
         precision, width, real: 'float32' or 'float64', lanes, and Warp's type.
-        load, store, mul, ...: the operations of :func:`warpvox.kernels.lanes.lane_ops` in this precision; ``value`` is
-            the type of their operands. ``wide`` has the same in float64; ``widen`` and ``narrow`` convert.
         Model, Data, Contact: the structs.
     """
 
     def __init__(self, precision: str, width: int):
         self.precision, self.width, self.real = precision, width, REALS[precision]
-        self.wide = lane_ops("float64", width)
-        for part in (lane_ops(precision, width), casts(precision, width), structs(precision)):
-            vars(self).update(vars(part))
+        vars(self).update(vars(structs(precision)))
         self._types = {"model": self.Model, "data": self.Data, "dt": wp.float64, "margin": wp.float64}
 
     def func(self, source):
         """Decorator: a Warp function, inlined (structs are passed by value, so that a call would copy them)."""
         return inline(self._typed(source))
 
-    def func_native(self, *files: str, precision: str | None = None):
+    def func_native(self, *files: str, precision: str | None = None, code: str = "", **values: float):
         """Decorator: a Warp function whose body is C++ in files of this folder, for values of the kit's precision.
 
         Warp looks for this name to find out what the function returns.
+
+        Args:
+            values: constants of that body, by name.
         """
-        body = native(files, precision or self.precision, self.width)
+        parts = constants(**CPP_CONSTANTS, **values), native(files, precision or self.precision, self.width), code
+        body = "\n".join(parts)
         return lambda source: wp.func_native(body)(self._typed(source))
+
+    def stage(self, *files: str, precision: str | None = None, **values: float):
+        """A stage whose body is C++ (see :meth:`func_native`)."""
+
+        def stage(model, data, mesh, pack, lane, unit, dt): ...
+
+        stage.__qualname__ = "_".join([Path(files[-1]).stem, *map(str, values.values())])  # Warp's name for it
+        return self.func_native(*files, precision=precision, **values)(stage)
 
     def _typed(self, source):
         given = source.__annotations__

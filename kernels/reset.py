@@ -4,63 +4,20 @@ import warp as wp
 
 from warpvox.kernels import device
 from warpvox.kernels.device import kernel
-from warpvox.kernels.guard import diverged, restore
 from warpvox.kernels.kit import Kit, builder
-from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
-
-STALE = 1.0e9  # a drift that makes the next sub-step collect its candidates anew
+from warpvox.kernels.state import STALE
 
 
 @builder
 def save(kit: Kit):
     """Stage, at the start of a control step: save the state; environments that have diverged are put at rest first."""
-    width, full = kit.width, kit.full
-    mark = diverged(kit)
-
-    @kit.func
-    def put_at_rest(model, data, mesh, pack, k):
-        for r in range(2 * model.points[mesh]):
-            data.pos[pack, r, k] = model.home[mesh, r, k]
-            data.vel[pack, r, k] = wp.float64(0.0)
-            data.true_vel[pack, r, k] = wp.float64(0.0)
-
-    @kit.func
-    def stage(model, data, mesh, pack, lane, unit, dt):
-        if mark(model, data, mesh, pack, lane) != int(full):
-            for k in range(lane, lane + int(width)):
-                if (data.status[pack, k] & DIVERGED) != 0:
-                    put_at_rest(model, data, mesh, pack, k)
-                    data.drift[unit] = wp.float64(STALE)
-        for n in range(2 * model.actives[mesh]):
-            r = model.active[mesh, n]
-            kit.wide.store(data.saved_pos, pack, r, lane, kit.wide.load(data.pos, pack, r, lane))
-            kit.wide.store(data.saved_vel, pack, r, lane, kit.wide.load(data.vel, pack, r, lane))
-            kit.wide.store(data.saved_true_vel, pack, r, lane, kit.wide.load(data.true_vel, pack, r, lane))
-
-    return stage
+    return kit.stage("native/springs.h", "native/bounds.h", "native/save.h")
 
 
 @builder
 def settle(kit: Kit):
     """Stage, at the end of a control step: frozen and stopped environments go back to its start."""
-    width = kit.width
-    mark, undo = diverged(kit), restore(kit)
-
-    @kit.func
-    def stage(model, data, mesh, pack, lane, unit, dt):
-        mark(model, data, mesh, pack, lane)
-        for e in range(lane, lane + int(width)):
-            if data.overflow[unit] == 1:
-                data.status[pack, e] = data.status[pack, e] | OVERFLOW
-            if data.frozen[pack, e] == 1:
-                data.status[pack, e] = 0
-            if data.frozen[pack, e] == 1 or (data.status[pack, e] & (UNSTABLE | DIVERGED)) != 0:
-                undo(model, data, mesh, pack, e)
-                data.drift[unit] = wp.float64(STALE)
-            else:
-                data.time[pack, e] = data.time[pack, e] + 1
-
-    return stage
+    return kit.stage("native/springs.h", "native/bounds.h", "native/settle.h")
 
 
 @builder

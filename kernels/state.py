@@ -30,6 +30,26 @@ STATE = wp.float64
 TOP, RIGHT, BOTTOM, LEFT = (wp.constant(1 << k) for k in range(4))
 # How a control step of an environment ended (bits).
 UNSTABLE, DIVERGED, OVERFLOW = wp.constant(1), wp.constant(2), wp.constant(4)
+DISTANT = wp.constant(16)  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
+STALE = 1.0e9  # a drift that makes the next sub-step collect its candidates anew
+FASTEST = 1.0e4
+"""Speed of a point, in units of inner time, beyond which a simulation has diverged.
+
+At this speed a point crosses ten voxels between two looks at contacts: what follows is no simulation of anything. A
+fall without end reaches gravity / drag = 1100; benchmark tasks under random and alternating actions stay below 30.
+An environment that has diverged is computed until the control step is over and is then undone. It disturbs no other:
+lanes meet in the candidates of contacts alone, whose list has room for all pairs where lanes share it.
+"""
+FARTHEST = 1.0e6
+"""Coordinate beyond which it has diverged: no lattice goes so far, so that contacts are not looked for there."""
+CPP_CONSTANTS = {
+    name: int(value) if isinstance(value, int) else float(value)
+    for name, value in dict(
+        UNSTABLE=UNSTABLE, DIVERGED=DIVERGED, OVERFLOW=OVERFLOW, DISTANT=DISTANT, STALE=STALE, FASTEST=FASTEST,
+        FARTHEST=FARTHEST,
+    ).items()
+}  # fmt: skip
+"""The constants as the C++ has them."""
 
 MODEL = {
     "pack_mesh": (int, "pack", "the tables of a pack: those with the dimension ``mesh``"),
@@ -110,16 +130,14 @@ DATA = {
     "saved_true_vel": (STATE, "pack 2*point lane", ""),
     "move": (STATE, "pack 2*point lane", "displacement of the sub-step"),
     "disp": (REAL, "pack 2*point lane", "displacement since the sub-step's start; exact: the position"),
-    "stage_vel": (REAL, "pack 2*point lane", "velocity of the Runge-Kutta stage"),
     "start_vel": (REAL, "pack 2*point lane", "velocity at the sub-step's start"),
     "height": (REAL, "pack point lane", "y at the sub-step's start"),
     "tension": (REAL, "pack 2*spring lane", "force of a spring on its first end"),
     "contact": (REAL, "pack 2*point lane", "contact force, constant during a sub-step"),
-    "sum_bend": (REAL, "pack 2*point lane", "sum of the accelerations that bend the path; exact: of the paths"),
-    "sum_vel": (
+    "stages": (
         REAL,
-        "pack 2*point lane",
-        "weighted sum of the stages' accelerations; then corrections of the strain limit",
+        "pack 6*point lane",
+        "accelerations of the first three stages, then corrections of the strain limit; exact: other sums",
     ),
     "hits": (int, "pack lane", "contacts met in this sub-step; these and the box trees only in exact arithmetic"),
     "hit": (wp.vec4i, "pack hit lane", "leaves in the order of their objects, 4 x way + corner, point (-1: still)"),

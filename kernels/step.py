@@ -7,22 +7,21 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.actuation import creep, goals
 from warpvox.kernels.broadphase import boxes, collect
 from warpvox.kernels.contact import contacts
 from warpvox.kernels.device import BLOCK, Command, kernel, record
-from warpvox.kernels.exact import order, springs
+from warpvox.kernels.exact import order
+from warpvox.kernels.exact import springs as exact_springs
 from warpvox.kernels.folding import check
 from warpvox.kernels.group import record_group
-from warpvox.kernels.integrate import advance, runge_kutta
 from warpvox.kernels.kit import Kit, builder, kit_of
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.reset import save, settle
-from warpvox.kernels.strain import limit
+from warpvox.kernels.springs import goals, limit, runge_kutta
 
 STAGES = {
-    "fast": (boxes, collect, contacts, creep, runge_kutta, limit, advance, check),
-    "exact": (boxes, collect, order.contacts, *springs.STAGES, check),
+    "fast": (boxes, collect, contacts, runge_kutta, limit, check),
+    "exact": (boxes, collect, order.contacts, *exact_springs.STAGES, check),
 }
 """The stages of a sub-step, in their order, by arithmetic (see :mod:`warpvox.kernels.state`)."""
 
@@ -33,7 +32,7 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
     kit = kit_of(precision, width)
     begin, aim, end = save(kit), goals(kit), settle(kit)
     stages = (build(kit) for build in STAGES[arithmetic])
-    bound, gather, touch, pull, move, strain, place, fold = stages
+    bound, gather, touch, move, strain, fold = stages
 
     @kit.func
     def idle(data, pack, lane):
@@ -60,10 +59,8 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
             bound(model, data, mesh, pack, lane, unit, dt)
             gather(model, data, mesh, pack, lane, unit, dt)
             touch(model, data, mesh, pack, lane, unit, dt)
-            pull(model, data, mesh, pack, lane, unit, dt)
             move(model, data, mesh, pack, lane, unit, dt)
             strain(model, data, mesh, pack, lane, unit, dt)
-            place(model, data, mesh, pack, lane, unit, dt)
             fold(model, data, mesh, pack, lane, unit, dt)
         end(model, data, mesh, pack, lane, unit, dt)
 

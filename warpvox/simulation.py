@@ -19,8 +19,7 @@ from warpvox.devices.names import resolve_device
 from warpvox.errors import ActionError, SimulationError
 from warpvox.kernels import reset as reset_stage
 from warpvox.kernels import step as step_stage
-from warpvox.kernels.reset import STALE
-from warpvox.kernels.state import DIVERGED, OVERFLOW, UNSTABLE
+from warpvox.kernels.state import DIVERGED, OVERFLOW, STALE, UNSTABLE
 from warpvox.sensors import Recorded, Sensing
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, Physics
 from warpvox.world import World
@@ -294,7 +293,7 @@ class Simulation(Sensing):
         """bool [num_envs]: the last step was stopped because it diverged; such an environment is unstable, too.
 
         A step diverges with values that are not finite, speeds above 1e4 (units of inner time) or coordinates beyond
-        1e6; see :mod:`warpvox.kernels.guard`. The step is undone; if it began with non-finite values, which only
+        1e6; see :mod:`warpvox.kernels.state`. The step is undone; if it began with non-finite values, which only
         :meth:`set_state` can cause, the environment is reset instead.
         """
         return (self._of_environments("status") & int(DIVERGED)) != 0

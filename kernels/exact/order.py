@@ -58,31 +58,6 @@ def note(kit: Kit):
 
 
 @builder
-def tree_boxes(kit: Kit):
-    """Function: boxes of the nodes over surface voxels, children before parents."""
-    load = kit.load
-
-    @kit.func
-    def boxes(model, data, mesh, pack, lane):
-        for n in range(model.nodes[mesh]):
-            node = model.node[mesh, n]
-            for axis in range(int(2)):
-                low = 2 * axis
-                if node[0] < 0:
-                    v = 4 * (-1 - node[0]) + low
-                    kit.store(data.node_box, pack, 4 * n + low, lane, kit.load(data.box, pack, v, lane))
-                    kit.store(data.node_box, pack, 4 * n + low + 1, lane, kit.load(data.box, pack, v + 1, lane))
-                else:
-                    a, b = 4 * node[0] + low, 4 * node[1] + low
-                    least = kit.lower(load(data.node_box, pack, a, lane), load(data.node_box, pack, b, lane))
-                    most = kit.upper(load(data.node_box, pack, a + 1, lane), load(data.node_box, pack, b + 1, lane))
-                    kit.store(data.node_box, pack, 4 * n + low, lane, least)
-                    kit.store(data.node_box, pack, 4 * n + low + 1, lane, most)
-
-    return boxes
-
-
-@builder
 def path_key(kit: Kit):
     """Function: a number for the place of two leaves in the descent."""
 
@@ -124,7 +99,7 @@ def path_key(kit: Kit):
 def take(kit: Kit):
     """Function: the forces of all contacts noted, into ``contact``."""
     width = kit.width
-    boxes, key, forces = tree_boxes(kit), path_key(kit), contact_forces(kit)
+    boxes, key, forces = kit.stage("exact/tree_boxes.h"), path_key(kit), contact_forces(kit)
 
     @kit.func
     def sort(model, data, mesh, pack, k):
@@ -141,13 +116,13 @@ def take(kit: Kit):
             data.hit_rank[pack, at, k] = n
 
     @kit.func
-    def stage(model, data, mesh, pack, lane):
+    def stage(model, data, mesh, pack, lane, unit, dt):
         most = int(0)
         for k in range(lane, lane + int(width)):
             most = wp.max(most, data.hits[pack, k])
         if most == 0:
             return
-        boxes(model, data, mesh, pack, lane)
+        boxes(model, data, mesh, pack, lane, unit, dt)
         for k in range(lane, lane + int(width)):
             sort(model, data, mesh, pack, k)
             for n in range(data.hits[pack, k]):
@@ -172,6 +147,6 @@ def contacts(kit: Kit):
         for k in range(lane, lane + int(width)):
             data.hits[pack, k] = 0
         search(model, data, mesh, pack, lane, unit, dt)
-        in_order(model, data, mesh, pack, lane)
+        in_order(model, data, mesh, pack, lane, unit, dt)
 
     return stage

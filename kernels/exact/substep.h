@@ -1,37 +1,41 @@
-// Body of a function (model, data, mesh, pack, lane, dt), after springs.h: one sub-step by RK4 in float64 for the lanes of a unit.
+// Body of a stage, after springs.h: one sub-step by RK4 in float64.
 //
 // The physics of integrate.h, rounded as the released simulator rounds: the unknown is the position, and every sum and
 // product is taken in its order. At a point that is the springs that begin there, those that end there (the order of
 // link), drag, gravity, contact, floor.
 
 const auto place = values(data.disp);
-const auto stage_vel = values(data.stage_vel);
-const auto sum_vel = values(data.sum_vel);
-const auto sum_path = values(data.sum_bend);
+const int rows = 2 * wp::index(model.points, mesh);
+const auto stages = values(data.stages);
+auto stage_vel = [&](unsigned r) -> Value& { return stages[r]; };
+auto sum_vel = [&](unsigned r) -> Value& { return stages[rows + r]; };
+auto sum_path = [&](unsigned r) -> Value& { return stages[2 * rows + r]; };
 const auto contact = values(data.contact);
 const auto tension = values(data.tension);
-const auto pull = values(data.pull);
+const auto equilibrium = values(data.pull);
+const auto goal = values(data.goal);
 const auto pos = values(data.pos);
 const auto vel = values(data.vel);
 
-auto stretch_springs = [&]() {
+auto stretch_springs = [&](int stage) {
     for (int s = 0; s < springs; ++s) {
         const unsigned a = 2 * spring_ends[s][0], b = 2 * spring_ends[s][1];
         const Value ex = place[a] - place[b], ey = place[a + 1] - place[b + 1];
         const Value length = root(ex * ex + ey * ey);
-        const Value force = (length - pull[s]) * spring_k[s] / length;
+        if (stage == 0) equilibrium[s] = length + (goal[s] - length) * model.actuation_rate;
+        const Value force = (length - equilibrium[s]) * spring_k[s] / length;
         tension[2 * s] = ex * force;
         tension[2 * s + 1] = ey * force;
     }
 };
 
 // The implicit floor at y = 0.
-auto stand = [&](Value& fx, Value& fy, const Value& vx, const Value& y) {
+auto floor_contact = [&](Value& fx, Value& fy, const Value& vx, const Value& y) {
     each_lane([&](int k) {
         if (lane_of(y, k) <= 0.0) {
             const double normal = lane_of(y, k) * -model.floor_stiffness;
-            const double rub = wp::tanh(lane_of(vx, k) * normal * model.friction);
-            set_lane(fx, k, lane_of(fx, k) + -model.floor_friction * model.friction * (normal * rub));
+            const double saturation = wp::tanh(lane_of(vx, k) * normal * model.friction);
+            set_lane(fx, k, lane_of(fx, k) + -model.floor_friction * model.friction * (normal * saturation));
             set_lane(fy, k, lane_of(fy, k) + normal);
         }
     });
@@ -39,7 +43,7 @@ auto stand = [&](Value& fx, Value& fy, const Value& vx, const Value& y) {
 
 auto point_force = [&](unsigned x, Value& fx, Value& fy) {
     const unsigned y = x + 1, p = x / 2;
-    fx = stage_vel[x] * 0.0;
+    fx = stage_vel(x) * 0.0;
     fy = fx;
     for (int n = link_start[p]; n < link_start[p + 1]; ++n) {
         const int s = link[n];
@@ -51,32 +55,32 @@ auto point_force = [&](unsigned x, Value& fx, Value& fy) {
             fy = fy + tension[-2 * s - 1];
         }
     }
-    fx = fx + stage_vel[x] * -model.drag + contact[x];
-    fy = fy + stage_vel[y] * -model.drag + -model.weight + contact[y];
-    if (any_below(place[y])) stand(fx, fy, stage_vel[x], place[y]);
+    fx = fx + stage_vel(x) * -model.drag + contact[x];
+    fy = fy + stage_vel(y) * -model.drag + -model.weight + contact[y];
+    if (any_below(place[y])) floor_contact(fx, fy, stage_vel(x), place[y]);
 };
 
 for (int n = 0; n < actives; ++n) {
     const unsigned r = active[n];
     place[r] = pos[r];
-    stage_vel[r] = vel[r];
-    sum_path[r] = vel[r] * 0.0;
-    sum_vel[r] = vel[r] * 0.0;
+    stage_vel(r) = vel[r];
+    sum_path(r) = vel[r] * 0.0;
+    sum_vel(r) = vel[r] * 0.0;
 }
 for (int stage = 0; stage < 4; ++stage) {
     const double weight = stage == 1 || stage == 2 ? 2.0 : 1.0, ahead = stage < 2 ? 0.5 : 1.0;
-    stretch_springs();
+    stretch_springs(stage);
     for (int n = 0; n < actives; n += 2) {
         const unsigned x = active[n];
         Value force[2];
         point_force(x, force[0], force[1]);
         for (unsigned axis = 0; axis < 2; ++axis) {
             const unsigned r = x + axis;
-            const Value path = stage_vel[r] * dt, gain = force[axis] * model.inverse_mass * dt;
-            sum_path[r] = sum_path[r] + path * weight;
-            sum_vel[r] = sum_vel[r] + gain * weight;
+            const Value path = stage_vel(r) * dt, gain = force[axis] * model.inverse_mass * dt;
+            sum_path(r) = sum_path(r) + path * weight;
+            sum_vel(r) = sum_vel(r) + gain * weight;
             place[r] = pos[r] + path * ahead;
-            stage_vel[r] = vel[r] + gain * ahead;
+            stage_vel(r) = vel[r] + gain * ahead;
         }
     }
 }
@@ -84,6 +88,6 @@ for (int n = 0; n < actives; ++n) {
     const unsigned r = active[n];
     // A fixed point takes part in the stages; only its update is dropped.
     const double free = free_lanes[r / 2] ? 1.0 : 0.0;
-    place[r] = pos[r] + sum_path[r] * free / 6.0;
-    vel[r] = vel[r] + sum_vel[r] * free / 6.0;
+    place[r] = pos[r] + sum_path(r) * free / 6.0;
+    vel[r] = vel[r] + sum_vel(r) * free / 6.0;
 }

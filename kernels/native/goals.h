@@ -1,4 +1,4 @@
-// Body of a function (model, data, mesh, pack, lane): the goals of all springs from the actions.
+// Body of a stage: the goals of all springs from the actions.
 
 const auto action = wides(data.action);
 const auto goal = wides(data.goal);

@@ -1,4 +1,4 @@
-// Body of a function (model, data, mesh, pack, lane, unit): boxes of the mobile voxels around all lanes, into `hull`.
+// Body of a stage: boxes of the mobile voxels around all lanes, into `hull`.
 
 const auto box = wides(data.box);
 const int* mobile = &wp::index(model.mobile, mesh, 0);

@@ -1,10 +1,11 @@
-// Body of a function (model, data, mesh, pack, lane, unit, margin, distant): the marked candidates in ascending order, into `pairs`,
+// Body of a stage: the marked candidates in ascending order, into `pairs`,
 // with those of their corners that may come to be in the other voxel while the list is in use. Most corners of neighbours
 // cannot: a pair without any is left out, unless it counts for self-folding.
 
 typedef wp::vec_t<4, int> Four;
 const auto pos = wides(data.pos);
 const auto box = wides(data.box);
+const double margin = model.margin;
 const int words = (wp::index(model.voxels, mesh) + 31) / 32;
 const Four* corner = &wp::index(model.corner, mesh, 0);
 const Four* side = &wp::index(model.side_lanes, mesh, 0);
@@ -44,7 +45,7 @@ for (int word = 0; word < wp::index(model.voxels, mesh) * words; ++word) {
         int mine = near_corners(i, j), other = near_corners(j, i);
         if (wp::index(model.robot, mesh, i) >= 0 && wp::index(model.body, mesh, i) == wp::index(model.body, mesh, j)) {
             const wp::vec_t<2, int> away = wp::index(model.grid, mesh, i) - wp::index(model.grid, mesh, j);
-            if (away[0] * away[0] > 1 || away[1] * away[1] > 1) mine |= distant;
+            if (away[0] * away[0] > 1 || away[1] * away[1] > 1) mine |= DISTANT;
         }
         if (!(mine | other)) continue;
         if (count < data.pairs.shape[1]) {

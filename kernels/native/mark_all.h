@@ -1,7 +1,8 @@
-// Body of a function (model, data, mesh, pack, lane, unit, margin): candidates among mobile voxels, by boxes around all
+// Body of a stage: candidates among mobile voxels, by boxes around all
 // lanes first (hulls.h): while lanes are alike that is nearly enough.
 
 const auto box = wides(data.box);
+const double margin = model.margin;
 const int n = wp::index(model.mobiles, mesh), words = (wp::index(model.voxels, mesh) + 31) / 32;
 const int* mobile = &wp::index(model.mobile, mesh, 0);
 const int* still = &wp::index(model.still, mesh, 0);

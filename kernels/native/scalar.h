@@ -6,6 +6,7 @@ typedef double Wide;
 auto widen = [](Value a) -> Wide { return static_cast<Wide>(a); };
 auto narrow = [](Wide a) -> Value { return static_cast<Value>(a); };
 auto root = [](Value a) -> Value { return wp::sqrt(a); };
+auto root_wide = [](Wide a) -> Wide { return wp::sqrt(a); };
 auto fused = [](Value a, Value b, Value c) -> Value { return a * b + c; };
 auto reduced = [](Value a, Value b, Value c) -> Value { return c - a * b; };
 auto quotient = [](Value a, Value b) -> Value { return a / b; };
@@ -15,6 +16,11 @@ auto each_lane = [](auto&& act) { act(0); };
 auto lane_of = [](const Value& a, int) -> Real { return a; };
 auto set_lane = [](Value& a, int, Real x) { a = x; };
 auto weights = [&](int mask) -> Value { return Value((mask >> lane) & 1); };
+// The larger of a and |b|, which ignores NaN: one lane must not blind the others.
+auto longer = [](Wide a, Wide b) -> Wide {
+    a = b > a ? b : a;
+    return -b > a ? -b : a;
+};
 auto bits_of = [](bool a) -> int { return a ? 1 : 0; };
 auto least = [](Wide a) -> double { return a; };
 auto largest = [](Wide a) -> double { return a; };

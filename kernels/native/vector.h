@@ -6,6 +6,7 @@ typedef double Wide __attribute__((ext_vector_type(WIDTH), aligned(8)));
 auto widen = [](Value a) -> Wide { return __builtin_convertvector(a, Wide); };
 auto narrow = [](Wide a) -> Value { return __builtin_convertvector(a, Value); };
 auto root = [](Value a) -> Value { return __builtin_elementwise_sqrt(a); };
+auto root_wide = [](Wide a) -> Wide { return __builtin_elementwise_sqrt(a); };
 auto each_lane = [](auto&& act) { for (int k = 0; k < WIDTH; ++k) act(k); };
 auto lane_of = [](const Value& a, int k) -> Real { return a[k]; };
 auto set_lane = [](Value& a, int k, Real x) { a[k] = x; };
@@ -14,6 +15,11 @@ auto weights = [&](int mask) -> Value {  // 1 in the lanes of a mask, else 0
     Bits bits;
     __builtin_memcpy(&bits, &mask, WIDTH / 8);
     return __builtin_convertvector(bits, Value);
+};
+// The larger of a and |b|, which ignores NaN: one lane must not blind the others.
+auto longer = [](Wide a, Wide b) -> Wide {
+    a = b > a ? b : a;
+    return -b > a ? -b : a;
 };
 // One of all lanes but NaN, from halves: the compiler's own way is one lane after another.
 auto halve = [](auto self, auto a, auto choose) -> double {

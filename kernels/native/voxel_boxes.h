@@ -1,5 +1,5 @@
-// Body of a function (model, data, mesh, pack, lane, mobile): axis-aligned bounds of the mobile voxels (0: of all), into
-// `box`; inside out in lanes where a voxel is no surface voxel. One call for all: Model and Data are passed by value.
+// Body of a stage: axis-aligned bounds of the surface voxels that may have moved (`mobile`) or of all, into
+// `box`; inside out in lanes where a voxel is no surface voxel.
 
 const auto pos = wides(data.pos);
 const auto box = wides(data.box);

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from warpvox.kernels import step
-from warpvox.kernels.actuation import goals
 from warpvox.kernels.launch import launch_stage
+from warpvox.kernels.springs import goals
 
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
@@ -15,7 +15,7 @@ def test_lengths_relax_toward_the_mean_of_the_actions_that_drive_them(scenes, dt
     actions = rng.uniform(0.6, 1.6, (len(scene.lanes), sim.num_actions))
     scene.write("action", actions)
     launch_stage(goals, sim._state)
-    step.launch(sim._state, "creep")
+    step.launch(sim._state, "runge_kutta")
     ends, packed = model.spring_ends[: scene.springs], model.spring_drive[: scene.springs, 0]
     drives = np.stack([packed & 0xFFFF, packed >> 16], axis=1) - 1
     assert {int((drive >= 0).sum()) for drive in drives} == {0, 1, 2}

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from warpvox.batch.arrays import MARGIN
 from warpvox.kernels.broadphase import (
-    DISTANT,
     GRID_FROM,
     boxes,
     collect_near,
@@ -18,6 +17,7 @@ from warpvox.kernels.broadphase import (
     mark_grid,
 )
 from warpvox.kernels.launch import launch_stage
+from warpvox.kernels.state import DISTANT
 from warpvox.simulation import Simulation
 from warpvox.world import World
 

@@ -1,84 +1,104 @@
-"""Lane operations against numpy."""
+"""Operations on lanes, in C++, against numpy."""
 
 import numpy as np
 import pytest
 import warp as wp
 
-from warpvox.kernels.lanes import REALS, casts, lane_ops
+from warpvox.kernels.kit import Kit
+from warpvox.kernels.lanes import first_lane, without_first
 
-WIDTHS = (8, 16, 32)
 SPECIAL = (0.0, -0.0, 1.5, -2.5, np.inf, -np.inf, np.nan, 1e-30)
+CODE = """
+const auto p = values(x), out = values(y);
+const auto wide = wides(z);
+out[0] = root(p[0]);
+out[1] = quotient(p[0], p[1]);
+out[2] = fused(p[0], p[1], p[2]);
+out[3] = reduced(p[0], p[1], p[2]);
+out[4] = narrow(widen(p[0]));
+out[5] = weights(wp::index(masks, 0));
+wide[0] = longer(widen(p[2] * p[2]), widen(p[1]));
+wide[1] = root_wide(widen(p[0]));
+wp::index(masks, 1) = bits_of(p[0] <= p[1]);
+wp::index(masks, 2) = any_below(p[0]);
+wp::index(ends, 0) = least(widen(p[0]));
+wp::index(ends, 1) = largest(widen(p[0]));
+"""
 
 
-def run(precision, width, a, b):
-    """Every operation on two rows of lanes; results by name."""
-    ops, real = lane_ops(precision, width), REALS[precision]
-    value, load, store = ops.value, ops.load, ops.store
-    mul, div, root, lower, upper, grow = ops.mul, ops.div, ops.root, ops.lower, ops.upper, ops.grow
-    at_most, within, largest, splat = ops.at_most, ops.within, ops.largest, ops.splat
-    widen, narrow = casts(precision, width).widen, casts(precision, width).narrow
-    assert value is not None
+def run(precision, width, rows, mask):
+    """Results on three rows of lanes, by name."""
+    kit = Kit(precision, width)
+    real = wp.array3d(dtype=kit.real)
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def kernel(x: wp.array3d(dtype=real), out: wp.array3d(dtype=real), masks: wp.array(dtype=int)):
-        p = load(x, 0, 0, 0)
-        q = load(x, 0, 1, 0)
-        store(out, 0, 0, 0, mul(p, q))
-        store(out, 0, 1, 0, div(p, q))
-        store(out, 0, 2, 0, root(p))
-        store(out, 0, 3, 0, lower(p, q))
-        store(out, 0, 4, 0, upper(p, q))
-        store(out, 0, 5, 0, grow(splat(real(0.0)), q))
-        store(out, 0, 6, 0, narrow(widen(p)))
-        store(out, 0, 7, 0, splat(largest(grow(splat(real(0.0)), q))))
-        masks[0] = at_most(p, q)
-        masks[1] = within(p, q)
+    @kit.func_native(code=CODE)
+    def operations(
+        x: real, y: real, z: wp.array3d(dtype=wp.float64), ends: wp.array(dtype=wp.float64),
+        masks: wp.array(dtype=int), pack, lane,
+    ): ...  # fmt: skip
 
-    x = wp.array(np.stack([a, b])[None], dtype=real, device="cpu")
-    out, masks = wp.zeros((1, 8, width), dtype=real, device="cpu"), wp.zeros(2, dtype=int, device="cpu")
-    wp.launch(kernel, 1, [x, out, masks], device="cpu")
-    names = ("mul", "div", "root", "lower", "upper", "grow", "cast", "largest")
-    found = dict(zip(names, out.numpy()[0], strict=True))
-    bits = [np.array([(int(m) >> k) & 1 for k in range(width)], bool) for m in masks.numpy()]
-    return found | {"at_most": bits[0], "within": bits[1]}
+    @wp.kernel(enable_backward=False, module="unique", module_options={"fuse_fp": False})
+    def kernel(
+        x: real, y: real, z: wp.array3d(dtype=wp.float64), ends: wp.array(dtype=wp.float64), masks: wp.array(dtype=int)
+    ):
+        operations(x, y, z, ends, masks, 0, 0)
+
+    x = wp.array(rows[None], dtype=kit.real, device="cpu")
+    y, z = (
+        wp.zeros((1, 6, width), dtype=kit.real, device="cpu"),
+        wp.zeros((1, 2, width), dtype=wp.float64, device="cpu"),
+    )
+    ends = wp.zeros(2, dtype=wp.float64, device="cpu")
+    masks = wp.array([mask, 0, 0], dtype=int, device="cpu")
+    wp.launch(kernel, 1, [x, y, z, ends, masks], device="cpu")
+    found = dict(zip(("root", "quotient", "fused", "reduced", "cast", "weights"), y.numpy()[0], strict=True))
+    found |= dict(zip(("longer", "root_wide"), z.numpy()[0], strict=True)) | dict(
+        zip(("least", "largest"), ends.numpy())
+    )
+    return found | {"bits_of": bits(masks.numpy()[1], width), "any_below": bool(masks.numpy()[2])}
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("precision", sorted(REALS))
+def bits(mask, width):
+    return np.array([(int(mask) >> k) & 1 for k in range(width)], bool)
+
+
+@pytest.mark.parametrize(
+    ("precision", "width"), [("float32", 1), ("float64", 8), ("float32", 16), ("float32", 32), ("float64", 32)]
+)
 def test_operations_equal_those_of_numpy(precision, width):
     rng = np.random.default_rng(width)
-    a = rng.choice([*SPECIAL, *rng.normal(size=20)], size=width).astype(precision)
-    b = rng.choice([*SPECIAL, *rng.normal(size=20)], size=width).astype(precision)
-    found = run(precision, width, a, b)
+    rows = rng.choice([*SPECIAL, *rng.normal(size=20)], size=(3, width)).astype(precision)
+    mask = int(rng.integers(-(2**31), 2**31)) if width == 32 else int(rng.integers(2**width))
+    found = run(precision, width, rows, mask)
+    a, b, c = rows
     with np.errstate(all="ignore"):
         expected = {
-            "mul": a * b,
-            "div": a / b,
             "root": np.sqrt(a),
-            "lower": np.where(b < a, b, a),
-            "upper": np.where(b > a, b, a),
-            "grow": np.nan_to_num(np.abs(b), nan=0.0, posinf=np.inf),
+            "quotient": a / b,
+            "fused": a * b + c,
+            "reduced": c - a * b,
             "cast": a,
-            "largest": np.full(width, np.nanmax(np.abs(b), initial=0.0)),
-            "at_most": a <= b,
-            "within": np.abs(a) <= b,
+            "weights": bits(mask, width),
+            "longer": np.where(np.abs(b) > c * c, np.abs(b), c * c),
+            "root_wide": np.sqrt(a.astype(float)),
+            "bits_of": a <= b,
+            "any_below": (a <= 0).any(),
+            "least": np.nanmin(a, initial=np.inf) if width > 1 else a[0],
+            "largest": np.nanmax(a, initial=-np.inf) if width > 1 else a[0],
         }
     for name, value in expected.items():
         np.testing.assert_array_equal(found[name], value, err_msg=name)
 
 
 def test_the_lanes_of_a_mask_come_in_order():
-    ops = lane_ops("float32", 1)
-    first, drop = ops.first, ops.drop
-
     @wp.kernel(enable_backward=False, module="unique")
     def kernel(masks: wp.array(dtype=int), out: wp.array2d(dtype=int)):
         i = wp.tid()
         mask = masks[i]
         n = int(0)
         while mask != 0:
-            out[i, n] = first(mask)
-            mask = drop(mask)
+            out[i, n] = first_lane(mask)
+            mask = without_first(mask)
             n += 1
 
     words = np.array([0, 1, -1, 0b1010, -(2**31)], dtype=np.int32)

@@ -6,9 +6,9 @@ import torch
 
 from warpvox.design import sample_design
 from warpvox.kernels import step
-from warpvox.kernels.actuation import goals
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.reset import save, settle
+from warpvox.kernels.springs import goals
 from warpvox.simulation import STATE_FIELDS, Simulation
 from warpvox.types import SUBSTEPS
 from warpvox.world import World

@@ -12,8 +12,7 @@ from warpvox.batch.packs import Batch
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
 from warpvox.kernels.device import from_numpy, on_cuda, zeros
 from warpvox.kernels.group import Group, choose
-from warpvox.kernels.reset import STALE
-from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, allocate, structs
+from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, allocate, structs
 from warpvox.types import Physics
 
 __all__ = ["MARGIN", "Buffers", "allocate_buffers", "put_tables"]

@@ -31,10 +31,8 @@ STAGES = {
     "boxes": "bounds of the voxels",
     "collect": "candidates for contact",
     "contacts": "contact, friction, floor",
-    "creep": "springs: lengths creep toward their goals",
-    "runge_kutta": "springs: four Runge-Kutta stages",
-    "limit": "strain limits",
-    "advance": "new positions and velocities",
+    "runge_kutta": "springs: relaxation of lengths, four Runge-Kutta stages",
+    "limit": "strain limits, new positions",
     "check": "self-folding",
 }
 """What the stages do, by the name of their function; of one not listed the name is shown."""

@@ -1,4 +1,4 @@
-// Body of a function (model, data, mesh, pack, lane), after springs.h: both strain passes for the lanes of a unit, on displacements.
+// Body of a stage, after springs.h: both strain passes on displacements, then the step to the new positions.
 
 const int rigids = wp::index(model.rigids, mesh);
 const int* spring_lanes = &wp::index(model.spring_lanes, mesh, 0);
@@ -11,8 +11,10 @@ const double* spring_rest = &wp::index(model.spring_rest, mesh, 0);
 
 const auto disp = values(data.disp);
 const auto span = values(data.span);
-const auto moved = values(data.sum_vel);  // corrections of a pass; what Runge-Kutta left there is not needed any more
+const auto moved = values(data.stages);  // corrections of a pass; what Runge-Kutta left there is not needed any more
 const auto move = wides(data.move);
+const auto pos = wides(data.pos);
+const auto true_vel = wides(data.true_vel);
 
 // Whether spring s is beyond the bound in some of the lanes; then how far its first end moves, toward the second where
 // the spring is too long.
@@ -68,15 +70,15 @@ auto shift = [&](int p, Value x, Value y, bool in_place) {
 
 Value dx, dy;
 bool any = false;
-auto begin_pass = [&]() {
-    for (int n = 0; !any && n < actives; ++n) moved[active[n]] = disp[active[n]] * Real(0);
+auto begin_corrections = [&]() {
+    for (int n = 0; !any && n < actives; ++n) moved[active[n]] = Value{};
     any = true;
 };
 
 // All springs from one snapshot.
 for (int s = 0; s < springs; ++s) {
     if (correction(s, spring_lanes[s], model.strain_limit, model.strain_share, dx, dy)) {
-        begin_pass();
+        begin_corrections();
         shift(spring_ends[s][0], dx, dy, false);
         shift(spring_ends[s][1], -dx, -dy, false);
     }
@@ -85,16 +87,26 @@ for (int n = 0; any && n < actives; ++n) {
     const unsigned r = active[n];
     disp[r] = disp[r] + moved[r];
     move[r] = move[r] + widen(moved[r]);
+    moved[r] = Value{};
 }
-
 // The sides of rigid voxels one after another, in place.
-any = false;
 for (int n = 0; n < rigids; ++n) {
     const int s = rigid_spring[n];
     if (correction(s, rigid_lanes[n], model.rigid_strain_limit, model.rigid_strain_share, dx, dy)) {
-        begin_pass();
+        begin_corrections();
         shift(spring_ends[s][0], dx, dy, true);
         shift(spring_ends[s][1], -dx, -dy, true);
     }
 }
-for (int n = 0; any && n < actives; ++n) move[active[n]] = move[active[n]] + widen(moved[active[n]]);
+// New positions, true velocities, and the longest path of a point.
+const double rate = 1.0 / dt;
+Wide path = {};
+for (int n = 0; n < actives; ++n) {
+    const unsigned r = active[n];
+    Wide step = move[r];
+    if (any) step = step + widen(moved[r]);
+    pos[r] = pos[r] + step;
+    true_vel[r] = step * rate;
+    path = longer(path, step);
+}
+wp::index(data.drift, unit) += largest(path);
