@@ -16,14 +16,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from warpvox.envs.state import State
+from warpvox.envs.state import Quantity, State
 from warpvox.kernels.state import DIVERGED, UNSTABLE
 
 if TYPE_CHECKING:
+    from warpvox.envs.spec import TaskSpec
     from warpvox.envs.vec_env import VoxelVecEnv
     from warpvox.simulation import Simulation
 
-__all__ = ["Row", "SingleStepper", "fast_stepper"]
+__all__ = ["Row", "RowTerms", "Sensors", "SingleStepper", "fast_stepper"]
 
 OURS = "warpvox.envs.terms."
 """Where terms live that follow the rules: functions of states alone, without branches on values."""
@@ -222,9 +223,9 @@ class Sensors:
         command, buffers = next(iter(launches.values()), (None, []))
         return value, command, buffers
 
-    def _sense_centres(self) -> None:
+    def _sense_centres(self, name: str) -> None:
         if self._centres is None:
-            _, command, buffers = self._record("com", (self._sim.object_names[0],))
+            _, command, buffers = self._record("com", (name,))
             rows = [buffer.numpy().view(Row) for buffer in buffers]
             names = self._sim.object_names
             self._centres = command, *({name: row[:, k] for k, name in enumerate(names)} for row in rows)
@@ -233,12 +234,12 @@ class Sensors:
 
     def com(self, name: str) -> Row:
         if self.moved:
-            self._sense_centres()
+            self._sense_centres(name)
         return self._centres[1][name].copy()
 
     def velocity(self, name: str) -> Row:
         if self.moved:
-            self._sense_centres()
+            self._sense_centres(name)
         return self._centres[2][name].copy()
 
     def relative_positions(self, name: str) -> Row:
@@ -247,7 +248,10 @@ class Sensors:
         points = self._points[name]
         if points is None:
             return self.launched("relative_positions", name)
-        return (points - self.com(name).view(np.ndarray)[..., None]).view(Row)
+        centre, found = self.com(name), np.empty(points.shape)
+        for axis in (0, 1):  # one after the other: a broadcast over rows of two takes three times as long
+            np.subtract(points[0, axis], centre.item(axis), found[0, axis])
+        return found.view(Row)
 
     def _find_points(self, name: str) -> np.ndarray | None:
         """A view ``[1, 2, points]`` on the simulation's own positions; None: they do not lie so."""
@@ -291,6 +295,48 @@ class Sensors:
         return sense
 
 
+class RowTerms:
+    """Evaluates the terms of a task on states of :class:`Sensors`.
+
+    Args:
+        spec: the task; its terms are warpvox's own.
+        dtype: of observations.
+    """
+
+    def __init__(self, spec: TaskSpec, dtype: np.dtype | type = np.float64) -> None:
+        self._dtype, self._penalty = np.dtype(dtype), spec.unstable_penalty
+        self._observations = [(term.function, dict(term.params)) for term in spec.observations]
+        self._rewards = [(term.name, term.function, dict(term.params), term.weight) for term in spec.rewards]
+        self._terminations = [(term.name, term.function, dict(term.params), term.bonus) for term in spec.terminations]
+
+    @property
+    def reward_names(self) -> list[str]:
+        """Names of the reward terms."""
+        return [name for name, *_ in self._rewards]
+
+    def compared(self, state: State) -> tuple[Quantity, ...]:
+        """The quantities that rewards ask of the state before a step."""
+        for _, reward, params, _ in self._rewards:
+            reward(state, State(state.sim, state.remembered), **params)
+        return state.quantities
+
+    def observe(self, state: State) -> np.ndarray:
+        """A fresh observation ``[num_obs]``."""
+        parts = [term(state, **params).reshape(-1) for term, params in self._observations]
+        return np.concatenate(parts, dtype=self._dtype, casting="same_kind").view(np.ndarray)
+
+    def judge(self, before: State, after: State, stopped: bool) -> tuple[dict[str, float], bool]:
+        """The parts of the reward, by name, and whether the episode terminates."""
+        terms = {name: f(before, after, **params).item() * weight for name, f, params, weight in self._rewards}
+        terms["unstable"] = float(stopped) * self._penalty
+        ended = stopped
+        for name, test, params, bonus in self._terminations:
+            hit = test(after, **params).item()
+            terms[name] = float(hit) * bonus
+            ended = ended or hit
+        return terms, ended
+
+
 class SingleStepper:
     """Steps the one environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv` that does not reset itself.
 
@@ -299,17 +345,13 @@ class SingleStepper:
     """
 
     def __init__(self, env: VoxelVecEnv) -> None:
-        sim, spec = env.sim, env.spec
-        self._sim, self._spec = sim, spec
+        sim = self._sim = env.sim
         self._sensors = Sensors(sim)
-        self._dtype = np.dtype(str(env.dtype).removeprefix("torch."))
+        self._terms = RowTerms(env.spec, str(env.dtype).removeprefix("torch."))
         self._actions = sim.action_buffer.numpy()[0]
         self._status = sim.array("status").numpy().reshape(-1)
         self._slot = int(sim.slot[0])
-        self._looks = [(term.function, dict(term.params)) for term in spec.observations]
-        self._rewards = [(term.name, term.function, dict(term.params), term.weight) for term in spec.rewards]
-        self._ends = [(term.name, term.function, dict(term.params), term.bonus) for term in spec.terminations]
-        self._updates = [memory for memory in spec.memory if memory.update is not None]
+        self._updates = [memory for memory in env.spec.memory if memory.update is not None]
         episodes = self._episodes = env.episodes
         self._memory = {name: value.numpy() for name, value in episodes.memory.items()}
         self._length, self._return = episodes.length.numpy(), episodes.returns.numpy()
@@ -322,15 +364,10 @@ class SingleStepper:
         memory = {name: value.copy().view(Row) for name, value in self._memory.items()}
         self._before = State(self._sensors, memory).remember(self._episodes.before)
 
-    def observe(self, state: State) -> np.ndarray:
-        """A fresh observation ``[num_obs]``."""
-        parts = [look(state, **params).reshape(-1) for look, params in self._looks]
-        return np.concatenate(parts, dtype=self._dtype, casting="same_kind").view(np.ndarray)
-
-    def look(self) -> tuple[np.ndarray, tuple[dict[str, float], bool]]:
-        """What is observed and judged where the environment stands, without a step."""
+    def evaluate(self) -> tuple[np.ndarray, tuple[dict[str, float], bool]]:
+        """The observation, and what :meth:`RowTerms.judge` gives, in the present state, without a step."""
         state = State(self._sensors, self._before.remembered)
-        return self.observe(state), self.judge(self._before, state, False)
+        return self._terms.observe(state), self._terms.judge(self._before, state, False)
 
     def step(self, action: np.ndarray) -> Result:
         """One control step: what :meth:`warpvox.envs.vec_env.VoxelVecEnv.step_one` returns; ``action`` is finite."""
@@ -338,7 +375,7 @@ class SingleStepper:
         self._sim.advance()
         self._sensors.moved = True
         before, after = self._before, State(self._sensors, self._before.remembered)
-        obs = self.observe(after)
+        obs = self._terms.observe(after)
         self._episodes.drawn = False
         if self._updates:
             remembered = after.update(self._updates)
@@ -346,26 +383,15 @@ class SingleStepper:
                 self._memory[memory.name][...] = remembered[memory.name]
         status = self._status.item(self._slot)  # a number of Python's: those of numpy are slow
         stopped, diverged = bool(status & _STOPPED), bool(status & _DIVERGED)
-        terms, ended = self.judge(before, after, stopped)
+        terms, ended = self._terms.judge(before, after, stopped)
         if diverged:
-            terms |= {name: 0.0 for name, *_ in self._rewards}
+            terms |= dict.fromkeys(self._terms.reward_names, 0.0)
         self._before = after
         self._length[0] = self._length.item() + 1
         self._return[0] = self._return.item() + sum(terms.values())
         if ended:
             self._terminated[0] = True
         return obs, terms, ended, stopped, diverged
-
-    def judge(self, before: State, after: State, stopped: bool) -> tuple[dict[str, float], bool]:
-        """The parts of the reward, by name, and whether the episode terminates."""
-        terms = {name: f(before, after, **params).item() * weight for name, f, params, weight in self._rewards}
-        terms["unstable"] = float(stopped) * self._spec.unstable_penalty
-        ended = stopped
-        for name, test, params, bonus in self._ends:
-            hit = test(after, **params).item()
-            terms[name] = float(hit) * bonus
-            ended = ended or hit
-        return terms, ended
 
 
 def fast_stepper(env: VoxelVecEnv) -> SingleStepper | None:
@@ -377,7 +403,7 @@ def fast_stepper(env: VoxelVecEnv) -> SingleStepper | None:
         return None
     try:
         stepper = SingleStepper(env)
-        obs, judged = stepper.look()
+        obs, judged = stepper.evaluate()
     except (AttributeError, TypeError, ValueError, IndexError, NotImplementedError):
         return None  # an operation that rows do not have
     there = State(env.sim, env.episodes.memory)

@@ -43,7 +43,7 @@ class State:
         values: Mapping[Quantity, Tensor] | None = None,
         copies: bool = False,
     ) -> None:
-        self._sim = sim
+        self.sim = sim
         self._memory = memory or {}
         self._copies = copies
         self._values: dict[Quantity, Tensor] = dict(values or {})
@@ -131,6 +131,6 @@ class State:
     def _ask(self, method: str, *args: object) -> Tensor:
         key = (method, *args)
         if key not in self._values:
-            self._values[key] = getattr(self._sim, method)(*args)
+            self._values[key] = getattr(self.sim, method)(*args)
         value = self._values[key]
         return value.clone() if self._copies else value

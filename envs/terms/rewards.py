@@ -48,8 +48,8 @@ def drop(before: State, after: State, name: str, below: float) -> Tensor:
 def staged_drop(before: State, after: State, name: str, below: float, x: float, below_beyond: float) -> Tensor:
     """As :func:`drop`, with another height (``below_beyond``) where the centre of mass is now beyond ``x``."""
     place, height = after.com(name).unbind(1)
-    limit = height.new_full((), below).where(place <= x, height.new_full((), below_beyond))
-    return (height - before.com(name)[:, 1]).masked_fill(height >= limit, 0.0)
+    above = (height >= below).where(place <= x, height >= below_beyond)
+    return (height - before.com(name)[:, 1]).masked_fill(above, 0.0)
 
 
 @about("|Δ{axis}_{name}|")

@@ -43,7 +43,7 @@ def begin(run: Run) -> tuple[envs.EvoGymBase, np.ndarray]:
     obs, _ = env.reset()
     if isinstance(env, envs.BiWalk):
         env.init_reward_goals([envs.WalkToX(goal) for goal in run.info["goals"]])
-        obs = env._observe(env._moment())
+        obs = env._observe(env._state())
     return env, obs
 
 

@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from warpvox.errors import SimulationError
 from warpvox.evogym import EvoSim, EvoWorld
-from warpvox.evogym.engine import Engine, orientation
+from warpvox.evogym.engine import Engine
 from warpvox.evogym.simulator_cpp import Sim
 from warpvox.simulation import Simulation
 from warpvox.world import World
@@ -199,13 +197,18 @@ def test_a_robot_that_folds_stops_the_clock() -> None:
     pytest.fail("goals far beyond what bodies survive have not folded this one")
 
 
-@given(st.floats(0.0, 6.28), st.integers(3, 40), st.integers(0, 99))
-def test_orientation_measures_rotations(angle: float, count: int, seed: int) -> None:
-    home = np.random.default_rng(seed).uniform(-1, 1, (count, 2))
-    about = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    found = orientation(home @ about.T + [3, -2], home)
-    # The guard of the arc cosine makes angles below 0.0045 uncertain by as much.
-    assert abs((found - angle + np.pi) % (2 * np.pi) - np.pi) < 5e-3
+def test_orientation_of_the_past_is_that_of_its_time() -> None:
+    sim, found = EvoSim(make_world()), []
+    sim.get_time()
+    for row in waves(5, 6):
+        found.append(sim.object_orientation_at_time(sim.get_time(), "robot"))
+        sim.set_action("robot", row)
+        sim.step()
+    points = sim.pos_at_time(5)
+    assert [sim.object_orientation_at_time(time, "robot") for time in range(5)] == found
+    assert len(set(found)) == 5
+    assert np.array_equal(sim.pos_at_time(5), points)  # asking has moved nothing
+    assert sim.object_orientation_at_time(5, "ground") == sim.object_orientation_at_time(0, "ground") < 5e-3
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from warpvox.envs.single import Sensors
 from warpvox.errors import listing
 from warpvox.evogym.errors import ArgumentError
 from warpvox.kernels.state import DIVERGED, UNSTABLE
@@ -16,10 +17,9 @@ from warpvox.simulation import Simulation
 from warpvox.types import Cell
 from warpvox.world import World
 
-__all__ = ["Engine", "orientation"]
+__all__ = ["Engine"]
 
 _STOPPED = int(UNSTABLE) | int(DIVERGED)
-_NEARLY_ONE, _TINY, _TWO_PI = 0.99999, 1e-7, 2 * 3.1415926  # as released
 _ANY_NUMBER = (-np.inf, np.inf)
 
 
@@ -68,15 +68,16 @@ class Engine:
         self._spans = {b.name: slice(b.first_point, b.first_point + len(b.points)) for b in design.bodies}
         counts = {body.name: body.source.num_actuators for body in design.robots}
         self.goals = {b.name: self._actions[b.first_action :][: counts[b.name]] for b in design.robots}
-        self._still = {body.name: np.array(body.points) for body in design.statics}
-        self._sim = sim
+        self._static = {body.name: np.array(body.points) for body in design.statics}
+        self._sim, self.sensors = sim, Sensors(sim)
+        self._orientations: dict[str, float] = {}  # of objects that cannot move
 
     # ------------------------------------------------------------------------------------------- stepping
 
     def step(self) -> bool:
         """One control step; True if self-folding (or numbers that are not finite) stopped and undid it."""
         self._sim.advance()
-        self.changes += 1
+        self._moved()
         if self._status[0] & _STOPPED:
             return True
         self.time += 1
@@ -92,12 +93,17 @@ class Engine:
         self._set(pos, vel)
         self.time = time
         self._past = {then: kept for then, kept in self._past.items() if then <= time}
-        self.changes += 1
 
     def _set(self, pos: np.ndarray, vel: np.ndarray) -> None:
         self._views["pos"][:] = pos
         self._views["vel"][:] = self._views["true_vel"][:] = vel
         self._sim.invalidate()
+        self._moved()
+
+    def _moved(self) -> None:
+        """Points have moved: what was sensed of them no longer holds."""
+        self.changes += 1
+        self.sensors.moved = True
 
     def translate(self, name: str, dx: float, dy: float) -> None:
         """Move all points of an object, in simulator units; overlaps are not looked at."""
@@ -105,20 +111,20 @@ class Engine:
             self._loosen(name)
         self._views["pos"][self._spans[name]] += (dx, dy)
         self._sim.invalidate()
+        self._moved()
         self._record()
-        self.changes += 1
 
     def _loosen(self, name: str) -> None:
         """Make an object one whose fixed cells can be moved; the past is told anew with its points in it."""
         past, actions = self._past, self._actions.copy()
         told = {time: [self._parts(kept) for kept in past[time]] for time in past}
-        still, self._loose = self._still, (*self._loose, name)
+        static, self._loose = self._static, (*self._loose, name)
         self._build()
         self._actions[:] = actions
         moving = [body.name for body in self._sim.designs[0].bodies]
-        if name in still:  # it has not moved so far
+        if name in static:  # it has not moved so far
             for pos, vel in told.values():
-                pos[name], vel[name] = still[name], np.zeros_like(still[name])
+                pos[name], vel[name] = static[name], np.zeros_like(static[name])
         self._past = {
             time: tuple(np.concatenate([part[each] for each in moving]) for part in parts)
             for time, parts in told.items()
@@ -144,17 +150,17 @@ class Engine:
 
     def moves(self, name: str) -> bool:
         """Whether an object has points that the simulation can move."""
-        return name not in self._still
+        return name not in self._static
 
     def positions(self, time: int, name: str) -> np.ndarray:
         """``[points, 2]``, not to be written into."""
         pos, _ = self._at(time)
-        return self._still[name] if name in self._still else pos[self._spans[name]]
+        return self._static[name] if name in self._static else pos[self._spans[name]]
 
     def velocities(self, time: int, name: str) -> np.ndarray:
         """``[points, 2]``, not to be written into."""
         _, vel = self._at(time)
-        return np.zeros_like(self._still[name]) if name in self._still else vel[self._spans[name]]
+        return np.zeros_like(self._static[name]) if name in self._static else vel[self._spans[name]]
 
     def all_positions(self, time: int) -> np.ndarray:
         """``[points, 2]`` of all objects."""
@@ -166,14 +172,21 @@ class Engine:
 
     def orientation(self, time: int, name: str) -> float:
         """How far an object has turned since time 0, counter-clockwise in [0, 2 pi]."""
-        if time == self.time and name not in self._still:
-            return float(self._sim.orientation(name)[0])  # the same, by a kernel in a third of the time
-        return orientation(self.positions(time, name), self.positions(0, name))
-
-    def scan(self, name: str, objects: tuple[str, ...], reach: int, up: bool) -> np.ndarray:
-        """``[2 reach + 1]``: present distances from an object to others, below or above: ``Simulation.floor_scan``."""
-        look = self._sim.ceiling_scan if up else self._sim.floor_scan
-        return look(name, reach, objects)[0].numpy()
+        then, _ = self._at(time)
+        if name in self._static:
+            # Alone in its world an object can be moved; one that has not moved has the same orientation at any time.
+            if name not in self._orientations:
+                alone = World()
+                alone.add_object(self._bodies[name].source)
+                self._orientations[name] = Engine(alone).orientation(0, name)
+            return self._orientations[name]
+        if time == self.time:
+            return self.sensors.orientation(name).item()
+        now = self._views["pos"].copy()
+        self._views["pos"][:] = then
+        angle = self.sensors.orientation(name).item()
+        self._views["pos"][:] = now
+        return angle
 
     # --------------------------------------------------------------------------------------------- robots
 
@@ -207,30 +220,3 @@ class Engine:
 
     def _in_order(self) -> list:
         return [self._bodies[name] for name in self.names]
-
-
-def orientation(now: np.ndarray, home: np.ndarray) -> float:
-    """The release's measure of how far points ``[n, 2]`` have turned, counter-clockwise in [0, 2 pi].
-
-    The mean of the angles between old and new directions from the centre, weighted with the old distances. Where
-    rounding makes a cosine exceed 1 the release takes 0.99999: only its own order of summation gives its values at
-    rest, hence :func:`_sum`.
-    """
-    n = len(home)
-    now, home = now - _sum(now) / n, home - _sum(home) / n
-    far, weight = np.sqrt((now * now).sum(1)), np.sqrt((home * home).sum(1))
-    a, b = (rows / np.maximum(size, 1e-300)[:, None] for rows, size in ((now, far), (home, weight)))
-    cosine = (a * b).sum(1)
-    cosine[(far * weight < _TINY) | (cosine > 1)] = _NEARLY_ONE
-    cosine[cosine < -1] = -_NEARLY_ONE
-    angle = float((np.arccos(cosine) * weight).sum() / weight.sum())
-    clockwise = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() > 0
-    return _TWO_PI - angle if clockwise else angle
-
-
-def _sum(points: np.ndarray) -> np.ndarray:
-    """The sum of rows ``[n, 2]``: the first, then four at a time in two pairs, then the rest."""
-    whole = 1 + (len(points) - 1) // 4 * 4
-    four = points[1:whole].reshape(-1, 4, 2)
-    pairs = (four[:, 0] + four[:, 1]) + (four[:, 2] + four[:, 3])
-    return np.add.reduce(np.concatenate([points[:1], pairs, points[whole:]]))

@@ -110,7 +110,7 @@ class EvoGymBase(gym.Env):
             ArgumentError (a ValueError): no such robot, or another number of values.
         """
         for name, goals in action.items():
-            self._sim.set_action(name, np.clip(goals, ACTION_LOW, ACTION_HIGH))
+            self._sim.set_action(name, np.minimum(np.maximum(goals, ACTION_LOW), ACTION_HIGH))  # faster than clip
         stopped = self._sim.step()
         if self._render_mode in _WINDOWED:
             self.render()

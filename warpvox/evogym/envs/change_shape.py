@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from warpvox.evogym.envs.base import BenchmarkBase
-from warpvox.evogym.envs.moment import convex_hull, polygon_area, turn
 from warpvox.evogym.envs.task import TaskEnv
 
 __all__ = ["MaximizeShape", "MaximizeXShape", "MaximizeYShape", "MinimizeShape", "ShapeBase"]
@@ -23,15 +22,19 @@ class ShapeBase(BenchmarkBase):
 
     def CCW(self, p1: np.ndarray, p2: np.ndarray, p3: np.ndarray) -> bool:
         """Whether the way over three points turns left or goes straight on."""
-        return bool(turn(p1, p2, p3) >= 0)
+        return bool((p2[0] - p1[0]) * (p3[1] - p1[1]) - (p2[1] - p1[1]) * (p3[0] - p1[0]) >= 0)
 
     def jarvis_march(self, S: np.ndarray) -> np.ndarray:
         """Corners ``[k, 2]`` of the convex hull of points ``[n, 2]``, counter-clockwise."""
-        return convex_hull(np.asarray(S))
+        from scipy.spatial import ConvexHull
+
+        points = np.asarray(S)
+        return points[ConvexHull(points).vertices]
 
     def convex_poly_area(self, pts_cw: np.ndarray) -> float:
         """Area of a polygon ``[k, 2]``, positive if counter-clockwise."""
-        return polygon_area(np.asarray(pts_cw))
+        (x, y), (u, v) = np.transpose(pts_cw), np.transpose(np.roll(pts_cw, -1, axis=0))
+        return float(np.sum(x * v - u * y)) / 2
 
 
 class MaximizeShape(TaskEnv, ShapeBase):

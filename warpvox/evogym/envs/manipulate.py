@@ -141,8 +141,7 @@ class CatchSmallRect(TaskEnv, PackageBase):
         self.world = self._make_world(*self._made_of)
         self._sim = EvoSim(self.world)
         self.default_viewer.look_at(self._sim)
-        self._last = None
-        return self._observe(self._moment()), {}
+        return self._observe(self._state()), {}
 
 
 class ToppleBeam(TaskEnv, PackageBase):

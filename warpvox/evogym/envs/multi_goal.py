@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import random
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from warpvox.envs.spec import TaskSpec
+from warpvox.envs.state import State
 from warpvox.evogym.envs.base import BenchmarkBase
-from warpvox.evogym.envs.moment import OBSERVATIONS, Moment
 from warpvox.evogym.envs.task import TaskEnv
 from warpvox.evogym.errors import ArgumentError
 from warpvox.evogym.world import EvoWorld
@@ -118,13 +120,22 @@ class BiWalk(TaskEnv, GoalBase):
             goals.append(WalkToX(goal))
         self.init_reward_goals(goals)
 
-    def _observe(self, now: Moment) -> np.ndarray:
-        body = [OBSERVATIONS[name](now, "robot") for name in ("velocity", "shape")]
-        return np.concatenate([*body, [self.current_goal], self.get_obs({_AFTER: now.points("robot").T})])
+    def _rules(self) -> TaskSpec:
+        """The task without what is observed of goals and without its rewards, which are those of :class:`GoalBase`."""
+        spec = super()._rules()
+        return replace(spec, observations=spec.observations[:2], rewards=(), terminations=(), memory=())
 
-    def _judge(self, before: Moment, after: Moment) -> tuple[float, bool]:
-        reward, done = self.get_reward({_BEFORE: before.points("robot").T, _AFTER: after.points("robot").T})
-        return float(reward) + done, done
+    def _observe(self, now: State) -> np.ndarray:
+        return np.concatenate([super()._observe(now), [self.current_goal], self.get_obs({_AFTER: self._points()})])
+
+    def _judge(self, before: State, after: State, stopped: bool) -> tuple[float, bool]:
+        reward, done = self.get_reward({_BEFORE: self._points(1 - stopped), _AFTER: self._points()})
+        return float(reward) + done + stopped * self._spec.unstable_penalty, done or stopped
+
+    def _points(self, ago: int = 0) -> np.ndarray:
+        """``[2, points]``: the robot some steps ago."""
+        engine = self._sim._engine
+        return engine.positions(engine.time - ago, "robot").T
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
         """Begin an episode with other goals."""

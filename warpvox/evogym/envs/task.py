@@ -9,8 +9,8 @@ from gymnasium import spaces
 
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
+from warpvox.envs.state import State
 from warpvox.evogym.envs.base import BenchmarkBase, EvoGymBase
-from warpvox.evogym.envs.moment import OBSERVATIONS, REWARDS, TERMINATIONS, Moment
 from warpvox.evogym.world import EvoWorld, WorldObject
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
@@ -49,20 +49,23 @@ class TaskEnv(BenchmarkBase):
         render_mode: str | None = None,
         render_options: dict[str, Any] | None = None,
     ) -> None:
-        self._spec = get_task(self.task)
+        from warpvox.envs.single import RowTerms  # brings torch, which registering must not
+
+        self._spec = self._rules()
         self.world = self._make_world(self._spec, body, connections)
         BenchmarkBase.__init__(self, world=self.world, render_mode=render_mode, render_options=render_options)
         self.default_viewer.track_objects("robot", *(name for name in _FOLLOWED if name in self.world.objects))
-        self._observations = [(OBSERVATIONS.get(t.function.__name__), dict(t.params)) for t in self._spec.observations]
-        self._rewards = [(REWARDS.get(t.function.__name__), dict(t.params), t.weight) for t in self._spec.rewards]
-        self._ends = [(TERMINATIONS.get(t.function.__name__), dict(t.params), t.bonus) for t in self._spec.terminations]
-        for _, params in self._observations:
+        count = self.get_actuator_indices("robot").size
+        for params in (dict(term.params) for term in self._spec.observations):
             if "reach" in params:
                 self.sight_dist, self.terrain_list = params["reach"], list(params["objects"])
-        self._last: Moment | None = None
-        count = self.get_actuator_indices("robot").size
+        self._terms, self._compared, self._seen = RowTerms(self._spec), (), None
+        self._compared = self._terms.compared(self._state())
         self.action_space = spaces.Box(ACTION_LOW, ACTION_HIGH, (count,), float)
-        self.observation_space = spaces.Box(-_BOUND, _BOUND, self._observe(self._moment()).shape, float)
+        self.observation_space = spaces.Box(-_BOUND, _BOUND, self._observe(self._state()).shape, float)
+
+    def _rules(self) -> TaskSpec:
+        return get_task(self.task)
 
     def _make_world(self, spec: TaskSpec, body: np.ndarray, connections: np.ndarray | None) -> EvoWorld:
         world = EvoWorld()
@@ -71,25 +74,21 @@ class TaskEnv(BenchmarkBase):
         world.add_from_array("robot", body, *spec.robot_cell, connections=connections)
         return world
 
-    def _moment(self) -> Moment:
-        """The present, known from the last step if nothing has happened since."""
+    def _state(self) -> State:
+        """The present state; the one of the last step if nothing has happened since."""
         engine = self._sim._engine
-        if self._last is None or self._last.changes != engine.changes:
-            self._last = Moment(engine)
-        return self._last
+        if self._seen != (engine, engine.changes):
+            self._seen = engine, engine.changes
+            self._now = State(engine.sensors).remember(self._compared)
+        return self._now
 
-    def _observe(self, now: Moment) -> np.ndarray:
-        return np.concatenate([look(now, **params) for look, params in self._observations])
+    def _observe(self, now: State) -> np.ndarray:
+        return self._terms.observe(now)
 
-    def _judge(self, before: Moment, after: Moment) -> tuple[float, bool]:
-        """Reward of a step, and whether the task has ended with it."""
-        reward, ended = 0.0, False
-        for score, params, weight in self._rewards:
-            reward += weight * float(score(before, after, **params))
-        for test, params, bonus in self._ends:
-            if test(after, **params):
-                reward, ended = reward + bonus, True
-        return reward, ended
+    def _judge(self, before: State, after: State, stopped: bool) -> tuple[float, bool]:
+        """Reward of a step, and whether the episode has ended with it."""
+        terms, ended = self._terms.judge(before, after, stopped)
+        return sum(terms.values()), ended
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """One control step.
@@ -100,16 +99,13 @@ class TaskEnv(BenchmarkBase):
         Raises:
             ArgumentError (a ValueError): another number of values than actuators.
         """
-        before = self._moment()
+        before = self._state()
         stopped = EvoGymBase.step(self, {"robot": action})
-        after = self._moment()
+        after = self._state()
         obs = self._observe(after)
-        reward, ended = self._judge(before, after)
-        if stopped:
-            reward += self._spec.unstable_penalty
-        return obs, reward, stopped or ended, False, {}
+        return obs, *self._judge(before, after, stopped), False, {}
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
         """Begin an episode; ``options`` are not used. Returns the observation and an empty dictionary."""
         EvoGymBase.reset(self, seed=seed, options=options)
-        return self._observe(self._moment()), {}
+        return self._observe(self._state()), {}
