@@ -29,7 +29,7 @@ def load_designs(spec: TaskSpec, designs: object) -> list[Design | dict[str, Des
     """Valid bodies; for a task with several robots those of all, by name."""
     if designs is None:
         designs = [DEFAULT_DESIGN]
-    single = isinstance(designs, str | Mapping) or (isinstance(designs, np.ndarray) and designs.ndim == 2)
+    single = isinstance(designs, str | Mapping) or (isinstance(designs, np.ndarray) and designs.ndim in (0, 2))
     if not single and not isinstance(designs, Sequence | np.ndarray):
         raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")
     bodies = [designs] if single else list(designs)

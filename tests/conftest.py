@@ -19,12 +19,13 @@ parallel.one_thread_each()
 
 # The same examples on every run, and no time limit for one: a shared machine may stall at any moment.
 settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("thorough", deadline=None, max_examples=5000, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
 
 LONGEST = (
     *("test_ray_executor", "test_paths", "test_bench", "test_processes", "test_codesign", "test_moments"),
     *("test_needs", "test_population_evaluator", "test_protocol", "test_cuda_build", "test_disk", "test_damage"),
-    *("test_signals", "test_fuzz", "test_trust", "test_bad_numbers", "test_bodies", "test_ppo"),
+    *("test_signals", "test_trust", "test_bad_numbers", "test_bodies", "test_ppo"),
     *("test_group", "test_commands"),
 )
 """Files that take ten seconds or more. They go first, so that no process waits for another at the end."""

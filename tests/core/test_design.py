@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from damage import Stranger
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -85,6 +86,10 @@ def test_check_design_returns_a_copy() -> None:
         ([[True, True]], "must hold numbers"),
         ("walker", "must hold numbers"),
         (None, "must hold numbers"),
+        (["x" * 100, 1], "must hold numbers"),
+        ([["3", 4]], "must hold numbers"),
+        ([[[3], 4]], "two dimensions"),
+        (Stranger(), "cannot be read as an array"),
     ],
 )
 def test_check_design_says_what_is_wrong(body: object, words: str) -> None:
@@ -172,6 +177,12 @@ def test_probabilities_are_relative_weights() -> None:
         ({"probabilities": [1, 1, float("nan"), 1, 1]}, "finite"),
         ({"probabilities": [1, 1, float("inf"), 1, 1]}, "finite"),
         ({"probabilities": [0, 0, 0, 0, 0]}, r"all zero.*got \(0\.0, 0\.0, 0\.0, 0\.0, 0\.0\)"),
+        ({"shape": (1, float("inf"))}, "shape"),
+        ({"probabilities": [1, "x", 1, 1, 1]}, "must be"),
+        ({"probabilities": [1, 1e308, 1e308, 1e308, 1]}, "must be"),
+        ({"probabilities": [1, 1, 1, 1e-9, 0]}, "must leave"),
+        ({"probabilities": Stranger()}, "must be"),
+        ({"probabilities": "walker"}, "must be"),
         ({"shape": (25, 25), "probabilities": [8, 1, 1, 1, 1]}, "No valid 25x25 body"),
     ],
 )
@@ -231,6 +242,13 @@ def test_a_structure_file_with_cuts_is_refused(tmp_path: Path) -> None:
         wv.load_design(tmp_path / "cut.npz")
 
 
+@pytest.mark.parametrize("pairs", [[[0.0, np.nan]], [[0], [np.nan]], [0, 1], [[[0], [1]]]])
+def test_connections_of_a_structure_file_are_pairs(tmp_path: Path, pairs: list) -> None:
+    np.savez(tmp_path / "a.npz", arr_0=[[3, 4]], arr_1=np.array(pairs))
+    with pytest.raises(wv.DesignError, match="not pairs of cells"):
+        wv.load_design(tmp_path / "a.npz")
+
+
 def test_load_design_understands_names_random_text_and_arrays() -> None:
     assert np.array_equal(wv.load_design("hopper"), wv.example_design("hopper"))
     assert np.array_equal(wv.load_design("random", seed=3), wv.sample_design((5, 5), 3))
@@ -249,6 +267,11 @@ def test_load_design_understands_names_random_text_and_arrays() -> None:
         ("[[0]]", "empty"),
         ("nowhere.json", "There is no design file"),
         (7, "two dimensions"),
+        ("x" * 5000 + ".npy", "cannot be read"),
+        ("a\0b.npz", "design"),
+        ("random:" + "9" * 5000 + "x1", "Cannot read the size"),
+        ("random:99999x99999", "too large"),
+        ("/dev/zero.npy", "no design file"),
     ],
 )
 def test_load_design_refuses_what_it_cannot_read(spec: object, words: str) -> None:

@@ -98,12 +98,14 @@ def test_moving() -> None:
     [
         (("robot", [[3]], 0, 9), "has an object 'robot' already"),
         (("", [[3]], 0, 9), "needs a name"),
+        (("\ud800", [[3]], 0, 9), "half of a character"),
         (("a", [[0]], 0, 9), "no cells"),
         (("a", [[9]], 0, 9), "object 'a' holds an unknown cell type 9 at row 0, column 0"),
         (("a", [3], 0, 9), "two dimensions"),
         (("a", [[3]], -1, 9), r"'a' must not be negative, got \(-1, 9\)"),
         (("a", [[3]], 0.5, 9), "whole numbers"),
         (("a", [[3]], 2, 2), r"overlaps 'robot' at cell \(2, 2\)"),
+        (("a", [[3, 3]], 0, 9, [[0], [1, 2]]), "ragged"),
         (("a", [[3, 3]], 0, 9, [[0], [2]]), "not two neighbouring filled cells"),
         (("a", [[3, 0, 3]], 0, 9, [[0], [1]]), "not two neighbouring filled cells"),
         (("a", [[3, 3]], 0, 9, [[0, 1], [1, 0], [0, 1]]), r"shape \[2, k\]"),
@@ -121,6 +123,11 @@ def test_bad_objects_change_nothing(arguments: tuple[object, ...], words: str) -
 def test_unknown_names_and_sizes() -> None:
     with pytest.raises(wv.WorldError, match=r"no object 'robo'. Did you mean 'robot'\? It has ground, robot"):
         walker_world().remove_object("robo")
+    for name in ([], {}, 5, "rob"):
+        with pytest.raises(wv.WorldError, match="no object"):
+            walker_world().remove_object(name)
+        with pytest.raises(wv.WorldError, match="no object"):
+            walker_world().move_object(name, 0, 0)
     with pytest.raises(wv.WorldError, match="width"):
         wv.World(0, 5)
     with pytest.raises(wv.WorldError, match="height"):
@@ -254,6 +261,7 @@ def broken(**changes: object) -> dict[str, object]:
         ("{", "not valid JSON"),
         ('{"grid_width": 1}', "it lacks grid_height, objects"),
         ('{"grid_width": 1, "grid_height": 1, "objects": {"a": 1, "a": 2}}', "'a' occurs twice"),
+        (r'{"grid_width": 1, "grid_height": 1, "objects": {"\udfff": 1}}', "half of a character"),
         ("nowhere.json", "There is no world file 'nowhere.json'"),
         (7, "got int"),
         (HAND_MADE | {"grid_width": 0}, "whole numbers >= 1"),

@@ -141,6 +141,12 @@ def test_names_lead_nowhere_else(name: object) -> None:
         check_file_name(name)
 
 
+def test_names_fit_the_file_system() -> None:
+    assert check_file_name("a" * 64) == "a" * 64 + ".json"
+    with pytest.raises(WarpvoxError):
+        check_file_name("a" + "𠀀" * 63)
+
+
 def test_files_are_not_replaced_unasked(tmp_path: Path) -> None:
     path = save_file(BODY, tmp_path, "robot")
     before = path.read_bytes()

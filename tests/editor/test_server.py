@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import json
 import socket
@@ -10,11 +11,13 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
+from bounds import fuzz
+from damage import as_json, damaged_bytes, damaged_tree
 
 from warpvox.design import example_designs
 from warpvox.editor.documents import document_of
-from warpvox.editor.server import LARGEST, EditorServer
-from warpvox.errors import DeviceError, WarpvoxError
+from warpvox.editor.server import ACTIONS, LARGEST, EditorServer
+from warpvox.errors import ConfigError, DeviceError, WarpvoxError
 
 WALKER = document_of(example_designs()["walker"])
 
@@ -103,9 +106,14 @@ def test_other_origins_are_refused(server: EditorServer, origin: str) -> None:
         (b"{}", {"Content_Length": "-5"}, 411),
         (b"{}", {"Content_Length": str(LARGEST + 1)}, 413),
         (b"{}", {"Content_Length": "9" * 30}, 413),
+        (b"{}", {"Content_Length": "²".encode()}, 411),
+        (b"{}", {"Content_Length": "9" * 5000}, 413),
         (b"{broken", {}, 400),
         (b"[1]", {}, 400),
         (b"[" * 100_000, {}, 400),
+        (rb'{"a":"\ud800"}', {}, 400),
+        (b"\xff\xfe", {}, 400),
+        (b'{"a":1,"a":2}', {}, 400),
     ],
 )
 def test_requests_have_a_form_and_a_size(server: EditorServer, body: bytes, headers: dict, status: int) -> None:
@@ -220,3 +228,41 @@ def test_tasks_of_ones_own_are_named_at_the_start(tmp_path) -> None:
     assert name in server.page
     with pytest.raises(WarpvoxError, match="no file"):
         EditorServer(tmp_path, tasks=["nowhere.py:MINE"])
+
+
+QUESTION = {"document": WALKER, "name": "one", "overwrite": True, "agent": "sine", "seconds": 0.04, "seed": 1}
+QUESTION |= {"task": "Walker-v0", "rows": 3, "columns": 4}
+
+
+@pytest.mark.parametrize("action", ["check", "open", "save", "rollout"])
+def test_damaged_questions_are_answered_or_refused(server: EditorServer, action: str) -> None:
+    def use(question: object) -> None:
+        if not isinstance(question, dict):
+            raise ConfigError("The server takes objects only.")
+        json.dumps(ACTIONS[action](server, question))
+
+    ACTIONS["save"](server, QUESTION)
+    use(QUESTION)
+    fuzz(damaged_tree(QUESTION), use, 0.3)
+
+
+def test_damaged_requests_are_answered_or_refused(server: EditorServer) -> None:
+    body = as_json(QUESTION)
+    head = f"POST /{server.token}/check HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nConnection: close\r\n".encode()
+    head += f"Content-Type: application/json\r\nContent-Length: {len(body)}\r\n\r\n".encode()
+
+    def use(data: bytes) -> None:
+        """The connection is closed in time; that the server has not failed is looked at when it ends."""
+        with socket.create_connection(("127.0.0.1", server.port), timeout=20) as line:
+            with contextlib.suppress(OSError):  # it may have closed already
+                line.sendall(data)
+                line.shutdown(socket.SHUT_WR)
+            answer = b""
+            with contextlib.suppress(ConnectionError):
+                while part := line.recv(65536):
+                    answer += part
+        if not answer.startswith(b"HTTP/1.1 200") or b'"error"' in answer:
+            raise ConfigError(f"refused: {answer[:60]!r}")
+
+    use(head + body)
+    fuzz(damaged_bytes(head).map(lambda data: data + body) | damaged_bytes(body).map(lambda data: head + data), use)

@@ -1,0 +1,92 @@
+"""Valid files of every format that warpvox reads, small, to be damaged."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpvox.design import sample_design
+from warpvox.world import World
+
+
+@cache
+def world_tree() -> dict:
+    """A world as JSON has it; the stone has a ``box``, because its grid has empty cells around it."""
+    world = World(12, 8)
+    world.add_from_array("ground", np.full((1, 12), 5), 0, 0)
+    world.add_from_array("robot", sample_design((3, 3), 0), 2, 2)
+    world.add_from_array("stone ä", [[0, 0, 0, 0], [0, 1, 2, 0], [0, 0, 0, 0]], 7, 3)
+    return json.loads(world.to_json())
+
+
+@cache
+def rollout_bytes() -> bytes:
+    """A short rollout of two environments with different bodies."""
+    from warpvox.envs.vec_env import make_vec
+    from warpvox.view.rollout import record
+
+    env = make_vec("Walker-v0", [[[3]], [[4, 3]]], 2, device="cpu", threads=1)
+    with tempfile.TemporaryDirectory() as folder:
+        return record(env, "sine", 3).save(Path(folder, "rollout.npz")).read_bytes()
+
+
+@cache
+def checkpoint_content() -> dict[str, Any]:
+    """What a checkpoint of a small policy holds."""
+    import torch
+
+    from warpvox.algos.checkpoints.files import PolicySpec, build_actor, spec_dict
+
+    spec = PolicySpec(6, 3, [8, 4], "elu", True, 0.4)
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        weights = build_actor(spec).state_dict()
+    return {"policy": spec_dict(spec), "actor_state_dict": weights, "iteration": 3, "score": [1.0, None]}
+
+
+@cache
+def archive_bytes() -> bytes:
+    """An archive of two generations."""
+    from warpvox.algos.candidate import Candidate, Outcome
+    from warpvox.algos.codesign.archive import Archive, Finished
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "archive.sqlite")
+        with Archive.create(path, {"task": "Walker-v0", "search": {"name": "ga"}}) as archive:
+            for generation in range(2):
+                numbers = [2 * generation, 2 * generation + 1]
+                parents = (0,) * generation
+                archive.propose([Candidate(k, sample_design((3, 3), k), parents, "x", generation) for k in numbers], 1)
+                outcome = Outcome(1.0, [(10, 0.5)], 20)
+                archive.finish([Finished(k, outcome, f"designs/{k}/p.pt", "ab") for k in numbers], seconds=1.0)
+        return path.read_bytes()
+
+
+@cache
+def config_text() -> str:
+    """The configuration of a run as it is stored."""
+    from warpvox.cli.config import load, to_yaml
+
+    return to_yaml(load("train", []))
+
+
+SCHEMES = [
+    "DROP TABLE curves",
+    "DROP VIEW generations",
+    "CREATE TABLE more (x)",
+    "CREATE TRIGGER t AFTER UPDATE ON candidates BEGIN DELETE FROM candidates; END",
+    "CREATE INDEX i ON candidates(abs(seed))",
+    "ALTER TABLE candidates ADD COLUMN y",
+    "ALTER TABLE candidates RENAME TO c; CREATE VIEW candidates AS SELECT * FROM c",
+    "DROP VIEW generations; CREATE VIEW generations AS WITH RECURSIVE n(generation) AS (VALUES (1) UNION ALL SELECT"
+    " generation + 1 FROM n) SELECT generation, 1 AS designs FROM n",
+    "DROP VIEW generations; CREATE TABLE generations (generation, designs)",
+    "DROP TABLE experiment; CREATE VIEW experiment AS WITH RECURSIVE n(key) AS (VALUES (1) UNION ALL SELECT key + 1"
+    " FROM n) SELECT key, 'x' AS value FROM n",
+]
+"""Changes of an archive's schema."""
