@@ -6,6 +6,7 @@ A.1 and C.1). This module checks, samples, loads and saves bodies; it needs nump
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Sequence
@@ -147,20 +148,29 @@ def has_actuator(body: object) -> bool:
     return bool(((cells == Cell.H_ACT) | (cells == Cell.V_ACT)).any())
 
 
-def count_pieces(grid: np.ndarray) -> int:
-    """Number of edge-connected pieces of non-empty cells in ``grid`` ``[rows, columns]``."""
-    # Disjoint sets over the cells: joining the ends of every connection leaves one root per piece.
-    root = list(range(grid.size))  # a list: numpy takes longer to read a single entry
+def count_pieces(bodies: np.ndarray) -> np.ndarray:
+    """int ``[...]``: edge-connected pieces of non-empty cells in each of the bodies ``[..., rows, columns]``."""
+    *batch, rows, columns = bodies.shape
+    grid = np.zeros((math.prod(batch), rows + 1, columns), bool)  # an empty row keeps bodies apart
+    grid[:, :-1] = bodies.reshape(-1, rows, columns) != Cell.EMPTY
+    first, second = full_connections(grid.reshape(-1, columns)).T
+    root = np.arange(grid.size)
+    while True:  # cells point to a cell of their piece with a smaller index: join ends of connections, then shorten
+        a, b = root[first], root[second]
+        if np.array_equal(a, b):
+            break
+        np.minimum.at(root, np.maximum(a, b), np.minimum(a, b))
+        while not np.array_equal(root, shorter := root[root]):
+            root = shorter
+    roots = (root == np.arange(grid.size)) & grid.reshape(-1)
+    return roots.reshape(*batch, (rows + 1) * columns).sum(-1)
 
-    def find(cell: int) -> int:
-        while root[cell] != cell:
-            root[cell] = root[root[cell]]
-            cell = root[cell]
-        return cell
 
-    for a, b in full_connections(grid).tolist():
-        root[find(a)] = find(b)
-    return len({find(cell) for cell in np.flatnonzero(grid).tolist()})
+def are_valid(bodies: np.ndarray) -> np.ndarray:
+    """bool ``[n]``: which of the bodies ``[n, rows, columns]`` are one piece and have an actuator."""
+    actuated = ((bodies == Cell.H_ACT) | (bodies == Cell.V_ACT)).any((1, 2))
+    actuated[actuated] = count_pieces(bodies[actuated]) == 1
+    return actuated
 
 
 def full_connections(grid: np.ndarray) -> np.ndarray:
@@ -204,18 +214,24 @@ def sample_design(
     except (TypeError, ValueError):
         raise DesignError(f"The seed must be None, an integer >= 0 or a numpy Generator, got {seed!r}.") from None
     # One body per draw: a shared Generator then advances by exactly what was rejected, whatever else uses it.
-    cumulative = np.cumsum(weights)
-    cumulative[-1] = 1.0
     draws = max(1, _MAX_DRAWS // (rows * columns))
     for _ in range(draws):
-        body = np.searchsorted(cumulative, rng.random((rows, columns)), side="right").astype(np.int8)
-        if _may_be_connected(body) and (body >= Cell.H_ACT).any() and count_pieces(body) == 1:
-            return body
+        body = draw_bodies(rng, 1, (rows, columns), weights)
+        if are_valid(body)[0]:
+            return body[0]
     raise DesignError(
         f"No valid {rows}x{columns} body turned up in {draws} draws with the weights"
         f" {tuple(round(float(w), 4) for w in weights)}: give empty cells (the first weight) less and"
         " actuators (the last two) more."
     )
+
+
+def draw_bodies(
+    rng: np.random.Generator, count: int, shape: tuple[int, int], weights: Sequence[float] = SAMPLING_WEIGHTS
+) -> np.ndarray:
+    """``count`` bodies, valid or not: int8 ``[count, rows, columns]`` of independent cells with relative weights."""
+    cumulative = np.cumsum(weights) / np.sum(weights)
+    return np.searchsorted(cumulative[:-1], rng.random((count, *shape)), side="right").astype(np.int8)
 
 
 def example_designs() -> dict[str, Design]:
@@ -395,14 +411,6 @@ def _check_weights(weights: Sequence[float]) -> np.ndarray:
     if (array[Cell.H_ACT] + array[Cell.V_ACT]) / total < LEAST_CHANCE:
         raise DesignError(f"The probabilities must leave a chance for an actuator (the last two), got {given}.")
     return array / total
-
-
-def _may_be_connected(body: np.ndarray) -> bool:
-    """Cheap necessary condition: no cell without neighbour unless it is the only one."""
-    solid = np.pad(body != 0, 1)
-    inner = solid[1:-1, 1:-1]
-    company = solid[:-2, 1:-1] | solid[2:, 1:-1] | solid[1:-1, :-2] | solid[1:-1, 2:]
-    return bool((company | ~inner).all()) or int(inner.sum()) == 1
 
 
 def _cell_names(robot_only: bool = False) -> str:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from warpvox.algos.candidate import Candidate
-from warpvox.algos.search.bodies import MAX_VOXELS, body_key, count_valid, first_valid, mutate, random_bodies
+from warpvox.algos.search.bodies import MAX_VOXELS, body_key, count_valid, first_valid, mutate
 from warpvox.algos.search.settings import SearchSettings
-from warpvox.design import check_design
+from warpvox.design import check_design, draw_bodies
 from warpvox.errors import ConfigError, DesignError, SearchError
 
 __all__ = ["BaseSearch", "Proposal"]
@@ -106,7 +106,7 @@ class BaseSearch(ABC):
         Raises:
             SearchError: none turns up.
         """
-        body = self.new_body(lambda: random_bodies(rng, BATCH, self.shape))
+        body = self.new_body(lambda: draw_bodies(rng, BATCH, self.shape))
         if body is None:
             rows, columns = self.shape
             raise SearchError(

@@ -11,8 +11,9 @@ from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.base import BaseSearch, Proposal
 from warpvox.algos.search.bo_acquire import ascend, climb_posterior, improve, log_improvement, thompson_starts
 from warpvox.algos.search.bo_model import fit_model, own_torch
-from warpvox.algos.search.bodies import body_key, mutate, random_bodies, valid
+from warpvox.algos.search.bodies import body_key, mutate
 from warpvox.algos.search.settings import BoSettings
+from warpvox.design import are_valid, draw_bodies
 
 __all__ = ["BayesianSearch", "Pool"]
 
@@ -95,7 +96,7 @@ class BayesianSearch(BaseSearch):
 
     def _ends_or_starts(self, starts: np.ndarray, ends: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
         """Each end, or its start where the end is not valid or not new; and whether it is the end."""
-        for start, end, good in zip(starts, ends, valid(ends), strict=True):
+        for start, end, good in zip(starts, ends, are_valid(ends), strict=True):
             if good and self.claim(end):
                 yield end, True
             elif self.claim(start):  # False where an earlier climb has ended at this start
@@ -107,7 +108,7 @@ class BayesianSearch(BaseSearch):
         """A summit for each start, and whether it lies elsewhere than the start."""
 
         def free(bodies: np.ndarray) -> np.ndarray:
-            return valid(bodies) & np.array([not self.is_known(body_key(body)) for body in bodies])
+            return are_valid(bodies) & np.array([not self.is_known(body_key(body)) for body in bodies])
 
         for start, end in zip(starts, ends, strict=True):
             summit = ascend(values, np.stack([end, start]), free)
@@ -154,7 +155,7 @@ class BayesianSearch(BaseSearch):
         stack = np.stack(self.bodies)
 
         def draw_random() -> tuple[np.ndarray, np.ndarray]:
-            return random_bodies(rng, DRAWS, self.shape), np.full(DRAWS, NOBODY)
+            return draw_bodies(rng, DRAWS, self.shape), np.full(DRAWS, NOBODY)
 
         def draw_mutants() -> tuple[np.ndarray, np.ndarray]:
             parents = rng.choice(best, DRAWS)
@@ -179,7 +180,7 @@ class BayesianSearch(BaseSearch):
             if len(found) >= total:
                 return
             bodies, parents = draw()
-            for place in np.flatnonzero(valid(bodies)):
+            for place in np.flatnonzero(are_valid(bodies)):
                 key = body_key(bodies[place])
                 if len(found) < total and not self.is_known(key):
                     found.setdefault(key, (bodies[place], int(parents[place])))

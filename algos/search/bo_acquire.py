@@ -15,7 +15,8 @@ from botorch.optim import optimize_acqf
 from botorch.sampling.pathwise import draw_matheron_paths
 
 from warpvox.algos.search.bo_model import from_one_hot, one_hot
-from warpvox.algos.search.bodies import neighbours, valid
+from warpvox.algos.search.bodies import neighbours
+from warpvox.design import are_valid
 
 __all__ = ["Climb", "ascend", "climb", "climb_posterior", "improve", "log_improvement", "thompson_starts"]
 
@@ -141,7 +142,7 @@ def climb(values: Callable[[np.ndarray], np.ndarray], pool: np.ndarray) -> Climb
     each = np.arange(len(start))
     while True:
         around = neighbours(current)
-        usable = valid(around.reshape(-1, *pool.shape[1:])).reshape(around.shape[:2])
+        usable = are_valid(around.reshape(-1, *pool.shape[1:])).reshape(around.shape[:2])
         at_neighbours = np.where(usable, values(around), -np.inf)
         best = at_neighbours.argmax(1)
         higher = at_neighbours[each, best] > height + NOTHING

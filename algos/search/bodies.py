@@ -1,4 +1,4 @@
-"""Many bodies at once: validity, sampling, mutation, neighbours. Arrays are int8 ``[n, rows, columns]``."""
+"""Many bodies at once: mutation, neighbours, search for a valid one. Arrays are int8 ``[n, rows, columns]``."""
 
 from __future__ import annotations
 
@@ -6,52 +6,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from warpvox.design import SAMPLING_WEIGHTS
-from warpvox.types import Cell
+from warpvox.design import SAMPLING_WEIGHTS, are_valid
 
-__all__ = ["CELL_TYPES", "body_key", "count_valid", "first_valid", "mutate", "neighbours", "random_bodies", "valid"]
+__all__ = ["CELL_TYPES", "body_key", "count_valid", "first_valid", "mutate", "neighbours"]
 
 CELL_TYPES = len(SAMPLING_WEIGHTS)
 """A robot's voxel is one of these many types; they count from 0."""
 
 MAX_VOXELS = 2_000_000
-"""Voxels drawn in search of one body before its source counts as dry, unless said otherwise."""
+"""Voxels drawn in search of one valid body, by default, before the search is given up."""
 
 
 def body_key(body: np.ndarray) -> bytes:
-    """What tells a body from all others of its shape; as good as its hash, without collisions."""
+    """A key that identifies a body among those of its shape."""
     return np.ascontiguousarray(body, dtype=np.int8).tobytes()
-
-
-def valid(bodies: np.ndarray) -> np.ndarray:
-    """bool ``[n]``: connected along edges and with an actuator, as :func:`warpvox.design.check_design` has it."""
-    if not len(bodies):
-        return np.zeros(0, bool)
-    solid = bodies != Cell.EMPTY
-    # Flood fill of all bodies at once, from the first solid cell of each.
-    flat = solid.reshape(len(bodies), -1)
-    reached = np.zeros_like(flat)
-    reached[np.arange(len(bodies)), flat.argmax(1)] = True
-    reached = reached.reshape(solid.shape) & solid
-    while True:
-        grown = reached.copy()
-        grown[:, 1:] |= reached[:, :-1]
-        grown[:, :-1] |= reached[:, 1:]
-        grown[:, :, 1:] |= reached[:, :, :-1]
-        grown[:, :, :-1] |= reached[:, :, 1:]
-        grown &= solid
-        if np.array_equal(grown, reached):
-            break
-        reached = grown
-    whole = (reached == solid).all((1, 2))
-    return whole & np.isin(bodies, (Cell.H_ACT, Cell.V_ACT)).any((1, 2))
-
-
-def random_bodies(rng: np.random.Generator, count: int, shape: tuple[int, int]) -> np.ndarray:
-    """``count`` bodies, valid or not, by EvoGym's rule: independent voxels, empty three times as likely as others."""
-    cumulative = np.cumsum(SAMPLING_WEIGHTS) / sum(SAMPLING_WEIGHTS)
-    draws = np.searchsorted(cumulative[:-1], rng.random((count, *shape)), side="right")
-    return draws.astype(np.int8)
 
 
 def mutate(rng: np.random.Generator, bodies: np.ndarray, rate: float | np.ndarray) -> np.ndarray:
@@ -80,7 +48,7 @@ def first_valid(
     while drawn < limit:
         bodies = draw()
         drawn += bodies.size
-        for index in np.flatnonzero(valid(bodies)):
+        for index in np.flatnonzero(are_valid(bodies)):
             if not refuse(body_key(bodies[index])):
                 return bodies[index]
     return None
@@ -90,4 +58,4 @@ def count_valid(shape: tuple[int, int]) -> int:
     """How many valid bodies of a small ``shape`` there are, by trying all (5 to the power of the cells)."""
     cells = shape[0] * shape[1]
     codes = np.arange(CELL_TYPES**cells)[:, None] // CELL_TYPES ** np.arange(cells) % CELL_TYPES
-    return int(valid(codes.reshape(-1, *shape)).sum())
+    return int(are_valid(codes.reshape(-1, *shape)).sum())

@@ -13,8 +13,9 @@ import numpy as np
 
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.base import BaseSearch, Proposal
-from warpvox.algos.search.bodies import CELL_TYPES, valid
+from warpvox.algos.search.bodies import CELL_TYPES
 from warpvox.algos.search.settings import CppnNeatSettings
+from warpvox.design import are_valid
 from warpvox.errors import ConfigError, SearchError
 
 __all__ = ["CppnNeatSearch", "inputs", "neat_config", "paint"]
@@ -140,7 +141,7 @@ class CppnNeatSearch(BaseSearch):
         chosen: dict[int, tuple[neat.DefaultGenome, np.ndarray]] = {}
         for _ in range(ROUNDS):
             bodies = np.stack([paint(genome, self.config, self.shape) for genome in genomes.values()])
-            for (key, genome), body, good in zip(genomes.items(), bodies, valid(bodies), strict=True):
+            for (key, genome), body, good in zip(genomes.items(), bodies, are_valid(bodies), strict=True):
                 if good and len(chosen) < count and self.claim(body):
                     chosen[key] = (genome, body)
             if len(chosen) == count:

@@ -13,15 +13,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import warpvox as wv
-from warpvox.design import full_connections, has_actuator, is_connected
+from warpvox.design import are_valid, full_connections, has_actuator, is_connected
 
 GRIDS = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=7), elements=st.integers(0, 4))
-# Mostly filled grids: random ones of this size are hardly ever connected.
-DENSE = hnp.arrays(
-    np.int8,
-    hnp.array_shapes(min_dims=2, max_dims=2, max_side=6),
-    elements=st.sampled_from([1, 2, 3, 4, 3, 4, 2, 1, 0]),
-)
+# Mostly filled: random grids of this size are hardly ever connected.
+CELLS = st.sampled_from([1, 2, 3, 4, 3, 4, 2, 1, 0])
+DENSE = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=6), elements=CELLS)
 
 
 def flood_fill(grid: np.ndarray) -> bool:
@@ -47,6 +44,11 @@ def is_valid(grid: np.ndarray) -> bool:
 @given(GRIDS | DENSE)
 def test_connectivity_equals_a_flood_fill(grid: np.ndarray) -> None:
     assert is_connected(grid) == flood_fill(grid)
+
+
+@given(hnp.arrays(np.int8, st.tuples(st.integers(0, 6), st.integers(1, 6), st.integers(1, 6)), elements=CELLS))
+def test_bodies_of_a_batch_are_judged_apart(bodies: np.ndarray) -> None:
+    assert are_valid(bodies).tolist() == [is_valid(body) for body in bodies]
 
 
 @given(GRIDS | DENSE)

@@ -21,15 +21,16 @@ from warpvox.algos.search.bo_acquire import (
     thompson_starts,
 )
 from warpvox.algos.search.bo_model import fit_model, from_one_hot, make_model, one_hot, own_torch
-from warpvox.algos.search.bodies import body_key, mutate, neighbours, random_bodies, valid
+from warpvox.algos.search.bodies import body_key, mutate, neighbours
+from warpvox.design import are_valid, draw_bodies
 
 TOLERANCE = 1e-6
 """The process is in double precision; BoTorch adds up to this much to a diagonal for the sake of Cholesky."""
 
 
 def some_bodies(count: int, shape: tuple[int, int] = (4, 4), seed: int = 0) -> np.ndarray:
-    bodies = random_bodies(np.random.default_rng(seed), 40 * count, shape)
-    return np.unique(bodies[valid(bodies)], axis=0)[:count]
+    bodies = draw_bodies(np.random.default_rng(seed), 40 * count, shape)
+    return np.unique(bodies[are_valid(bodies)], axis=0)[:count]
 
 
 def some_fitness(bodies: np.ndarray) -> list[float]:
@@ -170,7 +171,7 @@ def test_an_ascent_stays_on_free_bodies_and_ends_where_none_beside_it_is_higher(
     taken: set[bytes] = set()
 
     def free(bodies: np.ndarray) -> np.ndarray:
-        return valid(bodies) & np.array([body_key(body) not in taken for body in bodies])
+        return are_valid(bodies) & np.array([body_key(body) not in taken for body in bodies])
 
     starts, summits = some_bodies(12), []
     for start in starts:
@@ -250,11 +251,11 @@ def test_climbing_ends_where_no_valid_neighbour_is_higher() -> None:
     at_pool = values(pool)
     assert np.array_equal(result.start, at_pool.argmax(1))
     assert np.array_equal(result.at_pool, at_pool)
-    assert valid(result.summit).all()
+    assert are_valid(result.summit).all()
     around = neighbours(result.summit)
     heights = values(result.summit[:, None])[:, 0]
     assert (heights >= at_pool.max(1)).all()
-    usable = valid(around.reshape(-1, 4, 4)).reshape(3, -1)
+    usable = are_valid(around.reshape(-1, 4, 4)).reshape(3, -1)
     assert (np.where(usable, values(around), -np.inf).max(1) <= heights + TOLERANCE).all()
     # additive values: without the demand for validity, the best type of each voxel would be the summit
     assert (heights <= table.max(-1).sum(-1) + TOLERANCE).all()
@@ -265,7 +266,7 @@ def test_what_is_learned_leads_the_climb() -> None:
     with own_torch(1):
         model = fit_model(bodies, some_fitness(bodies), BoSettings(optimizer_restarts=1))
         result = climb_posterior(model, bodies, 8)
-    assert valid(result.summit).all()
+    assert are_valid(result.summit).all()
     # the best there is has actuators wherever that counts, and every summit comes near
     best = some_fitness(np.full((1, 3, 3), 3))[0]
     assert np.mean(some_fitness(result.summit)) > np.max(some_fitness(bodies)) - 1
@@ -368,7 +369,7 @@ def test_the_pool_has_random_bodies_and_mutants_of_the_best() -> None:
     search.tell([float(candidate.id) for candidate in asked])
     pool = search.pool(np.random.default_rng(0), 50, 150)
     assert len(pool) == 200
-    assert valid(pool.bodies).all()
+    assert are_valid(pool.bodies).all()
     keys = {body_key(body) for body in pool.bodies}
     assert len(keys) == 200
     assert not any(search.is_known(key) for key in keys)
