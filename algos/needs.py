@@ -40,18 +40,18 @@ def learning_bytes(
     return round(num_envs * (ppo.steps * (copies * transition + activations) + ACTING * FLOAT * units))
 
 
-def training_bytes(probe: VoxelVecEnv, per_design: int, designs: int, ppo: PpoConfig, width: int | None = None) -> int:
+def training_bytes(probe: VoxelVecEnv, per_design: int, designs: int, ppo: PpoConfig, together: bool = False) -> int:
     """Bytes of environments and learning together.
 
     Args:
         probe: a few environments of the largest designs.
         per_design, designs: environments of each design, and designs, that are asked for.
-        width: of the storage's actions, where it is not that of the environments.
+        together: whether the designs' policies learn side by side.
     """
     count, itemsize = per_design * designs, probe.dtype.itemsize
-    sizes = (probe.num_obs, width or probe.num_actions, itemsize)
+    sizes = (probe.num_obs, probe.num_actions, itemsize)
     return (
         simulation_bytes(probe.sim, designs, per_design)
         + environment_bytes(count, *sizes)
-        + learning_bytes(count, *sizes, ppo, together=width is not None)
+        + learning_bytes(count, *sizes, ppo, together=together)
     )

@@ -9,6 +9,7 @@ import re
 import struct
 import zipfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -17,9 +18,9 @@ from typing import Any
 import torch
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
+from torch.func import functional_call
 
 from warpvox.algos.checkpoints.check import check_claims
-from warpvox.algos.population.model import PopulationModel
 from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError
@@ -34,11 +35,7 @@ WIDEST = 1 << 16
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """What it takes to rebuild a policy before its weights are loaded.
-
-    ``width``: of a policy that was trained side by side with others, the columns of its
-    :class:`warpvox.algos.population.model.PopulationModel`; None: it was trained alone.
-    """
+    """What it takes to rebuild a policy before its weights are loaded."""
 
     num_obs: int
     num_actions: int
@@ -46,11 +43,14 @@ class PolicySpec:
     activation: str
     normalize_obs: bool
     action_scale: float
-    width: int | None = None
 
 
 class Controller:
     """A trained policy without exploration, observations to actions.
+
+    The network is evaluated in float64: how its sums are rounded depends on the size of the batch and the CPU, and
+    would be magnified by contacts. An evaluation during training and a later one thus give the same actions, whatever
+    else is in their batches.
 
     Args:
         actor: rsl-rl's model of the mean of the outputs.
@@ -59,25 +59,19 @@ class Controller:
 
     def __init__(self, actor: MLPModel, spec: PolicySpec) -> None:
         self.actor, self.spec = actor, spec
-        self._stack: PopulationModel | None = None
+        self._state = {
+            name: value.double() if value.is_floating_point() else value for name, value in actor.state_dict().items()
+        }
 
     @torch.no_grad()
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
         """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
-        actions = ACTION_CENTER + self.spec.action_scale * self.outputs(obs)
-        return actions.clamp(ACTION_LOW, ACTION_HIGH)
+        return actions_of(self.outputs(obs), self.spec.action_scale)
 
     def outputs(self, obs: torch.Tensor) -> torch.Tensor:
-        """``obs`` ``[n, num_obs]`` to the mean of the policy's outputs, ``[n, num_actions]``, not yet actions."""
-        group = TensorDict({OBS_GROUP: obs.float()}, batch_size=[len(obs)])
-        network = self.actor if self.spec.width is None else self._side_by_side(len(obs))
-        return network(group)[:, : self.spec.num_actions]
-
-    def _side_by_side(self, rows: int) -> PopulationModel:
-        """The network once for every row: it then rounds as it did when the policy was judged."""
-        if self._stack is None or self._stack.num_designs != rows:
-            self._stack = PopulationModel([self.actor] * rows, self.spec.width).to(next(self.actor.parameters()).device)
-        return self._stack
+        """``obs`` ``[n, num_obs]`` to the mean of the policy's outputs, float32 ``[n, num_actions]``."""
+        group = TensorDict({OBS_GROUP: obs.double()}, batch_size=[len(obs)])
+        return functional_call(self.actor, self._state, (group,)).float()
 
     def check(self, env: VoxelVecEnv) -> None:
         """Raise RunError unless ``env`` has this policy's sizes."""
@@ -87,6 +81,11 @@ class Controller:
         ):
             if ours != theirs:
                 raise RunError(f"The policy was trained with {ours} {what}, but the task and design have {theirs}.")
+
+
+def actions_of(outputs: torch.Tensor, scale: float) -> torch.Tensor:
+    """Outputs of a policy as actions in [0.6, 1.6]."""
+    return (ACTION_CENTER + scale * outputs).clamp(ACTION_LOW, ACTION_HIGH)
 
 
 def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
@@ -162,7 +161,7 @@ def load_controller(path: Path, device: str = "cpu") -> Controller:
     """
     content = load_checkpoint(path, device)
     try:
-        spec = PolicySpec(**content["policy"])
+        spec = spec_of(content["policy"])
         check_spec(spec, content["actor_state_dict"])
         actor = build_actor(spec).to(device)
         actor.load_state_dict(content["actor_state_dict"])
@@ -176,8 +175,6 @@ def check_spec(spec: PolicySpec, weights: object) -> None:
     sizes = [spec.num_obs, *(spec.hidden if isinstance(spec.hidden, list) else [None]), spec.num_actions]
     if not all(type(size) is int and 0 < size <= WIDEST for size in sizes):
         raise ValueError(f"sizes must be whole numbers from 1 to {WIDEST}, got {sizes!r:.100}")
-    if spec.width is not None and (type(spec.width) is not int or not spec.num_actions <= spec.width <= WIDEST):
-        raise ValueError(f"width must be a whole number from {spec.num_actions} to {WIDEST}, got {spec.width!r:.100}")
     scale = spec.action_scale
     if type(scale) not in (int, float) or not math.isfinite(scale):
         raise ValueError(f"action_scale must be a finite number, got {scale!r:.100}")
@@ -208,6 +205,15 @@ def build_actor(spec: PolicySpec) -> MLPModel:
         obs_normalization=spec.normalize_obs,
         distribution_cfg={"class_name": "GaussianDistribution", "std_type": "log"},
     )
+
+
+def spec_of(values: Mapping[str, Any]) -> PolicySpec:
+    """The specification that stands in a checkpoint.
+
+    Raises:
+        TypeError: it has other entries.
+    """
+    return PolicySpec(**{name: value for name, value in values.items() if name != "width"})  # of earlier versions
 
 
 def spec_dict(spec: PolicySpec) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import base64
 import binascii
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import torch
 from rsl_rl.modules import MLP
 from torch import nn
 
-from warpvox.algos.checkpoints.files import Controller, PolicySpec, check_spec, load_controller
+from warpvox.algos.checkpoints.files import Controller, PolicySpec, check_spec, load_controller, spec_of
 from warpvox.envs.rsl_rl import ACTION_CENTER
 from warpvox.errors import RunError
 from warpvox.io.reading import Unreadable, parse_json
@@ -109,7 +109,7 @@ def parse_policy(text: str, source: object) -> Policy:
         given, metadata = content.get("policy"), content.get("metadata")
         if not isinstance(given, dict) or not isinstance(metadata, dict):
             raise ValueError("it has no description of the network")
-        spec = PolicySpec(**{item.name: given.get(item.name) for item in fields(PolicySpec)})
+        spec = spec_of(given)
         weights = _weights(spec, content.get("weights"))
         check_spec(spec, weights)
         policy = Policy(spec, metadata)

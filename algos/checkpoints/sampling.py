@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from warpvox.algos.checkpoints.files import Controller
-from warpvox.envs.rsl_rl import ACTION_CENTER
-from warpvox.types import ACTION_HIGH, ACTION_LOW
+from warpvox.algos.checkpoints.files import Controller, actions_of
 
 __all__ = ["SampledController"]
 
@@ -31,5 +29,4 @@ class SampledController:
         """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
         mean = self.controller.outputs(obs)
         noise = torch.randn(mean.shape, generator=self._generator, device=mean.device)
-        actions = ACTION_CENTER + self.spec.action_scale * (mean + self._std * noise)
-        return actions.clamp(ACTION_LOW, ACTION_HIGH)
+        return actions_of(mean + self._std * noise, self.spec.action_scale)

@@ -34,6 +34,9 @@ __all__ = [
 
 Report = Callable[[dict[str, Any]], None]
 
+VERSION = 2
+"""Of the checkpoints of trainings under way; others are refused."""
+
 
 @dataclass(frozen=True)
 class PopulationEvaluator:
@@ -205,6 +208,7 @@ def describe(arena: Arena, settings: TrainingConfig, seed: int, candidates: Sequ
     """What the outcomes of candidates follow from, as plain values: whether a checkpoint is theirs."""
     irrelevant = {"save_interval", "method"}
     return {
+        "version": VERSION,
         "task": get_task(arena.task).id,
         "arena": repr((arena.rules, arena.physics, arena.dtype, arena.arithmetic, arena.max_episode_steps)),
         "settings": {key: value for key, value in dataclasses.asdict(settings).items() if key not in irrelevant},
@@ -237,7 +241,10 @@ def read_evaluation(path: Path, about: dict[str, Any]) -> dict[str, Any]:
             f"{str(error).rstrip('.')}. Remove it: these designs are then trained from the beginning, to the same end."
         ) from None
     if content.get("about") != about:
-        raise RunError(f"{path} is the checkpoint of other candidates or settings; remove it to begin anew.")
+        raise RunError(
+            f"{path} is the checkpoint of other candidates or settings, or of another version of warpvox; remove it to begin"
+            " anew."
+        )
     return content
 
 

@@ -11,7 +11,6 @@ import torch
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import PolicySpec, load_checkpoint, save_checkpoint, spec_dict
-from warpvox.algos.population.model import width_for
 from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.runner import BEST
 from warpvox.io.writing import write_text
@@ -26,19 +25,16 @@ class Policies:
         folder: of the run.
         ppo: what the networks were built by.
         config: gives the text of ``config.yaml`` for a body.
-        side_by_side: the policies are trained in one batch, by PopulationEvaluator.
     """
 
-    def __init__(
-        self, folder: Path, ppo: PpoConfig, config: Callable[[Candidate], str], side_by_side: bool = True
-    ) -> None:
-        self.folder, self.ppo, self.config, self.side_by_side = folder, ppo, config, side_by_side
+    def __init__(self, folder: Path, ppo: PpoConfig, config: Callable[[Candidate], str]) -> None:
+        self.folder, self.ppo, self.config = folder, ppo, config
 
     def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
         """Write the policy of an outcome; returns its path relative to the run's folder, and its SHA-256."""
         place = Path("designs") / str(candidate.id)
         content = {
-            "policy": spec_dict(self._spec(candidate, outcome.policy)),
+            "policy": spec_dict(self._spec(outcome.policy)),
             "actor_state_dict": {name: value.detach().cpu() for name, value in outcome.policy.items()},
             "eval_return": outcome.fitness,
             "infos": {"candidate": candidate.id, "steps": outcome.steps},
@@ -55,7 +51,7 @@ class Policies:
         """
         return load_checkpoint(self.folder / path)["actor_state_dict"]
 
-    def _spec(self, candidate: Candidate, policy: Mapping[str, torch.Tensor]) -> PolicySpec:
+    def _spec(self, policy: Mapping[str, torch.Tensor]) -> PolicySpec:
         # The sizes of the first and last layer are those of the body, which the settings do not know.
         layers = [value for name, value in policy.items() if name.startswith("mlp.") and name.endswith(".weight")]
         ppo = self.ppo
@@ -66,7 +62,6 @@ class Policies:
             activation=ppo.activation,
             normalize_obs=ppo.normalize_obs,
             action_scale=ppo.action_scale,
-            width=width_for(candidate.body.size) if self.side_by_side else None,
         )
 
 

@@ -10,55 +10,49 @@ __all__ = ["Streams"]
 
 
 class Streams:
-    """One generator for each design, drawn from call by call as a separate training draws from torch's own.
+    """One generator for each design, used call by call as a separate training uses torch's own.
 
-    Shapes matter: torch fills a tensor of another size with other numbers, so everything is drawn for one design
-    at a time and in its true size, and only then laid side by side.
+    torch fills a tensor of another size with other numbers: everything is drawn for one design at a time, in its true
+    size.
 
     Args:
         seeds: of the designs.
-        states: of torch's generator on the CPU, where each design's stream goes on (after its networks were made).
-        device: where numbers are drawn while training.
+        states: of torch's generator on the CPU, where each design's stream goes on (after its networks were made); on
+            another device streams begin with the seeds.
+        device: where numbers are drawn.
     """
 
     def __init__(self, seeds: Sequence[int], states: Sequence[torch.Tensor], device: str) -> None:
         self.device = device
-        self._host = [torch.Generator() for _ in seeds]
-        for generator, state in zip(self._host, states, strict=True):
-            generator.set_state(state)
-        self._here = self._host
-        if torch.device(device).type != "cpu":
-            self._here = [torch.Generator(device).manual_seed(seed) for seed in seeds]
+        self._generators = [torch.Generator(device).manual_seed(seed) for seed in seeds]
+        if torch.device(device).type == "cpu":
+            self.set_state(states)
 
-    def normal(self, rows: int, columns: Sequence[int], width: int) -> torch.Tensor:
-        """``[designs, rows, width]``: standard normal in the first ``columns`` of each design, else 0."""
-        numbers = torch.zeros((len(columns), rows, width), device=self.device)
-        for number, generator, count in zip(numbers, self._here, columns, strict=True):
-            number[:, :count] = torch.empty((rows, count), device=self.device).normal_(generator=generator)
+    def normal(self, rows: int, columns: Sequence[int]) -> torch.Tensor:
+        """``[designs, rows, max(columns)]``: standard normal in the first ``columns`` of each design, else 0."""
+        numbers = torch.zeros((len(columns), rows, max(columns)), device=self.device)
+        for number, generator, count in zip(numbers, self._generators, columns, strict=True):
+            number[:, :count] = torch.randn((rows, count), generator=generator, device=self.device)
         return numbers
 
     def permutations(self, count: int) -> torch.Tensor:
         """long ``[designs, count]``: an order of ``count`` things for each design."""
-        orders = [torch.randperm(count, generator=generator, device=self.device) for generator in self._here]
-        return torch.stack(orders)
+        return torch.stack([torch.randperm(count, generator=one, device=self.device) for one in self._generators])
 
     def integers(self, high: int, count: int) -> torch.Tensor:
-        """long ``[designs, count]`` in [0, high), on the CPU."""
-        return torch.stack([torch.randint(high, (count,), generator=generator) for generator in self._host])
+        """long ``[designs, count]`` in [0, high)."""
+        size = (count,)
+        return torch.stack([torch.randint(high, size, generator=g, device=self.device) for g in self._generators])
 
     def keep(self, index: Sequence[int]) -> None:
         """Only these designs go on, in this order."""
-        separate = self._here is not self._host
-        self._host = [self._host[d] for d in index]
-        self._here = [self._here[d] for d in index] if separate else self._host
+        self._generators = [self._generators[d] for d in index]
 
-    def state(self) -> list[list[torch.Tensor]]:
+    def state(self) -> list[torch.Tensor]:
         """The state of every generator: what :meth:`set_state` takes back."""
-        pairs = zip(self._host, self._here, strict=True)
-        return [[host.get_state(), here.get_state()] for host, here in pairs]
+        return [generator.get_state() for generator in self._generators]
 
-    def set_state(self, state: Sequence[Sequence[torch.Tensor]]) -> None:
+    def set_state(self, state: Sequence[torch.Tensor]) -> None:
         """Go on from :meth:`state` of as many designs."""
-        for host, here, (on_host, on_device) in zip(self._host, self._here, state, strict=True):
-            host.set_state(on_host.cpu())
-            here.set_state(on_device.cpu())
+        for generator, value in zip(self._generators, state, strict=True):
+            generator.set_state(value.cpu())

@@ -13,22 +13,20 @@ from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
+from warpvox.algos.checkpoints.files import actions_of
 from warpvox.algos.env_factory import Arena
 from warpvox.algos.evaluate import evaluate
-from warpvox.algos.population.model import PopulationModel, width_for
+from warpvox.algos.population.model import PopulationModel
 from warpvox.algos.population.ppo import PopulationPPO
 from warpvox.algos.population.streams import Streams
 from warpvox.algos.settings import PpoConfig, TrainingConfig
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import adapt
 from warpvox.design import Design
-from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.envs.rsl_rl import OBS_GROUP
 from warpvox.errors import ActionError
-from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["Networks", "PopulationTraining", "fresh_networks"]
-
-VALUE_WIDTH = 8  # columns of the value function's last layer, of which one counts, as in width_for
 
 
 @dataclass
@@ -96,14 +94,12 @@ class PopulationTraining:
         self._judge = self.arena.make(self.bodies, settings.eval_envs, self.seeds, auto_reset=False)
 
     def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
-        # of the widest body of this grid, not of this batch
-        width = width_for(max(body.size for body in self.bodies))
-        device = str(self.env.device)
-        actor = PopulationModel([network.actor for network in networks], width).to(device)
-        critic = PopulationModel([network.critic for network in networks], VALUE_WIDTH).to(device)
+        device, obs = str(self.env.device), self.env.get_observations()
         streams = Streams(self.seeds, [network.random_state for network in networks], device)
-        obs = self.env.get_observations()
-        storage = RolloutStorage("rl", self.env.num_envs, self.ppo.steps, obs, [width], device)
+        noise = lambda rows: streams.normal(rows, actor.outputs)  # noqa: E731
+        actor = PopulationModel([network.actor for network in networks], noise).to(device)
+        critic = PopulationModel([network.critic for network in networks]).to(device)
+        storage = RolloutStorage("rl", self.env.num_envs, self.ppo.steps, obs, [self.env.num_actions], device)
         settings = dict(rsl_rl_config(self.ppo, self.settings.iterations)["algorithm"])
         settings.pop("class_name")
         threads = self.env.env.sim.threads if device == "cpu" else 1
@@ -135,7 +131,7 @@ class PopulationTraining:
         algorithm, env = self.algorithm, self.env
         obs = env.get_observations()
         for _ in range(self.ppo.steps):
-            actions = algorithm.act(obs)[:, : env.num_actions]
+            actions = algorithm.act(obs)
             try:
                 obs, rewards, dones, extras = env.step(actions)
             except ActionError:
@@ -147,18 +143,19 @@ class PopulationTraining:
     def evaluate(self) -> torch.Tensor:
         """float64 ``[designs]``: the mean return of deterministic episodes, the same ones every time.
 
-        NaN for a design whose policy gives actions that are no numbers; the others do not notice.
+        NaN for a design whose policy gives actions that are not numbers; the others are not affected. The networks are
+        evaluated in float64, as :class:`warpvox.algos.checkpoints.files.Controller` does.
         """
-        actor, actions = self.algorithm.actor, self._judge.num_actions
+        actor = self.algorithm.actor.part(slice(None)).double()
 
         def policy(obs: torch.Tensor) -> torch.Tensor:
-            means = actor.run(actor.latent(obs.to(actor.mask))).flatten(0, 1)[:, :actions]
-            wild.logical_or_(means.isnan().view(self.num_designs, -1).any(1))
-            means = means.nan_to_num(0.0, math.inf, -math.inf)
-            return (ACTION_CENTER + self.ppo.action_scale * means).clamp(ACTION_LOW, ACTION_HIGH)
+            means = actor.run(actor.scaled(obs.double())).float()
+            diverged.logical_or_(means.isnan().flatten(1).any(1))
+            means = means.flatten(0, 1).nan_to_num(0.0, math.inf, -math.inf)
+            return actions_of(means, self.ppo.action_scale)
 
-        wild = torch.zeros(self.num_designs, dtype=torch.bool, device=self.algorithm.device)
-        return evaluate(self._judge, policy, seed=self.seeds).fitness.masked_fill(wild.cpu(), math.nan)
+        diverged = torch.zeros(self.num_designs, dtype=torch.bool, device=self.algorithm.device)
+        return evaluate(self._judge, policy, seed=self.seeds).fitness.masked_fill(diverged.cpu(), math.nan)
 
     def policy(self, design: int) -> dict[str, torch.Tensor]:
         """The state of a stock actor that does what the design's policy does now."""

@@ -1,4 +1,7 @@
-"""rsl-rl's network and Gaussian distribution in fewer operations: the same parameters, equal up to rounding."""
+"""rsl-rl's network and Gaussian distribution in fewer operations: the same parameters, equal up to rounding.
+
+Shapes are given for one policy; of a stack (:mod:`warpvox.algos.population.model`) all have a first axis for designs.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from torch import nn
 
 from warpvox.algos.training.layers import tanh_layers
 
-__all__ = ["HALF_LOG_2PI", "Gaussian", "Network", "Normalizer"]
+__all__ = ["Gaussian", "Network", "Normalizer", "observations"]
 
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 
@@ -21,9 +24,12 @@ HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 class Gaussian(GaussianDistribution):
     """rsl-rl's Gaussian distribution with a logarithmic deviation that does not depend on the observation.
 
-    Deviations, their logarithms and the entropy are computed once per action and not once per action and sample. Draws
-    are the same numbers as rsl-rl's.
+    Deviations, their logarithms and the entropy are computed once per action instead of once per action and sample.
+    Samples are the same numbers as rsl-rl's.
     """
+
+    mask: torch.Tensor | float = 1.0
+    """1 for actions, 0 for columns that pad those of a stack; a padded action is always at its mean."""
 
     def update(self, mlp_output: torch.Tensor) -> None:
         """Make ``mlp_output`` ``[rows, actions]`` the mean."""
@@ -53,13 +59,12 @@ class Gaussian(GaussianDistribution):
     @property
     def entropy(self) -> torch.Tensor:
         """``[rows]``."""
-        return (self._log_std + (0.5 + HALF_LOG_2PI)).sum().expand(len(self._mean))
+        return self._sum(0.5 + HALF_LOG_2PI).expand(self._mean.shape[:-1])
 
-    @property
-    def std_is_free(self) -> torch.Tensor:
-        """bool ``[actions]``: where the deviation is within its bounds, and follows its parameter."""
+    def gradient_of_entropy(self) -> torch.Tensor:
+        """Of the entropy by :attr:`log_std_param`, in its shape: 1 for actions whose deviation is within its bounds."""
         low, high = self.log_std_range
-        return (self.log_std_param >= low) & (self.log_std_param <= high)
+        return ((self.log_std_param >= low) & (self.log_std_param <= high)) * self.mask
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
         """``[rows]`` of actions ``[rows, actions]``."""
@@ -67,7 +72,10 @@ class Gaussian(GaussianDistribution):
 
     def log_prob_of(self, squares: torch.Tensor) -> torch.Tensor:
         """``[rows]`` of actions so many squared deviations from the mean, ``[rows, actions]``."""
-        return squares.sum(-1) * -0.5 - (self._log_std + HALF_LOG_2PI).sum()
+        return squares.sum(-1) * -0.5 - self._sum(HALF_LOG_2PI)
+
+    def _sum(self, constant: float) -> torch.Tensor:
+        return ((self._log_std + constant) * self.mask).sum(-1)
 
     def mean_divergence(self, old_mean: torch.Tensor, old_std: torch.Tensor) -> torch.Tensor:
         """The mean over the rows of KL(old || current), from means ``[rows, actions]`` and a deviation ``[actions]``.
@@ -76,7 +84,7 @@ class Gaussian(GaussianDistribution):
         """
         ratio = (old_std / self._std).square()
         terms = (old_mean - self._mean).div_(self._std).square_().add_(ratio).sub_(1).sub_(ratio.log())
-        return terms.sum() * (0.5 / len(terms))
+        return terms.sum((-2, -1)) * (0.5 / terms.shape[-2])
 
 
 class Normalizer(EmpiricalNormalization):
@@ -87,10 +95,10 @@ class Normalizer(EmpiricalNormalization):
         if torch.distributed.is_initialized():
             super().update(x)
         elif self.training:
-            mean = x.mean(0, keepdim=True)
-            var = (x - mean).square_().mean(0, keepdim=True)
-            self.count += len(x)
-            rate, moved = len(x) / self.count, mean - self._mean
+            mean = x.mean(-2, keepdim=True)
+            var = (x - mean).square_().mean(-2, keepdim=True)
+            self.count += x.shape[-2]
+            rate, moved = x.shape[-2] / self.count, mean - self._mean
             self._mean += rate * moved
             self._var += rate * (var - self._var + moved * (mean - self._mean))
             self._std = self._var.sqrt()
@@ -106,8 +114,11 @@ class Network(MLPModel):
 
     def get_latent(self, obs: TensorDict, masks: object = None, hidden_state: object = None) -> torch.Tensor:
         """Observations as the scaled inputs of the first layer, ``[rows, inputs]``."""
-        groups = [obs[name] for name in self.obs_groups]
-        return self.obs_normalizer(groups[0] if len(groups) == 1 else torch.cat(groups, dim=-1))
+        return self.scaled(observations(self, obs))
+
+    def scaled(self, obs: torch.Tensor) -> torch.Tensor:
+        """Observations ``[rows, inputs]`` as the inputs of the first layer."""
+        return self.obs_normalizer(obs)
 
     def forward(
         self, obs: TensorDict, masks: object = None, hidden_state: object = None, stochastic_output: bool = False
@@ -121,14 +132,15 @@ class Network(MLPModel):
             return self.distribution.sample()
         return out
 
-    @property
-    def log_std(self) -> torch.Tensor | None:
-        """The parameter ``[actions]`` of the deviation; None: there is no distribution."""
-        return None if self.distribution is None else self.distribution.log_std_param
-
     def run(self, latent: torch.Tensor) -> torch.Tensor:
         """Scaled inputs to outputs."""
         layers = [layer for layer in self.mlp if isinstance(layer, nn.Linear)]
         if latent.device.type != "cpu" or not all(type(layer) in (nn.Linear, nn.Tanh) for layer in self.mlp):
             return self.mlp(latent)
         return tanh_layers(latent, [layer.weight.t() for layer in layers], [layer.bias for layer in layers])
+
+
+def observations(model: Any, obs: TensorDict) -> torch.Tensor:
+    """What a model observes, ``[..., entries]``, of the groups of ``obs``."""
+    groups = [obs[name] for name in model.obs_groups]
+    return groups[0] if len(groups) == 1 else torch.cat(groups, dim=-1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+from types import EllipsisType
 from typing import Any, NamedTuple
 
 import torch
@@ -12,14 +13,15 @@ from tensordict import TensorDict
 
 from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.adam import VectorAdam
-from warpvox.algos.training.networks import Gaussian, Network
+from warpvox.algos.training.networks import Gaussian, Network, Normalizer, observations
 from warpvox.envs.rsl_rl import OBS_GROUP
 from warpvox.errors import ConfigError
 
 __all__ = ["PPO", "rsl_rl_config"]
 
+LOSSES = ("value", "surrogate", "entropy")
 SLOWEST, FASTEST = 1e-5, 1e-2
-"""Between these rsl-rl's adaptive schedule keeps a learning rate."""
+"""Bounds of the learning rate in rsl-rl's adaptive schedule."""
 
 
 class Samples(NamedTuple):
@@ -39,14 +41,22 @@ class PPO(RslRlPPO):
 
     From the same random numbers it learns the same as rsl-rl's, up to rounding, in fewer operations: values and
     log-probabilities are computed for the whole rollout at once, samples are put in order once for all epochs, and no
-    actions are drawn while learning. tests/algos/test_stock_ppo.py compares both.
+    actions are drawn while learning. tests/algos/training/test_stock_ppo.py compares both.
+
+    Methods that work on :class:`Samples` also take a first axis for designs
+    (:class:`warpvox.algos.population.ppo.PopulationPPO`).
 
     Args:
         total_iterations: iterations in all, the end of the linear schedule.
         adam_eps: Adam's epsilon.
         schedule: ``fixed``, ``adaptive`` (rsl-rl's) or ``linear``: the learning rate of update k of n is
             ``learning_rate * (1 - k / n)`` with k = 0, 1, ..., n - 1.
+
+    Attributes:
+        rates: learning rate, a float64 scalar.
     """
+
+    rates: torch.Tensor
 
     def __init__(
         self,
@@ -54,33 +64,45 @@ class PPO(RslRlPPO):
         total_iterations: int,
         adam_eps: float = 1e-8,
         schedule: str = "fixed",
+        learning_rate: float = 1e-3,
         **kwargs: Any,
     ) -> None:
-        super().__init__(*args, schedule="adaptive" if schedule == "adaptive" else "fixed", **kwargs)
+        options = {"schedule": "adaptive" if schedule == "adaptive" else "fixed"}
+        super().__init__(*args, learning_rate=learning_rate, **options, **kwargs)
         if self.rnd or self.symmetry or not all(hasattr(model, "run") for model in (self.actor, self.critic)):
             raise ConfigError(
                 "This PPO trains the networks of rsl_rl_config(), without extensions; for others use rsl-rl's own"
                 " (docs/policies.md)."
             )
         self.decays = schedule == "linear"
-        self.initial_learning_rate = self.learning_rate
-        self.total_iterations = total_iterations
-        self.updates = 0
+        self.initial_learning_rate, self.total_iterations, self.updates = learning_rate, total_iterations, 0
         self.adam_eps, self._inputs = adam_eps, None
         self.optimizer = self._optimizer()
-        self._layers = [value for value in self.optimizer.parameters if value is not self.actor.log_std]
-        # Both networks see the same observations: one normaliser learns for both.
-        if isinstance(self.actor, Network):
-            self.critic.obs_normalizer = self.actor.obs_normalizer
+        # both networks have the same observations: one normaliser for both
+        self.critic.obs_normalizer = self.actor.obs_normalizer
 
     def _optimizer(self) -> VectorAdam:
-        return VectorAdam([self.actor, self.critic], self.learning_rate, self.adam_eps)
+        return VectorAdam([self.actor, self.critic], self.initial_learning_rate, self.adam_eps)
+
+    @property
+    def learning_rate(self) -> float:
+        """Of the next step; the mean over the designs of a population."""
+        return self.rates.mean().item()
+
+    @learning_rate.setter
+    def learning_rate(self, value: float) -> None:
+        self.rates = torch.full(self._rate_shape(), value, dtype=torch.float64, device=self.device)
+
+    def _rate_shape(self) -> tuple[int, ...]:
+        return ()
 
     @staticmethod
     def construct_algorithm(obs: TensorDict, env: Any, cfg: dict, device: str) -> RslRlPPO:
         """As rsl-rl does, without its printing both networks."""
         with contextlib.redirect_stdout(io.StringIO()):
             return RslRlPPO.construct_algorithm(obs, env, cfg, device)
+
+    # ------------------------------------------------------------- collection
 
     @torch.no_grad()
     def act(self, obs: TensorDict) -> torch.Tensor:
@@ -112,23 +134,6 @@ class PPO(RslRlPPO):
         storage.dones[storage.step, :, 0] = dones
         storage.step += 1
 
-    @torch.no_grad()
-    def compute_returns(self, obs: TensorDict) -> None:
-        """Values and log-probabilities of the rollout, then returns and advantages; ``obs`` are those after it."""
-        self._look_back()
-        super().compute_returns(obs)
-
-    def _look_back(self) -> None:
-        """Fill in what :meth:`act` has left out: values and log-probabilities."""
-        st, policy = self.storage, self.actor.distribution
-        # The normaliser learns after the update only: scaled once, the inputs serve all epochs.
-        self._inputs = self.actor.get_latent(st.observations.flatten(0, 1))
-        size = -(-len(self._inputs) // self.num_mini_batches)  # no more memory than learning takes
-        values = [self.critic.run(part) for part in self._inputs.split(size)]
-        st.values.copy_(torch.cat(values).view_as(st.values))
-        policy.update(st.distribution_params[0])
-        st.actions_log_prob.copy_(policy.log_prob(st.actions).view_as(st.actions_log_prob))
-
     def _beyond_the_limit(self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict) -> torch.Tensor:
         # Looking first saves the forward pass of nearly all steps; on CUDA looking would wait for the device.
         if time_outs.device.type == "cpu" and not bool(time_outs.any()):
@@ -136,65 +141,94 @@ class PPO(RslRlPPO):
         values = self.critic(final_obs.to(self.device)).detach().squeeze(-1)
         return rewards + self.gamma * values * time_outs.to(self.device)
 
+    @torch.no_grad()
+    def compute_returns(self, obs: TensorDict) -> None:
+        """Values and log-probabilities of the rollout, then returns and advantages; ``obs`` are those after it."""
+        st, policy = self.storage, self.actor.distribution
+        # The normaliser learns after the update only: scaled once, the inputs serve all epochs.
+        self._inputs = self.actor.scaled(self._samples(observations(self.actor, st.observations)))
+        axis = self._inputs.ndim - 2
+        size = -(-self._inputs.shape[axis] // self.num_mini_batches)  # no more memory than learning takes
+        values = [self.critic.run(part) for part in self._inputs.split(size, dim=axis)]
+        self._store(st.values, torch.cat(values, dim=axis))
+        policy.update(self._samples(st.distribution_params[0]))
+        self._store(st.actions_log_prob, policy.log_prob(self._samples(st.actions))[..., None])
+        super().compute_returns(obs)
+
+    def _samples(self, values: torch.Tensor) -> torch.Tensor:
+        """``[steps, envs, ...]`` of the storage as ``[samples, ...]``."""
+        return values.flatten(0, 1)
+
+    def _store(self, target: torch.Tensor, values: torch.Tensor) -> None:
+        """Write ``[samples, ...]`` to ``[steps, envs, ...]`` of the storage."""
+        target.copy_(values.view_as(target))
+
+    # ---------------------------------------------------------------- learning
+
     def update(self) -> dict[str, float]:
         """One iteration's optimisation; returns the mean losses."""
         if self.decays:
-            left = max(0.0, 1.0 - self.updates / self.total_iterations)
-            self.learning_rate = self.initial_learning_rate * left
-            for group in self.optimizer.param_groups:
-                group["lr"] = self.learning_rate
-        losses = self._optimise()
+            self.rates.fill_(self.initial_learning_rate * max(0.0, 1.0 - self.updates / self.total_iterations))
+        losses = self._optimise(self._shuffled())
+        self.optimizer.steps += self.num_learning_epochs * self.num_mini_batches
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.learning_rate
+        if isinstance(self.actor.obs_normalizer, Normalizer):
+            self.actor.obs_normalizer.update(self._samples(observations(self.actor, self.storage.observations)))
+        self.storage.clear()
         self.updates += 1
         return losses
 
-    def _optimise(self) -> dict[str, float]:
-        """What rsl-rl's update does, up to rounding, without drawing actions that nobody takes."""
-        data, old_std = self._shuffled()
-        size, times = len(data[0]) // self.num_mini_batches, self.num_learning_epochs * self.num_mini_batches
-        sums = torch.zeros(3, device=self.device)
-        for _ in range(self.num_learning_epochs):
-            for k in range(self.num_mini_batches):
-                part = Samples(*(values[k * size : (k + 1) * size] for values in data))
-                sums += self._learn(part, old_std)
-        self.actor.update_normalization(self.storage.observations.flatten(0, 1))
-        self.storage.clear()
-        return dict(zip(("value", "surrogate", "entropy"), (sums / times).tolist(), strict=True))
+    def _optimise(self, data: Samples) -> dict[str, float]:
+        losses = self._epochs(data, self.actor, self.critic)
+        return dict(zip(LOSSES, losses.tolist(), strict=True))
 
     @torch.no_grad()
-    def _shuffled(self) -> tuple[Samples, torch.Tensor]:
-        """The rollout in the order in which all epochs take it, and the deviation with which actions were drawn."""
+    def _shuffled(self) -> Samples:
+        """The rollout in the order in which all epochs take it."""
         st = self.storage
-        count = st.num_envs * st.num_transitions_per_env // self.num_mini_batches * self.num_mini_batches
-        order = torch.randperm(count, device=self.device)
         rows = Samples(
             self._inputs,
-            st.actions.flatten(0, 1),
-            st.distribution_params[0].flatten(0, 1),
-            st.actions_log_prob.flatten(),
-            st.values.flatten(),
-            st.returns.flatten(),
-            st.advantages.flatten(),
+            self._samples(st.actions),
+            self._samples(st.distribution_params[0]),
+            *(self._samples(values)[..., 0] for values in (st.actions_log_prob, st.values, st.returns, st.advantages)),
         )
         self._inputs = None
-        return Samples(*(values[order] for values in rows)), self.actor.distribution.row_std.clone()
+        return self._in_random_order(rows, self._minibatch(rows) * self.num_mini_batches)
 
-    def _learn(self, part: Samples, old_std: torch.Tensor) -> torch.Tensor:
-        """Learn from a minibatch; returns value loss, surrogate loss and entropy ``[3]``."""
-        mean, values = self.actor.run(part.inputs), self.critic.run(part.inputs)
-        with torch.no_grad():
-            policy = self.actor.distribution
-            policy.update(mean)
-            if self.schedule == "adaptive":
-                self._adapt(policy, part.mean, old_std)
-            surrogate, of_mean, of_log_std = self._surrogate(policy, part)
-            value, of_values = self._value_loss(values[:, 0], part)
-        networks = torch.autograd.grad([mean, values], self._layers, [of_mean, of_values[:, None]])
-        gradient = torch.cat([of_log_std, *(part.flatten() for part in networks)])
-        if self.is_multi_gpu:
-            torch.distributed.all_reduce(gradient)
-            gradient /= self.gpu_world_size
-        self.optimizer.descend(gradient, self.max_grad_norm)
-        return torch.stack([value, surrogate, policy.entropy[0]])
+    def _in_random_order(self, rows: Samples, count: int) -> Samples:
+        order = torch.randperm(count, device=self.device)
+        return Samples(*(values[order] for values in rows))
+
+    def _minibatch(self, data: Samples) -> int:
+        return data.returns.shape[-1] // self.num_mini_batches
+
+    def _epochs(self, data: Samples, actor: Any, critic: Any, rows: slice | EllipsisType = ...) -> torch.Tensor:
+        """All epochs of some designs; returns the mean value loss, surrogate loss and entropy ``[3]``."""
+        size, times = self._minibatch(data), self.num_learning_epochs * self.num_mini_batches
+        policy, rate = actor.distribution, self.rates[rows]
+        parameters = [*actor.parameters(), *critic.parameters()]
+        layers = [parameter for parameter in parameters if parameter is not policy.log_std_param]
+        old_std, sums = policy.row_std.clone()[rows], 0
+        for k in range(times):
+            first = k % self.num_mini_batches * size
+            part = Samples(*(values.narrow(data.returns.ndim - 1, first, size) for values in data))
+            mean, values = actor.run(part.inputs), critic.run(part.inputs)[..., 0]
+            with torch.no_grad():
+                policy.update(mean)
+                if self.schedule == "adaptive":
+                    self._adapt(rate, policy.mean_divergence(part.mean, old_std))
+                surrogate, of_mean, of_log_std = self._surrogate(policy, part)
+                value, of_values = self._value_loss(values, part)
+            gradients = iter(torch.autograd.grad([mean, values], layers, [of_mean, of_values]))
+            gradients = [of_log_std if p is policy.log_std_param else next(gradients) for p in parameters]
+            gradient = self.optimizer.flat(gradients)
+            if self.is_multi_gpu:
+                torch.distributed.all_reduce(gradient)
+                gradient /= self.gpu_world_size
+            self.optimizer.descend(gradient, self.max_grad_norm, rate, self.optimizer.steps + k + 1, rows)
+            sums += torch.stack([value, surrogate, policy.entropy[..., 0].detach()])
+        return sums / times
 
     def _surrogate(self, policy: Gaussian, part: Samples) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """PPO's clipped loss, and the gradients of it and of the entropy's part by mean and logarithmic deviation.
@@ -207,43 +241,40 @@ class PPO(RslRlPPO):
         free = -part.advantages * ratio
         bounded = -part.advantages * ratio.clamp(1 - self.clip_param, 1 + self.clip_param)
         # of the larger of the two losses; where they are equal, within the bounds, both have the same gradient
-        of_log_prob = free.mul(free >= bounded).div_(len(free))
-        of_mean = noise.mul_(of_log_prob[:, None]).div_(policy.row_std)
-        of_log_std = of_log_prob @ squares - of_log_prob.sum() - self.entropy_coef
-        return torch.max(free, bounded).mean(), of_mean, of_log_std * policy.std_is_free
+        of_log_prob = free.mul(free >= bounded).div_(free.shape[-1])
+        of_mean = noise.mul_(of_log_prob[..., None]).div_(policy.row_std)
+        of_log_std = squares.sub_(1).mul_(of_log_prob[..., None]).sum(-2, keepdim=of_mean.ndim == 3)
+        of_log_std = of_log_std.sub_(self.entropy_coef).mul_(policy.gradient_of_entropy())
+        return torch.max(free, bounded).mean(-1), of_mean, of_log_std
 
     def _value_loss(self, values: torch.Tensor, part: Samples) -> tuple[torch.Tensor, torch.Tensor]:
         """The mean squared error of the values ``[samples]``, and the gradient of its part of the loss by them."""
         error = values - part.returns
-        squares, slope = error.square(), error * (2 * self.value_loss_coef / len(error))
+        squares, slope = error.square(), error * (2 * self.value_loss_coef / error.shape[-1])
         if self.use_clipped_value_loss:
             moved = values - part.values
             clipped = (part.values + moved.clamp(-self.clip_param, self.clip_param) - part.returns).square()
             # beyond the bounds the clipped error does not depend on the value; within them both errors are the same
             slope *= (squares >= clipped) | (moved.abs() <= self.clip_param)
             squares = torch.max(squares, clipped)
-        return squares.mean(), slope
+        return squares.mean(-1), slope
 
-    @torch.no_grad()
-    def _adapt(self, policy: Gaussian, old_mean: torch.Tensor, old_std: torch.Tensor) -> None:
-        """rsl-rl's adaptive schedule."""
-        kl = policy.mean_divergence(old_mean, old_std)
+    def _adapt(self, rate: torch.Tensor, kl: torch.Tensor) -> None:
+        """rsl-rl's adaptive schedule; changes ``rate``."""
         if self.is_multi_gpu:  # all processes get the same mean, and come to the same rate
             torch.distributed.all_reduce(kl)
             kl /= self.gpu_world_size
-        kl = kl.item()
-        if kl > 2 * self.desired_kl:
-            self.learning_rate = max(SLOWEST, self.learning_rate / 1.5)
-        elif 0 < kl < self.desired_kl / 2:
-            self.learning_rate = min(FASTEST, self.learning_rate * 1.5)
-        for group in self.optimizer.param_groups:
-            group["lr"] = self.learning_rate
+        lower, higher = (rate / 1.5).clamp_(min=SLOWEST), (rate * 1.5).clamp_(max=FASTEST)
+        far, near = kl > 2 * self.desired_kl, (kl < self.desired_kl / 2) & (kl > 0)
+        rate.copy_(torch.where(far, lower, torch.where(near, higher, rate)))
+
+    # ------------------------------------------------------------------- state
 
     def save(self) -> dict[str, Any]:
         """Networks, optimiser and schedule."""
         return super().save() | {"updates": self.updates}
 
-    def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None, strict: bool) -> bool:
+    def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
         """Restore what :meth:`save` gave. Adam's epsilon and the schedule's length stay as configured."""
         result = super().load(loaded_dict, load_cfg, strict)
         for group in self.optimizer.param_groups:

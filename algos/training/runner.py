@@ -17,7 +17,7 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 
 from rsl_rl.runners import OnPolicyRunner
 
-from warpvox.algos.checkpoints.files import Controller, PolicySpec, load_checkpoint, save_checkpoint, spec_dict
+from warpvox.algos.checkpoints.files import Controller, PolicySpec, load_checkpoint, save_checkpoint, spec_dict, spec_of
 from warpvox.algos.evaluate import Evaluator
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.settings import PpoConfig
@@ -126,7 +126,7 @@ class Runner(OnPolicyRunner):
 
     @property
     def controller(self) -> Controller:
-        """The policy as it is, without exploration; goes on changing with training."""
+        """The policy as it is now, without exploration."""
         return Controller(self.alg.get_policy(), self.spec)
 
     # ------------------------------------------------------------------ learning
@@ -372,8 +372,8 @@ class Runner(OnPolicyRunner):
             raise RunError(f"{path} was made by {processes} process(es) and can only go on with as many.")
         if "env" in content:
             content = load_checkpoint(self.state_file(path), self.device)
-        if content["policy"] != spec_dict(self.spec):
-            raise RunError(f"{path} holds another kind of policy: {content['policy']}, not {spec_dict(self.spec)}.")
+        if (found := spec_of(content["policy"])) != self.spec:
+            raise RunError(f"{path} holds another kind of policy: {found}, not {self.spec}.")
         self.set_state(content)
 
     def set_state(self, content: dict[str, Any]) -> None:

@@ -18,7 +18,6 @@ from warpvox.algos.candidate import Candidate
 from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
 from warpvox.algos.env_factory import Arena
 from warpvox.algos.needs import training_bytes
-from warpvox.algos.population.model import width_for
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.cli.config import load
 from warpvox.envs.vec_env import make_vec
@@ -58,8 +57,7 @@ def main(task: str, method: str, envs: int, designs: int, *keys: str) -> None:
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
     work(task, envs, designs, ppo)
     probe = make_vec(task, BODY, min(envs, 32), device="cpu", threads=1)
-    width = width_for(BODY.size) if method == "population" else None
-    estimate = training_bytes(probe, envs, designs, ppo, width)
+    estimate = training_bytes(probe, envs, designs, ppo, together=method == "population")
     print(json.dumps({"estimated": estimate, "measured": status("VmHWM") - before}))
 
 

@@ -284,7 +284,6 @@ def test_a_policy_takes_memory_for_weights_that_are_there(tmp_path: Path) -> Non
     for change in (
         {"policy": good["policy"] | {"num_obs": 60_000, "hidden": [60_000, 60_000]}},
         {"policy": good["policy"] | {"num_obs": 10**12}},
-        {"policy": good["policy"] | {"width": 10**12}},
         {"policy": good["policy"] | {"hidden": [2**63]}},
         {"actor_state_dict": good["actor_state_dict"] | {"mlp.0.weight": one.expand(8, 6)}},
         {"actor_state_dict": good["actor_state_dict"] | {"mlp.0.weight": torch.full((8, 6), torch.nan)}},

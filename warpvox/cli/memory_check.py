@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from warpvox.algos.needs import training_bytes
-from warpvox.algos.population.model import width_for
 from warpvox.cli.build import make_env, physics_of
 from warpvox.devices.names import resolve_device
 from warpvox.devices.out_of_memory import free_memory
@@ -68,8 +67,7 @@ def check_search(config: Any, together: int) -> None:
         threads=1,
         memory_check=False,
     )
-    width = width_for(body.size) if training.method == "population" else None
-    needed = training_bytes(probe, training.envs, together, training.ppo, width)
+    needed = training_bytes(probe, training.envs, together, training.ppo, together=training.method == "population")
     if together == 1:
         check_fits(needed, free, training.envs, 1, device, "training.envs")
     check_fits(needed, free, together, 1, device, "batch", f"designs of {training.envs:,} environments each")

@@ -69,12 +69,13 @@ def test_fitness_is_the_best_of_the_evaluations_and_the_policy_earns_it(task: st
         assert outcome.fitness == max(value for _, value in outcome.curve)
         assert (outcome.steps, outcome.stopped) == (steps[-1], False)
         seeds = [candidate_seed(5, candidate.id)]
-        env = arena(task).make([candidate.body], 1, seeds, auto_reset=False)
-        spec = PolicySpec(env.num_obs, env.num_actions, how.ppo.hidden, how.ppo.activation, True, 0.5)
-        actor = build_actor(spec)
-        actor.load_state_dict(outcome.policy)
-        again = evaluate(env, Controller(actor.eval(), spec), seed=seeds).mean_return
-        assert again == pytest.approx(outcome.fitness, abs=1e-4)
+        for count in (1, 4):  # beside others, too: networks are evaluated in float64
+            env = arena(task).make([candidate.body], count, seeds, auto_reset=False)
+            spec = PolicySpec(env.num_obs, env.num_actions, how.ppo.hidden, how.ppo.activation, True, 0.5)
+            actor = build_actor(spec)
+            actor.load_state_dict(outcome.policy)
+            again = evaluate(env, Controller(actor.eval(), spec), seed=seeds)
+            assert float(again.returns[0]) == outcome.fitness
 
 
 @DOUBLE

@@ -41,7 +41,9 @@ class Pair:
         for network in self.theirs:
             nn.utils.clip_grad_norm_(network.parameters(), LIMIT)
         self.stock.step()
-        self.vector.descend(torch.cat([gradient.flatten() for gradient in gradients]), LIMIT)
+        rate = torch.tensor(self.vector.param_groups[0]["lr"], dtype=torch.float64)
+        self.vector.descend(self.vector.flat(gradients), LIMIT, rate, self.vector.steps + 1)
+        self.vector.steps += 1
 
     def check(self) -> None:
         for ours, theirs in zip(parameters(self.ours), parameters(self.theirs), strict=True):
@@ -98,3 +100,30 @@ def test_a_state_from_before_the_first_step_begins_anew() -> None:
 def test_step_says_what_to_call() -> None:
     with pytest.raises(NotImplementedError, match="descend"):
         Pair().vector.step()
+
+
+def test_each_row_of_stacked_networks_is_an_adam_of_its_own() -> None:
+    """Three designs with different learning rates, gradients that are clipped and not, stepped in two shares."""
+    random, rates = torch.Generator().manual_seed(0), torch.tensor([1e-3, 3e-4, 1e-2], dtype=torch.float64)
+    scales = torch.tensor([0.01, 1.0, 100.0], dtype=torch.float64)[:, None, None]
+    stacks = [nn.ParameterList(torch.randn(3, 4, columns, generator=random).double() for columns in (5, 1))]
+    stacks.append(nn.ParameterList([torch.randn(3, 2, 2, generator=random).double()]))
+    parts = [[[nn.Parameter(p[d].detach().clone()) for p in stack] for stack in stacks] for d in range(3)]
+    ours = VectorAdam(stacks, RATE, EPS, stacked=True)
+    theirs = [
+        torch.optim.Adam([p for group in groups for p in group], lr=float(rate), eps=EPS)
+        for groups, rate in zip(parts, rates, strict=True)
+    ]
+    for step in range(1, 21):
+        gradients = [torch.randn(p.shape, generator=random).double() * scales for p in ours.parameters]
+        for rows in (slice(2), slice(2, 3)):
+            ours.descend(ours.flat([g[rows] for g in gradients]), LIMIT, rates[rows], step, rows)
+        for d, optimizer in enumerate(theirs):
+            for parameter, gradient in zip(optimizer.param_groups[0]["params"], gradients, strict=True):
+                parameter.grad = gradient[d].clone()
+            for group in parts[d]:
+                nn.utils.clip_grad_norm_(group, LIMIT)
+            optimizer.step()
+    for k, parameter in enumerate(ours.parameters):
+        stock = torch.stack([optimizer.param_groups[0]["params"][k].detach() for optimizer in theirs])
+        torch.testing.assert_close(parameter.detach(), stock, rtol=0, atol=1e-12)

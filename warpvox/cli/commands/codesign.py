@@ -193,12 +193,7 @@ def codesign(job: Job, console: Console) -> Path:
                 executor,
                 archive,
                 seed=config.seed,
-                policies=Policies(
-                    folder,
-                    config.training.ppo,
-                    functools.partial(design_config, written),
-                    side_by_side=config.training.method == "population",
-                ),
+                policies=Policies(folder, config.training.ppo, functools.partial(design_config, written)),
                 checkpoints=folder / "training",
                 batch=config.batch,
                 reuse=config.reuse,
