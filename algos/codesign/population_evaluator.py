@@ -242,8 +242,8 @@ def read_evaluation(path: Path, about: dict[str, Any]) -> dict[str, Any]:
         ) from None
     if content.get("about") != about:
         raise RunError(
-            f"{path} is the checkpoint of other candidates or settings, or of another version of warpvox; remove it to begin"
-            " anew."
+            f"{path} is the checkpoint of other candidates or settings, or of another version of warpvox; remove it to"
+            " begin anew."
         )
     return content
 
