@@ -77,7 +77,7 @@ def train(overrides: Mapping[str, Any] | None = None, /, *, progress: bool = Tru
     if twice:
         raise ConfigError(f"The key '{twice[0]}' is given twice: in the overrides and by name.")
     with _own_torch():
-        folder = run(make_job(words, None), Console(quiet=not progress))
+        folder = run(make_job(words), Console(quiet=not progress))
     return TrainedRun(folder, json.loads((folder / SUMMARY).read_text(encoding="utf-8")))
 
 
@@ -132,7 +132,7 @@ def _words(key: str, value: Any) -> Iterator[str]:
 
 def _literal(value: Any, key: str, top: bool = False) -> str:
     """A value as the command line reads it."""
-    from warpvox.cli.quoting import quoted
+    from warpvox.cli.hydra_parts import quoted
 
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()

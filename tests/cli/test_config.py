@@ -11,9 +11,8 @@ import yaml
 
 from warpvox.cli import COMMANDS, main
 from warpvox.cli.build import physics_of
-from warpvox.cli.commands.train import flat
 from warpvox.cli.config import Arguments, expand, load, load_values, to_yaml
-from warpvox.cli.help import flat_keys
+from warpvox.cli.help import flat_keys, flat_values
 from warpvox.configs import schema
 from warpvox.design import load_design
 from warpvox.errors import ConfigError
@@ -78,7 +77,7 @@ def test_the_papers_preset(task: str, shape: tuple[int, int]) -> None:
 )
 def test_what_is_typed_goes_before_a_preset(command: str, words: list[str], path: str, value: Any, order: int) -> None:
     config = load(command, ["preset=paper", *words][::order])
-    assert flat(dataclasses.asdict(config))[path] == value
+    assert flat_values(dataclasses.asdict(config))[path] == value
     assert config.rules == ("evogym" if words == ["rules=evogym"] else "paper")
 
 
@@ -202,3 +201,37 @@ def test_help_names_every_key_with_its_meaning(command: str, capsys: pytest.Capt
 def test_configuration_can_be_shown(capsys: pytest.CaptureFixture) -> None:
     assert main(["train", "--cfg", "seed=7"]) == 0
     assert yaml.safe_load(capsys.readouterr().out)["seed"] == 7
+
+
+def test_hydras_own_views(capsys: pytest.CaptureFixture) -> None:
+    assert main(["train", "--cfg", "hydra", "hydra/launcher=basic"]) == 0
+    assert list(yaml.safe_load(capsys.readouterr().out)) == ["hydra"]
+    assert main(["train", "--info", "defaults-tree", "ppo=evogym"]) == 0
+    assert "ppo: evogym" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("warpvox tr", {"train"}),
+        ("warpvox train ppo.ga", {"ppo.gamma="}),
+        ("warpvox codesign search=map", {"search=map_elites"}),
+        ("warpvox tasks Wal", set()),
+    ],
+)
+def test_a_shell_is_told_how_a_line_goes_on(
+    line: str, expected: set[str], capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COMP_LINE", line)
+    assert main(["-sc", "query=bash"]) == 0
+    assert set(capsys.readouterr().out.split()) == expected
+
+
+def test_the_code_for_a_shell_calls_what_is_tested(
+    capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["/usr/bin/warpvox"])
+    assert main(["-sc", "install=bash"]) == 0
+    text = capsys.readouterr().out
+    assert "-sc query=bash" in text
+    assert text.split()[-1] == "warpvox"

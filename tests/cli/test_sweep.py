@@ -86,6 +86,33 @@ def test_a_member_that_fails_does_not_end_the_sweep(
     assert len(list(Path("outputs/train/Walker-v0").iterdir())) == 2
 
 
+def test_a_launcher_of_hydra_makes_the_runs(warpvox: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Those that are installed besides are called by the same interface as this one, which comes with Hydra."""
+    from warpvox.algos.training.runner import Runner
+
+    run, values = Runner.run, []
+    outcome = warpvox("train", "-m", "hydra/launcher=basic", "seed=1,2", "name=x", *TINY)
+    assert outcome.code == 0, outcome.err
+    assert sorted(path.name.partition("_x")[2] for path in Path("outputs/train/Walker-v0").iterdir()) == [
+        "_seed-1", "_seed-2",
+    ]  # fmt: skip
+    rows = table()
+    assert [(row["run"], row["seed"], row["status"]) for row in rows] == [("1", "1", "done"), ("2", "2", "done")]
+    (tmp_path / "outputs").rename(tmp_path / "first")
+
+    def fail_once(self: Runner) -> None:
+        values.append(self.env.env.seed)
+        if self.env.env.seed == 1:
+            raise DivergenceError("it diverged")
+        run(self)
+
+    monkeypatch.setattr(Runner, "run", fail_once)
+    outcome = warpvox("train", "-m", "hydra/launcher=basic", "seed=1,2", *TINY)
+    assert (outcome.code, outcome.err.splitlines()[-1].startswith("warpvox: 1 of 2 runs failed")) == (2, True)
+    assert values == [1, 2]
+    assert [row["status"] for row in table()] == ["failed", "done"]
+
+
 def test_an_interrupt_ends_a_sweep_with_its_table(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     from warpvox.algos.training.runner import Runner
 

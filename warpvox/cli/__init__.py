@@ -90,6 +90,11 @@ def _dispatch(arguments: list[str]) -> int:
     if command in ("-V", "--version"):
         print(f"warpvox {warpvox.__version__}")
         return DONE
+    if command in ("-sc", "--shell-completion"):
+        from warpvox.cli.hydra_parts import complete
+
+        complete(rest)
+        return DONE
     if command not in COMMANDS:
         hint = did_you_mean(command, COMMANDS)
         raise ConfigError(f"Unknown command '{command}'; there are {', '.join(COMMANDS)}.{hint}")
@@ -101,7 +106,8 @@ def _help() -> str:
     commands = "\n".join(f"  {name:<8} {meaning}" for name, meaning in COMMANDS.items())
     return (
         f"usage: warpvox COMMAND [KEY=VALUE ...]\n\n{commands}\n\n"
-        "`warpvox COMMAND --help` lists the keys of a command. For instance:\n"
+        "`warpvox COMMAND --help` lists the keys of a command; `warpvox -sc install=bash` prints code that completes\n"
+        "them in bash (zsh, fish). For instance:\n"
         "  warpvox train task=Walker-v0 design=walker num_envs=512\n"
         "  warpvox play run=latest export=[usd,gif,html]"
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from hydra import compose, initialize_config_module
+from hydra import compose
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
@@ -20,65 +19,74 @@ from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.cli.config_file import read_config_file
 from warpvox.cli.help import flat_keys, presets_of
-from warpvox.cli.quoting import as_list, parse, quoted, readable
+from warpvox.cli.hydra_parts import CFG, INFO, is_plugin_key, one_line, opened
+from warpvox.cli.quoting import as_list, parse, readable
 from warpvox.cli.trust import allow_code
-from warpvox.configs.paper import design_of, shape_of
 from warpvox.configs.schema import COMMANDS, GROUPS, PRESET
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values
 
-__all__ = ["Arguments", "check_values", "expand", "load", "load_values", "read_arguments", "to_yaml"]
+__all__ = ["Arguments", "check_values", "expand", "load", "load_values", "parse_overrides", "read_arguments", "to_yaml"]
 
 # the first that occurs in the name of a type
 TYPES = {
-    "list[int]": "a list of whole numbers",
+    "list[int]": "a list of integers",
     "list": "a list",
-    "int": "a whole number",
+    "int": "an integer",
     "float": "a number",
     "bool": "true or false",
     "str": "text",
 }
 
 
+FLAGS = {"-h": "help", "-m": "multirun", "-c": "cfg", "-i": "info", "-cd": "config_dir"}
+FLAGS |= {f"--{name.replace('_', '-')}": name for name in FLAGS.values()}
+CHOICES = {"cfg": CFG, "info": INFO}
+
+
 @dataclass
 class Arguments:
-    """The words after a command, sorted."""
+    """The words after a command: overrides of keys, those of Hydra's launcher and sweeper, options."""
 
     overrides: list[str] = field(default_factory=list)
+    plugins: list[str] = field(default_factory=list)
     help: bool = False
     multirun: bool = False
-    show: bool = False
+    cfg: str | None = None
+    info: str | None = None
     config_dir: Path | None = None
 
 
 def read_arguments(words: list[str]) -> Arguments:
-    """Sort flags from overrides.
+    """Sort options from overrides.
 
     Raises:
-        ConfigError: an unknown flag, or a folder of configurations that does not exist.
+        ConfigError: an unknown option, or a folder of configurations that does not exist.
     """
-    arguments, rest = Arguments(), iter(words)
-    flags = {
-        "-h": "help",
-        "--help": "help",
-        "-m": "multirun",
-        "--multirun": "multirun",
-        "--cfg": "show",
-        "-c": "show",
-    }
-    for word in rest:
-        if word in flags:
-            setattr(arguments, flags[word], True)
-        elif word.split("=")[0] in ("--config-dir", "-cd"):
-            folder = word.partition("=")[2] or next(rest, "")
+    arguments, rest = Arguments(), list(words)
+    while rest:
+        word = rest.pop(0)
+        flag, _, value = word.partition("=")
+        name = FLAGS.get(flag)
+        if not word.startswith("-"):
+            (arguments.plugins if is_plugin_key(word) else arguments.overrides).append(word)
+        elif name in CHOICES:
+            if not value:
+                value = rest.pop(0) if rest and rest[0] in CHOICES[name] else CHOICES[name][0]
+            if value not in CHOICES[name]:
+                raise ConfigError(f"{flag} takes {listing(CHOICES[name])}, got '{value}'.")
+            setattr(arguments, name, value)
+        elif name == "config_dir":
+            folder = value or (rest.pop(0) if rest else "")
             if not folder or not Path(folder).is_dir():
                 raise ConfigError(f"--config-dir needs an existing folder, got '{folder}'.")
             arguments.config_dir = Path(folder).resolve()
-        elif word.startswith("-"):
-            known = [*flags, "--config-dir"]
-            raise ConfigError(f"Unknown option '{word}'; there are {listing(known)}.{did_you_mean(word, known)}")
+        elif name is not None and not value:
+            setattr(arguments, name, True)
         else:
-            arguments.overrides.append(word)
+            raise ConfigError(f"Unknown option '{word}'; there are {listing(FLAGS)}.{did_you_mean(word, FLAGS)}")
+    if arguments.plugins and not (arguments.multirun or arguments.cfg):
+        raise ConfigError(f"'{arguments.plugins[0]}' is about sweeps: add --multirun.")
     return arguments
 
 
@@ -89,7 +97,7 @@ def expand(arguments: Arguments, command: str) -> list[list[str]]:
         ConfigError: an override that cannot be read, an unknown key, several values without ``--multirun``.
     """
     runs: list[list[str]] = [[]]
-    for override in _parse(arguments, command):
+    for override in parse_overrides(arguments, command):
         text = str(override.input_line)
         if not override.is_sweep_override():
             runs = [[*run, text] for run in runs]
@@ -125,24 +133,21 @@ def load(
     Raises:
         ConfigError: anything wrong with keys, values or YAML files; code that the user has not named.
     """
-    schema = COMMANDS[command]
-    parsed = _parse(Arguments(overrides=overrides, config_dir=config_dir), command)
-    scratch = OmegaConf.structured(schema)
+    parsed = parse_overrides(Arguments(overrides), command)
+    scratch = OmegaConf.structured(COMMANDS[command])
     for override in parsed:
-        _check_override(override, schema, scratch, config_dir)
-    file = next((override.value() for override in parsed if override.key_or_group == "config"), None)
-    if file is not None and any(override.key_or_group == PRESET for override in parsed):
+        _check_override(override, command, scratch, config_dir)
+    named = {override.key_or_group: override.value() for override in parsed}
+    file, preset, stored = named.get("config"), named.get(PRESET), base
+    if file is not None and PRESET in named:
         raise ConfigError(f"config={file} and {PRESET} both say where to start from: give one of them.")
-    stored = base
-    _register()
     words = [str(override.input_line) for override in parsed if override.key_or_group != PRESET]
-    search = [f"hydra.searchpath=[{quoted(f'file://{config_dir}')}]"] if config_dir else []
     try:
-        name = _primary(parsed, command, config_dir)
-        with initialize_config_module("warpvox.configs", version_base="1.3"):
-            config = compose(config_name=name, overrides=[*words, *search])
+        name = command if preset is None else _preset_config(preset, command, config_dir)
+        with opened(config_dir) as (_, search):
+            config = compose(name, [*words, *search])
             missing = OmegaConf.missing_keys(config)
-            defaults = compose(config_name=name, overrides=search) if missing or file is not None else None
+            defaults = compose(name, search) if missing or file is not None else None
         for key in missing:  # what a file of the user's own leaves open
             OmegaConf.update(config, key, OmegaConf.select(defaults, key))
         if file is not None:
@@ -150,18 +155,17 @@ def load(
             below = OmegaConf.merge(defaults, stored)
             config = _changed(below, config, parsed, _brought(parsed, defaults, config))
         elif base is not None:
-            below = OmegaConf.merge(OmegaConf.structured(schema), base)
+            below = OmegaConf.merge(scratch, base)
             config = _changed(below, config, parsed, [])
         result = OmegaConf.to_object(config)
     except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
-        raise ConfigError(f"{file}: {_one_line(error)}" if file else _one_line(error)) from None
+        raise ConfigError(f"{file}: {one_line(error)}" if file else one_line(error)) from None
     check_values(result)
     result = dataclasses.replace(result, config=None) if file else result
     if file is not None:
         home = Path(file) if Path(file).is_dir() else Path(file).parent
     if stored is None:
         return result
-    named = {override.key_or_group: override.value() for override in parsed}
     return allow_code(result, stored, named, home or Path.cwd())
 
 
@@ -179,7 +183,7 @@ def load_values(command: str, values: dict[str, Any]) -> Any:
         known = {name: value for name, value in values.items() if name in names}
         result = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), known))
     except (OmegaConfBaseException, OverflowError) as error:
-        raise ConfigError(f"The stored configuration is not valid: {_one_line(error)}") from None
+        raise ConfigError(f"The stored configuration is not valid: {one_line(error)}") from None
     check_values(result)
     return result
 
@@ -225,43 +229,22 @@ _Dumper.add_representer(list, _represent_list)
 # ----------------------------------------------------------------------------------------------- overrides
 
 
-@functools.cache
-def _register() -> None:
-    """Make the schemas known to Hydra; once, because it takes as long as a small command."""
-    store = ConfigStore.instance()
-    for command, schema in COMMANDS.items():
-        store.store(name=f"{command}_schema", node=schema)
-    for name, resolver in {"paper_shape": shape_of, "paper_design": design_of}.items():
-        OmegaConf.register_new_resolver(name, resolver, replace=True)
-
-
-def _primary(parsed: list[Override], command: str, config_dir: Path | None) -> str:
-    """The name of the configuration that the overrides change: the command's own, or that of ``preset=NAME``.
-
-    A preset that has no ``defaults`` of its own has those of the command.
-    """
-    given = next((override for override in parsed if override.key_or_group == PRESET), None)
-    if given is None or given.value() is None:
-        return command
-    if any(override.key_or_group == "config" for override in parsed):
-        raise ConfigError("preset and config both say what the other keys begin with: give one of them.")
-    options, value = presets_of(command, config_dir), given.value()
-    if value not in options:
-        hint = did_you_mean(str(value), options)
-        raise ConfigError(f"preset must be one of {listing(options)} or null, got '{given.get_value_string()}'.{hint}")
+def _preset_config(preset: str, command: str, config_dir: Path | None) -> str:
+    """The name of the configuration that a preset is; one without ``defaults`` has those of the command."""
+    file = presets_of(command, config_dir)[preset]
     try:
-        content = yaml.safe_load(options[value].read_text(encoding="utf-8"))
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"The preset {options[value]} cannot be read: {_one_line(error)}.") from None
+        raise ConfigError(f"The preset {file} cannot be read: {one_line(error)}.") from None
     if not isinstance(content, dict):
-        raise ConfigError(f"The preset {options[value]} must hold keys with their values.")
+        raise ConfigError(f"The preset {file} must hold keys with their values.")
     own = yaml.safe_load((files("warpvox.configs") / f"{command}.yaml").read_text(encoding="utf-8"))
-    content = {"defaults": own["defaults"]} | content | {PRESET: value}
+    content = {"defaults": own["defaults"]} | content | {PRESET: preset}
     ConfigStore.instance().store(name=f"{command}_{PRESET}", node=OmegaConf.create(content))
     return f"{command}_{PRESET}"
 
 
-def _parse(arguments: Arguments, command: str) -> list[Override]:
+def parse_overrides(arguments: Arguments, command: str) -> list[Override]:
     """Read overrides and check their keys."""
     keys = dict(flat_keys(COMMANDS[command]))
     known = list(keys)
@@ -287,38 +270,32 @@ def _parse(arguments: Arguments, command: str) -> list[Override]:
     return parsed
 
 
-def _check_override(override: Override, schema: type, scratch: Any, config_dir: Path | None) -> None:
-    """Check the name of a group's file, or the type of a value, with words that name key and value.
+def _check_override(override: Override, command: str, scratch: Any, config_dir: Path | None) -> None:
+    """Check the name of a group's file or of a preset, or the type of a value: errors name key and value.
 
     ``scratch`` is a configuration of the schema that takes the value.
     """
-    key, value = override.key_or_group, override.value()
-    if key in GROUPS:
-        options = sorted(_options(key, config_dir))
+    key, value, given = override.key_or_group, override.value(), override.get_value_string()
+    if key in GROUPS or (key == PRESET and value is not None):
+        options = sorted(_options(key, config_dir) if key in GROUPS else presets_of(command, config_dir))
         if value not in options:
-            hint = did_you_mean(value, options)
-            raise ConfigError(
-                f"{key} must be one of {listing(options)}, got '{override.get_value_string()}'.{hint}"
-                f" Single values are set by {key}.NAME=VALUE."
-            )
+            more = f" Single values are set by {key}.NAME=VALUE." if key in GROUPS else ""
+            null = "" if key in GROUPS else " or null"
+            hint = did_you_mean(value, options) if isinstance(value, str) else ""
+            raise ConfigError(f"{key} must be one of {listing(options)}{null}, got '{value}'.{hint}{more}")
         return
     try:
         OmegaConf.update(scratch, key, value)
     except (OmegaConfBaseException, OverflowError) as error:
-        kind = dict(flat_keys(schema))[key].type
-        words = next((text for name, text in TYPES.items() if name in str(kind)), f"{kind}")
-        optional = " or null" if "None" in str(kind) else ""
+        kind = str(dict(flat_keys(COMMANDS[command]))[key].type)
+        expected = next((text for name, text in TYPES.items() if name in kind), kind)
+        optional = " or null" if "None" in kind else ""
         if "Unsupported interpolation" in str(error):
-            words = "a plain value"
-        raise ConfigError(f"{key} must be {words}{optional}, got '{override.get_value_string()}'.") from None
+            expected = "a plain value"
+        raise ConfigError(f"{key} must be {expected}{optional}, got '{given}'.") from None
 
 
 def _options(group: str, config_dir: Path | None) -> Iterator[str]:
     for folder in [files("warpvox.configs") / group, *([config_dir / group] if config_dir else [])]:
         if folder.is_dir():
             yield from (item.name[:-5] for item in folder.iterdir() if item.name.endswith(".yaml"))
-
-
-def _one_line(error: Exception) -> str:
-    """Where and what: the first two lines of an error of Hydra; those below are its inner names."""
-    return " ".join([line.strip() for line in str(error).splitlines() if line.strip()][:2])

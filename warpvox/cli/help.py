@@ -16,14 +16,19 @@ from warpvox.keys import MISSING
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-__all__ = ["Row", "command_help", "flat_keys", "help_rows", "presets_of"]
+__all__ = ["Row", "command_help", "flat_keys", "flat_values", "help_rows", "presets_of"]
 
 OPTIONS = """\
 options:
   -h, --help           this text
-  -m, --multirun       run all combinations of listed values: seed=1,2,3 task=Walker-v0,Climber-v0
-  -c, --cfg            print the configuration that would be used, and stop
-  --config-dir FOLDER  folder with YAML files of your own, for instance FOLDER/ppo/mine.yaml for ppo=mine"""
+  -m, --multirun       run all combinations of listed values: seed=1,2,3 task=Walker-v0,Climber-v0; hydra/launcher=NAME
+                       and hydra/sweeper=NAME take plugins of Hydra that are installed
+  -c, --cfg [job|hydra|all]
+                       print the configuration that would be used, and stop
+  -i, --info [all|config|defaults|defaults-tree|plugins|searchpath]
+                       print how Hydra composes it, and stop
+  -cd, --config-dir FOLDER
+                       folder with YAML files of your own, for instance FOLDER/ppo/mine.yaml for ppo=mine"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,6 +61,14 @@ def presets_of(command: str, config_dir: Path | None = None) -> dict[str, Traver
     presets = [preset for folder in folders if folder.is_dir() for preset in folder.iterdir()]
     found = {preset.name: preset / f"{command}.yaml" for preset in presets}
     return {name: found[name] for name in sorted(found) if found[name].is_file()}
+
+
+def flat_values(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested values by their dotted keys."""
+    found = {}
+    for name, value in values.items():
+        found |= flat_values(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+    return found
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,12 +12,13 @@ import re
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, Quote, QuotedString
+from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 
 from warpvox.cli.help import Key
+from warpvox.cli.hydra_parts import quoted
 
-__all__ = ["as_list", "is_list", "parse", "quoted", "readable"]
+__all__ = ["as_list", "is_list", "parse", "readable"]
 
 QUOTED = re.compile(r"""'(\\.|[^'\\])*'|"(\\.|[^"\\])*\"""", re.DOTALL)
 SWEEP = re.compile(r"(choice|range|glob|interval|shuffle|sort|tag|extend_list)\(")
@@ -95,11 +96,6 @@ def _exists(path: str) -> bool:
     """Whether there is such a file, or for FILE.py:NAME that file."""
     whole = os.path.expanduser(path)
     return any(os.path.exists(place) for place in (whole, whole.rpartition(":")[0]) if place)
-
-
-def quoted(text: str) -> str:
-    """A text in quotes that Hydra reads as that text."""
-    return QuotedString(text=text, quote=Quote.single).with_quotes()
 
 
 def parse(word: str) -> Override | None:

@@ -8,7 +8,7 @@ import io
 import json
 import re
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -24,7 +24,7 @@ from warpvox.cli.runs import STAMP, SUMMARY, label
 from warpvox.errors import RunError, WarpvoxError
 from warpvox.io.writing import write_text
 
-__all__ = ["Member", "each", "members"]
+__all__ = ["Member", "Sweep", "attempt", "member_of", "members"]
 
 LONGEST_LABEL = 80
 """Characters of a folder's name that say what its run differs by."""
@@ -66,8 +66,12 @@ def members(arguments: Arguments, command: str) -> list[Member]:
         ConfigError: see :func:`warpvox.cli.config.expand`.
     """
     runs = expand(arguments, command)
-    common = set(runs[0]).intersection(*runs[1:])
-    return [Member(words, {_key(word): _value(word) for word in words if word not in common}) for words in runs]
+    return [member_of(words, set(runs[0]).intersection(*runs[1:])) for words in runs]
+
+
+def member_of(overrides: Sequence[str], common: Collection[str]) -> Member:
+    """A run whose overrides are ``common`` to all runs but for some."""
+    return Member(list(overrides), {_key(word): _value(word) for word in overrides if word not in common})
 
 
 def _key(word: str) -> str:
@@ -79,76 +83,60 @@ def _value(word: str) -> str:
     return value if isinstance(value, str) else word.partition("=")[2]
 
 
-def each(
-    command: str,
-    runs: Sequence[Member],
-    jobs: Sequence[Any],
-    do: Callable[[Any], Path | None],
-    console: Console,
-    output_dir: str,
+def attempt(
+    row: dict[str, Any], member: Member, do: Callable[[], Path | None], console: Console, total: str = ""
 ) -> None:
-    """Do the job of each run. Of several, one that fails does not keep the others from being done.
+    """Make one run of several and note in ``row`` what has come of it; only an interrupt gets through."""
+    values = " ".join(f"{key}={value}" for key, value in member.varied.items())
+    console.rule(literal(f"run {row['run']}{total}: {values}"))
+    row |= {**member.varied, "status": "interrupted"}
+    token = label.set(member.label)
+    try:
+        folder = do()
+    except BrokenPipeError:
+        raise
+    except WarpvoxError as error:
+        row |= {"status": "failed", "error": " ".join(str(error).split())}
+        echo(console, f"failed: {row['error']}")
+    except Exception as error:  # a defect; the others have nothing to do with it
+        row |= {"status": "failed", "error": f"{type(error).__name__}: {error}"}
+        traceback.print_exc()
+    else:
+        row |= {"status": "done", **_figures(folder), "folder": "" if folder is None else str(folder)}
+    finally:
+        label.reset(token)
 
-    A table at the end, and ``<output_dir>/<command>/sweep_<date_time>.csv`` after every run, say what came of them.
 
-    Args:
-        do: does a job; returns the folder that it has written.
+class Sweep:
+    """The runs of a sweep: a table at the end, and after every run ``<output_dir>/<command>/sweep_<date_time>.csv``.
+
+    A context manager; at its end the table is complete and printed.
 
     Raises:
-        WarpvoxError: the only one has failed. RunError: some of several have.
-        KeyboardInterrupt: interrupted; the rest is not begun.
+        RunError: runs have failed; the others are made all the same.
     """
-    if len(runs) == 1:
-        do(jobs[0])
-        return
-    sweep = _Sweep(command, len(runs), console, Path(output_dir))
-    try:
-        for member, job in zip(runs, jobs, strict=True):
-            sweep.one(member, job, do)
-    finally:
-        sweep.conclude()
-    failed = [row for row in sweep.rows if row["status"] == "failed"]
-    if failed:
-        raise RunError(
-            f"{len(failed)} of {len(runs)} runs failed, the first of them with: {failed[0]['error'].rstrip('.')}."
-            f" All are listed in {sweep.file}."
-        )
 
-
-class _Sweep:
-    """The rows of a sweep's table."""
-
-    def __init__(self, command: str, total: int, console: Console, output_dir: Path) -> None:
-        self.total, self.console = total, console
+    def __init__(self, command: str, console: Console, output_dir: str, total: int | None = None) -> None:
+        self.console, self.total = console, total
         self.rows: list[dict[str, Any]] = []
-        stamp = datetime.now().strftime(STAMP)
-        folder = output_dir / command
+        folder, stamp = Path(output_dir) / command, datetime.now().strftime(STAMP)
         names = (f"sweep_{stamp}{'' if number == 1 else f'-{number}'}.csv" for number in range(1, 1000))
         self.file = next(folder / name for name in names if not (folder / name).exists())
 
-    def one(self, member: Member, job: Any, do: Callable[[Any], Path | None]) -> None:
-        """Do one job and note what has come of it."""
-        number = len(self.rows) + 1
-        values = " ".join(f"{key}={value}" for key, value in member.varied.items())
-        self.console.rule(literal(f"run {number} of {self.total}: {values}"))
-        row: dict[str, Any] = {"run": number, **member.varied, "status": "interrupted"}
-        self.rows.append(row)
-        token = label.set(member.label)
-        try:
-            folder = do(job)
-        except BrokenPipeError:
-            raise
-        except WarpvoxError as error:
-            row |= {"status": "failed", "error": " ".join(str(error).split())}
-            echo(self.console, f"failed: {row['error']}")
-        except Exception as error:  # a defect; the others have nothing to do with it
-            row |= {"status": "failed", "error": f"{type(error).__name__}: {error}"}
-            traceback.print_exc()
-        else:
-            row |= {"status": "done", **_figures(folder), "folder": "" if folder is None else str(folder)}
-        finally:
-            label.reset(token)
+    def __enter__(self) -> Sweep:
+        return self
+
+    def __exit__(self, kind: type | None, *_: object) -> None:
+        if not self.rows:
+            return
         self.write()
+        self._print()
+        failed = [row for row in self.rows if row["status"] == "failed"]
+        if failed and kind is None:
+            raise RunError(
+                f"{len(failed)} of {self.total or len(self.rows)} runs failed, the first of them with:"
+                f" {failed[0]['error'].rstrip('.')}. All are listed in {self.file}."
+            )
 
     @property
     def columns(self) -> list[str]:
@@ -165,11 +153,9 @@ class _Sweep:
         writer.writerows(self.rows)
         write_text(self.file, text.getvalue())
 
-    def conclude(self) -> None:
-        """Print the table, and say where it is."""
-        self.write()
+    def _print(self) -> None:
         columns = [name for name in self.columns if name not in ("folder", "error")]
-        table = Table(title=f"{len(self.rows)} of {self.total} runs", title_justify="left")
+        table = Table(title=f"{len(self.rows)} of {self.total or len(self.rows)} runs", title_justify="left")
         for name in columns:
             table.add_column(literal(name), justify="right" if name in ("run", *FIGURES) else "left", overflow="fold")
         for row in self.rows:

@@ -6,18 +6,16 @@ A suite is a file of :mod:`warpvox.bench`. Each leaves ``summary.json``, ``table
 
 from __future__ import annotations
 
-import os
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from warpvox.cli.commands.train import describe
-from warpvox.cli.config import load, read_arguments, to_yaml
+from warpvox.cli.application import run_command
+from warpvox.cli.config import to_yaml
 from warpvox.cli.console import echo
 from warpvox.cli.runs import check_name, new_folder, write_summary
-from warpvox.cli.sweep import each, members
 from warpvox.errors import SimulationError, listing
 from warpvox.io.writing import check_writable
 
@@ -26,15 +24,7 @@ __all__ = ["run"]
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox bench`` is asked for."""
-    arguments = read_arguments(words)
-    if describe("bench", arguments):
-        return
-    console = Console()
-    if not console.is_terminal and "COLUMNS" not in os.environ:
-        console.width = 120  # a pipe has no width of its own
-    runs = members(arguments, "bench")
-    configs = [load("bench", member.overrides, arguments.config_dir) for member in runs]
-    each("bench", runs, configs, lambda config: measure(config, console), console, configs[0].output_dir)
+    run_command("bench", words, measure)
 
 
 def measure(config: Any, console: Console) -> Path:

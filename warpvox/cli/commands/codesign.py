@@ -20,11 +20,11 @@ from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.codesign.archive_export import export
 from warpvox.algos.search import make_search, settings_from
 from warpvox.batch.options import lanes_for
-from warpvox.cli.commands.train import check_unchanged, describe
-from warpvox.cli.config import load, load_values, read_arguments, to_yaml
+from warpvox.cli.application import run_command
+from warpvox.cli.commands.train import check_unchanged
+from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.console import echo, shell_argument
 from warpvox.cli.runs import CONFIG, SUMMARY, check_name, find_codesign, going_on, new_folder
-from warpvox.cli.sweep import each, members
 from warpvox.cli.trust import STORED, again, as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
@@ -70,38 +70,29 @@ class Job:
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox codesign`` is asked for; all runs of a sweep are checked before the first begins."""
-    arguments = read_arguments(words)
-    if describe("codesign", arguments):
-        return
-    runs = members(arguments, "codesign")
-    configs = [load("codesign", member.overrides, arguments.config_dir) for member in runs]
-    console = Console()
-    if any(config.report is not None for config in configs):
-        for config in configs:
-            write_again(config, console)
-        return
-    pairs = zip(configs, runs, strict=True)
-    jobs = [_job(config, member.overrides, arguments.config_dir) for config, member in pairs]
-    for job in jobs:  # a mistake in the last of a hundred runs should not show after a day
-        check(job.config)
-    each("codesign", runs, jobs, lambda job: codesign(job, console), console, configs[0].output_dir)
+    run_command("codesign", words, codesign, _prepare)
 
 
-def _job(config: CodesignConfig, overrides: list[str], config_dir: Path | None) -> Job:
-    """With ``resume`` on top of the configuration of the search that it goes on with.
+def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | None) -> Job:
+    """The job of a configuration; with ``resume`` on top of that of the search that it goes on with.
 
     Raises:
         ConfigError, RunError: what is wrong with it.
     """
     check_name(config.name)
+    if config.report is not None:
+        return Job(config)
     if config.resume is None:
         check_writable(config.output_dir)
-        return Job(config)
-    source = find_codesign(config.resume, config.output_dir)
-    check_writable(source.folder)
-    config = load("codesign", overrides, config_dir, base=source.config, home=source.folder)
-    check_unchanged(source.config, as_stored(config, source.config), CHANGEABLE)
-    return Job(dataclasses.replace(config, resume=None), source.folder, source.config)
+        job = Job(config)
+    else:
+        source = find_codesign(config.resume, config.output_dir)
+        check_writable(source.folder)
+        config = load("codesign", overrides, config_dir, base=source.config, home=source.folder)
+        check_unchanged(source.config, as_stored(config, source.config), CHANGEABLE)
+        job = Job(dataclasses.replace(config, resume=None), source.folder, source.config)
+    check(job.config)
+    return job
 
 
 def check(config: CodesignConfig) -> None:
@@ -171,6 +162,8 @@ def codesign(job: Job, console: Console) -> Path:
         WarpvoxError: something asked for is not valid, or an evaluation has failed; what was finished is kept.
         KeyboardInterrupt: interrupted; the state has been saved.
     """
+    if job.config.report is not None:
+        return write_again(job.config, console)
     with console.status("loading"):
         from warpvox.algos.codesign.loop import Loop
         from warpvox.algos.codesign.stored_policies import Policies
@@ -361,8 +354,8 @@ def write_exports(archive: Archive, folder: Path, formats: list[str], console: C
         echo(console, shown(export(archive, folder, name)))
 
 
-def write_again(config: CodesignConfig, console: Console) -> None:
-    """Make report, pictures and exports of a search again, also while it is running.
+def write_again(config: CodesignConfig, console: Console) -> Path:
+    """Make report, pictures and exports of a search again, also while it is running; returns its folder.
 
     Raises:
         RunError: no such search.
@@ -380,6 +373,7 @@ def write_again(config: CodesignConfig, console: Console) -> None:
         known = json.loads(summary.read_text(encoding="utf-8")) if summary.is_file() else {"status": "running"}
         echo(console, shown(results.report(known)))
         write_exports(archive, source.folder, config.export, console)
+    return source.folder
 
 
 def conclude(console: Console, summary: dict[str, Any], folder: Path, config: CodesignConfig) -> None:

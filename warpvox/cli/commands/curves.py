@@ -17,12 +17,10 @@ from rich.table import Table
 
 from warpvox.algos.statistics import LEVEL, mean_interval
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.cli.commands.train import describe
-from warpvox.cli.config import load, read_arguments
+from warpvox.cli.application import run_command
 from warpvox.cli.console import echo, escaped, literal
 from warpvox.cli.run_groups import Group, group_runs
 from warpvox.cli.runs import Run, find_runs
-from warpvox.cli.sweep import each, members
 from warpvox.configs.schema import CurvesConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.writing import atomic_path, write_text
@@ -60,13 +58,7 @@ class Curve:
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox curves`` is asked for."""
-    arguments = read_arguments(words)
-    if describe("curves", arguments):
-        return
-    console = Console()
-    runs = members(arguments, "curves")
-    configs = [load("curves", member.overrides, arguments.config_dir) for member in runs]
-    each("curves", runs, configs, lambda config: _draw(config, console), console, configs[0].output_dir)
+    run_command("curves", words, _draw)
 
 
 def _draw(config: CurvesConfig, console: Console) -> None:

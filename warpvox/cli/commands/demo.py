@@ -7,13 +7,12 @@ from typing import Any
 
 from rich.console import Console
 
+from warpvox.cli.application import run_command
 from warpvox.cli.commands.play import print_returns
-from warpvox.cli.commands.train import Job, describe, train
-from warpvox.cli.config import load, read_arguments
+from warpvox.cli.commands.train import Job, train
 from warpvox.cli.console import echo
 from warpvox.cli.exports import ROLLOUT, check_formats, load_run, record_run, write_exports
 from warpvox.cli.runs import check_name, find_run
-from warpvox.cli.sweep import each, members
 from warpvox.configs.schema import DemoConfig, PlayConfig
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError
@@ -24,13 +23,7 @@ __all__ = ["demo", "run"]
 
 def run(words: list[str]) -> None:
     """Train, record the best policy, export it, and say where everything is."""
-    arguments = read_arguments(words)
-    if describe("demo", arguments):
-        return
-    console = Console()
-    runs = members(arguments, "demo")
-    configs = [load("demo", member.overrides, arguments.config_dir) for member in runs]
-    each("demo", runs, configs, lambda config: demo(config, console), console, configs[0].output_dir)
+    run_command("demo", words, demo)
 
 
 def demo(config: DemoConfig, console: Console) -> Path:

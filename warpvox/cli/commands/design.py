@@ -7,9 +7,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from warpvox.cli.commands.train import describe
-from warpvox.cli.config import expand, load, read_arguments
+from warpvox.cli.application import run_command
 from warpvox.cli.console import echo
+from warpvox.configs.schema import DesignConfig
 from warpvox.errors import ConfigError
 from warpvox.system import has_display
 
@@ -17,14 +17,16 @@ __all__ = ["run"]
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox design`` is asked for; returns when it is interrupted."""
-    arguments = read_arguments(words)
-    if describe("design", arguments):
-        return
-    runs = expand(arguments, "design")
-    if len(runs) > 1:
-        raise ConfigError("There is one editor at a time; --multirun has no meaning here.")
-    config, console = load("design", runs[0], arguments.config_dir), Console()
+    """Do what ``warpvox design`` is asked for."""
+    run_command("design", words, serve, check=_only_one)
+
+
+def _only_one(_: object) -> None:
+    raise ConfigError("There is one editor at a time; --multirun has no meaning here.")
+
+
+def serve(config: DesignConfig, console: Console) -> None:
+    """Serve the editor until it is interrupted."""
     with console.status("starting"):
         from warpvox.cli.build import prepare
         from warpvox.editor.server import EditorServer

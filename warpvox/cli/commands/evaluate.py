@@ -15,14 +15,13 @@ from rich.console import Console
 from rich.table import Table
 
 from warpvox.algos.statistics import Interval, difference, mean_interval
-from warpvox.cli.commands.train import describe
-from warpvox.cli.config import load, read_arguments, to_yaml
+from warpvox.cli.application import run_command
+from warpvox.cli.config import to_yaml
 from warpvox.cli.console import echo, literal
 from warpvox.cli.exports import draws_at_random, load_run
 from warpvox.cli.provenance import provenance
 from warpvox.cli.run_groups import Group, group_runs
 from warpvox.cli.runs import Run, as_name, check_name, find_runs, new_folder, write_summary
-from warpvox.cli.sweep import each, members
 from warpvox.cli.trust import STORED
 from warpvox.configs.schema import EvaluateConfig, PlayConfig
 from warpvox.envs.sources import is_code
@@ -58,13 +57,7 @@ class Judged:
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox evaluate`` is asked for."""
-    arguments = read_arguments(words)
-    if describe("evaluate", arguments):
-        return
-    console = Console()
-    runs = members(arguments, "evaluate")
-    configs = [load("evaluate", member.overrides, arguments.config_dir) for member in runs]
-    each("evaluate", runs, configs, lambda config: evaluate_runs(config, console), console, configs[0].output_dir)
+    run_command("evaluate", words, evaluate_runs)
 
 
 def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from warpvox.cli.application import run_command
 from warpvox.cli.commands.play import play_run, write_results
-from warpvox.cli.commands.train import describe
-from warpvox.cli.config import load, read_arguments, to_yaml
+from warpvox.cli.config import to_yaml
 from warpvox.cli.console import echo
 from warpvox.cli.exports import check_formats, check_size
 from warpvox.cli.provenance import provenance
 from warpvox.cli.runs import as_name, check_name, new_folder, write_summary
-from warpvox.cli.sweep import each, members
 from warpvox.configs.schema import EXPORTS, POLICY_EXPORTS
 from warpvox.errors import ConfigError
 from warpvox.io.writing import check_writable
@@ -28,13 +27,7 @@ __all__ = ["run"]
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox export`` is asked for."""
-    arguments = read_arguments(words)
-    if describe("export", arguments):
-        return
-    console = Console()
-    runs = members(arguments, "export")
-    configs = [load("export", member.overrides, arguments.config_dir) for member in runs]
-    each("export", runs, configs, lambda config: _export(config, console), console, configs[0].output_dir)
+    run_command("export", words, _export)
 
 
 def _export(config: Any, console: Console) -> Path:

@@ -10,8 +10,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from warpvox.cli.commands.train import describe
-from warpvox.cli.config import load, read_arguments, to_yaml
+from warpvox.cli.application import run_command
+from warpvox.cli.config import to_yaml
 from warpvox.cli.console import echo, literal
 from warpvox.cli.exports import (
     ROLLOUT,
@@ -26,7 +26,6 @@ from warpvox.cli.exports import (
 from warpvox.cli.playback import play_in_window, wants_window
 from warpvox.cli.provenance import provenance
 from warpvox.cli.runs import as_name, check_name, find_run, new_folder, write_summary
-from warpvox.cli.sweep import each, members
 from warpvox.cli.trust import STORED
 from warpvox.configs.schema import PlayConfig
 from warpvox.envs.sources import is_code
@@ -46,13 +45,7 @@ OF_AGENTS = ("task", "design", "rules")
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox play`` is asked for."""
-    arguments = read_arguments(words)
-    if describe("play", arguments):
-        return
-    console = Console()
-    runs = members(arguments, "play")
-    configs = [load("play", member.overrides, arguments.config_dir) for member in runs]
-    each("play", runs, configs, lambda config: play(config, console), console, configs[0].output_dir)
+    run_command("play", words, play)
 
 
 def play(config: PlayConfig, console: Console) -> Path:

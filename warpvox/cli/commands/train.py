@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from warpvox.cli import COMMANDS
-from warpvox.cli.config import expand, load, read_arguments, to_yaml
+from warpvox.cli.application import run_command
+from warpvox.cli.config import load, to_yaml
 from warpvox.cli.console import echo, shell_argument
-from warpvox.cli.help import command_help
+from warpvox.cli.help import flat_values
 from warpvox.cli.provenance import provenance
 from warpvox.cli.runs import (
     STATE,
@@ -28,7 +28,6 @@ from warpvox.cli.runs import (
     new_folder,
     write_summary,
 )
-from warpvox.cli.sweep import each, members
 from warpvox.cli.trust import again, as_stored, keep_code
 from warpvox.configs.schema import TrainConfig
 from warpvox.devices.out_of_memory import enough_memory
@@ -39,7 +38,7 @@ from warpvox.system import usable_cores
 if TYPE_CHECKING:
     from warpvox.algos.training.distributed import Team
 
-__all__ = ["Job", "check_unchanged", "describe", "flat", "make_job", "run", "train"]
+__all__ = ["Job", "check_unchanged", "make_job", "run", "train"]
 
 CHANGEABLE = (
     "max_iterations",
@@ -73,50 +72,28 @@ class Job:
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox train`` is asked for; all runs of a sweep are checked before the first begins."""
-    arguments = read_arguments(words)
-    if describe("train", arguments):
-        return
-    runs = members(arguments, "train")
-    jobs = [make_job(member.overrides, arguments.config_dir) for member in runs]
-    if len(jobs) > 1:
-        from warpvox.cli.build import prepare, resolve
-
-        for job in jobs:  # a mistake in the last of a hundred runs should not show after a day
-            prepare(job.config.torch_threads, job.config.seed)
-            resolve(job.config)
-    console = Console()
-    each("train", runs, jobs, lambda job: train(job, console), console, jobs[0].config.output_dir)
+    """Do what ``warpvox train`` is asked for."""
+    run_command("train", words, train, _prepare, _check)
 
 
-def describe(command: str, arguments: Any) -> bool:
-    """Print the help or the configuration, if that is what was asked for."""
-    if arguments.help:
-        defaults = load(command, [], None)
-        print(command_help(command, COMMANDS[command], flat(dataclasses.asdict(defaults))))
-        return True
-    if arguments.show:
-        for overrides in expand(arguments, command):
-            print(to_yaml(load(command, overrides, arguments.config_dir)), end="")
-        return True
-    return False
+def _check(job: Job) -> None:
+    from warpvox.cli.build import prepare, resolve
+
+    prepare(job.config.torch_threads, job.config.seed)
+    resolve(job.config)
 
 
-def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested values by their dotted keys."""
-    found = {}
-    for name, value in values.items():
-        found |= flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
-    return found
+def make_job(overrides: list[str], config_dir: Path | None = None) -> Job:
+    """A run from its overrides alone; see :func:`_prepare`."""
+    return _prepare(load("train", overrides, config_dir), overrides, config_dir)
 
 
-def make_job(overrides: list[str], config_dir: Path | None) -> Job:
-    """Compose a run; with ``resume`` on top of the configuration of the run that it goes on with.
+def _prepare(config: TrainConfig, overrides: list[str], config_dir: Path | None) -> Job:
+    """The job of a configuration; with ``resume`` on top of the configuration of the run that it goes on with.
 
     Raises:
         ConfigError, RunError: what is wrong with it.
     """
-    config = load("train", overrides, config_dir)
     check_name(config.name)
     if config.resume is None:
         check_writable(config.output_dir)
@@ -165,7 +142,7 @@ def _is_readable(checkpoint: Path) -> bool:
 
 def check_unchanged(before: dict[str, Any], config: Any, changeable: Sequence[str]) -> None:
     """Raise ConfigError if a resumed run is asked for something that would make it another one."""
-    old, new = flat(before), flat(dataclasses.asdict(config))
+    old, new = flat_values(before), flat_values(dataclasses.asdict(config))
     changed = [key for key, value in new.items() if key in old and old[key] != value and key not in changeable]
     if changed:
         key = changed[0]
