@@ -30,7 +30,7 @@ from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, did_you_mean, known_arguments, listing
 from warpvox.simulation import Simulation
-from warpvox.types import Physics
+from warpvox.types import Physics, is_integer
 
 __all__ = ["VoxelVecEnv", "make_vec", "one_body"]
 
@@ -582,11 +582,11 @@ def _check_seeds(seed: int | Sequence[int], designs: int, num_envs: int) -> None
             f" got {len(seed)}."
         )
     for one in seed if several else [seed]:
-        if not isinstance(one, int | np.integer) or isinstance(one, bool) or one < 0:
+        if not is_integer(one) or one < 0:
             raise ConfigError(f"seed must be a whole number >= 0, got {one!r:.80}.")
 
 
 def _whole(name: str, value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+    if not is_integer(value) or value < 1:
         raise ConfigError(f"{name} must be a whole number >= 1, got {value!r:.80}.")
     return int(value)

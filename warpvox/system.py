@@ -18,7 +18,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 __all__ = [
     "HANGUP",
@@ -26,7 +25,6 @@ __all__ = [
     "flush_to_disk",
     "folder_lock",
     "has_display",
-    "own_group",
     "processor_name",
     "python_of",
     "stop_signals",
@@ -264,14 +262,6 @@ def _windows_memory() -> int | None:
         return None
     status = _MemoryStatus(length=ctypes.sizeof(_MemoryStatus))
     return int(status.available) if kernel.GlobalMemoryStatusEx(ctypes.byref(status)) else None
-
-
-# ------------------------------------------------------------------------------------------------------- processes
-
-
-def own_group() -> dict[str, Any]:
-    """Arguments of ``subprocess.Popen`` for a process that Ctrl-C in the terminal does not reach."""
-    return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if WINDOWS else {"start_new_session": True}
 
 
 def _output(*words: str) -> str:

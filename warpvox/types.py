@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from numbers import Integral
 
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["ACTION_HIGH", "ACTION_LOW", "AXES", "DT", "SIGHT", "SUBSTEPS", "VOXEL", "Cell", "Physics"]
+__all__ = ["ACTION_HIGH", "ACTION_LOW", "AXES", "DT", "SIGHT", "SUBSTEPS", "VOXEL", "Cell", "Physics", "is_integer"]
 
 VOXEL = 0.1
 """Side of a voxel in simulator units."""
@@ -23,6 +24,11 @@ DT = 1.0e-4
 nominal 1500 Hz."""
 ACTION_LOW, ACTION_HIGH = 0.6, 1.6
 """Bounds of an action: the goal length of an actuator's sides in units of their rest length."""
+
+
+def is_integer(value: object) -> bool:
+    """Whether a value is an integer of Python or numpy; ``True`` is none."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 class Cell(IntEnum):

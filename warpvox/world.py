@@ -20,7 +20,7 @@ from warpvox.design import LARGEST_GRID, as_grid, full_connections
 from warpvox.errors import WorldError, did_you_mean, listing
 from warpvox.io.reading import Missing, Unreadable, parse_json, read_text
 from warpvox.io.writing import write_text
-from warpvox.types import Cell
+from warpvox.types import Cell, is_integer
 
 __all__ = ["World", "WorldObject"]
 
@@ -137,7 +137,7 @@ class World:
 
     def __init__(self, width: int = 1, height: int = 1) -> None:
         for value, what in ((width, "width"), (height, "height")):
-            if not _is_whole(value) or value < 1:
+            if not is_integer(value) or value < 1:
                 raise WorldError(f"The {what} of a world must be a whole number >= 1, got {value!r}.")
         _check_size(int(width), int(height))
         self.width = int(width)
@@ -332,12 +332,8 @@ def _is_writable(text: str) -> bool:
     return True
 
 
-def _is_whole(value: object) -> bool:
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-
-
 def _check_position(name: str, x: object, y: object) -> tuple[int, int]:
-    if not _is_whole(x) or not _is_whole(y):
+    if not is_integer(x) or not is_integer(y):
         raise WorldError(f"The position of '{name}' must be two whole numbers of cells, got ({x!r}, {y!r}).")
     if x < 0 or y < 0:  # type: ignore[operator]
         raise WorldError(f"The position of '{name}' must not be negative, got ({x}, {y}).")
@@ -383,7 +379,7 @@ def _parse_world(source: object) -> tuple[int, int, list[WorldObject]]:
     if missing:
         raise WorldError(f"{origin} is not a world: it lacks {listing(missing)}.")
     width, height, objects = data["grid_width"], data["grid_height"], data["objects"]
-    if not _is_whole(width) or not _is_whole(height) or width < 1 or height < 1:
+    if not is_integer(width) or not is_integer(height) or width < 1 or height < 1:
         raise WorldError(
             f"{origin}: grid_width and grid_height must be whole numbers >= 1, got {width!r:.80}, {height!r:.80}."
         )
@@ -445,7 +441,7 @@ def _object_from_json(name: str, entry: object, world_width: int, world_height: 
             f" {len(indices)} indices, {len(types)} types, {len(neighbors)} neighbors."
         )
     size = world_width * world_height
-    known = all(_is_whole(index) and 0 <= index < size for index in indices)
+    known = all(is_integer(index) and 0 <= index < size for index in indices)
     if not known or len(set(indices)) < len(indices):
         raise WorldError(
             f"the indices of the object '{name}' must be different whole numbers from 0 to {size - 1}"
@@ -460,13 +456,13 @@ def _object_from_json(name: str, entry: object, world_width: int, world_height: 
     place = {}
     for index, column, row, cell in zip(indices, columns, rows, types, strict=True):
         place[index] = (y + height - 1 - row) * width + column - x
-        if not _is_whole(cell) or cell == Cell.EMPTY or cell not in set(Cell):
+        if not is_integer(cell) or cell == Cell.EMPTY or cell not in set(Cell):
             raise WorldError(f"the cell type {cell!r} of '{name}' at index {index} is none of 1 to 5.")
         cells.flat[place[index]] = cell
     pairs = []
     for index in indices:
         near = neighbors.get(str(index), neighbors.get(index))
-        if not isinstance(near, list) or not all(_is_whole(other) and other in place for other in near):
+        if not isinstance(near, list) or not all(is_integer(other) and other in place for other in near):
             raise WorldError(f"the neighbors of index {index} of '{name}' are not a list of its indices.")
         pairs.extend((place[index], place[other]) for other in near)
     connections = np.array(pairs, np.int64).reshape(-1, 2).T
@@ -479,7 +475,7 @@ def _bounding_box(name: str, box: object, columns: list[int], rows: list[int]) -
     right, top = max(columns) + 1, max(rows) + 1
     if box is None:
         return x, y, right - x, top - y
-    fits = isinstance(box, list) and len(box) == 4 and all(_is_whole(n) and n >= 0 for n in box)
+    fits = isinstance(box, list) and len(box) == 4 and all(is_integer(n) and n >= 0 for n in box)
     if not fits or box[0] > x or box[1] > y or box[0] + box[2] < right or box[1] + box[3] < top:
         raise WorldError(f"the box {box!r} of the object '{name}' is no [x, y, width, height] that holds its cells.")
     return box[0], box[1], box[2], box[3]

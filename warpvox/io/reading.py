@@ -31,8 +31,6 @@ INFLATION = 1032
 """Bytes that a byte of the DEFLATE format can stand for at most."""
 LONGEST_HEADER = 4096
 """Bytes of numpy's description of an array; those of plain numbers have 118."""
-CHUNK = 1 << 20
-"""Bytes that are read at once."""
 MOST_MEMBERS = 64
 """Arrays in an ``.npz``."""
 
@@ -226,7 +224,7 @@ def _read_array(file: IO[bytes], size: int, limit: int) -> np.ndarray:
     version = np.lib.format.read_magic(file)
     if version not in _HEADERS:
         raise Unreadable(f"version {version} of numpy's format is not read")
-    shape, by_columns, dtype = _HEADERS[version](file, max_header_size=LONGEST_HEADER)
+    shape, _, dtype = _HEADERS[version](file, max_header_size=LONGEST_HEADER)
     if dtype.kind not in "biuf":
         raise Unreadable(f"an array of {dtype} is not made of plain numbers")
     if any(type(side) is not int or side < 0 for side in shape):
@@ -236,12 +234,5 @@ def _read_array(file: IO[bytes], size: int, limit: int) -> np.ndarray:
         raise Unreadable(f"an array of shape {shape:} and type {dtype} has {claimed:,} bytes, but there are {there:,}")
     if claimed > limit:
         raise Unreadable(f"an array of shape {shape} has {claimed:,} bytes, and {limit:,} are the limit")
-    array = np.empty(math.prod(shape), dtype)
-    left = memoryview(array).cast("B") if claimed else b""
-    while left:
-        part = file.read(min(len(left), CHUNK))
-        if not part:
-            raise Unreadable("an array ends too early")
-        left[: len(part)] = part
-        left = left[len(part) :]
-    return array.reshape(shape[::-1]).T if by_columns else array.reshape(shape)
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False, max_header_size=LONGEST_HEADER)

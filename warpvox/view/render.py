@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from fractions import Fraction
+from contextlib import closing
 from pathlib import Path
 from weakref import WeakKeyDictionary
 
@@ -16,8 +13,7 @@ from PIL import Image, ImageDraw
 
 from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path
-from warpvox.system import own_group
-from warpvox.types import VOXEL
+from warpvox.types import VOXEL, is_integer
 from warpvox.view.gif import write_pictures
 from warpvox.view.painter import INK, Painter, font
 from warpvox.view.rollout import FRAME_SECONDS, Rollout
@@ -58,7 +54,7 @@ class Film:
     ) -> None:
         self.rollout, self.hud = rollout, hud
         self.size = _check_size(size)
-        chosen = range(min(rollout.num_envs, 16)) if envs is None else [envs] if _is_whole(envs) else envs
+        chosen = range(min(rollout.num_envs, 16)) if envs is None else [envs] if is_integer(envs) else envs
         self.envs = [rollout.check_env(env) for env in chosen]
         if not self.envs:
             raise RolloutError("No environment was chosen to be drawn.")
@@ -147,7 +143,7 @@ def draw_frame(
     Raises:
         RolloutError: no such frame or environment, or a size that cannot be drawn.
     """
-    key = (env if env is None or _is_whole(env) else tuple(env), tuple(size), hud, voxels)
+    key = (env if env is None or is_integer(env) else tuple(env), tuple(size), hud, voxels)
     films = _films.setdefault(rollout, {})
     if key not in films:
         # The newest few are enough for loops over environments or sizes, and bound the memory.
@@ -177,7 +173,7 @@ def filmstrip(
     """
     width, height = _check_size(size)
     env = rollout.check_env(env)
-    if _is_whole(frames):
+    if is_integer(frames):
         if not 1 <= frames <= 64:
             raise RolloutError(f"A strip shows 1 to 64 frames, got {frames!r}.")
         last = int(rollout.lengths[env])
@@ -293,7 +289,7 @@ def write_mp4(
         RolloutError: as for write_gif; odd sizes; or imageio-ffmpeg is not installed.
     """
     try:
-        from imageio_ffmpeg import get_ffmpeg_exe
+        import imageio_ffmpeg
     except ImportError:
         raise RolloutError(
             "MP4 needs imageio-ffmpeg, which is not installed: pip install 'warpvox[view]', or write a GIF."
@@ -303,44 +299,24 @@ def write_mp4(
         raise RolloutError(f"The width and the height of an MP4 must be even, got {width} x {height}.")
     frames = _frames(rollout, fps, start, stop, every, most=240)
     film = Film(rollout, envs, size, hud, voxels)
+    options = dict(codec="libx264", quality=None, output_params=["-crf", "15"], macro_block_size=2)
     with atomic_path(path) as temporary:
-        options = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
-        options += ["-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"]
-        options += ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", "15", str(temporary)]
-        with _encoder([get_ffmpeg_exe(), "-y", "-v", "error", *options], path) as write:
-            for number, frame in enumerate(frames):
-                write(film.array(frame).tobytes())
-                if on_frame:
-                    on_frame(number + 1, len(frames))
-    return Path(path)
-
-
-@contextmanager
-def _encoder(command: list[str], path: str | os.PathLike[str]) -> Iterator[Callable[[bytes], object]]:
-    """A process that takes pictures; what it has to say of its failure counts, or half a film would pass for a whole.
-
-    Raises:
-        RolloutError: it has failed, most likely for want of space.
-    """
-    with tempfile.TemporaryFile() as log:
-        # Ctrl-C is ours to deal with: the encoder is in a group of its own
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, **own_group())
-        ended = False
+        encoder = imageio_ffmpeg.write_frames(
+            temporary, (width, height), fps=float(fps), ffmpeg_log_level="quiet", **options
+        )
         try:
-            yield process.stdin.write
-        except BrokenPipeError:
-            ended = True  # before it had everything; why follows
-        except BaseException:
-            process.kill()
-            raise
-        finally:
-            with suppress(BrokenPipeError):
-                process.stdin.close()
-            code = process.wait()
-        if ended or code:
-            log.seek(0)
-            said = " ".join(log.read().decode(errors="replace").split())[-200:] or f"exit code {code}"
-            raise RolloutError(f"{path} cannot be written; is its disk full? The encoder says: {said}")
+            with closing(encoder):
+                encoder.send(None)
+                for number, frame in enumerate(frames):
+                    encoder.send(film.array(frame))
+                    if on_frame:
+                        on_frame(number + 1, len(frames))
+            written, _ = imageio_ffmpeg.count_frames_and_secs(temporary)  # it does not tell when it has failed
+        except (OSError, RuntimeError):
+            written = None
+        if written != len(frames):
+            raise RolloutError(f"{path} cannot be written; is its disk full?")
+    return Path(path)
 
 
 # ---------------------------------------------------------------------------------------------------- helpers
@@ -348,7 +324,7 @@ def _encoder(command: list[str], path: str | os.PathLike[str]) -> Iterator[Calla
 
 def _frames(rollout: Rollout, fps: float, start: int, stop: int | None, every: int, most: float) -> list[int]:
     """Frames of the rollout to show, so that time runs as in the simulation, or ``every`` times as fast."""
-    if not _is_whole(every) or every < 1:
+    if not is_integer(every) or every < 1:
         raise RolloutError(f"every must be a whole number >= 1, got {every!r}.")
     if not 1 <= fps <= most:
         raise RolloutError(f"fps must lie in 1 to {most:g}, got {fps!r}.")
@@ -412,10 +388,6 @@ def _check_size(size: tuple[int, int]) -> tuple[int, int]:
     if not (16 <= width <= MAX_PIXELS and 16 <= height <= MAX_PIXELS):
         raise RolloutError(f"Width and height must lie in 16 to {MAX_PIXELS} pixels, got {width} x {height}.")
     return width, height
-
-
-def _is_whole(value: object) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def _save_png(image: Image.Image, path: str | os.PathLike[str]) -> Path:

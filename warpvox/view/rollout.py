@@ -38,8 +38,8 @@ import numpy as np
 from warpvox.errors import ConfigError, RolloutError, did_you_mean, listing
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
-from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
-from warpvox.view.scene import Scene, SceneObject, check_scene, scene_from_json, scene_to_json, stretch
+from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, is_integer
+from warpvox.view.scene import Scene, check_scene, scene_from_json, scene_of, scene_to_json, stretch
 
 __all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "points_of", "record", "scenes_of"]
 
@@ -145,7 +145,7 @@ class Rollout:
         Raises:
             RolloutError: there is not.
         """
-        if not isinstance(env, int | np.integer) or isinstance(env, bool) or not 0 <= env < self.num_envs:
+        if not is_integer(env) or not 0 <= env < self.num_envs:
             raise RolloutError(f"No environment {env!r}: the rollout has {self.num_envs}, counted from 0.")
         return int(env)
 
@@ -156,7 +156,7 @@ class Rollout:
             RolloutError: there is no such frame.
         """
         count = self.num_frames
-        if not isinstance(frame, int | np.integer) or isinstance(frame, bool) or not -count <= frame < count:
+        if not is_integer(frame) or not -count <= frame < count:
             raise RolloutError(f"No frame {frame!r}: the rollout has {count}, 0 to {count - 1} (-1: the last).")
         return int(frame) % count
 
@@ -241,9 +241,7 @@ def record(
     """
     import torch
 
-    if num_steps is not None and (
-        not isinstance(num_steps, int | np.integer) or isinstance(num_steps, bool) or num_steps < 1
-    ):
+    if num_steps is not None and not (is_integer(num_steps) and num_steps >= 1):
         raise ConfigError(f"num_steps must be a whole number >= 1 or None, got {num_steps!r}.")
     act = _agent(policy, env) if isinstance(policy, str) else policy
     scenes, gather = scenes_of(env.sim)
@@ -303,42 +301,21 @@ def points_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
     """:func:`scenes_of` with the points as a tensor on the simulation's device, which nothing waits for."""
     import torch
 
-    names = [
-        name
-        for name in sim.object_names
-        if name in sim.loose or any(name in world and not world.objects[name].is_static for world in sim.worlds)
-    ]
+    scenes = tuple(scene_of(design) for design in sim.designs)
+    names = [name for name in sim.object_names if any(o.name == name for scene in scenes for o in scene.moving)]
+    # The simulation gives every object the room of its widest design; here the points of an environment are contiguous.
     starts = dict(zip(names, np.cumsum([0, *(sim.num_points(name) for name in names)]).tolist(), strict=False))
-    scenes, sources = [], []
-    for design, world in enumerate(sim.worlds):
-        objects, source = [], []
-        for name in (name for name in sim.object_names if name in world):
-            item = world.objects[name]
-            corners, count, first = np.zeros((0, 4), np.int32), 0, len(source)
-            if name in sim.loose or not item.is_static:
-                corners = sim.voxel_corners(name, design=design)
-                count = int(corners.max()) + 1
-                source += range(starts[name], starts[name] + count)
-            grid = np.asarray(item.grid, np.int8)
-            objects.append(SceneObject(name, grid, item.x, item.y, first if count else 0, count, corners + first))
-        scenes.append(Scene(world.width, world.height, tuple(objects)))
-        sources.append(source)
-    longest = max(len(source) for source in sources)
-    # Objects have their widest design's room in the simulation; here the points of an environment are
-    # contiguous.
-    table = torch.tensor([source + [0] * (longest - len(source)) for source in sources], device=sim.device)
-    index = table[sim.design_index]
-    real = (
-        torch.arange(longest, device=sim.device)
-        < torch.tensor([len(source) for source in sources], device=sim.device)[sim.design_index][:, None]
-    )
+    table = np.full((len(scenes), max(scene.num_points for scene in scenes)), -1)
+    for row, scene in zip(table, scenes, strict=True):
+        for obj in scene.moving:
+            row[obj.first_point : obj.first_point + obj.num_points] = starts[obj.name] + np.arange(obj.num_points)
+    index = torch.from_numpy(table).to(sim.device)[sim.design_index][:, :, None].expand(-1, -1, 2)
 
     def points() -> Any:
         every = torch.cat([sim.object_positions(name) for name in names], dim=1)
-        found = torch.gather(every, 1, index[:, :, None].expand(-1, -1, 2)) * real[:, :, None]
-        return found.to(torch.float32)
+        return torch.gather(every, 1, index.clamp(min=0)).masked_fill(index < 0, 0.0).to(torch.float32)
 
-    return tuple(scenes), points
+    return scenes, points
 
 
 def _agent(name: str, env: Any) -> Callable[[Any], Any]:

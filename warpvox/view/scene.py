@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.compile import CompiledWorld
 from warpvox.design import LARGEST_GRID, as_grid
 from warpvox.errors import RolloutError
 from warpvox.types import VOXEL, Cell
 
-__all__ = ["Scene", "SceneObject", "check_scene", "scene_from_json", "scene_to_json", "stretch"]
+__all__ = ["Scene", "SceneObject", "check_scene", "scene_from_json", "scene_of", "scene_to_json", "stretch"]
 
 MOST_OBJECTS = 1000
 """Objects that a scene may have."""
@@ -116,6 +117,18 @@ class Scene:
                 view = cells[top : top + rows, obj.x : obj.x + columns]
                 np.copyto(view, obj.grid, where=obj.grid != 0)
         return cells
+
+
+def scene_of(world: CompiledWorld) -> Scene:
+    """The scene of a compiled world, whose bodies are what moves."""
+    objects, moving = [], {body.name for body in world.bodies}
+    for body in sorted(world.bodies + world.statics, key=lambda body: (not body.source.is_robot, body.name)):
+        source, corners, count = body.source, np.zeros((0, 4), np.int32), 0
+        if body.name in moving:
+            corners, count = np.array(list(body.corners.values()), np.int32) + body.first_point, len(body.points)
+        first = body.first_point if count else 0
+        objects.append(SceneObject(body.name, source.grid, source.x, source.y, first, count, corners))
+    return Scene(world.width, world.height, tuple(objects))
 
 
 def stretch(scene: Scene, positions: np.ndarray) -> np.ndarray:

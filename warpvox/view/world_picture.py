@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from warpvox.compile import Body, compile_world
+from warpvox.compile import compile_world
 from warpvox.io.writing import atomic_path
 from warpvox.types import Physics
 from warpvox.view.painter import BELOW, Canvas
-from warpvox.view.scene import Scene, SceneObject
+from warpvox.view.scene import Scene, scene_of
 from warpvox.world import World
 
 __all__ = ["draw_world", "scene_of_world", "write_world_png"]
@@ -29,22 +29,8 @@ def scene_of_world(world: World) -> tuple[Scene, np.ndarray]:
     Raises:
         SimulationError: the world has nothing that can move.
     """
-    design = compile_world(world, Physics())
-    moving = [_scene_object(body, body.first_point) for body in design.bodies]
-    still = [_scene_object(body, None) for body in design.statics]
-    points = np.array([point for body in design.bodies for point in body.points])
-    ordered = sorted([*moving, *still], key=lambda obj: (not obj.is_robot, obj.name))
-    return Scene(world.width, world.height, tuple(ordered)), points
-
-
-def _scene_object(body: Body, first: int | None) -> SceneObject:
-    """An object as a mesh; ``first`` is None for terrain."""
-    source = body.source
-    corners = np.zeros((0, 4), np.int32)
-    if first is not None:
-        corners = np.array(list(body.corners.values()), np.int32) + first
-    count = 0 if first is None else len(body.points)
-    return SceneObject(body.name, source.grid, source.x, source.y, first or 0, count, corners)
+    compiled = compile_world(world, Physics())
+    return scene_of(compiled), np.array([point for body in compiled.bodies for point in body.points])
 
 
 def draw_world(world: World) -> Image.Image:
