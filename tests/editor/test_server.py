@@ -131,10 +131,12 @@ def test_other_methods_and_places_do_not_exist(server: EditorServer) -> None:
     assert request(server, "OPTIONS", f"/{server.token}/save")[0] == 501
 
 
-def test_a_silent_client_stops_nobody(server: EditorServer) -> None:
-    with socket.create_connection(("127.0.0.1", server.port)) as silent:
+def test_a_silent_client_stops_nobody_and_is_disconnected(server: EditorServer, monkeypatch) -> None:
+    monkeypatch.setattr("warpvox.editor.server._Handler.timeout", 0.3)
+    with socket.create_connection(("127.0.0.1", server.port), timeout=30) as silent:
         silent.sendall(b"POST / HTTP/1.1\r\n")
         assert ask(server, "files") == {"files": []}
+        assert silent.recv(10) == b""
 
 
 def test_check_save_open(server: EditorServer) -> None:

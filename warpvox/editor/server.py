@@ -3,8 +3,8 @@
 It listens on the loopback address. Every address begins with a token that is drawn anew at each start, so that
 other users of the machine and pages of other sites cannot guess it. A request whose Host is not this server's is
 refused (a page cannot reach the editor under a name of its own that leads to 127.0.0.1), and so is one whose
-Origin is another's. Requests have a size limit and a time limit, connections are counted (see
-:mod:`warpvox.editor.limits`); files are read and written in one folder only.
+Origin is another's. Requests have a size limit, a client that stays silent is disconnected; files are read and written
+in one folder only.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 from warpvox.editor.documents import check, check_file_name, document_of, file_names, read_file, save_file
-from warpvox.editor.limits import LimitedHandler, LimitedServer
 from warpvox.editor.page import editor_page
 from warpvox.editor.trials import try_out
 from warpvox.errors import ConfigError, DeviceError, WarpvoxError
@@ -32,6 +32,8 @@ __all__ = ["EditorServer"]
 ADDRESS = "127.0.0.1"
 LARGEST = 1_000_000
 """Bytes of a request."""
+SILENCE = 15.0
+"""Seconds without a byte from a client, or without one taken by it, after which its connection is closed."""
 KEPT = 4
 """Rollouts that stay to be looked at."""
 HEADERS = {
@@ -46,7 +48,7 @@ POLICY = (
 )
 
 
-class EditorServer(LimitedServer):
+class EditorServer(ThreadingHTTPServer):
     """Serves the editor until it is shut down.
 
     Args:
@@ -165,9 +167,10 @@ class _Refused(Exception):
         self.status = status
 
 
-class _Handler(LimitedHandler):
+class _Handler(BaseHTTPRequestHandler):
     """One request."""
 
+    timeout = SILENCE
     server: EditorServer
     server_version, sys_version, protocol_version = "warpvox", "", "HTTP/1.1"
 
@@ -239,7 +242,6 @@ class _Handler(LimitedHandler):
         self._send(str(refusal).encode(), "text/plain; charset=utf-8", refusal.status)
 
     def _send(self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
-        self.begin_answer()
         self.send_response(status)
         for name, value in HEADERS.items():
             self.send_header(name, value)
