@@ -15,9 +15,8 @@ import textwrap
 from pathlib import Path
 
 from warpvox.cli import COMMANDS, main
-from warpvox.cli.commands.train import flat
 from warpvox.cli.config import load
-from warpvox.cli.help import help_rows
+from warpvox.cli.help import flat_values, help_rows
 from warpvox.configs.schema import COMMANDS as SCHEMAS
 from warpvox.io.writing import write_text
 
@@ -46,7 +45,7 @@ def table_of(command: str) -> str:
     """The keys of a command as a table; of one without keys what it prints as its help."""
     if command not in SCHEMAS:
         return textwrap.indent(_help_of(command), "    ")
-    values = flat(dataclasses.asdict(load(command, [])))
+    values = flat_values(dataclasses.asdict(load(command, [])))
     lines = [f"`usage: warpvox {command} [KEY=VALUE ...]`", "", "| key | default | meaning |", "|---|---|---|"]
     for row in help_rows(command, values):
         default = "" if row.is_group else _code(row.value)
