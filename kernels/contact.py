@@ -11,7 +11,7 @@ import warp as wp
 
 from warpvox.kernels.broadphase import boxes_meet, lattice_range
 from warpvox.kernels.kit import Kit, builder
-from warpvox.kernels.lanes import first_lane, text, without_first
+from warpvox.kernels.lanes import constants, first_lane, text, without_first
 
 PARALLEL = 1.0e-4  # |det| of two edges below which they do not cross
 DEGENERATE = 1.0e-6  # a side shorter than this is never the nearest
@@ -21,124 +21,32 @@ quad = wp.types.vector(length=8, dtype=real)  # x, y of top left, top right, bot
 points3 = wp.array3d(dtype=real)
 
 
-# ------------------------------------------------------------------------------- geometry of a corner in a quad
-# Comparisons and their order of evaluation follow the released simulator: at time 0 they decide ties in the last bit.
-
-
 @wp.func_native(text("native/triangles.h", "native/inside_quad.h"))
 def inside_quad(x: real, y: real, r: quad) -> bool:
     """Whether a point is in a quad, boundary included."""
     ...
 
 
-@wp.func
-def crosses(ax: real, ay: real, bx: real, by: real, cx: real, cy: real, dx: real, dy: real):
-    """Whether the segments a-b and c-d cross, ends included."""
-    ux, uy, vx, vy = bx - ax, by - ay, dx - cx, dy - cy
-    det = -ux * vy + vx * uy
-    if wp.abs(det) < real(PARALLEL):
-        return False
-    wx, wy = cx - ax, cy - ay
-    t = (-vy * wx + vx * wy) / det
-    if t < real(0.0) or t > real(1.0):
-        return False
-    s = (-uy * wx + ux * wy) / det
-    return real(0.0) <= s and s <= real(1.0)
-
-
-@wp.func
-def edge_crosses(m: quad, sides: int, e: int, cx: real, cy: real, dx: real, dy: real):
-    """The same for edge e of a quad; inner bottom and left edges run against the clock, as they were made."""
-    a, b = int(e), (e + 1) % 4
-    if e >= 2 and ((sides >> e) & 1) == 0:
-        a, b = (e + 1) % 4, int(e)
-    return crosses(m[2 * a], m[2 * a + 1], m[2 * b], m[2 * b + 1], cx, cy, dx, dy)
-
-
-@wp.func
-def depth_under(x: real, y: real, ax: real, ay: real, bx: real, by: real):
-    """Distance of a point from the line through a and b."""
-    ux, uy = bx - ax, by - ay
-    length = wp.sqrt(ux * ux + uy * uy)
-    if length < real(DEGENERATE):
-        return real(1000.0)
-    return wp.abs(ux * (y - ay) - (x - ax) * uy) / length
-
-
-@wp.func
-def nearest_side(m: quad, m_sides: int, c: int, r: quad, r_sides: int):
-    """Of the surface sides of quad r that an edge at corner c of quad m crosses the nearest, or -1; depth."""
-    best = int(-1)
-    depth = real(0.0)
-    four = int(4)
-    for e in range(four):
-        if ((r_sides >> e) & 1) == 1:
-            f = (e + 1) % 4
-            ax, ay, bx, by = r[2 * e], r[2 * e + 1], r[2 * f], r[2 * f + 1]
-            if edge_crosses(m, m_sides, c, ax, ay, bx, by) or edge_crosses(m, m_sides, (c + 3) % 4, ax, ay, bx, by):
-                d = depth_under(m[2 * c], m[2 * c + 1], ax, ay, bx, by)
-                if best < 0 or d < depth:
-                    best = int(e)
-                    depth = d
-    return best, depth
-
-
-# ------------------------------------------------------------------------------------------------ contact law
-
-
-@wp.func
-def speed(velocity: points3, pack: int, k: int, p: int, x: real, y: real):
-    """Velocity of a point along a direction; points of -1 stand still."""
-    if p < 0:
-        return real(0.0)
-    return x * velocity[pack, 2 * p, k] + y * velocity[pack, 2 * p + 1, k]
+@wp.func_native(
+    constants(PARALLEL=PARALLEL, DEGENERATE=DEGENERATE) + text("native/crossing.h", "native/nearest_side.h")
+)
+def nearest_side(m: quad, m_sides: int, c: int, r: quad, r_sides: int) -> wp.vec4d:
+    """Of the surface sides of quad r that an edge at corner c of quad m crosses the nearest, or -1; vector, depth."""
+    ...
 
 
 @builder
 def contact_forces(kit: Kit):
     """Function: add ``times`` the forces of one contact on the corner p and on the ends a, b of the side.
 
-    ``normal`` holds the unit normal and the depth. Sums and products are in the order of the released simulator.
+    ``side`` holds its vector and the depth of the corner under it.
     """
-    force = kit.real
 
-    @wp.func
-    def push(out: wp.array3d(dtype=force), pack: int, k: int, p: int, fx: real, fy: real):
-        if p >= 0:
-            out[pack, 2 * p, k] = out[pack, 2 * p, k] + force(fx)
-            out[pack, 2 * p + 1, k] = out[pack, 2 * p + 1, k] + force(fy)
-
-    @wp.func
+    @kit.func_native("native/pairs.h", "native/contact_law.h", "native/add_contact.h")
     def forces(
-        law: kit.Contact, velocity: points3, out: wp.array3d(dtype=force), pack: int, k: int, p: int, a: int, b: int,
-        normal: wp.vec3d, times: real,
-    ):  # fmt: skip
-        nx, ny = normal[0], normal[1]
-        fx, fy = nx * law.stiffness * (law.depth + normal[2]), ny * law.stiffness * (law.depth + normal[2])
-        # The released simulator normalises the unit normal once more before damping and friction.
-        length = wp.sqrt(nx * nx + ny * ny)
-        ux, uy = nx / length, ny / length
-        vp = speed(velocity, pack, k, p, ux, uy)
-        va = speed(velocity, pack, k, a, ux, uy)
-        vb = speed(velocity, pack, k, b, ux, uy)
-        half, c = times * real(0.5), law.damping
-        push(out, pack, k, p, times * (fx - ux * vp * c), times * (fy - uy * vp * c))
-        push(out, pack, k, a, -(fx * half + ux * va * c * half), -(fy * half + uy * va * c * half))
-        push(out, pack, k, b, -(fx * half + ux * vb * c * half), -(fy * half + uy * vb * c * half))
-        # Friction: viscous at small slip, at most friction_multiplier * friction * normal force.
-        tx, ty = -uy, ux
-        slip = speed(velocity, pack, k, p, tx, ty)
-        if slip < real(0.0):
-            slip, tx, ty = -slip, -tx, -ty
-        size = wp.sqrt(fx * fx + fy * fy)
-        rub = real(0.0)
-        if slip != real(0.0):  # without friction or stiffness the quotient would be 0/0
-            rub = wp.tanh(slip / (law.friction * size))
-        sx = -(law.friction_multiplier * tx) * law.friction * size * rub
-        sy = -(law.friction_multiplier * ty) * law.friction * size * rub
-        push(out, pack, k, p, times * sx, times * sy)
-        push(out, pack, k, a, -sx * half, -sy * half)
-        push(out, pack, k, b, -sx * half, -sy * half)
+        law: kit.Contact, velocity: points3, out: wp.array3d(dtype=kit.real), pack, lane, p, a, b, side: wp.vec3d,
+        times: real,
+    ): ...  # fmt: skip
 
     return forces
 
@@ -152,10 +60,8 @@ def apply(kit: Kit):
     forces = contact_forces(kit)
 
     @kit.func
-    def act(
-        model, data, mesh, pack, k, i, j, c, p, ends: wp.vec2i, normal: wp.vec3d, times: real
-    ):  # fmt: skip
-        forces(model.contact, data.true_vel, data.contact, pack, k, p, ends[0], ends[1], normal, times)
+    def act(model, data, mesh, pack, k, i, j, c, p, ends: wp.vec2i, side: wp.vec3d, times: real):
+        forces(model.contact, data.true_vel, data.contact, pack, k, p, ends[0], ends[1], side, times)
 
     return act
 
@@ -194,42 +100,35 @@ def corner_contact(kit: Kit, act):
     """Function: do what ``act`` does with the contact of corner c of quad m, which is in quad r, if it is one."""
 
     @kit.func
-    def meet(
+    def contact(
         model, data, mesh, pack, k, i, m: quad, m_sides, p, c, j, r: quad, r_sides, r_points: wp.vec4i, times: real,
     ):  # fmt: skip
-        side, depth = nearest_side(m, m_sides, c, r, r_sides)
-        if side >= 0:
-            f = (side + 1) % 4
-            ux, uy = r[2 * f] - r[2 * side], r[2 * f + 1] - r[2 * side + 1]
-            length = wp.sqrt(ux * ux + uy * uy)
-            ends, normal = wp.vec2i(r_points[side], r_points[f]), wp.vec3d(-uy / length, ux / length, depth)
-            point = int(p)
+        found = nearest_side(m, m_sides, c, r, r_sides)
+        first = int(found[0])
+        if first >= 0:
+            point, ends = int(p), wp.vec2i(r_points[first], r_points[(first + 1) % 4])
             if model.twins[mesh] > 0:
                 point = leader(model.twin_range, model.twin, model.twin_lanes, mesh, p, k)
                 ends = wp.vec2i(
                     leader(model.twin_range, model.twin, model.twin_lanes, mesh, ends[0], k),
                     leader(model.twin_range, model.twin, model.twin_lanes, mesh, ends[1], k),
                 )
-            act(model, data, mesh, pack, k, i, j, c, point, ends, normal, times)
+            act(model, data, mesh, pack, k, i, j, c, point, ends, wp.vec3d(found[1], found[2], found[3]), times)
 
-    return meet
+    return contact
 
 
-@builder
-def voxel_quad(kit: Kit):
-    """Function: a voxel of one lane as a quad."""
-
-    @wp.func_native(text("native/quad.h"))
-    def of(places: points3, pack: int, k: int, c: wp.vec4i) -> quad: ...
-
-    return of
+@wp.func_native(text("native/quad.h"))
+def quad_of(places: points3, pack: int, k: int, c: wp.vec4i) -> quad:
+    """A voxel of one lane as a quad."""
+    ...
 
 
 @functools.cache
 def voxel_contacts(kit: Kit, act):
     """Function: contacts of the candidate pairs."""
 
-    meet, quad_of = corner_contact(kit, act), voxel_quad(kit)
+    contact = corner_contact(kit, act)
 
     @kit.func_native("native/triangles.h", "native/next_touch.h", precision="float64")
     def next_touch(
@@ -255,7 +154,7 @@ def voxel_contacts(kit: Kit, act):
         r_points = wp.vec4i(ends[0], ends[1], ends[2], ends[3])
         m_sides = surface_sides(model.side_lanes, mesh, i, k)
         r_sides = surface_sides(model.side_lanes, mesh, j, k)
-        meet(model, data, mesh, pack, k, i, m, m_sides, p, c, j, r, r_sides, r_points, times)
+        contact(model, data, mesh, pack, k, i, m, m_sides, p, c, j, r, r_sides, r_points, times)
 
     @kit.func
     def all_pairs(model, data, mesh, pack, lane, unit, active):
@@ -284,8 +183,7 @@ def holds(x0: real, x1: real, y0: real, y1: real, x: real, y: real):
 @functools.cache
 def terrain_contacts(kit: Kit, act):
     """Function: contacts of the near voxels with the cells of the terrain lattice."""
-    meet, quad_of, span = corner_contact(kit, act), voxel_quad(kit), lattice_range(kit)
-    overlap = boxes_meet(kit)
+    contact, span, overlap = corner_contact(kit, act), lattice_range(kit), boxes_meet(kit)
 
     @kit.func
     def cell_quad(model, frame, cell):
@@ -311,11 +209,11 @@ def terrain_contacts(kit: Kit, act):
         for c in range(four):
             x, y = m[2 * c], m[2 * c + 1]
             if holds(r[0], r[2], r[5], r[1], x, y) and inside_quad(x, y, r):
-                meet(model, data, mesh, pack, k, v, m, m_sides, mc[c], c, -1 - cell, r, r_sides, none, one)
+                contact(model, data, mesh, pack, k, v, m, m_sides, mc[c], c, -1 - cell, r, r_sides, none, one)
         for c in range(four):
             x, y = r[2 * c], r[2 * c + 1]
             if holds(x0, x1, y0, y1, x, y) and inside_quad(x, y, m):
-                meet(model, data, mesh, pack, k, -1 - cell, r, r_sides, -1, c, v, m, m_sides, mc, one)
+                contact(model, data, mesh, pack, k, -1 - cell, r, r_sides, -1, c, v, m, m_sides, mc, one)
 
     @kit.func
     def with_terrain(model, data, mesh, pack, k, v):

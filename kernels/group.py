@@ -38,7 +38,7 @@ ROUNDS = 64
 """Of a loop over points, at most: a bit for each."""
 ON_CPU = 512, 1024
 """Points and springs for which the kernel is compiled on the CPU, where memory is no limit; more where needed."""
-FILES = ("base.h", "law.h", "load.h", "candidates.h", "contact.h", "move.h", "limit.h", "step.h")
+FILES = ("base.h", "load.h", "candidates.h", "contact.h", "move.h", "limit.h", "step.h")
 CLOSE_MARGIN = 0.012
 """Distance from another voxel below which corners are tested in every sub-step, until a point has moved half of it."""
 
@@ -97,7 +97,8 @@ def source(group: Group, tallied: bool = False) -> str:
     lines += [f"#define APPROXIMATE {int(group.approximate)}", f"#define TALLIED {int(tallied)}"]
     lines += [constants(**sizes)]
     files = (f"native/group/{file}" for file in FILES)
-    lines += [text(next(files), "native/triangles.h", "native/forces.h", *files)]
+    shared = (f"native/{name}.h" for name in ("triangles", "crossing", "forces", "contact_law"))
+    lines += [text("native/pairs.h", next(files), *shared, *files)]
     lines += ["#undef APPROXIMATE", "#undef TALLIED\n"]
     return "\n".join(lines)
 

@@ -142,7 +142,7 @@ DATA = {
     "hits": (int, "pack lane", "contacts met in this sub-step; these and the box trees only in exact arithmetic"),
     "hit": (wp.vec4i, "pack hit lane", "leaves in the order of their objects, 4 x way + corner, point (-1: still)"),
     "hit_ends": (wp.vec2i, "pack hit lane", "points of the side"),
-    "hit_normal": (wp.vec3d, "pack hit lane", "unit normal and depth"),
+    "hit_side": (wp.vec3d, "pack hit lane", "vector of the side, and depth of the corner under it"),
     "hit_key": (wp.int64, "pack hit lane", "place in the released order, ascending"),
     "hit_rank": (int, "pack hit lane", "the contact with that key"),
     "node_box": (STATE, "pack 4*node lane", "bounds of the nodes of bodies, as box"),

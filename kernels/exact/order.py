@@ -20,14 +20,14 @@ def note_one(kit: Kit):
     """Function: remember a contact of a corner of the voxel at one leaf with a side of that at another."""
 
     @kit.func
-    def add(data, pack, k, hit: wp.vec4i, ends: wp.vec2i, normal: wp.vec3d):
+    def add(data, pack, k, hit: wp.vec4i, ends: wp.vec2i, side: wp.vec3d):
         n = data.hits[pack, k]
         if n >= data.hit.shape[1]:
             data.status[pack, k] = data.status[pack, k] | OVERFLOW
             return
         data.hit[pack, n, k] = hit
         data.hit_ends[pack, n, k] = ends
-        data.hit_normal[pack, n, k] = normal
+        data.hit_side[pack, n, k] = side
         data.hits[pack, k] = n + 1
 
     return add
@@ -46,13 +46,13 @@ def note(kit: Kit):
         return model.leaf[mesh, v]
 
     @kit.func
-    def act(model, data, mesh, pack, k, i, j, c, p, ends: wp.vec2i, normal: wp.vec3d, times: real):
+    def act(model, data, mesh, pack, k, i, j, c, p, ends: wp.vec2i, side: wp.vec3d, times: real):
         m, r = leaf(model, mesh, i), leaf(model, mesh, j)
         mine, other = model.node[mesh, m][2], model.node[mesh, r][2]
         if mine <= other:
-            add(data, pack, k, wp.vec4i(m, r, c, p), ends, normal)
+            add(data, pack, k, wp.vec4i(m, r, c, p), ends, side)
         if mine >= other:
-            add(data, pack, k, wp.vec4i(r, m, 4 + c, p), ends, normal)
+            add(data, pack, k, wp.vec4i(r, m, 4 + c, p), ends, side)
 
     return act
 
@@ -130,7 +130,7 @@ def take(kit: Kit):
                 ends = data.hit_ends[pack, h, k]
                 forces(
                     model.contact, data.true_vel, data.contact, pack, k,
-                    data.hit[pack, h, k][3], ends[0], ends[1], data.hit_normal[pack, h, k], real(1.0),
+                    data.hit[pack, h, k][3], ends[0], ends[1], data.hit_side[pack, h, k], real(1.0),
                 )  # fmt: skip
 
     return stage

@@ -38,8 +38,6 @@ constexpr int LINKS = 8;                          // springs of a point whose pl
 constexpr int QUEUE = 4 * PARTS, CLOSE = 8 * PARTS;  // room for contacts and for corners that are near another voxel
 
 typedef float Single;  // Warp gives float(...) a meaning of its own
-struct alignas(2 * sizeof(Real)) Pair { Real x, y; };
-struct alignas(16) Place { double x, y; };
 struct alignas(4 * sizeof(Real)) Spring {
     unsigned ends;            // the two points, 16 bits each
     Real stiffness;
@@ -50,7 +48,6 @@ struct Side {
     Real rest;  // length
 };
 struct alignas(16) Links { unsigned short place[LINKS]; };  // of the tensions that pull at a point
-struct Push { Pair normal, friction; };
 struct Hit {
     int point[3];  // the corner and the two ends of the side, -1: none
     Push push[3];

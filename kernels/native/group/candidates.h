@@ -2,6 +2,16 @@
 // half the margin; in ascending order. An entry holds i, j and which corners of i and of j are tested; the cell c of the
 // terrain stands as -1 - c. Each thread writes rows of its own of the matrix of marked pairs.
 
+auto least4 = [](auto a, auto b, auto c, auto d) {
+    a = b < a ? b : a;
+    c = d < c ? d : c;
+    return c < a ? c : a;
+};
+auto most4 = [](auto a, auto b, auto c, auto d) {
+    a = b > a ? b : a;
+    c = d > c ? d : c;
+    return c > a ? c : a;
+};
 const int frame_of_mesh = wp::index(model.frame, mesh);
 int here = mesh, frame = frame_of_mesh;
 const wp::vec_t<4, int>* corner = nullptr;

@@ -99,7 +99,7 @@ auto force_of = [&](int code, Hit& hit) {
     UNROLL for (int k = 0; k < 3; ++k) {
         velocity[k] = hit.point[k] < 0 ? Place{0.0, 0.0} : at.touch.velocity[hit.point[k]];
     }
-    contact_law(ux, uy, depth, twice ? 2.0 : 1.0, velocity, hit.push);
+    contact_law(model.contact, ux, uy, depth, twice ? 2.0 : 1.0, velocity, hit.push);
 };
 
 auto add_queue = [&](int waiting) {
