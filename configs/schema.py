@@ -295,7 +295,6 @@ class ExportConfig(_RolloutConfig):
 
 SUITES = {
     "peer": "beside the reference",
-    "step": "ours alone",
     "tasks": "all tasks, beside the reference if there is one",
     "mixed": "a different body in every environment, beside one in all",
     "scaling": "bodies of n x n voxels, numbers of environments, threads",

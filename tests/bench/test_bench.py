@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from warpvox.bench import check, reference
-from warpvox.bench.bodies import full_body, sampled_or_full
+from warpvox.bench.case import full_body, sampled_or_full
 from warpvox.bench.report import number
 from warpvox.configs.schema import ScalingConfig
 from warpvox.design import check_design

@@ -50,28 +50,29 @@ def against_reference(config: Any, task: str, body: np.ndarray, reference: Any, 
 
 
 def against_scalar(env: VoxelVecEnv, seed: int) -> float:
-    """The largest difference of the centre of mass between an environment of a batch and one alone.
+    """The largest difference of the centre of mass between the first and last environment of a batch and each alone.
 
-    The one alone is computed on the CPU in float64, one lane wide: by the code that the recordings of the reference
+    Those alone are computed on the CPU in float64, one lane wide: by the code that the recordings of the reference
     are replayed with. The batch is left at the start of an episode.
 
     Raises:
         SimulationError: the difference is more than rounding.
     """
     alone = make_vec(
-        env.spec, [env.designs[0]], 1, device="cpu", rules=env.rules, dtype="float64", physics=env.sim.physics,
-        seed=env.seed, auto_reset=False, threads=1, lanes=1,
+        env.spec, [env.designs[0], env.designs[-1]], 2, device="cpu", rules=env.rules, dtype="float64",
+        physics=env.sim.physics, seed=env.seed, auto_reset=False, threads=1, lanes=1,
     )  # fmt: skip
     env.reset(seed=env.seed)
-    alone.reset(seed=env.seed)
+    drawn = {name: env.memory[name][[0, -1]][..., : own.shape[-1]].cpu() for name, own in alone.memory.items()}
+    alone.reset(memory=drawn or None)
     actions = np.rint(waves(SHORT, env.num_actions, seed) * 1024) / 1024  # exact in every precision
     error = 0.0
     for step, action in enumerate(actions):
         batch = torch.as_tensor(np.roll(action, step)).repeat(env.num_envs, 1)
-        batch[0] = torch.as_tensor(action)
+        batch[0] = batch[-1] = torch.as_tensor(action)
         env.step(batch.to(env.device))
-        alone.step(action[None])
-        apart = env.sim.com("robot")[0].cpu() - alone.sim.com("robot")[0]
+        alone.step(np.tile(action[: alone.num_actions], (2, 1)))
+        apart = env.sim.com("robot")[[0, -1]].cpu() - alone.sim.com("robot")
         error = max(error, float(apart.abs().max()))
     env.reset(seed=env.seed)
     allowed = ROUNDING[str(env.dtype).removeprefix("torch.")]

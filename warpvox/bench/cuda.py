@@ -11,7 +11,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from warpvox.bench.bodies import one_body
+from warpvox.bench.case import one_body
 from warpvox.bench.ptxas import ARCHITECTURES, assemble, counted
 from warpvox.bench.report import Report, number
 from warpvox.envs.vec_env import make_vec

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from warpvox.bench.bodies import one_body
+from warpvox.bench.case import one_body
 from warpvox.bench.progress import Progress
 from warpvox.bench.report import Report, number
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec

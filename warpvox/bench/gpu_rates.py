@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from typing import Any
 
 from warpvox.algos.env_factory import Arena
 from warpvox.algos.population.training import PopulationTraining
 from warpvox.batch.options import CUDA_LANES
-from warpvox.bench.bodies import full_body, one_body
+from warpvox.bench.case import Case, full_body, one_body, sampled_bodies
 from warpvox.bench.kernels import STAGES, stage_times
-from warpvox.bench.launches import Launches
 from warpvox.bench.learning import learn
 from warpvox.bench.machine import available_memory
 from warpvox.bench.memory import per_environment
-from warpvox.bench.mixed import rates, sampled
-from warpvox.bench.predictions import KERNEL, predicted
 from warpvox.bench.progress import Progress
 from warpvox.bench.report import middle, number
-from warpvox.bench.subject import LOADING, Subject, clock, measure
+from warpvox.bench.runner import Runner, clock, measure
 from warpvox.configs.presets import training_preset
-from warpvox.envs.vec_env import make_vec
 from warpvox.kernels.device import BLOCK
 from warpvox.kernels.step import record_step
 
-__all__ = ["bodies", "learning", "sizes", "stages", "tasks", "training"]
+__all__ = ["bodies", "learning", "predicted", "sizes", "stages", "tasks", "training"]
 
+KERNEL = "16 threads an environment"
+"""The kernel whose predictions stand beside measurements."""
+PREDICTED: dict[str, dict[int, tuple[float, float]]] = {
+    KERNEL: {4096: (3.2e6, 6.4e6), 16384: (3.6e6, 7.3e6), 65536: (4.1e6, 8.2e6)},
+    "one thread an environment": {4096: (0.15e6, 0.25e6), 16384: (0.6e6, 0.9e6), 65536: (1.1e6, 1.9e6)},
+}
+"""Control steps per second of the physics, Walker-v0 in float32 on an H100 or H200: least and most, by kernel and count
+of environments; the arithmetic is in docs/performance.md."""
 LAUNCHES = 3
 LEARNING_SECONDS = 60.0
 """What learning may take at the most."""
@@ -34,23 +37,42 @@ POPULATION_STEPS = 16
 """Control steps of an iteration of the population's training that is timed."""
 
 
+def predicted(task: str, dtype: str, num_envs: int, kernel: str = KERNEL) -> str:
+    """``0.600 to 0.900 M``, or ``-`` for what was not predicted."""
+    found = PREDICTED.get(kernel, {}).get(num_envs)
+    if found is None or (task, dtype) != ("Walker-v0", "float32"):
+        return "-"
+    return f"{number(found[0] / 1e6)} to {number(found[1] / 1e6)} M"
+
+
+def _runner(config: Any, count: int, task: str | None = None, bodies: Any = None, **options: Any) -> Runner:
+    """Environments with loaded kernels. What they compute is compared in the parts before."""
+    case = Case("", task or config.task, bodies or [one_body(config)], count, options)
+    runner = Runner(config, case, checked=False)
+    runner.fit()
+    return runner
+
+
+def _median(runner: Runner, config: Any) -> float:
+    """Control steps per second, random actions."""
+    return middle(measure({"": runner}, ["step"], config.repeats)[""]["step"])
+
+
 def sizes(config: Any, progress: Progress, counts: tuple[int, ...], blocks: tuple[int, ...], graph: bool) -> None:
     """The physics alone by block, and whole steps, by the number of environments; predictions beside them."""
-    part, body, needed = "sizes, graph" if graph else "sizes", one_body(config), 0.0
+    part, needed = "sizes, graph" if graph else "sizes", 0.0
     rows, kernels = [], []
     for count in counts:
         if not progress.time_for(f"{part}: {count:,} environments") or not _fits(config, progress, count, needed):
             continue
         before = available_memory(config.device)
-        subject = Subject(config, config.task, body, count, cuda_graph=graph)
-        subject.settle()
-        taken, needed = before - available_memory(config.device), per_environment(subject.env)
-        physics = {} if graph or subject.env.sim.layout == "lanes" else {KERNEL: _physics(subject)}
+        runner = _runner(config, count, cuda_graph=graph)
+        taken, needed = before - available_memory(config.device), per_environment(runner.env)
+        physics = {} if graph or runner.env.sim.layout == "lanes" else {KERNEL: _physics(runner)}
         if blocks:
-            of_lanes = subject if not physics else Subject(config, config.task, body, count, lanes=CUDA_LANES)
-            of_lanes.timed("step", LOADING)
+            of_lanes = _runner(config, count, lanes=CUDA_LANES) if physics else runner
             physics |= {f"block {block}": _physics(of_lanes, block) for block in blocks}
-        step = middle(measure(subject, ["step"], config.repeats)["step"])
+        step = _median(runner, config)
         told = predicted(config.task, config.dtype, count)
         shown = ", ".join(f"{number(rate / 1e6)} M ({kernel})" for kernel, rate in physics.items())
         rows.append([f"{count:,}", *(number(rate) for rate in physics.values()), told, number(step)])
@@ -74,15 +96,15 @@ def _fits(config: Any, progress: Progress, count: int, needed: float) -> bool:
     return fits
 
 
-def _physics(subject: Subject, block: int = BLOCK) -> float:
+def _physics(runner: Runner, block: int = BLOCK) -> float:
     """Control steps per second of the step's kernel alone; with one thread an environment in blocks of so many."""
-    sim = subject.env.sim
+    sim = runner.env.sim
     command = record_step(sim.buffers, sim.physics.substeps, 0, sim.buffers.packs, block)
     command.launch()
-    began = clock(subject.device)
+    began = clock(runner.env.device)
     for _ in range(LAUNCHES):
         command.launch()
-    found = LAUNCHES * subject.num_envs / (clock(subject.device) - began)
+    found = LAUNCHES * runner.num_envs / (clock(runner.env.device) - began)
     sim.forget_sensed()
     return found
 
@@ -90,9 +112,7 @@ def _physics(subject: Subject, block: int = BLOCK) -> float:
 def stages(config: Any, progress: Progress, count: int) -> None:
     """Each stage of the physics by itself."""
     lanes = {} if config.device == "cpu" else {"lanes": CUDA_LANES}  # a group goes through all stages at once
-    subject = Subject(config, config.task, one_body(config), count, **lanes)
-    subject.settle()
-    times = stage_times(subject, config)
+    times = stage_times(_runner(config, count, **lanes), config)
     total = sum(times.values()) or 1.0
     rows = [[STAGES.get(name, name), number(value), f"{value / total:.0%}"] for name, value in times.items()]
     for name, value in times.items():
@@ -103,13 +123,11 @@ def stages(config: Any, progress: Progress, count: int) -> None:
 
 def bodies(config: Any, progress: Progress, count: int, sides: tuple[int, ...]) -> None:
     """A different body in every environment beside one in all, then full bodies of several sizes."""
-    options = dict(device=config.device, dtype=config.dtype, arithmetic=config.arithmetic, threads=config.threads)
-    designs = sampled(count, config.seed)
-    began = clock(config.device)
-    mixed = make_vec(config.task, designs, count, **options)
-    built = clock(config.device) - began
-    alone = make_vec(config.task, designs[:1], count, **options)
-    different, same = map(middle, rates([mixed, alone], config.steps, config.repeats, config.seed))
+    designs = sampled_bodies(5, count, config.seed)
+    mixed = _runner(config, count, bodies=designs)
+    runners = {"different": mixed, "same": _runner(config, count, bodies=designs[:1])}
+    found = measure(runners, ["step"], config.repeats)
+    different, same, built = middle(found["different"]["step"]), middle(found["same"]["step"]), mixed.built
     text = f"{count:,} different bodies: {number(different)} steps/s, {different / same:.0%} of one in all"
     progress.row(
         "bodies", f"{text}; built in {built:.2f} s", num_envs=count, different=different, same=same, built=built
@@ -119,10 +137,8 @@ def bodies(config: Any, progress: Progress, count: int, sides: tuple[int, ...]) 
     for side in sides:
         if not progress.time_for(f"bodies: {side} x {side}"):
             continue
-        subject = Subject(config, config.task, full_body(side, config.seed), count)
-        subject.settle()
-        rate = middle(measure(subject, ["step"], config.repeats)["step"])
-        size = per_environment(subject.env)
+        runner = _runner(config, count, bodies=[full_body(side, config.seed)])
+        rate, size = _median(runner, config), per_environment(runner.env)
         progress.row("bodies", f"full {side} x {side}: {number(rate)} steps/s", side=side, rate=rate, bytes=size)
         rows.append([f"{side} x {side}", number(rate), number(rate * side**2)])
     title = f"Full bodies, {count:,} environments, control steps per second"
@@ -135,18 +151,10 @@ def training(config: Any, progress: Progress, counts: tuple[int, ...], designs: 
     for count in counts:
         if not progress.time_for(f"training: {count:,} environments"):
             continue
-        subject = Subject(config, config.task, one_body(config), count)
-        subject.settle()
-        found = {name: middle(values) for name, values in measure(subject, ["step", "training"], 1).items()}
-        with Launches() as launches:
-            subject.timed("training", 1)
-        sums = {"operations": launches.operations, "kernels": launches.kernels, "waits": sum(launches.waits.values())}
-        progress.row(
-            "training",
-            f"{count:,} environments: {number(found['training'])} steps/s; an iteration has {sums['operations']:,}"
-            f" operations of torch, {sums['kernels']} kernels of Warp, {sums['waits']} waits of the host",
-            num_envs=count, **found, **sums,
-        )  # fmt: skip
+        runner = _runner(config, count)
+        found = {name: middle(values) for name, values in measure({"": runner}, ["step", "training"], 1)[""].items()}
+        text = f"{count:,} environments: {number(found['training'])} steps/s with training"
+        progress.row("training", text, num_envs=count, **found)
         rows.append([f"{count:,}", number(found["step"]), number(found["training"])])
     progress.report.table("Control steps per second", ["environments", "step only", "with training"], rows)
     if not progress.time_for("training: population"):
@@ -154,11 +162,11 @@ def training(config: Any, progress: Progress, counts: tuple[int, ...], designs: 
     settings = training_preset("paper_wide", {"steps": POPULATION_STEPS})
     precision = dict(dtype=config.dtype, arithmetic=config.arithmetic)
     arena = Arena(config.task, device=config.device, threads=config.threads, **precision)
-    population = PopulationTraining(arena, sampled(designs, config.seed), list(range(designs)), settings)
+    population = PopulationTraining(arena, sampled_bodies(5, designs, config.seed), list(range(designs)), settings)
     population.iterate()  # loads the kernels
-    began = time.perf_counter()
+    began = clock(config.device)
     population.iterate()
-    rate = designs * settings.envs * POPULATION_STEPS / (time.perf_counter() - began)
+    rate = designs * settings.envs * POPULATION_STEPS / (clock(config.device) - began)
     text = f"{designs} designs of {settings.envs} environments side by side: {number(rate)} steps/s with training"
     progress.row("training", text, designs=designs, envs=settings.envs, rate=rate)
     progress.report.note(f"{text}.")
@@ -180,13 +188,11 @@ def learning(config: Any, progress: Progress) -> None:
 
 def tasks(config: Any, progress: Progress, names: list[str], count: int) -> None:
     """The speed of every task."""
-    body, rows = one_body(config), []
+    rows = []
     for task in names:
         if not progress.time_for(f"tasks: {task}"):
             continue
-        subject = Subject(config, task, body, count)
-        subject.settle()
-        rate = middle(measure(subject, ["step"], config.repeats)["step"])
+        rate = _median(_runner(config, count, task), config)
         progress.row("tasks", f"{task}: {number(rate)} steps/s", task=task, rate=rate)
         rows.append([task, number(rate)])
     progress.report.table(f"{count:,} environments, control steps per second", ["task", "step only"], rows)

@@ -13,12 +13,10 @@ from typing import Any
 import torch
 import warp as wp
 
-from warpvox.bench.bodies import one_body
-from warpvox.bench.check import against_scalar
+from warpvox.bench.case import Case, one_body
 from warpvox.bench.memory import groups
 from warpvox.bench.report import Report, middle, number
-from warpvox.bench.step import HEADINGS
-from warpvox.bench.subject import Subject, clock
+from warpvox.bench.runner import HEADINGS, Runner, clock, measure
 from warpvox.errors import SimulationError
 from warpvox.kernels.device import Command, kernel, record
 from warpvox.kernels.launch import stage_kernel
@@ -40,15 +38,15 @@ STAGES = {
 
 def run(config: Any, report: Report) -> dict[str, Any]:
     """Stages of a sub-step, parts of a control step, memory of an environment, seconds of compilation."""
-    body = one_body(config)
-    subject = Subject(config, config.task, body, config.num_envs)
-    with report.status("checking, then measuring"):
-        error = against_scalar(subject.env, config.seed)
-        subject.settle()
-        parts = _parts(subject, config)
-        stages = stage_times(subject, config)
-    per = f"microseconds of {'CPU time' if config.device == 'cpu' else 'the device'} per control step of an environment"
     where = f"{config.task}, {config.num_envs} environments, {config.dtype}, {config.device}"
+    case = Case(where, config.task, [one_body(config)], config.num_envs)
+    with report.status("checking, then measuring"):
+        runner = Runner(config, case)
+        runner.fit()
+        rates = measure({case.name: runner}, ["bare", *config.columns], config.repeats)[case.name]
+        stages = stage_times(runner, config)
+    parts = {HEADINGS[column]: MICRO / middle(values) for column, values in rates.items() if values}
+    per = f"microseconds of {'CPU time' if config.device == 'cpu' else 'the device'} per control step of an environment"
     total = sum(stages.values())
     rows = [
         [STAGES.get(name, name), number(value), f"{value / total:.0%}" if total else "-"]
@@ -56,17 +54,17 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     ]
     report.table(f"{where}: stages, {per}", ["stage", "time", "share"], [*rows, ["all stages", number(total), ""]])
     report.table(f"{where}: parts, {per}", ["part", "time"], [[name, number(value)] for name, value in parts.items()])
-    memory = groups(subject.env)
+    memory = groups(runner.env)
     shown = [[name, number(size / 1000)] for name, size in memory.items()]
     report.table(
         f"{where}: memory", ["arrays", "kB an environment"], [*shown, ["all", number(sum(memory.values()) / 1000)]]
     )
-    report.note(f"Checked: within {error:.1e} of one environment alone in float64.")
+    report.note(f"Checked: within {runner.error:.1e} of one environment alone in float64.")
     report.note(
         "Stages run one by one over all environments here; in a control step a thread takes one pack through all of"
         " them, so that it stays in the cache, and their sum is not exactly the time of the physics."
     )
-    figures = {"task": config.task, "check_error": error, "stages": stages, "parts": parts, "bytes": memory}
+    figures = {"task": config.task, "check_error": runner.error, "stages": stages, "parts": parts, "bytes": memory}
     if config.compile:
         with report.status("compiling all kernels of a control step anew"):
             figures["compile"] = compile_seconds(config)
@@ -75,21 +73,19 @@ def run(config: Any, report: Report) -> dict[str, Any]:
             f" and reset are done, {number(figures['compile']['cached'])} s with the kernels in the cache"
             " (start of Python and imports included)."
         )
-    report.plot("kernels", lambda figure: _draw(figure, stages, parts, where))
     return figures
 
 
-def stage_times(subject: Subject, config: Any) -> dict[str, float]:
+def stage_times(runner: Runner, config: Any) -> dict[str, float]:
     """Microseconds per control step of an environment that each stage takes, by the name of its function.
 
     Raises:
         SimulationError: the stages do not do what the control step does.
     """
-    sim = subject.env.sim
+    sim = runner.env.sim
     state, device = sim.buffers, sim.device
-    subject.env.reset()
-    for _ in range(subject.steps):
-        sim.step(subject.actions())
+    runner.env.reset()
+    runner.rate("bare")
     stages = STAGES_OF[state.arithmetic]
     commands = [_record(build, state) for build in stages]
     times: dict[str, list[float]] = {build.__name__: [] for build in stages}
@@ -106,7 +102,7 @@ def stage_times(subject: Subject, config: Any) -> dict[str, float]:
     if not bool(torch.isfinite(sim.com("robot")).all()) or torch.equal(before, sim.com("robot")):
         raise SimulationError("The stages one by one do not move the bodies: their times mean nothing.")
     empty = _launch_seconds(device)
-    share = MICRO * substeps / subject.num_envs
+    share = MICRO * substeps / runner.num_envs
     return {name: max(middle(values or [0.0]) - empty, 0.0) * share for name, values in times.items()}
 
 
@@ -129,22 +125,6 @@ def _launch_seconds(device: str) -> float:
         command.launch()
         times.append(clock(device) - began)
     return middle(times)
-
-
-def _parts(subject: Subject, config: Any) -> dict[str, float]:
-    """Microseconds per control step of an environment: the physics, and what each column adds."""
-    columns = ["bare", *(column for column in ("step", "inference", "training") if column in config.columns)]
-    times: dict[str, list[float]] = {column: [] for column in columns}
-    for column in columns:
-        subject.timed(column)
-    for _ in range(config.repeats):
-        for column in columns:
-            times[column].append(MICRO / subject.timed(column))
-    subject.check_finite()
-    words = {"bare": "physics alone", "step": "with observations, rewards, ends and resets (step only)"} | {
-        column: HEADINGS[column] for column in ("inference", "training")
-    }
-    return {words[column]: middle(values) for column, values in times.items()}
 
 
 def compile_seconds(config: Any) -> dict[str, float]:
@@ -176,15 +156,3 @@ def _cpu_seconds(code: str, cache: str) -> float:
         raise SimulationError(f"The kernels could not be compiled: {done.stderr.strip()[-300:]}")
     spent = after.children_user + after.children_system - before.children_user - before.children_system
     return spent or time.perf_counter() - began
-
-
-def _draw(figure: Any, stages: dict[str, float], parts: dict[str, float], where: str) -> None:
-    left, right = figure.subplots(1, 2)
-    figure.set_size_inches(12, 4.5)
-    for axes, values in ((left, stages), (right, parts)):
-        axes.barh([STAGES.get(name, name).replace(": ", ":\n") for name in values], list(values.values()))
-        axes.bar_label(axes.containers[0], [number(value) for value in values.values()], padding=3)
-        axes.set(xlabel="microseconds per control step of an environment")
-        axes.invert_yaxis()
-        axes.margins(x=0.2)
-    figure.suptitle(where)

@@ -8,14 +8,17 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from warpvox.cli.console import echo
 from warpvox.errors import ConfigError
 from warpvox.system import python_of
+from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["Reference", "find_python310", "make_reference", "open_reference", "reference_folder"]
 
@@ -170,6 +173,11 @@ class Reference:
     def rate(self, actions: Any) -> float:
         """Control steps per second of CPU time, going on with the episode; rewards and observations included."""
         return len(actions) / self.ask(do="time", actions=actions.tolist())["seconds"]
+
+    def timer(self, steps: int, actuators: int, seed: int) -> Callable[[], float]:
+        """A function that measures the rate of so many steps under random actions, other ones each time."""
+        rng = np.random.default_rng(seed)
+        return lambda: self.rate(rng.uniform(ACTION_LOW, ACTION_HIGH, (steps, actuators)))
 
     def ask(self, **request: Any) -> dict[str, Any]:
         """Send a request and return its answer.

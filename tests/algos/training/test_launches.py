@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import torch
+from launches import Launches
 from rsl_rl.algorithms import PPO as StockPPO
 from rsl_rl.runners import OnPolicyRunner
 
@@ -14,7 +15,6 @@ from warpvox.algos.env_factory import Arena
 from warpvox.algos.population.training import PopulationTraining
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import Runner, Schedule, adapt
-from warpvox.bench.launches import Launches
 from warpvox.cli.config import load
 from warpvox.configs.presets import training_preset
 from warpvox.design import example_design
