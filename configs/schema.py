@@ -295,7 +295,7 @@ class ExportConfig(_RolloutConfig):
 
 SUITES = {
     "peer": "beside the reference",
-    "tasks": "all tasks, beside the reference if there is one",
+    "tasks": "each task by itself, beside the reference if there is one",
     "mixed": "a different body in every environment, beside one in all",
     "scaling": "bodies of n x n voxels, numbers of environments, threads",
     "learning": "time to a return",

@@ -235,7 +235,7 @@ COMMANDS = {
     "train": TRAIN,
     "codesign": CODESIGN,
     "play": "play agent=zero steps=2 window=off".split(),
-    "bench": "bench suite=step design=mini num_envs=8 steps=1 repeats=1".split(),
+    "bench": "bench suite=tasks tasks=[Walker-v0] design=mini num_envs=8 steps=1 repeats=1".split(),
     "demo": ["demo", *TRAIN[1:]],
 }
 

@@ -18,7 +18,8 @@ from warpvox.errors import SimulationError
 
 __all__ = ["determinism", "graph", "independence", "recordings", "trajectories"]
 
-STEPS, ENVS = 30, 32
+STEPS, ENVS, FEW, MOST = 30, 32, 3, 4096
+"""Control steps; environments of a comparison with the CPU, of a small batch; environments of different actions."""
 POSITION = {"float64": 1e-9, "float32": 1e-5}
 """Largest difference of a centre of mass between device and CPU over STEPS control steps, in simulator units."""
 REWARD = {"float64": 1e-8, "float32": 1e-4}
@@ -36,10 +37,9 @@ def trajectories(config: Any, progress: Progress, part: str, tasks: list[str], d
     for task in tasks:
         if not progress.time_for(f"{part}: {task}"):
             continue
-        exact = _trace(_make(config, task, "float64", "cpu", lanes=1))
-        found = _trace(_make(config, task, dtype, config.device, lanes=8 if config.device == "cpu" else None))
-        apart = [float((mine - theirs).abs().max()) for mine, theirs in zip(found, exact, strict=True)]
-        row = dict(zip(worst, apart, strict=True))
+        exact = _outcomes(_make(config, ENVS, task=task, dtype="float64", device="cpu", lanes=1))
+        found = _outcomes(_make(config, ENVS, task=task, dtype=dtype))
+        row = {key: float((found[key].double() - exact[key]).abs().max()) for key in worst}
         good = row["centre"] < POSITION[dtype] and row["reward"] < REWARD[dtype]  # NaN is not
         worst = {key: max(worst[key], row[key]) for key in worst}
         wrong += [] if good else [f"{task} by {row['centre']:.1e}"]
@@ -53,40 +53,31 @@ def trajectories(config: Any, progress: Progress, part: str, tasks: list[str], d
     )
 
 
-def _make(config: Any, task: str, dtype: str, device: str, lanes: int | None = None, envs: int = ENVS) -> VoxelVecEnv:
-    options = dict(device=device, dtype=dtype, seed=config.seed, threads=config.threads, lanes=lanes)
-    return make_vec(task, [one_body(config)], envs, auto_reset=False, **options)
-
-
-def _actions(env: VoxelVecEnv, seed: int) -> list[torch.Tensor]:
-    """The same on every device and for the first environments of any number: whole multiples of 1 / 1024."""
-    random = torch.Generator().manual_seed(seed)
-    shape = (env.num_actions, max(env.num_envs, ENVS))
-    draws = [torch.randint(615, 1639, shape[::-1], generator=random) for _ in range(STEPS)]
-    return [draw[: env.num_envs].to(env.device, env.dtype) / 1024 for draw in draws]
-
-
-def _trace(env: VoxelVecEnv) -> tuple[torch.Tensor, torch.Tensor]:
-    """On the CPU, float64: centres of mass ``[STEPS, envs, 2]`` and rewards ``[STEPS, envs]``."""
-    env.reset()
-    centres, rewards = [], []
-    for action in _actions(env, 0):
-        rewards.append(env.step(action)[1].double().cpu())
-        centres.append(env.sim.com("robot").cpu())
-    return torch.stack(centres), torch.stack(rewards)
-
-
 def determinism(config: Any, report: Report, envs: int) -> dict[str, Any]:
-    """Two runs are equal bit for bit, state and observations.
+    """Two runs are equal bit for bit: centres, rewards, observations, state.
 
     Raises:
         SimulationError: they are not.
     """
-    env = _make(config, config.task, config.dtype, config.device, envs=envs)
-    first, second = _final(env), _final(env)
-    _compare(first, second, "Two runs of the same actions")
+    env = _make(config, envs)
+    _compare(_outcomes(env), _outcomes(env), "Two runs of the same actions")
     report.note(f"Two runs of {envs:,} environments over {STEPS} control steps are equal bit for bit.")
     return {"num_envs": envs, "steps": STEPS}
+
+
+def independence(config: Any, report: Report, envs: int) -> dict[str, Any]:
+    """The first environments of a large batch do what they do in a small one, bit for bit.
+
+    Raises:
+        SimulationError: they do not.
+    """
+    large = _outcomes(_make(config, max(envs, ENVS)))
+    small = _outcomes(_make(config, FEW))
+    first = {name: value[:FEW] for name, value in large.items()}
+    _compare(first, small, "Environments in batches of two sizes")
+    count = len(large["reward"])
+    report.note(f"Environments do the same in batches of {FEW} and of {count:,}, bit for bit.")
+    return {"num_envs": count, "steps": STEPS}
 
 
 def graph(config: Any, report: Report, envs: int) -> dict[str, Any]:
@@ -98,47 +89,36 @@ def graph(config: Any, report: Report, envs: int) -> dict[str, Any]:
     if config.device == "cpu":
         report.note("No graph was captured: that needs a GPU.")
         return {"captured": False}
-    options = dict(
-        device=config.device, dtype=config.dtype, arithmetic=config.arithmetic, seed=config.seed,
-        max_episode_steps=STEPS // 2,
-    )  # fmt: skip
-    both = []
-    for wanted in (False, True):
-        env = make_vec(config.task, [one_body(config)], envs, cuda_graph=wanted, **options)
-        env.reset()
-        outcomes = [env.step(action) for action in _actions(env, 1)]
-        rewards = torch.stack([reward for _, reward, *_ in outcomes])
-        both.append({"rewards": rewards, "obs": outcomes[-1][0], **env.sim.state()})
-    _compare(*both, "Steps with and without a graph")
-    report.note(f"{envs:,} environments over {STEPS} control steps end alike with and without a graph, bit for bit.")
+    options = dict(auto_reset=True, max_episode_steps=STEPS // 2)
+    with_graph, without = (_outcomes(_make(config, envs, cuda_graph=wanted, **options)) for wanted in (True, False))
+    _compare(with_graph, without, "Steps with and without a graph")
+    report.note(f"{envs:,} environments over {STEPS} control steps are equal with and without a graph, bit for bit.")
     return {"captured": True, "num_envs": envs}
 
 
-def independence(config: Any, report: Report, envs: int) -> dict[str, Any]:
-    """The first environments of a large batch end as they do in a small one, bit for bit.
+def _make(config: Any, envs: int, task: str | None = None, **options: Any) -> VoxelVecEnv:
+    common = dict(device=config.device, dtype=config.dtype, seed=config.seed, threads=config.threads, auto_reset=False)
+    common["lanes"] = 8 if config.device == "cpu" else None
+    return make_vec(task or config.task, [one_body(config)], envs, **(common | options))
 
-    Raises:
-        SimulationError: they do not.
+
+def _outcomes(env: VoxelVecEnv) -> dict[str, torch.Tensor]:
+    """On the CPU, of STEPS control steps from a reset on, environments first.
+
+    Centres of mass and rewards of every step, the last observations and the state. Actions are the same on every device
+    and for the first environments of any number: whole multiples of 1 / 1024, exact in both precisions.
     """
-    large = _make(config, config.task, config.dtype, config.device, envs=max(envs, ENVS), lanes=_lanes(config))
-    small = _make(config, config.task, config.dtype, config.device, envs=3, lanes=_lanes(config))
-    actions = [action.clone() for action in _actions(large, 1)]
-    few = [action[:3].clone() for action in actions]
-    found, expected = _final(large, actions), _final(small, few)
-    _compare({name: value[:3] for name, value in found.items()}, expected, "Environments in batches of two sizes")
-    report.note(f"Environments end alike in batches of 3 and of {large.num_envs:,}, bit for bit.")
-    return {"num_envs": large.num_envs, "steps": STEPS}
-
-
-def _lanes(config: Any) -> int | None:
-    return 8 if config.device == "cpu" else None
-
-
-def _final(env: VoxelVecEnv, actions: list[torch.Tensor] | None = None) -> dict[str, torch.Tensor]:
-    env.reset()
-    for action in actions if actions is not None else _actions(env, 1):
-        obs = env.step(action)[0]
-    return {"obs": obs, **env.sim.state()}
+    random = torch.Generator().manual_seed(0)
+    centres, rewards = [], []
+    env.reset(env.seed)
+    for _ in range(STEPS):
+        draws = torch.randint(615, 1639, (env.num_actions, MOST), generator=random).T / 1024
+        rows = torch.arange(env.num_envs) % MOST
+        obs, reward, *_ = env.step(draws[rows].to(env.device, env.dtype))
+        rewards.append(reward.cpu())
+        centres.append(env.sim.com("robot").cpu())
+    state = {name: value.cpu() for name, value in env.sim.state().items()}
+    return {"centre": torch.stack(centres, 1), "reward": torch.stack(rewards, 1), "obs": obs.cpu(), **state}
 
 
 def _compare(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor], what: str) -> None:

@@ -1,0 +1,285 @@
+"""``warpvox bench``: every suite at a tiny size, and that no time is printed of a wrong result."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from warpvox.bench import check, reference, scaling
+from warpvox.bench.case import Case, full_body, sampled_or_full
+from warpvox.bench.ptxas import find_program
+from warpvox.bench.report import number
+from warpvox.bench.runner import Runner
+from warpvox.configs.schema import BenchConfig, ScalingConfig
+from warpvox.design import check_design
+from warpvox.errors import ConfigError, SimulationError, WarpvoxError
+from warpvox.kernels.step import STAGES
+
+TINY = "design=mini num_envs=8 steps=2 repeats=1 columns=[step]".split()
+FIGURE_2 = "scaling.bodies=2 scaling.seconds=0.04".split()
+
+# A package that looks like the reference to the worker, and is warpvox: the whole protocol runs without evogym.
+FAKE = """
+import gymnasium, numpy as np
+from warpvox.envs.gym import VoxelEnv
+
+class Env(VoxelEnv):
+    def __init__(self, task, body, **rest):
+        super().__init__(task, body.astype(int), **rest)
+    def get_time(self):
+        return 0
+    def object_pos_at_time(self, time, name):
+        return self.sim.object_positions(name)[0].double().numpy().T + OFFSET
+
+for task in ("Walker-v0", "UpStepper-v0"):
+    gymnasium.register(task, entry_point=Env, max_episode_steps=100, kwargs={"task": task})
+"""
+
+
+@pytest.fixture
+def fake_reference(tmp_path: Path) -> Callable[..., Path]:
+    """Make an interpreter with a package ``evogym``, whose centre of mass is off by so much."""
+
+    def make(offset: float = 0.0) -> Path:
+        home = tmp_path / f"fake{offset}"
+        (home / "evogym").mkdir(parents=True)
+        (home / "evogym" / "__init__.py").touch()
+        (home / "evogym" / "envs.py").write_text(f"OFFSET = {offset}\n{FAKE}")
+        (home / "evogym-2.0.0.dist-info").mkdir()
+        (home / "evogym-2.0.0.dist-info" / "METADATA").write_text(
+            "Metadata-Version: 2.1\nName: evogym\nVersion: 2.0.0\n"
+        )
+        python = home / "python"
+        python.write_text(f'#!/bin/sh\nshift\nPYTHONPATH={home} exec {sys.executable} "$@"\n')  # drops -I
+        python.chmod(0o755)
+        return python
+
+    return make
+
+
+@pytest.fixture
+def bench(warpvox: Callable) -> Callable[..., tuple[str, dict]]:
+    """Run a suite; returns what it printed, on one line, and its figures."""
+
+    def run(suite: str, *words: str) -> tuple[str, dict]:
+        keys = tuple(word.split("=")[0] + "=" for word in words)
+        outcome = warpvox("bench", f"suite={suite}", *(word for word in TINY if not word.startswith(keys)), *words)
+        assert outcome.code == 0, outcome.err
+        (folder,) = Path("outputs/bench").joinpath(suite).iterdir()
+        assert (folder / "config.yaml").is_file()
+        assert (folder / "tables.md").stat().st_size > 100
+        return " ".join(outcome.out.split()), json.loads((folder / "summary.json").read_text())
+
+    return run
+
+
+def test_peer_compares_before_it_times(bench: Callable, fake_reference: Callable) -> None:
+    said, figures = bench("peer", "columns=[step,inference,training]", f"peer.python={fake_reference()}")
+    assert figures["check_error"] < check.TOLERANCE
+    assert figures["versions"]["evogym"] == "2.0.0"
+    assert all(rate > 0 for column in ("step", "inference", "training") for rate in figures["rates"][column])
+    assert figures["ratio"]["step"] == pytest.approx(figures["rates"]["step"][0] / figures["reference"][0])
+    assert figures["gymnasium"][0] > 0 < figures["drop_in"][0]
+    assert {"cpu", "cores", "python", "torch", "warp", "warpvox"} <= set(figures["machine"])
+    assert said.index("Checked: ") < said.index("step only")
+
+
+def test_a_wrong_result_gets_no_time(warpvox: Callable, fake_reference: Callable) -> None:
+    outcome = warpvox("bench", "suite=peer", *TINY, f"peer.python={fake_reference(1e-5)}")
+    assert outcome.code == 2
+    assert "differs from the reference by 1.0e-05" in outcome.err
+    assert "steps per second" not in outcome.out
+    assert not Path("outputs").exists()
+
+
+def test_a_wrong_batch_gets_no_time(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(check.ROUNDING, "float32", 1e-30)
+    outcome = warpvox("bench", "suite=tasks", "tasks=[Walker-v0]", *TINY)
+    assert outcome.code == 2
+    assert "differs from one alone" in outcome.err
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_the_last_environment_is_compared_too(wrong: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    bodies = [full_body(3, seed) for seed in (0, 1)]
+    make = check.make_vec
+    if wrong:
+        monkeypatch.setattr(
+            check, "make_vec", lambda spec, _, *rest, **options: make(spec, bodies[:1], *rest, **options)
+        )
+    with pytest.raises(SimulationError, match="differs from one alone") if wrong else nullcontext():
+        Runner(BenchConfig(device="cpu"), Case("two bodies", "Walker-v0", bodies, 8))
+
+
+@pytest.mark.slow  # the protocol is that of suite=peer
+def test_tasks_beside_the_reference(bench: Callable, fake_reference: Callable) -> None:
+    said, figures = bench("tasks", "tasks=[Walker-v0,UpStepper-v0]", f"peer.python={fake_reference()}")
+    assert list(figures["tasks"]) == ["Walker-v0", "UpStepper-v0"]
+    assert figures["ratio_least"] == min(row["ratio"] for row in figures["tasks"].values())
+    assert "Ratio: median" in said
+
+
+def test_tasks_alone(bench: Callable) -> None:
+    said, figures = bench("tasks", "tasks=[Lifter-v0]")
+    assert "there was no reference" in said
+    assert figures["tasks"]["Lifter-v0"]["rates"]["step"][0] > 0
+
+
+def test_mixed_builds_times_and_exchanges_bodies(bench: Callable) -> None:
+    said, figures = bench("mixed")
+    assert [len(rates) for rates in (figures["mixed"], figures["full"], *figures["alone"])] == [1] * 6
+    assert figures["check_error"] < check.ROUNDING["float32"]
+    assert figures["built"] > 0 < figures["changed"][0]
+    assert "8 different bodies" in said
+
+
+def test_scaling_in_three_ways(bench: Callable, fake_reference: Callable) -> None:
+    words = [*FIGURE_2, "scaling.sizes=[2,3]", "scaling.envs=[1,8]", f"peer.python={fake_reference()}"]
+    said, figures = bench("scaling", *words)
+    for row, side in zip(figures["bodies"], (2, 3), strict=True):
+        assert (row["side"], row["sampled"], row["steps"], row["num_envs"]) == (side, True, 2, 8)
+        assert all(1 <= voxels <= side * side for voxels in row["voxels"])
+        assert [len(row[name]) for name in ("voxels", "one", "reference")] == [2, 2, 2]
+        assert row["ratio"] == pytest.approx(sum(row["one"]) / sum(row["reference"]))
+        assert row["batch_ratio"] == pytest.approx(row["rates"][0] / row["reference"][0])
+        assert row["reference_error"] < 1e-6
+    assert [row["num_envs"] for row in figures["envs"]] == [1, 8]
+    assert figures["threads"]["gain"] >= 1
+    assert "means of 2 robots, one at a time, 0.04 simulated seconds each" in said
+    pytest.importorskip("matplotlib", reason="plots need the extra view")
+    (plot,) = Path("outputs").rglob("figure2.png")
+    assert plot.stat().st_size > 1000
+
+
+def test_a_quick_figure_2_has_fewer_sizes_robots_and_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And without any of that, the paper's protocol: n from 5 to 35, ten robots of each, ten seconds."""
+    seen: list[tuple[int, int, float]] = []
+    monkeypatch.setattr(scaling, "_one_size", lambda _, how, side, __: seen.append((side, how.bodies, how.seconds)))
+    monkeypatch.setattr(scaling, "_show_bodies", lambda *_: None)
+    for quick in (False, True):
+        config = SimpleNamespace(scaling=ScalingConfig(quick=quick))
+        scaling.scale_bodies(config, SimpleNamespace(status=lambda _: nullcontext()), None)
+    assert seen[:31] == [(side, 10, 10.0) for side in range(5, 36)]
+    assert seen[31:] == [(side, 3, 2.0) for side in range(5, 36, 5)]
+
+
+@pytest.mark.parametrize(
+    ("envs", "limit", "left_out"), [([8, 4096], 4, "4,096 (memory"), ([8], 1e-9, "8 (over 1e-09 s a repetition)")]
+)
+def test_scaling_leaves_out_what_does_not_fit(
+    envs: list[int], limit: float, left_out: str, bench: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scaling, "available_memory", lambda device: 5e4)
+    said, figures = bench("scaling", *FIGURE_2, "scaling.sizes=[2]", f"scaling.envs={envs}", f"limit={limit}")
+    assert left_out in said
+    assert [row["num_envs"] for row in figures["envs"]] == envs[:-1]
+
+
+def test_learning_has_a_curve(bench: Callable) -> None:
+    figures = bench("learning", *"learning.ppo=[parallel] learning.seeds=1 learning.stop_return=-100".split())[1]
+    assert figures["ppo"]["parallel"]["reached"] == 1
+    (run,) = figures["ppo"]["parallel"]["runs"]
+    assert run["curve"][-1]["steps"] == run["steps"] > 0
+    assert run["best_return"] >= run["curve"][-1]["return"] > -100
+
+
+@pytest.mark.parametrize("anew", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_kernels_names_every_stage(anew: bool, bench: Callable) -> None:
+    _, figures = bench("kernels", f"compile={anew}", "num_envs=256", "design=walker")
+    assert list(figures["stages"]) == [build.__name__ for build in STAGES["fast"]]
+    assert sum(figures["stages"].values()) > 0
+    assert sum(figures["bytes"].values()) > 1000
+    assert list(figures["parts"]) == ["physics alone", "step only"]
+    assert ("compile" in figures) is anew
+
+
+@pytest.mark.slow  # tests/kernels/test_limits.py holds the figures
+def test_the_cuda_suite_predicts_from_instructions(bench: Callable, warpvox: Callable) -> None:
+    try:
+        find_program("nvdisasm")
+    except WarpvoxError as missing:
+        pytest.skip(str(missing))
+    said, figures = bench("cuda")
+    assert [row["spilled"] for row in figures["limits"]] == [0, 0, 0, 0]
+    assert all(low <= high for low, high in figures["predicted"].values())
+    assert "warp instructions" in said
+    assert "smaller world" in warpvox("bench", "suite=cuda", "task=Traverser-v0", *TINY).err
+
+
+def test_a_document_gets_the_tables(bench: Callable) -> None:
+    page = Path("page.md")
+    page.write_text("before\n<!-- bench tasks -->\nold\n<!-- end -->\nafter\n")
+    bench("tasks", "tasks=[Walker-v0]", f"document={page}")
+    text = page.read_text()
+    assert text.startswith("before\n<!-- bench tasks -->\n")
+    assert text.endswith("<!-- end -->\nafter\n")
+    assert "| step only |" in text
+    assert "Machine: " in text
+    assert "old" not in text
+
+
+@pytest.mark.parametrize(("document", "words"), [("nowhere.md", "no file"), ("page.md", "no place for this suite")])
+def test_a_document_without_a_place_is_said_before_anything_is_measured(
+    warpvox: Callable, document: str, words: str
+) -> None:
+    Path("page.md").write_text("<!-- bench tasks -->\n<!-- end -->\n")
+    outcome = warpvox("bench", "suite=kernels", f"document={document}", *TINY)
+    assert outcome.code == 2
+    assert words in outcome.err
+    assert not Path("outputs").exists()
+
+
+def interpreter(folder: Path, body: str) -> Path:
+    folder.mkdir(exist_ok=True)
+    path = folder / "python3.10"
+    path.write_text(f"#!/bin/sh\n{body}\n")
+    path.chmod(0o755)
+    return path
+
+
+def test_only_python_310_is_taken_for_the_reference(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    candidates = [tmp_path / "missing", interpreter(tmp_path / "a", "exit 1")]
+    monkeypatch.setattr(reference, "_candidates", lambda: iter(candidates))
+    with pytest.raises(ConfigError, match=r"Python 3\.10"):
+        reference.make_reference(tmp_path / "made")
+    candidates.append(interpreter(tmp_path / "b", "exit 0"))
+    assert reference.find_python310() == candidates[-1]
+
+
+@pytest.mark.parametrize("works", [True, False])
+def test_the_reference_is_made_once_and_whole(works: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    made, calls = tmp_path / "made", tmp_path / "calls"
+    venv = f'if [ "$2" = venv ]; then mkdir -p {made}/bin; cp "$0" {made}/bin/python; fi'
+    base = interpreter(tmp_path, f'echo "$@" >> {calls}; {venv}' + ("" if works else '; [ "$2" != pip ] || exit 3'))
+    monkeypatch.setattr(reference, "find_python310", lambda: base)
+    if not works:
+        with pytest.raises(ConfigError, match="could not be installed"):
+            reference.make_reference(made)
+        assert not made.exists()
+        return
+    assert reference.make_reference(made) == reference.make_reference(made) == made / "bin" / "python"
+    assert calls.read_text().count("-m venv") == 1
+    assert reference.PACKAGE in calls.read_text()
+
+
+@pytest.mark.parametrize(("side", "sampled"), [(5, True), (12, True), (35, False)])
+def test_bodies_are_sampled_where_they_can_be_and_full_beyond(side: int, sampled: bool) -> None:
+    bodies, found = sampled_or_full(side, 3, 0)
+    assert found is sampled
+    assert len({body.tobytes() for body in bodies}) == 3
+    assert np.array_equal(sampled_or_full(side, 3, 0)[0], bodies)
+    for body in bodies:
+        check_design(body)
+        assert (body > 0).all() != sampled
+
+
+def test_figures_keep_what_matters() -> None:
+    values = (None, float("nan"), 12345.6, 78.83, 0.0456, 2e-9, 0)
+    assert [number(value) for value in values] == ["-", "-", "12,346", "78.8", "0.046", "2.0e-09", "0.000"]
