@@ -22,7 +22,7 @@ from warpvox.algos.codesign.executors import LocalExecutor, batches
 from warpvox.algos.codesign.loop import Listener
 from warpvox.errors import RunError
 
-PROGRAM = Path(__file__).parents[1] / "codesign_toys.py"
+PROGRAM = Path(__file__).parents[2] / "helpers" / "codesign_toys.py"
 
 
 @pytest.fixture(scope="module")
