@@ -52,6 +52,11 @@ def _dtype_of_run() -> Any:
     return key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
 
 
+def _own_policy() -> Any:
+    """The key of commands that begin with a run whose policy may be code of the user's."""
+    return key(None, "of a run with a network of your own: where its code is, file.py:Class, or stored", path="read")
+
+
 def _arithmetic(default: str) -> Any:
     return key(None, f"fast, or exact: bit for bit as released (float64); null: {default}", choices=ARITHMETICS)
 
@@ -124,6 +129,12 @@ class _TrainingRunConfig:
         path="read",
     )
     rules: str = key("evogym", "the benchmark as released (evogym) or as printed (paper)", choices=("evogym", "paper"))
+    policy: str = key(
+        "mlp",
+        "mlp (ppo.hidden), grid or transformer (both see voxels, whatever obs says), module:Class, file.py:Class",
+        path="read",
+    )
+    network: Any = key(None, "settings of another policy than mlp: {width:32}; null: its own")
     obs: str = key("task", "what is observed: task (as the task has it) or voxel (cell by cell)", choices=OBSERVATIONS)
     num_envs: int = key(MISSING, "environments stepped together", low=1)
     max_iterations: int = key(MISSING, "iterations in all, those before a resume included", low=1)
@@ -266,6 +277,7 @@ class PlayConfig(_RolloutConfig):
         None, "instead of a run's policy: uniformly random actions, a sine wave, or zero effort", choices=AGENTS
     )
     task: str | None = key(None, f"with agent: task id; null: Walker-v0. {OWN_TASK}", path="read")
+    policy: str | None = _own_policy()
     design: Any = key(None, "with agent: body, as for train; null: walker", path="read")
     rules: str | None = key(None, "with agent: evogym or paper; null: evogym", choices=("evogym", "paper"))
     num_envs: int = key(4, "environments; a multiple of the number of designs", low=1)
@@ -287,6 +299,7 @@ class ExportConfig(_RolloutConfig):
 
     rollout: str | None = key(None, "a rollout.npz to export as it is; null: record an episode of the run", path="read")
     task: str | None = key(None, OWN_TASK, path="read")
+    policy: str | None = _own_policy()
     num_envs: int = key(1, "environments; a multiple of the run's number of designs", low=1)
     format: Any = key(
         "usd", "usd, gif, mp4, html, png, strip; of the policy itself onnx, jit; or a list of them: [usd,gif]"
@@ -400,6 +413,7 @@ class EvaluateConfig:
     )
     level: float = key(0.95, "confidence of the intervals", above=0, high=0.9999)
     task: str | None = key(None, f"of runs of tasks of your own. {OWN_TASK}", path="read")
+    policy: str | None = _own_policy()
     device: str = key("auto", DEVICES)
     dtype: str | None = _dtype_of_run()
     arithmetic: str | None = _arithmetic("the run's, or by dtype")

@@ -82,7 +82,12 @@ def train(overrides: Mapping[str, Any] | None = None, /, *, progress: bool = Tru
 
 
 def load_policy(
-    source: str | Path = "latest", *, checkpoint: str = "best", output_dir: str | Path = "outputs", device: str = "cpu"
+    source: str | Path = "latest",
+    *,
+    checkpoint: str = "best",
+    output_dir: str | Path = "outputs",
+    device: str = "cpu",
+    policy: str | None = None,
 ) -> Policy:
     """A trained policy as a torch module: observations to actions that the environment takes, without exploration.
 
@@ -95,14 +100,19 @@ def load_policy(
         checkpoint: of a run: ``best``, ``last`` or an iteration.
         output_dir: where ``latest`` is looked for.
         device: where the module shall be.
+        policy: of a run with a network of your own, where its code is: ``FILE.py:Class``, ``module:Class``, or
+            ``stored`` for the copy in the run's folder. It is imported only if it is named here.
 
     Raises:
         RunError: there is no such run, checkpoint or file, or it holds no policy. DeviceError: no such device.
     """
     from warpvox.algos.checkpoints.export import read_exported
     from warpvox.algos.checkpoints.policy import read_policy
+    from warpvox.cli.config import load_values
     from warpvox.cli.runs import find_run
+    from warpvox.cli.trust import allow_code
     from warpvox.devices.names import resolve_device
+    from warpvox.envs.sources import is_code
 
     device, path = resolve_device(device), Path(source).expanduser()
     if str(source) != "latest" and path.is_file():
@@ -110,11 +120,14 @@ def load_policy(
         if exported is not None:
             return exported.to(device)
         if not (path.parent / "config.yaml").is_file():  # a checkpoint by itself
-            return read_policy(path, device=device)
+            return read_policy(path, device=device, network=policy)
     run = find_run(str(source), str(output_dir))
     known = {name: run.config.get(name) for name in ("task", "rules", "obs", "design")}
     file = run.find_checkpoint(str(checkpoint))
-    return read_policy(file, known | {"source": str(file)}, device)
+    if policy is not None or is_code(run.config.get("policy")):
+        named = {"policy": policy, "task": run.config.get("task")}  # a task is not imported here
+        policy = allow_code(load_values("train", run.config), run.config, named, run.folder).policy
+    return read_policy(file, known | {"source": str(file)}, device, policy)
 
 
 def _words(key: str, value: Any) -> Iterator[str]:

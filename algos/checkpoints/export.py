@@ -42,19 +42,26 @@ Runner = Callable[[np.ndarray], np.ndarray]
 def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
     """Write a policy as TorchScript; returns in words how it was checked.
 
-    ``torch.jit.load(path)(obs)``, or ``torch::jit::load`` in C++, takes ``[..., num_obs]``.
+    ``torch.jit.load(path)(obs)``, or ``torch::jit::load`` in C++, takes ``[..., num_obs]``; of a policy for voxels
+    ``[batch, num_obs]``.
 
     Raises:
         RunError: the file does not do what the policy does; it is not kept. StorageError: it cannot be written.
     """
     policy, whole = copy.deepcopy(policy).cpu(), io.BytesIO()
     with atomic_path(path) as temporary, _quiet():
-        torch.jit.save(torch.jit.script(policy), whole, _extra_files={CARD: policy_text(policy)})
+        torch.jit.save(_program(policy), whole, _extra_files={CARD: policy_text(policy)})
         temporary.write_bytes(whole.getbuffer())  # of a full disk torch's own writer says little
         module = torch.jit.load(str(temporary))
         apart = _compare(policy, lambda obs: module(torch.from_numpy(obs)).numpy(), path)
         _check_card(policy, temporary, path)
     return f"within {apart:.1e} of the policy"
+
+
+def _program(policy: Policy) -> torch.jit.ScriptModule:
+    if policy.spec.voxels is None:
+        return torch.jit.script(policy)
+    return torch.jit.trace(policy, torch.zeros(2, policy.num_obs))  # networks of the user's may not be scriptable
 
 
 def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
@@ -75,7 +82,7 @@ def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
     with atomic_path(path) as temporary, _quiet():
         program = torch.onnx.export(
             policy,
-            (torch.zeros(1, policy.num_obs),),
+            (torch.zeros(2, policy.num_obs),),  # of one row torch may take the number of rows for fixed
             input_names=["obs"],
             output_names=["actions"],
             dynamic_shapes={"obs": {0: torch.export.Dim("batch")}},
@@ -161,8 +168,7 @@ def _compare(policy: Policy, run: Runner, path: object) -> float:
     """
     generator, apart = torch.Generator().manual_seed(0), 0.0
     for rows in ROWS:
-        noise = torch.randn((rows, policy.num_obs), generator=generator)
-        obs = policy.mean + 3 * policy.deviation * noise  # beyond what training has mostly seen
+        obs = policy.random_obs(rows, generator)
         theirs, ours = run(obs.numpy()), policy.act(obs.numpy())
         if theirs.shape != ours.shape or not np.isfinite(theirs).all():
             raise RunError(f"{path} is not kept: it gives {theirs.shape} where the policy gives {ours.shape} actions.")

@@ -7,7 +7,7 @@ import math
 import re
 import zipfile
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,10 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch.func import functional_call
 
+from warpvox.algos.policies.layout import VoxelLayout
+from warpvox.algos.policies.model import VoxelModel
 from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.envs.sources import is_code
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError
 from warpvox.io.writing import atomic_path
@@ -31,7 +34,11 @@ WIDEST = 1 << 16
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """What it takes to rebuild a policy before its weights are loaded."""
+    """What it takes to rebuild a policy before its weights are loaded.
+
+    ``voxels``: of a policy for voxels, the ``network``, ``settings`` and ``layout`` that
+    :class:`warpvox.algos.policies.model.VoxelModel` takes; None: fully connected layers.
+    """
 
     num_obs: int
     num_actions: int
@@ -39,6 +46,7 @@ class PolicySpec:
     activation: str
     normalize_obs: bool
     action_scale: float
+    voxels: dict[str, Any] | None = None
 
 
 class Controller:
@@ -130,21 +138,44 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
     return content
 
 
-def load_controller(path: Path, device: str = "cpu") -> Controller:
+def load_controller(path: Path, device: str = "cpu", network: str | None = None) -> Controller:
     """The policy of a checkpoint.
 
+    Args:
+        path, device: of the file, and where the policy shall be.
+        network: ``FILE.py:Class`` or ``module:Class`` of a network that is not warpvox's own; a checkpoint that needs
+            one does not say where code is imported from.
+
     Raises:
-        RunError: the file is missing or not a checkpoint.
+        RunError: the file is missing or not a checkpoint, or needs code that ``network`` does not name.
     """
     content = load_checkpoint(path, device)
     try:
         spec = spec_of(content["policy"])
+    except TypeError as error:
+        raise RunError(f"{path} holds a policy of another kind ({_first_line(error)}).") from None
+    spec = with_code(spec, network)
+    try:
         check_spec(spec, content["actor_state_dict"])
         actor = build_actor(spec).to(device)
         actor.load_state_dict(content["actor_state_dict"])
     except (TypeError, ValueError, RuntimeError) as error:
         raise RunError(f"{path} holds a policy of another kind ({_first_line(error)}).") from None
     return Controller(actor.eval(), spec)
+
+
+def with_code(spec: PolicySpec, network: str | None) -> PolicySpec:
+    """``spec`` whose network, if it is code of the user's, is that which the user has named.
+
+    Raises:
+        RunError: it is such a network, and none is named.
+    """
+    if spec.voxels is None or not isinstance(spec.voxels, dict) or not is_code(spec.voxels.get("network")):
+        return spec
+    if network is None or not is_code(network):
+        name = str(spec.voxels["network"])
+        raise RunError(f"The policy has a network of its own, {name!r:.80}: name it, policy=FILE.py:Class.")
+    return replace(spec, voxels=spec.voxels | {"network": network})
 
 
 def check_spec(spec: PolicySpec, weights: object) -> None:
@@ -161,22 +192,47 @@ def check_spec(spec: PolicySpec, weights: object) -> None:
         raise ValueError("the weights are no tensors")
     if not all(value.is_contiguous() for value in weights.values()):  # one number can pose as a million
         raise ValueError("the weights are views of other tensors")
-    layers = [tensor.shape for name, tensor in weights.items() if re.fullmatch(r"mlp\.\d+\.weight", str(name))]
-    expected = [torch.Size((after, before)) for before, after in pairwise(sizes)]
-    if layers != expected:
-        raise ValueError(f"layers of {[list(s) for s in expected]!r:.100} do not have weights of {layers!r:.100}")
+    _check_voxels(spec, weights) if spec.voxels is not None else _check_layers(sizes, weights)
     if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
         raise ValueError("the weights are not finite numbers")
 
 
-def build_actor(spec: PolicySpec) -> MLPModel:
+def _check_layers(sizes: list[int], weights: dict[str, torch.Tensor]) -> None:
+    layers = [tensor.shape for name, tensor in weights.items() if re.fullmatch(r"mlp\.\d+\.weight", str(name))]
+    expected = [torch.Size((after, before)) for before, after in pairwise(sizes)]
+    if layers != expected:
+        raise ValueError(f"layers of {[list(s) for s in expected]!r:.100} do not have weights of {layers!r:.100}")
+
+
+def _check_voxels(spec: PolicySpec, weights: dict[str, torch.Tensor]) -> None:
+    given = spec.voxels if isinstance(spec.voxels, dict) else {}
+    layout = given.get("layout")
+    if given.keys() != {"network", "settings", "layout"} or not isinstance(layout, dict):
+        raise ValueError(f"a policy for voxels has network, settings and layout, got {given!r:.100}")
+    if not all(type(size) is int and 0 <= size <= WIDEST for size in layout.values()):
+        raise ValueError(f"sizes of a layout are whole numbers up to {WIDEST}, got {layout!r:.100}")
+    layout = VoxelLayout(**layout)
+    if (layout.num_obs, layout.actions) != (spec.num_obs, spec.num_actions):
+        raise ValueError("the layout is that of other observations or actions")
+    expected = {name: tensor.shape for name, tensor in build_actor(spec, "meta").state_dict().items()}
+    if expected != {name: tensor.shape for name, tensor in weights.items()}:
+        raise ValueError("the weights are those of another network")
+
+
+def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel:
     """A policy network with fresh weights."""
+    with torch.device(device):
+        return _build_actor(spec)
+
+
+def _build_actor(spec: PolicySpec) -> MLPModel:
     obs = TensorDict({OBS_GROUP: torch.zeros(1, spec.num_obs)}, batch_size=[1])
+    places = (obs, {"actor": [OBS_GROUP]}, "actor", spec.num_actions)
+    if spec.voxels is not None:
+        normalize, noise = spec.normalize_obs, {"std_type": "log"}
+        return VoxelModel(*places, **spec.voxels, obs_normalization=normalize, distribution_cfg=noise)
     return MLPModel(
-        obs,
-        {"actor": [OBS_GROUP]},
-        "actor",
-        spec.num_actions,
+        *places,
         hidden_dims=list(spec.hidden),
         activation=spec.activation,
         obs_normalization=spec.normalize_obs,
@@ -195,7 +251,7 @@ def spec_of(values: Mapping[str, Any]) -> PolicySpec:
 
 def spec_dict(spec: PolicySpec) -> dict[str, Any]:
     """The form in which a specification stands in a checkpoint."""
-    return asdict(spec)
+    return {name: value for name, value in asdict(spec).items() if name != "voxels" or value is not None}
 
 
 def _first_line(error: Exception) -> str:

@@ -14,9 +14,19 @@ import numpy as np
 import torch
 from rsl_rl.modules import MLP
 from torch import nn
+from torch.nn import functional
 
-from warpvox.algos.checkpoints.files import Controller, PolicySpec, check_spec, load_controller, spec_of
-from warpvox.envs.rsl_rl import ACTION_CENTER
+from warpvox.algos.checkpoints.files import (
+    Controller,
+    PolicySpec,
+    build_actor,
+    check_spec,
+    load_controller,
+    spec_of,
+    with_code,
+)
+from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.envs.voxels import FEATURES, NUM_FEATURES
 from warpvox.errors import RunError
 from warpvox.io.reading import Unreadable, parse_json
 from warpvox.types import ACTION_HIGH, ACTION_LOW
@@ -50,10 +60,14 @@ class Policy(nn.Module):
         self.num_obs, self.num_actions = spec.num_obs, spec.num_actions
         self.center, self.scale = ACTION_CENTER, float(spec.action_scale)
         self.low, self.high = ACTION_LOW, ACTION_HIGH
+        self._build()
+        self.eval().requires_grad_(False)
+
+    def _build(self) -> None:
+        spec = self.spec
         self.mlp = nn.Sequential(*MLP(spec.num_obs, spec.num_actions, list(spec.hidden), spec.activation))
         self.register_buffer("mean", torch.zeros(spec.num_obs))
         self.register_buffer("deviation", torch.ones(spec.num_obs))
-        self.eval().requires_grad_(False)
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
@@ -63,12 +77,47 @@ class Policy(nn.Module):
     def act(self, obs: np.ndarray) -> np.ndarray:
         """:meth:`forward` for numpy arrays, as gymnasium's environments have them."""
         with torch.no_grad():
-            return self(torch.as_tensor(np.asarray(obs), device=self.mean.device)).cpu().numpy()
+            device = next(self.parameters()).device
+            return self(torch.as_tensor(np.asarray(obs), device=device)).cpu().numpy()
+
+    def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
+        """Observations ``[rows, num_obs]`` farther apart than those of training."""
+        return self.mean + 3 * self.deviation * torch.randn((rows, self.num_obs), generator=generator)
+
+
+class VoxelPolicy(Policy):
+    """A policy for voxels: as :class:`Policy`, for bodies of any shape that fits its grid."""
+
+    def _build(self) -> None:
+        self.model = build_actor(self.spec)
+
+    def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
+        rows = obs.to(torch.float32).reshape(-1, self.num_obs)
+        out = self.model.run(self.model.get_latent({OBS_GROUP: rows})).reshape((*obs.shape[:-1], self.num_actions))
+        return (self.center + self.scale * out).clamp(self.low, self.high)
+
+    def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
+        """Observations ``[rows, num_obs]`` of random bodies that move at random."""
+        layout = self.model.layout
+        cells = 0.1 * torch.randn((rows, layout.cells, NUM_FEATURES), generator=generator)
+        kinds = torch.randint(0, 5, (rows, layout.cells), generator=generator)
+        cells[..., FEATURES["type"]] = functional.one_hot(kinds, 5).to(cells.dtype)
+        cells[..., FEATURES["neighbours"]] = (cells[..., FEATURES["neighbours"]] > 0).to(cells.dtype)
+        return torch.cat([cells.flatten(1), torch.randn((rows, layout.rest), generator=generator)], dim=1)
+
+
+def make_policy(spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> Policy:
+    """A policy of the kind that ``spec`` describes, with fresh weights."""
+    return (Policy if spec.voxels is None else VoxelPolicy)(spec, metadata)
 
 
 def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None) -> Policy:
     """The policy of a checkpoint's controller; its numbers are copies."""
-    policy = Policy(controller.spec, metadata)
+    policy = make_policy(controller.spec, metadata)
+    if isinstance(policy, VoxelPolicy):
+        policy.model.load_state_dict(controller.actor.state_dict())
+        return policy.to(next(controller.actor.parameters()).device)
     weights = {f"mlp.{name}": value for name, value in controller.actor.mlp.state_dict().items()}
     if controller.spec.normalize_obs:
         normalizer = controller.actor.obs_normalizer
@@ -77,20 +126,23 @@ def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None)
     return policy.to(next(controller.actor.parameters()).device)
 
 
-def read_policy(path: Path, metadata: Mapping[str, Any] | None = None, device: str = "cpu") -> Policy:
+def read_policy(
+    path: Path, metadata: Mapping[str, Any] | None = None, device: str = "cpu", network: str | None = None
+) -> Policy:
     """The policy of a checkpoint file.
 
     Raises:
-        RunError: the file is missing or not a checkpoint.
+        RunError: the file is missing or not a checkpoint, or needs code that ``network`` does not name, see
+            :func:`warpvox.algos.checkpoints.files.load_controller`.
     """
-    return policy_of(load_controller(path, device), metadata)
+    return policy_of(load_controller(path, device, network), metadata)
 
 
 def policy_text(policy: Policy) -> str:
     """A policy as one line of JSON; its numbers are float32, little-endian, in base64."""
     weights = {
         name: base64.b64encode(value.detach().cpu().numpy().astype("<f4").tobytes()).decode()
-        for name, value in policy.state_dict().items()
+        for name, value in (policy.model if isinstance(policy, VoxelPolicy) else policy).state_dict().items()
     }
     content = {"format": FORMAT, "version": VERSION, "policy": asdict(policy.spec), "metadata": policy.metadata}
     return json.dumps(content | {"weights": weights})
@@ -109,11 +161,11 @@ def parse_policy(text: str, source: object) -> Policy:
         given, metadata = content.get("policy"), content.get("metadata")
         if not isinstance(given, dict) or not isinstance(metadata, dict):
             raise ValueError("it has no description of the network")
-        spec = spec_of(given)
+        spec = with_code(spec_of(given), None)
         weights = _weights(spec, content.get("weights"))
         check_spec(spec, weights)
-        policy = Policy(spec, metadata)
-        policy.load_state_dict(weights)
+        policy = make_policy(spec, metadata)
+        (policy.model if isinstance(policy, VoxelPolicy) else policy).load_state_dict(weights)
     except (Unreadable, TypeError, ValueError, RuntimeError) as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise RunError(f"{source} holds no policy that can be read ({reason:.200}).") from None
@@ -127,7 +179,8 @@ def _weights(spec: PolicySpec, given: Any) -> dict[str, torch.Tensor]:
     sizes = [spec.num_obs, *(spec.hidden if isinstance(spec.hidden, list) else [None]), spec.num_actions]
     if not all(type(size) is int and size > 0 for size in sizes):
         raise ValueError(f"sizes must be whole numbers, got {sizes!r:.100}")
-    weights = {}
+    weights: dict[str, torch.Tensor] = {}
+    shapes = {} if spec.voxels is None else _voxel_shapes(spec)
     for name, value in given.items():
         try:
             numbers = np.frombuffer(base64.b64decode(value, validate=True), "<f4").astype(np.float32)
@@ -138,7 +191,13 @@ def _weights(spec: PolicySpec, given: Any) -> dict[str, torch.Tensor]:
         shape = (spec.num_obs,)
         if 0 <= layer < len(sizes) - 1:
             shape = (sizes[layer + 1], sizes[layer]) if part == "weight" else (sizes[layer + 1],)
+        shape = shapes.get(name, shape)
         if numbers.size != int(np.prod(shape)):
             raise ValueError(f"'{name:.40}' has {numbers.size} numbers, not {int(np.prod(shape))}")
         weights[name] = torch.from_numpy(numbers.reshape(shape))
     return weights
+
+
+def _voxel_shapes(spec: PolicySpec) -> dict[str, tuple[int, ...]]:
+    """The shapes of the weights of a policy for voxels."""
+    return {name: tuple(value.shape) for name, value in build_actor(spec, "meta").state_dict().items()}

@@ -21,7 +21,7 @@ class SampledController:
         self.controller, self.spec = controller, controller.spec
         distribution = controller.actor.distribution
         low, high = distribution.log_std_range
-        self._std = distribution.log_std_param.detach().clamp(low, high).exp()[: self.spec.num_actions]
+        self._std = distribution.log_std_param.detach().clamp(low, high).exp()
         self._generator = torch.Generator(self._std.device).manual_seed(seed)
 
     @torch.no_grad()
@@ -29,4 +29,10 @@ class SampledController:
         """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
         mean = self.controller.outputs(obs)
         noise = torch.randn(mean.shape, generator=self._generator, device=mean.device)
-        return actions_of(mean + self._std * noise, self.spec.action_scale)
+        return actions_of(mean + self._deviation() * noise, self.spec.action_scale)
+
+    def _deviation(self) -> torch.Tensor:
+        """Of each action; that of a policy for voxels belongs to the type of an actuator."""
+        if self.spec.voxels is None:
+            return self._std
+        return self.controller.actor.distribution.by_kind(self._std, 0.0).to(self._std.dtype)

@@ -61,10 +61,24 @@ class Gaussian(GaussianDistribution):
         """``[rows]``."""
         return self._sum(0.5 + HALF_LOG_2PI).expand(self._mean.shape[:-1])
 
-    def gradient_of_entropy(self) -> torch.Tensor:
-        """Of the entropy by :attr:`log_std_param`, in its shape: 1 for actions whose deviation is within its bounds."""
+    @property
+    def kept_std(self) -> torch.Tensor:
+        """``[actions]``: what :meth:`mean_divergence` needs of an earlier distribution."""
+        return self._std
+
+    @property
+    def std_is_free(self) -> torch.Tensor:
+        """bool ``[actions]``: where the deviation is within its bounds and follows its parameter."""
         low, high = self.log_std_range
-        return ((self.log_std_param >= low) & (self.log_std_param <= high)) * self.mask
+        return (self.log_std_param >= low) & (self.log_std_param <= high)
+
+    def gradient(self, of_log_std: torch.Tensor, entropy_coef: float) -> torch.Tensor:
+        """Gradient of a loss, less ``entropy_coef`` times the entropy, by :attr:`log_std_param`, in its shape.
+
+        ``of_log_std`` ``[rows, actions]``: the gradient by the logarithms of the deviations of each row.
+        """
+        total = of_log_std.sum(-2, keepdim=of_log_std.ndim == 3)
+        return total.sub_(entropy_coef).mul_(self.std_is_free * self.mask)
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
         """``[rows]`` of actions ``[rows, actions]``."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Mapping
 from types import EllipsisType
 from typing import Any, NamedTuple
 
@@ -11,9 +12,10 @@ import torch
 from rsl_rl.algorithms import PPO as RslRlPPO
 from tensordict import TensorDict
 
+from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.adam import VectorAdam
-from warpvox.algos.training.networks import Gaussian, Network, Normalizer, observations
+from warpvox.algos.training.networks import Gaussian, Network, observations
 from warpvox.envs.rsl_rl import OBS_GROUP
 from warpvox.errors import ConfigError
 
@@ -173,7 +175,7 @@ class PPO(RslRlPPO):
         self.optimizer.steps += self.num_learning_epochs * self.num_mini_batches
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate
-        if isinstance(self.actor.obs_normalizer, Normalizer):
+        if hasattr(self.actor.obs_normalizer, "update"):
             self.actor.obs_normalizer.update(self._samples(observations(self.actor, self.storage.observations)))
         self.storage.clear()
         self.updates += 1
@@ -209,7 +211,7 @@ class PPO(RslRlPPO):
         policy, rate = actor.distribution, self.rates[rows]
         parameters = [*actor.parameters(), *critic.parameters()]
         layers = [parameter for parameter in parameters if parameter is not policy.log_std_param]
-        old_std, sums = policy.row_std.clone()[rows], 0
+        old_std, sums = policy.kept_std.clone()[rows], 0
         for k in range(times):
             first = k % self.num_mini_batches * size
             part = Samples(*(values.narrow(data.returns.ndim - 1, first, size) for values in data))
@@ -227,7 +229,7 @@ class PPO(RslRlPPO):
                 torch.distributed.all_reduce(gradient)
                 gradient /= self.gpu_world_size
             self.optimizer.descend(gradient, self.max_grad_norm, rate, self.optimizer.steps + k + 1, rows)
-            sums += torch.stack([value, surrogate, policy.entropy[..., 0].detach()])
+            sums += torch.stack([value, surrogate, policy.entropy.mean(-1).detach()])
         return sums / times
 
     def _surrogate(self, policy: Gaussian, part: Samples) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -243,8 +245,7 @@ class PPO(RslRlPPO):
         # of the larger of the two losses; where they are equal, within the bounds, both have the same gradient
         of_log_prob = free.mul(free >= bounded).div_(free.shape[-1])
         of_mean = noise.mul_(of_log_prob[..., None]).div_(policy.row_std)
-        of_log_std = squares.sub_(1).mul_(of_log_prob[..., None]).sum(-2, keepdim=of_mean.ndim == 3)
-        of_log_std = of_log_std.sub_(self.entropy_coef).mul_(policy.gradient_of_entropy())
+        of_log_std = policy.gradient(squares.sub_(1).mul_(of_log_prob[..., None]), self.entropy_coef)
         return torch.max(free, bounded).mean(-1), of_mean, of_log_std
 
     def _value_loss(self, values: torch.Tensor, part: Samples) -> tuple[torch.Tensor, torch.Tensor]:
@@ -283,14 +284,19 @@ class PPO(RslRlPPO):
         return result
 
 
-def rsl_rl_config(ppo: PpoConfig, total_iterations: int) -> dict[str, Any]:
-    """The dictionary that rsl-rl's runner wants."""
-    network = {
-        "class_name": Network,
-        "hidden_dims": list(ppo.hidden),
-        "activation": ppo.activation,
-        "obs_normalization": ppo.normalize_obs,
-    }
+def rsl_rl_config(ppo: PpoConfig, total_iterations: int, voxels: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """The dictionary that rsl-rl's runner wants.
+
+    Args:
+        ppo: settings of the method.
+        total_iterations: the end of a linear schedule.
+        voxels: ``network``, ``settings`` and ``layout`` of :class:`~warpvox.algos.policies.model.VoxelModel`; None:
+            fully connected layers.
+    """
+    network = {"class_name": Network, "hidden_dims": list(ppo.hidden), "activation": ppo.activation}
+    if voxels is not None:
+        network = {"class_name": VoxelModel, **voxels}
+    network["obs_normalization"] = ppo.normalize_obs
     noise = {"class_name": Gaussian, "init_std": ppo.init_std, "std_type": "log"}
     return {
         "num_steps_per_env": ppo.steps,

@@ -78,6 +78,7 @@ class Runner(OnPolicyRunner):
         report: called after every iteration with its row of ``metrics.csv``.
         team: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
             and reports; its ``evaluator`` and ``report`` are the only ones that are used.
+        voxels: of a policy for voxels, see :func:`warpvox.algos.training.ppo.rsl_rl_config`.
     """
 
     def __init__(
@@ -89,9 +90,10 @@ class Runner(OnPolicyRunner):
         evaluator: Evaluator | None = None,
         report: Callable[[Mapping[str, float]], None] | None = None,
         team: Team = ALONE,
+        voxels: Mapping[str, Any] | None = None,
     ) -> None:
         self.team = team
-        super().__init__(env, rsl_rl_config(ppo, schedule.total), log_dir=None, device=str(env.device))
+        super().__init__(env, rsl_rl_config(ppo, schedule.total, voxels), log_dir=None, device=str(env.device))
         self.ppo, self.schedule, self.folder = ppo, schedule, folder
         self.evaluator, self.report = evaluator, report
         self.spec = PolicySpec(
@@ -101,6 +103,7 @@ class Runner(OnPolicyRunner):
             activation=ppo.activation,
             normalize_obs=ppo.normalize_obs,
             action_scale=ppo.action_scale,
+            voxels=None if voxels is None else dict(voxels),
         )
         self.elapsed, self.saved_iteration = 0.0, None
         self.best_return, self.best_iteration, self.last_return = -math.inf, 0, math.nan

@@ -12,16 +12,18 @@ from typing import Any
 import numpy as np
 import torch
 
+from warpvox.algos.policies.layout import layout_of
+from warpvox.algos.policies.registry import MLP, check_policy, make_network
 from warpvox.batch.options import lanes_for
 from warpvox.design import load_design
 from warpvox.devices.names import resolve_device
 from warpvox.devices.startup import LOGGER, start_warp
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
-from warpvox.errors import DesignError
+from warpvox.errors import ConfigError, DesignError
 from warpvox.types import Physics
 
-__all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "shown", "training_lanes"]
+__all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "shown", "training_lanes", "voxels_of"]
 
 
 class _Console(logging.Handler):
@@ -90,15 +92,35 @@ def resolve(config: Any) -> Any:
         TaskError, DesignError, DeviceError, ConfigError: what does not exist or is not valid.
     """
     get_task(config.task)
+    check_policy(config.policy)
     bodies = [_cells(body) for body in load_bodies(config.design, config.seed)]
     constants = dataclasses.asdict(physics_of(config))
     preset = constants.pop("name")
     return dataclasses.replace(
         config,
         design=bodies[0] if len(bodies) == 1 else bodies,
+        obs=config.obs if config.policy == MLP else "voxel",
         physics=type(config.physics)(preset=preset, **constants),
         device=resolve_device(config.device, config.num_envs),
     )
+
+
+def voxels_of(config: Any, env: VoxelVecEnv) -> dict[str, Any] | None:
+    """``network``, ``settings`` and ``layout`` of the policy that a resolved training configuration names; None: mlp.
+
+    Raises:
+        ConfigError: settings that it does not have, or environments that it is not for.
+    """
+    if config.policy == MLP:
+        if config.network is not None:
+            raise ConfigError("network has the settings of policy=grid, transformer or your own; mlp has ppo.hidden.")
+        return None
+    if config.network is not None and not isinstance(config.network, Mapping):
+        raise ConfigError(f"network must be settings by name, such as {{width:32}}; got {config.network!r:.80}.")
+    layout = layout_of(env)
+    settings = dict(config.network or {})
+    make_network(config.policy, layout, False, settings)
+    return {"network": config.policy, "settings": settings, "layout": layout.dict()}
 
 
 def make_env(config: Any, num_envs: int, *, auto_reset: bool, **changes: Any) -> VoxelVecEnv:

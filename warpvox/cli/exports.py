@@ -93,7 +93,8 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
 
     device = resolve_device(config.device, config.num_envs)
     path = run.find_checkpoint(config.checkpoint)
-    trained = allow_code(load_values("train", run.config), run.config, {"task": config.task}, run.folder)
+    named = {"task": config.task, "policy": config.policy}
+    trained = allow_code(load_values("train", run.config), run.config, named, run.folder)
     changes = {"device": device, "threads": config.threads, "lanes": training_lanes(trained, device)}
     changes["memory_check"] = config.memory_check
     if config.dtype is not None:
@@ -103,7 +104,7 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
     if config.seed is not None:
         changes["seed"] = config.seed
     env = make_env(trained, config.num_envs, auto_reset=False, **changes)
-    controller = load_controller(path, device)
+    controller = load_controller(path, device, trained.policy)
     controller.check(env)
     if config.stochastic:
         from warpvox.algos.checkpoints.sampling import SampledController

@@ -102,7 +102,8 @@ def _evaluate(found: Run, config: EvaluateConfig) -> tuple[Evaluation, bool]:
     prepare(config.torch_threads, config.seed)
     names = ("checkpoint", "stochastic", "seed", "device", "dtype", "arithmetic", "threads")
     task = config.task if is_code(found.config["task"]) else None
-    same = {name: getattr(config, name) for name in names}
+    policy = config.policy if is_code(found.config.get("policy")) else None
+    same = {name: getattr(config, name) for name in names} | {"policy": policy}
     env, policy = load_run(found, PlayConfig(num_envs=config.episodes, task=task, **same))
     return evaluate(env, policy), draws_at_random(env)
 

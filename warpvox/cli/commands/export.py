@@ -58,7 +58,8 @@ def _load_policy(config: Any, console: Console) -> Policy:
     with console.status("loading"):
         from warpvox.api import load_policy
 
-        return load_policy(config.run, checkpoint=config.checkpoint, output_dir=config.output_dir)
+        places = {"checkpoint": config.checkpoint, "output_dir": config.output_dir, "policy": config.policy}
+        return load_policy(config.run, **places)
 
 
 def _export_policy(policy: Policy, config: Any, formats: list[str], console: Console) -> Path:

@@ -169,7 +169,7 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         from warpvox.algos.evaluate import evaluator
         from warpvox.algos.training.distributed import join_team
         from warpvox.algos.training.runner import Runner, Schedule, adapt
-        from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes
+        from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes, voxels_of
         from warpvox.cli.memory_check import check_training
 
         team = join_team(job.config.device)
@@ -188,7 +188,7 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         judge = None
         if team.leads:
             judge = evaluator(make_env(config, config.eval_envs * len(designs), auto_reset=False, lanes=lanes))
-        runner = Runner(env, config.ppo, schedule, evaluator=judge, team=team)
+        runner = Runner(env, config.ppo, schedule, evaluator=judge, team=team, voxels=voxels_of(config, env.env))
         if job.checkpoint is not None:
             runner.resume(job.checkpoint)
             _check_left(job.folder, runner)

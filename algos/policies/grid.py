@@ -1,0 +1,64 @@
+"""``policy=grid``: weights shared between voxels, and a summary of the whole body; made for a CPU."""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+
+from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelLayout
+from warpvox.algos.training.layers import fast_tanh
+
+__all__ = ["GridNetwork"]
+
+
+def weight(inputs: int, outputs: int, gain: float) -> nn.Parameter:
+    """``[inputs, outputs]``, orthogonal."""
+    return nn.Parameter(nn.init.orthogonal_(torch.empty(inputs, outputs), gain))
+
+
+class GridNetwork(nn.Module):
+    """All voxels are encoded by the same weights; a summary of the body gives what each of them is steered by.
+
+    ::
+
+        e_c = (m_c M) (1 + f_c F)          voxel c: what moves, m_c, weighted by what does not (place, type, neighbours)
+        s   = tanh(tanh(sum over cells of e_c P_c + rest R + b) H + h)         the body; P_c depends on the cell
+        q_c = tanh(x_c Q + k_c)            voxel c: what it takes from the summary; k_c depends on the cell
+        a_c = q_c (s / 4 + w)              its action
+
+    A cell without a voxel, whose inputs are 0, adds nothing to the summary. A critic has half the width and gives a
+    value from s. The products are those of a few large matrices, which is what a CPU is fast at.
+
+    Args:
+        layout: sizes.
+        critic: whether there is one value for the body instead of one for each cell.
+        width: of what is known of a voxel.
+        summary: of what is known of the body.
+        heads: entries of s and q_c.
+    """
+
+    def __init__(self, layout: VoxelLayout, critic: bool, width: int = 16, summary: int = 64, heads: int = 16) -> None:
+        super().__init__()
+        width = (width + 1) // 2 if critic else width
+        self.critic = critic
+        self.moving, self.fixed = weight(MOVING, width, 1.0), weight(FEATURES - MOVING, width, 0.5)
+        self.pool = nn.Linear(layout.cells * width + layout.rest, summary)
+        self.hidden = nn.Linear(summary, summary if critic else heads)
+        if critic:
+            self.value = nn.Linear(summary, 1)
+        else:
+            self.query = nn.Linear(FEATURES, heads)
+            self.cell = nn.Parameter(torch.randn(layout.cells, heads) * 0.7)
+            self.local = nn.Parameter(torch.randn(heads) * 0.02)
+
+    def forward(self, cells: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
+        """Inputs ``[rows, cells, 26]`` and ``[rows, k]`` to ``[rows, cells]``, or ``[rows]`` of a critic."""
+        count = cells.shape[1]
+        flat = cells.reshape(-1, FEATURES)
+        encoded = (flat[:, :MOVING] @ self.moving) * (1 + flat[:, MOVING:] @ self.fixed)
+        encoded = encoded.reshape(-1, count * self.moving.shape[1])
+        summary = fast_tanh(self.hidden(fast_tanh(self.pool(torch.cat([encoded, rest], dim=1)))))
+        if self.critic:
+            return self.value(summary)[:, 0]
+        query = fast_tanh(self.query(flat).reshape(-1, count, self.local.shape[0]) + self.cell)
+        return (query * (0.25 * summary + self.local)[:, None]).sum(-1)

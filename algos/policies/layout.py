@@ -1,0 +1,134 @@
+"""How the observations of ``obs="voxel"`` and the actions of a body lie in the inputs of a policy."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+
+from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.envs.voxels import FEATURES as OBSERVED
+from warpvox.envs.voxels import NUM_FEATURES
+from warpvox.errors import ConfigError
+from warpvox.types import VOXEL
+
+__all__ = ["FEATURES", "INPUTS", "MOVING", "VoxelLayout", "layout_of", "voxel_inputs"]
+
+INPUTS = {
+    "shift": slice(0, 2),
+    "shape": slice(2, 8),
+    "velocity": slice(8, 10),
+    "shape_velocity": slice(10, 16),
+    "place": slice(16, 18),
+    "type": slice(18, 22),
+    "neighbours": slice(22, 26),
+}
+"""Where the features of a voxel lie in the inputs of a policy; all are 0 for a cell without a voxel.
+
+``shift``: x and y of the voxel's centre less those at rest, the mean over the body's voxels taken off; ``shape``: for x
+and for y how far the corners are spread horizontally, vertically and crosswise; ``velocity``, ``shape_velocity``: of
+centre and shape; ``place``: x and y of the centre at rest, in voxels, about the mean over the body's voxels; ``type``:
+one of (rigid, soft, horizontal actuator, vertical actuator) is 1; ``neighbours``: 1 where the voxel is connected
+(above, right, below, left).
+"""
+MOVING = 16
+"""The first so many inputs change in an episode."""
+FEATURES = 26
+"""Inputs of a voxel."""
+_SPREADS = ((1, 1, 1, 1), (-1, 1, 1, -1), (1, 1, -1, -1), (1, -1, 1, -1))
+"""Signs of the corners (top left, top right, bottom right, bottom left) in centre and shape."""
+
+
+@dataclass(frozen=True)
+class VoxelLayout:
+    """Sizes that a policy is made for.
+
+    Attributes:
+        rows, columns: of the grid that bodies lie in.
+        rest: entries of an observation after the grid.
+        actions: entries of an action; a body has so many actuators at most.
+    """
+
+    rows: int
+    columns: int
+    rest: int
+    actions: int
+
+    @property
+    def cells(self) -> int:
+        """Cells of the grid."""
+        return self.rows * self.columns
+
+    @property
+    def num_obs(self) -> int:
+        """Entries of an observation."""
+        return self.cells * NUM_FEATURES + self.rest
+
+    def dict(self) -> dict[str, Any]:
+        """As it stands in a checkpoint."""
+        return asdict(self)
+
+
+def layout_of(env: VoxelVecEnv) -> VoxelLayout:
+    """The layout of environments with ``obs="voxel"``.
+
+    Raises:
+        ConfigError: they have another one, or several robots.
+    """
+    if len(env.voxels) != 1:
+        what = "several robots" if env.voxels else 'not obs="voxel"'
+        raise ConfigError(f"A policy for voxels needs environments of one robot with obs=voxel; these have {what}.")
+    grid = next(iter(env.voxels.values()))
+    cells = grid.rows * grid.columns
+    if grid.place != slice(0, cells * NUM_FEATURES):
+        raise ConfigError("A policy for voxels needs the grid at the beginning of an observation.")
+    return VoxelLayout(grid.rows, grid.columns, env.num_obs - cells * NUM_FEATURES, env.num_actions)
+
+
+def corner_transform(like: torch.Tensor) -> torch.Tensor:
+    """``[8, 8]``: from the x and y of four corners to those of the centre, then the six of the shape."""
+    order = [(0, 0), (1, 0), *((axis, spread) for axis in (0, 1) for spread in (1, 2, 3))]
+    columns = [[_SPREADS[spread][k // 2] / 4 * (k % 2 == axis) for k in range(8)] for axis, spread in order]
+    return torch.tensor(columns, dtype=like.dtype, device=like.device).T
+
+
+def rest_places(layout: VoxelLayout, like: torch.Tensor) -> torch.Tensor:
+    """``[cells, 2]``: x to the right and y upward of the cells' centres, in voxels."""
+    rows = torch.arange(layout.rows, dtype=like.dtype, device=like.device)
+    columns = torch.arange(layout.columns, dtype=like.dtype, device=like.device)
+    y, x = torch.meshgrid(-rows, columns, indexing="ij")
+    return torch.stack([x.flatten(), y.flatten()], dim=1)
+
+
+def voxel_inputs(
+    obs: torch.Tensor, layout: VoxelLayout
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """What a policy makes of observations ``[rows, num_obs]``; nothing of a cell without a voxel gets through.
+
+    Returns:
+        Features of the voxels ``[rows, cells, 26]`` (:data:`INPUTS`, not scaled yet), 1 where there is a voxel
+        ``[rows, cells, 1]``, the actions of the cells ``[rows, cells]`` (``layout.actions`` where there is no actuator)
+        and the kinds of the actions ``[rows, actions]`` (0: the body has no such action, 1: horizontal, 2: vertical).
+    """
+    cells = obs[:, : layout.cells * NUM_FEATURES].reshape(-1, layout.cells, NUM_FEATURES)
+    types = cells[..., OBSERVED["type"]]
+    present = 1 - types[..., :1]
+    transform = corner_transform(cells)
+    moved, speeds = (cells[..., OBSERVED[name]] @ transform for name in ("positions", "velocities"))
+    moved = torch.where(present > 0, moved, 0.0)
+    count = present.sum(1, keepdim=True).clamp(min=1)
+    place = rest_places(layout, present) * present
+    place = (place - place.sum(1, keepdim=True) / count) * present
+    shift = moved[..., :2] - VOXEL * place
+    shift = shift - shift.sum(1, keepdim=True) / count
+    fixed = cells[..., OBSERVED["type"].start + 1 : OBSERVED["neighbours"].stop]
+    features = torch.cat([shift, moved[..., 2:], speeds, place, fixed], dim=-1)
+    # not a product: what is not finite in an absent cell must not get through either
+    features = torch.where(present > 0, features, 0.0)
+    kind = types[..., 3] + 2 * types[..., 4]
+    driving = kind > 0
+    actions = torch.where(driving, driving.long().cumsum(-1) - 1, layout.actions)
+    kinds = torch.zeros(obs.shape[0], layout.actions + 1, dtype=obs.dtype, device=obs.device)
+    kinds = kinds.scatter(1, actions, kind)[:, : layout.actions]
+    return features, present, actions, kinds

@@ -1,0 +1,153 @@
+"""A network for voxels as an rsl-rl model: inputs, scaling, the order of actions, and their distribution."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from rsl_rl.models import MLPModel
+from tensordict import TensorDict
+from torch import nn
+
+from warpvox.algos.policies.distribution import VoxelGaussian
+from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelLayout, voxel_inputs
+from warpvox.algos.policies.registry import make_network
+from warpvox.algos.training.networks import observations
+
+__all__ = ["VoxelModel", "VoxelNormalizer"]
+
+FARTHEST = 8.0
+"""Deviations from the mean beyond which scaled inputs are cut off."""
+LEAST = 1e-4
+"""Added to a deviation: 1/1000 of a voxel's side, and so much a second."""
+
+
+class VoxelNormalizer(nn.Module):
+    """Turns observations into inputs, scaled by their running mean and deviation over the voxels that there are.
+
+    A feature of all voxels is scaled alike, wherever in the grid it lies, so that a voxel looks the same in all bodies.
+    What moves is scaled; place, type and neighbours stay as they are.
+
+    Args:
+        layout: sizes.
+        learns: whether :meth:`update` learns; otherwise inputs stay as they are.
+    """
+
+    def __init__(self, layout: VoxelLayout, learns: bool = True) -> None:
+        super().__init__()
+        self.layout, self.learns = layout, learns
+        self.register_buffer("mean", torch.zeros(MOVING + layout.rest))
+        self.register_buffer("var", torch.ones(MOVING + layout.rest))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+
+    def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        """Observations ``[rows, num_obs]`` to the inputs of a network, and behind them order and kinds of actions."""
+        features, present, actions, kinds = voxel_inputs(obs, self.layout)
+        deviation = self.var.sqrt() + LEAST
+        moving = (features[..., :MOVING] - self.mean[:MOVING]) / deviation[:MOVING]
+        moving = moving.clamp(-FARTHEST, FARTHEST) * present
+        rest = (self._rest(obs) - self.mean[MOVING:]) / deviation[MOVING:]
+        features = torch.cat([moving, features[..., MOVING:]], dim=-1).flatten(1)
+        return torch.cat([features, rest.clamp(-FARTHEST, FARTHEST), actions.to(rest.dtype), kinds], dim=1)
+
+    def _rest(self, obs: torch.Tensor) -> torch.Tensor:
+        return obs[:, obs.shape[1] - self.layout.rest :]
+
+    @torch.no_grad()
+    def update(self, obs: torch.Tensor) -> None:
+        """Learn from observations ``[rows, num_obs]``; processes that train together learn from all of theirs."""
+        if not self.learns:
+            return
+        features, present, _, _ = voxel_inputs(obs, self.layout)
+        moving, rest = features[..., :MOVING], self._rest(obs)
+        # counts, sums and sums of squares of voxels and rows
+        sums = torch.cat([moving.sum((0, 1)), rest.sum(0), moving.square().sum((0, 1)), rest.square().sum(0)])
+        sums = torch.cat([sums.double(), present.sum().double()[None], sums.new_full((1,), len(obs)).double()])
+        if torch.distributed.is_initialized():
+            torch.distributed.all_reduce(sums)
+        first, second, (voxels, rows) = *sums[:-2].chunk(2), sums[-2:]
+        number = torch.cat([voxels.expand(MOVING), rows.expand(self.layout.rest)])
+        mean = first / number
+        var = (second / number - mean.square()).clamp(min=0)
+        self.count += rows
+        rate, moved = rows / self.count, mean - self.mean
+        self.mean += rate * moved
+        self.var += rate * (var - self.var + moved * (mean - self.mean))
+
+
+class VoxelModel(MLPModel):
+    """Actor or critic for observations with ``obs="voxel"``; rsl-rl's PPO and ours train it.
+
+    Args:
+        obs, obs_groups, obs_set, output_dim, obs_normalization, distribution_cfg: as of rsl-rl's models; a model with a
+            distribution gives a mean for every action, one without a value.
+        layout: of observations and actions, see :func:`warpvox.algos.policies.layout.layout_of`.
+        network: name of the network (:mod:`warpvox.algos.policies.registry`).
+        settings: of the network.
+    """
+
+    def __init__(
+        self,
+        obs: TensorDict,
+        obs_groups: Mapping[str, list[str]],
+        obs_set: str,
+        output_dim: int,
+        layout: Mapping[str, int],
+        network: str,
+        settings: Mapping[str, Any] | None = None,
+        obs_normalization: bool = True,
+        distribution_cfg: Mapping[str, Any] | None = None,
+    ) -> None:
+        nn.Module.__init__(self)
+        self.obs_groups, self.obs_dim = self._get_obs_dim(obs, obs_groups, obs_set)
+        self.layout, self.obs_normalization = VoxelLayout(**layout), obs_normalization
+        self.distribution = None
+        if distribution_cfg is not None:
+            given = {name: value for name, value in distribution_cfg.items() if name != "class_name"}
+            self.distribution = VoxelGaussian(output_dim, **given)
+        self.obs_normalizer = VoxelNormalizer(self.layout, obs_normalization)
+        self.network = make_network(network, self.layout, self.distribution is None, settings)
+        cells, count = self.layout.cells, self.layout.cells * FEATURES
+        self._parts = [count, self.layout.rest, cells, self.layout.actions]
+
+    def get_latent(self, obs: TensorDict, masks: object = None, hidden_state: object = None) -> torch.Tensor:
+        """See :meth:`scaled`."""
+        return self.scaled(observations(self, obs))
+
+    def scaled(self, obs: torch.Tensor) -> torch.Tensor:
+        """What :meth:`run` takes, ``[rows, inputs]``, of observations ``[rows, num_obs]``."""
+        latent = self.obs_normalizer(obs)
+        self._look(latent)
+        return latent
+
+    def _look(self, latent: torch.Tensor) -> None:
+        """Tell the distribution which actions the bodies have."""
+        if self.distribution is not None:
+            self.distribution.look(latent[:, latent.shape[1] - self.layout.actions :])
+
+    def run(self, latent: torch.Tensor) -> torch.Tensor:
+        """Inputs to the means of the actions ``[rows, actions]``, or to values ``[rows, 1]``."""
+        features, rest, actions, _ = latent.split(self._parts, dim=1)
+        values = self.network(features.reshape(-1, self.layout.cells, FEATURES), rest)
+        if self.distribution is None:
+            return values[:, None]
+        self._look(latent)
+        # cells without an actuator share the last column, which is dropped
+        means = values.new_zeros(latent.shape[0], self.layout.actions + 1).scatter(1, actions.long(), values)
+        return means[:, : self.layout.actions]
+
+    def forward(
+        self, obs: TensorDict, masks: object = None, hidden_state: object = None, stochastic_output: bool = False
+    ) -> torch.Tensor:
+        """As of rsl-rl's models."""
+        latent = self.get_latent(obs)
+        out = self.run(latent)
+        if self.distribution is not None and stochastic_output:
+            self.distribution.update(out)
+            return self.distribution.sample()
+        return out
+
+    def update_normalization(self, obs: TensorDict) -> None:
+        """Learn how observations are scaled."""
+        self.obs_normalizer.update(observations(self, obs))

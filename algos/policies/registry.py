@@ -1,0 +1,77 @@
+"""Networks of policies by name: what the key ``policy`` takes."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+from torch import nn
+
+from warpvox.algos.policies.grid import GridNetwork
+from warpvox.algos.policies.layout import VoxelLayout
+from warpvox.algos.policies.transformer import TransformerNetwork
+from warpvox.envs.sources import is_code, lacks_module, load_code, split
+from warpvox.errors import ConfigError, WarpvoxError, did_you_mean, listing
+
+__all__ = ["MLP", "POLICIES", "check_policy", "make_network"]
+
+MLP = "mlp"
+"""The policy that is no network for voxels: fully connected layers on the whole observation."""
+NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork}
+POLICIES = (MLP, *NETWORKS)
+
+
+def check_policy(name: object) -> None:
+    """Raise ConfigError unless there may be a policy of this name; code of the user's is not imported."""
+    if name not in POLICIES and not is_code(name):
+        raise ConfigError(
+            f"policy must be one of {listing(POLICIES)}, or a network of your own, module:Class or file.py:Class; got"
+            f" {name!r:.80}.{did_you_mean(str(name), POLICIES)}"
+        )
+
+
+def make_network(name: str, layout: VoxelLayout, critic: bool, settings: Mapping[str, Any] | None = None) -> nn.Module:
+    """The network of an actor or a critic.
+
+    Args:
+        name: of :data:`POLICIES`, or ``module:Class`` or ``file.py:Class``: a ``torch.nn.Module`` made by
+            ``Class(layout, critic, **settings)``, whose ``forward(cells, rest)`` is as that of :class:`GridNetwork`.
+        layout: sizes.
+        critic: whether there is one value for the body instead of one for each cell.
+        settings: of the network, by name.
+
+    Raises:
+        ConfigError: no such network, or it has no such settings.
+    """
+    check_policy(name)
+    made = NETWORKS.get(name) or _load(name)
+    try:
+        inspect.signature(made).bind(layout, critic, **(settings or {}))
+    except TypeError as error:
+        known = [one for one in inspect.signature(made).parameters if one not in ("layout", "critic")]
+        wrong = [one for one in settings or {} if one not in known]
+        hint = did_you_mean(wrong[0], known) if wrong else ""
+        raise ConfigError(f"policy={name} has the settings {listing(known)} ({error}).{hint}") from None
+    network = made(layout, critic, **(settings or {}))
+    if not isinstance(network, nn.Module):
+        raise ConfigError(f"policy={name} must make a torch.nn.Module, got {type(network).__name__}.")
+    return network
+
+
+def _load(name: str) -> Any:
+    place, attribute = split(name)
+    try:
+        module = load_code(place).module
+    except FileNotFoundError:
+        raise ConfigError(f"policy={name}: there is no file {place}.") from None
+    except WarpvoxError:
+        raise
+    except Exception as error:
+        if lacks_module(place, error):
+            raise ConfigError(f"policy={name}: there is no module {place}.") from None
+        raise ConfigError(f"policy={name}: {place} cannot be imported ({type(error).__name__}: {error}).") from error
+    if not callable(getattr(module, attribute, None)):
+        classes = [one for one, value in vars(module).items() if inspect.isclass(value)]
+        raise ConfigError(f"policy={name}: {place} has no class {attribute}.{did_you_mean(attribute, classes)}")
+    return getattr(module, attribute)

@@ -1,0 +1,290 @@
+"""Policies for voxels: what a body has not takes no part, rsl-rl's PPO learns the same, and files bring them back."""
+
+from __future__ import annotations
+
+import copy
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from rsl_rl.algorithms import PPO as StockPPO
+from tensordict import TensorDict
+
+from warpvox.algos.checkpoints.export import read_exported, write_onnx, write_script
+from warpvox.algos.checkpoints.files import Controller, load_controller
+from warpvox.algos.checkpoints.policy import policy_of
+from warpvox.algos.checkpoints.sampling import SampledController
+from warpvox.algos.evaluate import evaluate, evaluator
+from warpvox.algos.policies.layout import INPUTS, VoxelLayout, layout_of, voxel_inputs
+from warpvox.algos.policies.registry import check_policy, make_network
+from warpvox.algos.settings import PpoConfig
+from warpvox.algos.training.ppo import PPO, rsl_rl_config
+from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
+from warpvox.cli.config import load
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.envs.voxels import NUM_FEATURES
+from warpvox.errors import ConfigError, RunError
+
+BODIES = ([[3, 3, 3], [4, 1, 4]], [[2, 3], [4, 0]])
+ENVS, STEPS, LIMIT = 8, 5, 12
+ROUNDING = 1e-9
+"""What rounding in float64 can grow to in two updates."""
+NETWORKS = {"grid": {"width": 6, "summary": 8, "heads": 4}, "transformer": {"width": 8}}
+OWN = """
+import torch
+
+class Own(torch.nn.Module):
+    def __init__(self, layout, critic, units=3):
+        super().__init__()
+        self.critic, self.one, self.two = critic, torch.nn.Linear(26, units), torch.nn.Linear(units, 1)
+
+    def forward(self, cells, rest):
+        values = self.two(torch.tanh(self.one(cells)))[..., 0]
+        return values.mean(1) if self.critic else values
+"""
+
+pytestmark = [
+    pytest.mark.usefixtures("one_thread"),
+    pytest.mark.filterwarnings("ignore:.*torch.jit.* is deprecated:DeprecationWarning"),
+]
+
+
+def settings(**changes: object) -> PpoConfig:
+    ppo = load("train", []).ppo
+    for name, value in {"steps": STEPS, "epochs": 2, "minibatches": 2, **changes}.items():
+        setattr(ppo, name, value)
+    return ppo
+
+
+def make_env(num_envs: int = ENVS, auto_reset: bool = True) -> VoxelVecEnv:
+    options = dict(device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8, obs="voxel", auto_reset=auto_reset)
+    return make_vec("Walker-v0", BODIES, num_envs, **options)
+
+
+def voxels(env: VoxelVecEnv, name: str) -> dict:
+    return {"network": name, "settings": NETWORKS.get(name, {}), "layout": layout_of(env).dict()}
+
+
+def make_runner(name: str, folder: Path | None = None, total: int = 2, seed: int = 0) -> Runner:
+    torch.manual_seed(seed)
+    env, judge = make_env(), evaluator(make_env(2, auto_reset=False))
+    ppo = settings()
+    return Runner(adapt(env, ppo), ppo, Schedule(total, 100, 1), folder, judge, voxels=voxels(env, name))
+
+
+def some_obs(env: VoxelVecEnv, steps: int = 3) -> torch.Tensor:
+    """Observations of bodies that have moved."""
+    generator = torch.Generator().manual_seed(1)
+    obs, _ = env.reset()
+    for _ in range(steps):
+        obs = env.step(0.6 + torch.rand((env.num_envs, 32), generator=generator)[:, : env.num_actions])[0]
+    return obs
+
+
+@pytest.fixture(scope="module")
+def env() -> VoxelVecEnv:
+    return make_env()
+
+
+# ----------------------------------------------------------------------------------------------- inputs
+
+
+def test_a_voxel_looks_the_same_in_every_grid() -> None:
+    body = BODIES[0]
+    features = []
+    for grid in (None, (4, 4)):
+        alone = make_vec("Walker-v0", [body], 1, device="cpu", threads=1, lanes=8, obs="voxel", grid=grid)
+        layout = layout_of(alone)
+        found, present, _, _ = voxel_inputs(some_obs(alone), layout)
+        features.append(found[0, present[0, :, 0] > 0])
+        assert bool((found[0, present[0, :, 0] == 0] == 0).all())
+    torch.testing.assert_close(features[0], features[1], rtol=0, atol=1e-5)
+    assert features[0].shape == (6, INPUTS["neighbours"].stop)
+
+
+def test_inputs_at_rest_say_where_a_voxel_is(env: VoxelVecEnv) -> None:
+    layout = layout_of(env)
+    found, present, actions, kinds = voxel_inputs(env.reset()[0], layout)
+    assert float(found[..., INPUTS["shift"]].abs().max()) < 1e-5
+    assert float(found[..., INPUTS["shape_velocity"]].abs().max()) == 0
+    rows = found[0, :, INPUTS["place"]]
+    assert torch.equal(rows, torch.tensor([[-1, 0.5], [0, 0.5], [1, 0.5], [-1, -0.5], [0, -0.5], [1, -0.5]]))
+    assert kinds[0].tolist() == [1, 1, 1, 2, 2]
+    assert kinds[-1].tolist() == [1, 2, 0, 0, 0]
+    # as the environment has it
+    cells = env.voxels["robot"].action_cell
+    for row in (0, ENVS - 1):
+        ours = {int(action): cell for cell, action in enumerate(actions[row].tolist()) if action < layout.actions}
+        assert ours == {action: cell for action, cell in enumerate(cells[row].tolist()) if cell >= 0}
+    assert int(present[-1].sum()) == 3
+
+
+# ----------------------------------------------------------------------------------------------- masks
+
+
+def learned(name: str, obs: torch.Tensor, actions: torch.Tensor, env: VoxelVecEnv) -> list[torch.Tensor]:
+    """All that learning makes of observations and actions: means, likelihood, entropy, values and gradients."""
+    torch.manual_seed(0)
+    groups = TensorDict({"policy": obs}, batch_size=[len(obs)])
+    alg = PPO.construct_algorithm(groups, adapt(env, settings()), config(env, name), "cpu")
+    for model in (alg.actor, alg.critic):
+        model.update_normalization(groups)
+    mean = alg.actor(groups)
+    alg.actor(groups, stochastic_output=True)
+    likelihood, entropy = alg.actor.get_output_log_prob(actions), alg.actor.output_entropy
+    loss = likelihood.sum() + entropy.sum() + alg.critic(groups).sum()
+    gradients = torch.autograd.grad(loss, [*alg.actor.parameters(), *alg.critic.parameters()], allow_unused=True)
+    assert all(gradient is not None for gradient in gradients)
+    return [mean, likelihood, entropy, *gradients]
+
+
+def config(env: VoxelVecEnv, name: str) -> dict:
+    return rsl_rl_config(settings(), 10, voxels(env, name)) | {"multi_gpu": None}
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_what_a_body_has_not_changes_no_bit(env: VoxelVecEnv, name: str) -> None:
+    obs, layout = some_obs(env), layout_of(env)
+    actions = torch.rand((ENVS, env.num_actions))
+    before = learned(name, obs, actions, env)
+    other = obs.clone()
+    cells = other[:, : layout.cells * NUM_FEATURES].view(ENVS, layout.cells, NUM_FEATURES)
+    absent = cells[..., 16] == 1
+    assert bool(absent.any())
+    for feature in (*range(16), *range(21, 25)):
+        cells[..., feature] = torch.where(absent, math.nan, cells[..., feature])
+    masked = actions.masked_fill(~env.action_mask[env.design_index], 1e9)
+    assert not torch.equal(masked, actions)
+    for one, two in zip(before, learned(name, other, masked, env), strict=True):
+        assert torch.equal(one, two)
+
+
+def test_likelihood_and_entropy_are_those_of_the_actions_there_are(env: VoxelVecEnv) -> None:
+    runner = make_runner("grid")
+    model, obs = runner.alg.actor, TensorDict({"policy": some_obs(env)}, batch_size=[ENVS])
+    with torch.no_grad():
+        model.distribution.log_std_param.copy_(torch.tensor([-0.5, 0.25]))
+        drawn = model(obs, stochastic_output=True)
+        kinds = model.get_latent(obs)[:, -env.num_actions :]
+        normal = torch.distributions.Normal(model.output_mean, torch.where(kinds == 1, -0.5, 0.25).exp())
+        mask = env.action_mask[env.design_index]
+        torch.testing.assert_close(model.get_output_log_prob(drawn), (normal.log_prob(drawn) * mask).sum(1))
+        torch.testing.assert_close(model.output_entropy, (normal.entropy() * mask).sum(1))
+        params = model.output_distribution_params
+        assert bool((model.get_kl_divergence(params, params) == 0).all())
+    assert bool((drawn[~mask] == 0).all())
+    assert bool((drawn[mask] != 0).all())
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_environments_may_change_places(env: VoxelVecEnv, name: str) -> None:
+    controller, obs = make_runner(name).controller, some_obs(env)
+    order = torch.randperm(ENVS, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(controller(obs[order]), controller(obs)[order], rtol=0, atol=1e-6)
+    assert float(controller(obs).std()) > 0
+
+
+# ----------------------------------------------------------------------------------------------- learning
+
+
+@pytest.mark.usefixtures("double")
+@pytest.mark.parametrize("name", NETWORKS)
+def test_rsl_rls_own_ppo_learns_the_same(name: str) -> None:
+    env = adapt(make_env(), settings(schedule="adaptive"))
+    ours_config, stock_config = config(env.env, name), config(env.env, name)
+    for drop in ("total_iterations", "adam_eps", "class_name"):
+        del stock_config["algorithm"][drop]
+    stock_config["algorithm"]["class_name"] = "PPO"
+    ours = seeded(PPO, env, ours_config)
+    stock = seeded(StockPPO, env, stock_config)
+    obs = env.get_observations()
+    for update in range(2):
+        for step in range(STEPS):
+            taken = [seeded_act(algorithm, obs, 100 * update + step) for algorithm in (ours, stock)]
+            torch.testing.assert_close(*taken, rtol=0, atol=ROUNDING)
+            obs, rewards, dones, extras = env.step(taken[1])
+            ours.process_env_step(obs, rewards, dones, extras)
+            stock.process_env_step(obs, ours.storage.rewards[step, :, 0], dones, {})
+        with torch.no_grad():
+            ours.compute_returns(obs)
+            stock.compute_returns(obs)
+        losses = []
+        for algorithm in (ours, stock):
+            torch.manual_seed(update)
+            losses.append(algorithm.update())
+        assert losses[0] == pytest.approx(losses[1], rel=0, abs=1e-8)
+        assert ours.learning_rate == stock.learning_rate
+        for mine, other in ((ours.actor, stock.actor), (ours.critic, stock.critic)):
+            for key, value in mine.state_dict().items():
+                torch.testing.assert_close(value, other.state_dict()[key], rtol=0, atol=ROUNDING, msg=key)
+
+
+def seeded(algorithm: type, env: object, given: dict) -> StockPPO:
+    torch.manual_seed(1)
+    return algorithm.construct_algorithm(env.get_observations(), env, given, "cpu")
+
+
+def seeded_act(algorithm: StockPPO, obs: TensorDict, seed: int) -> torch.Tensor:
+    torch.manual_seed(seed)
+    return algorithm.act(obs)
+
+
+def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path) -> None:
+    whole = make_runner("grid", total=4)
+    whole.run()
+    make_runner("grid", tmp_path, total=2).run()
+    second = make_runner("grid", total=4, seed=5)
+    second.resume(tmp_path / STATE)
+    second.run()
+    for key, value in whole.alg.save()["actor_state_dict"].items():
+        assert torch.equal(value, second.alg.save()["actor_state_dict"][key]), key
+    assert whole.last_return == second.last_return
+
+
+# ----------------------------------------------------------------------------------------------- files
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_a_policy_trains_and_comes_back_from_files(env: VoxelVecEnv, tmp_path: Path, name: str) -> None:
+    runner, obs = make_runner(name, tmp_path, total=1), some_obs(env)
+    before = copy.deepcopy(runner.alg.actor.state_dict())
+    runner.run()
+    assert all(not torch.equal(value, before[key]) for key, value in runner.alg.actor.named_parameters())
+    runner.alg.eval_mode()
+    controller = load_controller(tmp_path / "model_1.pt")
+    assert torch.equal(controller(obs), runner.controller(obs))
+    policy = policy_of(controller)
+    torch.testing.assert_close(policy(obs), controller(obs), rtol=0, atol=1e-6)
+    for file, write in (("policy.pt", write_script), ("policy.onnx", write_onnx)):
+        write(policy, tmp_path / file)
+        again = read_exported(tmp_path / file)
+        assert torch.equal(again(obs), policy(obs))
+    assert evaluate(make_env(2, auto_reset=False), controller).returns.isfinite().all()
+    sampled = SampledController(controller)(obs)
+    assert bool((sampled != controller(obs))[env.action_mask[env.design_index]].any())
+
+
+def test_a_network_of_ones_own_is_imported_only_if_it_is_named(tmp_path: Path) -> None:
+    (tmp_path / "nets.py").write_text(OWN, encoding="utf-8")
+    name = f"{tmp_path / 'nets.py'}:Own"
+    make_runner(name, tmp_path, total=1).run()
+    file = tmp_path / "model_1.pt"
+    with pytest.raises(RunError, match=r"name it, policy=FILE\.py:Class"):
+        load_controller(file)
+    assert isinstance(load_controller(file, network=name), Controller)
+    with pytest.raises(ConfigError, match=r"has the settings units .*Did you mean 'units'"):
+        make_network(name, VoxelLayout(2, 3, 2, 5), False, {"unit": 3})
+    with pytest.raises(ConfigError, match=r"has no class Owm.*Did you mean 'Own'"):
+        make_network(f"{tmp_path / 'nets.py'}:Owm", VoxelLayout(2, 3, 2, 5), False)
+
+
+def test_mistakes_are_explained(env: VoxelVecEnv) -> None:
+    with pytest.raises(ConfigError, match="Did you mean 'transformer'"):
+        check_policy("tranformer")
+    with pytest.raises(ConfigError, match=r"has the settings width, summary, heads.*Did you mean 'width'"):
+        make_network("grid", layout_of(env), False, {"widht": 8})
+    with pytest.raises(ConfigError, match="multiple of its heads"):
+        make_network("transformer", layout_of(env), False, {"width": 7})
+    with pytest.raises(ConfigError, match="obs=voxel"):
+        layout_of(make_vec("Walker-v0", ["mini"], 1, device="cpu", threads=1, lanes=8))
