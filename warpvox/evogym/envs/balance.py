@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from warpvox.evogym.envs.task import TaskEnv
+from warpvox.evogym.envs.task import task_env
 
 __all__ = ["Balance", "BalanceJump"]
 
-
-class Balance(TaskEnv):
-    """Balancer-v0."""
-
-    task = "Balancer-v0"
-
-
-class BalanceJump(TaskEnv):
-    """Balancer-v1."""
-
-    task = "Balancer-v1"
+Balance = task_env("Balance", "Balancer-v0")
+BalanceJump = task_env("BalanceJump", "Balancer-v1")

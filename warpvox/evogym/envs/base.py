@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import atexit
+import functools
 import math
 import os
 import random
 import shutil
 import tempfile
 import warnings
+from collections.abc import Callable
 from typing import Any, Dict, List, Optional, Tuple  # noqa: UP035  # scripts take these from here
 
 import gymnasium as gym
@@ -57,6 +59,27 @@ __all__ = [  # noqa: PLE0604, RUF100
 
 _WINDOWED = ("human", "screen")
 _RENDER_OPTIONS = ("verbose", "hide_background", "hide_grid", "hide_edges", "hide_voxels")
+
+
+def _of_simulation(method: Callable) -> Callable:
+    """A method that calls the one of that name of the environment's simulation."""
+
+    @functools.wraps(method)
+    def call(self: EvoGymBase, *args: Any, **options: Any) -> Any:
+        return getattr(self._sim, method.__name__)(*args, **options)
+
+    return call
+
+
+def _in_simulator_units(method: Callable) -> Callable:
+    """A method that gives in simulator units (0.1 a voxel) what ``method`` gives in voxels."""
+
+    @functools.wraps(method)
+    def scaled(self: EvoGymBase, *args: Any, **options: Any) -> np.ndarray | None:
+        found = method(self, *args, **options)
+        return None if found is None else found * VOXEL
+
+    return scaled
 
 
 class EvoGymBase(gym.Env):
@@ -147,37 +170,14 @@ class EvoGymBase(gym.Env):
 
     # --------------------------------------------------------------------------------------- as the simulation's
 
-    def get_actuator_indices(self, robot_name: str) -> np.ndarray:
-        """See :meth:`EvoSim.get_actuator_indices`."""
-        return self._sim.get_actuator_indices(robot_name)
-
-    def get_dim_action_space(self, robot_name: str) -> int:
-        """Number of a robot's actuators."""
-        return self._sim.get_dim_action_space(robot_name)
-
-    def get_time(self) -> int:
-        """Control steps since the reset."""
-        return self._sim.get_time()
-
-    def pos_at_time(self, time: int) -> np.ndarray:
-        """``[2, points]``: positions of all points."""
-        return self._sim.pos_at_time(time)
-
-    def vel_at_time(self, time: int) -> np.ndarray:
-        """``[2, points]``: velocities of all points."""
-        return self._sim.vel_at_time(time)
-
-    def object_pos_at_time(self, time: int, object_name: str) -> np.ndarray:
-        """``[2, points]``: positions of an object's points."""
-        return self._sim.object_pos_at_time(time, object_name)
-
-    def object_vel_at_time(self, time: int, object_name: str) -> np.ndarray:
-        """``[2, points]``: velocities of an object's points."""
-        return self._sim.object_vel_at_time(time, object_name)
-
-    def object_orientation_at_time(self, time: int, object_name: str) -> float:
-        """How far an object has turned since the reset, counter-clockwise, radians in [0, 2 pi]."""
-        return self._sim.object_orientation_at_time(time, object_name)
+    get_actuator_indices = _of_simulation(EvoSim.get_actuator_indices)
+    get_dim_action_space = _of_simulation(EvoSim.get_dim_action_space)
+    get_time = _of_simulation(EvoSim.get_time)
+    pos_at_time = _of_simulation(EvoSim.pos_at_time)
+    vel_at_time = _of_simulation(EvoSim.vel_at_time)
+    object_pos_at_time = _of_simulation(EvoSim.object_pos_at_time)
+    object_vel_at_time = _of_simulation(EvoSim.object_vel_at_time)
+    object_orientation_at_time = _of_simulation(EvoSim.object_orientation_at_time)
 
     # --------------------------------------------------------------------------------------------- observations
 
@@ -281,44 +281,12 @@ class BenchmarkBase(EvoGymBase):
         EvoGymBase.__init__(self, world=world, render_mode=render_mode, render_options=render_options)
         self.default_viewer.track_objects("robot")
 
-    def pos_at_time(self, time: int) -> np.ndarray:
-        """``[2, points]``: positions of all points."""
-        return super().pos_at_time(time) * VOXEL
-
-    def vel_at_time(self, time: int) -> np.ndarray:
-        """``[2, points]``: velocities of all points."""
-        return super().vel_at_time(time) * VOXEL
-
-    def object_pos_at_time(self, time: int, object_name: str) -> np.ndarray:
-        """``[2, points]``: positions of an object's points."""
-        return super().object_pos_at_time(time, object_name) * VOXEL
-
-    def object_vel_at_time(self, time: int, object_name: str) -> np.ndarray:
-        """``[2, points]``: velocities of an object's points."""
-        return super().object_vel_at_time(time, object_name) * VOXEL
-
-    def get_pos_com_obs(self, object_name: str) -> np.ndarray:
-        """``[2]``: an object's centre of mass."""
-        return super().get_pos_com_obs(object_name) * VOXEL
-
-    def get_vel_com_obs(self, object_name: str) -> np.ndarray:
-        """``[2]``: velocity of an object's centre of mass."""
-        return super().get_vel_com_obs(object_name) * VOXEL
-
-    def get_relative_pos_obs(self, object_name: str) -> np.ndarray:
-        """``[2 points]``: an object's points relative to its centre of mass, all x before all y."""
-        return super().get_relative_pos_obs(object_name) * VOXEL
-
-    def get_floor_obs(
-        self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
-    ) -> np.ndarray | None:
-        """As :meth:`EvoGymBase.get_floor_obs`; ``sight_range`` stays in voxels, as released."""
-        found = super().get_floor_obs(object_name, terrain_list, sight_dist, sight_range)
-        return None if found is None else found * VOXEL
-
-    def get_ceil_obs(
-        self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
-    ) -> np.ndarray | None:
-        """As :meth:`EvoGymBase.get_ceil_obs`; ``sight_range`` stays in voxels, as released."""
-        found = super().get_ceil_obs(object_name, terrain_list, sight_dist, sight_range)
-        return None if found is None else found * VOXEL
+    pos_at_time = _in_simulator_units(EvoGymBase.pos_at_time)
+    vel_at_time = _in_simulator_units(EvoGymBase.vel_at_time)
+    object_pos_at_time = _in_simulator_units(EvoGymBase.object_pos_at_time)
+    object_vel_at_time = _in_simulator_units(EvoGymBase.object_vel_at_time)
+    get_pos_com_obs = _in_simulator_units(EvoGymBase.get_pos_com_obs)
+    get_vel_com_obs = _in_simulator_units(EvoGymBase.get_vel_com_obs)
+    get_relative_pos_obs = _in_simulator_units(EvoGymBase.get_relative_pos_obs)
+    get_floor_obs = _in_simulator_units(EvoGymBase.get_floor_obs)  # sight_range stays in voxels, as released
+    get_ceil_obs = _in_simulator_units(EvoGymBase.get_ceil_obs)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.evogym.envs.base import BenchmarkBase
-from warpvox.evogym.envs.task import TaskEnv
+from warpvox.evogym.envs.task import task_env
 
 __all__ = ["MaximizeShape", "MaximizeXShape", "MaximizeYShape", "MinimizeShape", "ShapeBase"]
 
@@ -37,25 +37,7 @@ class ShapeBase(BenchmarkBase):
         return float(np.sum(x * v - u * y)) / 2
 
 
-class MaximizeShape(TaskEnv, ShapeBase):
-    """AreaMaximizer-v0."""
-
-    task = "AreaMaximizer-v0"
-
-
-class MinimizeShape(TaskEnv, ShapeBase):
-    """AreaMinimizer-v0."""
-
-    task = "AreaMinimizer-v0"
-
-
-class MaximizeXShape(TaskEnv, ShapeBase):
-    """WingspanMaximizer-v0, which the release spells WingspanMazimizer-v0."""
-
-    task = "WingspanMaximizer-v0"
-
-
-class MaximizeYShape(TaskEnv, ShapeBase):
-    """HeightMaximizer-v0."""
-
-    task = "HeightMaximizer-v0"
+MaximizeShape = task_env("MaximizeShape", "AreaMaximizer-v0", ShapeBase)
+MinimizeShape = task_env("MinimizeShape", "AreaMinimizer-v0", ShapeBase)
+MaximizeXShape = task_env("MaximizeXShape", "WingspanMaximizer-v0", ShapeBase)
+MaximizeYShape = task_env("MaximizeYShape", "HeightMaximizer-v0", ShapeBase)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.evogym.envs.base import BenchmarkBase
-from warpvox.evogym.envs.task import TaskEnv
+from warpvox.evogym.envs.task import task_env
 
 __all__ = ["Climb0", "Climb1", "Climb2", "ClimbBase"]
 
@@ -21,19 +21,6 @@ class ClimbBase(BenchmarkBase):
         return np.concatenate([self.get_vel_com_obs("robot"), self.get_relative_pos_obs("robot")]), {}
 
 
-class Climb0(TaskEnv, ClimbBase):
-    """Climber-v0."""
-
-    task = "Climber-v0"
-
-
-class Climb1(TaskEnv, ClimbBase):
-    """Climber-v1."""
-
-    task = "Climber-v1"
-
-
-class Climb2(TaskEnv, ClimbBase):
-    """Climber-v2."""
-
-    task = "Climber-v2"
+Climb0 = task_env("Climb0", "Climber-v0", ClimbBase)
+Climb1 = task_env("Climb1", "Climber-v1", ClimbBase)
+Climb2 = task_env("Climb2", "Climber-v2", ClimbBase)

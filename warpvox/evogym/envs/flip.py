@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from warpvox.evogym.envs.task import TaskEnv
+from warpvox.evogym.envs.task import task_env
 
 __all__ = ["Flipping"]
 
-
-class Flipping(TaskEnv):
-    """Flipper-v0."""
-
-    task = "Flipper-v0"
+Flipping = task_env("Flipping", "Flipper-v0")

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from warpvox.evogym.envs.task import TaskEnv
+from warpvox.evogym.envs.task import task_env
 
 __all__ = ["StationaryJump"]
 
-
-class StationaryJump(TaskEnv):
-    """Jumper-v0."""
-
-    task = "Jumper-v0"
+StationaryJump = task_env("StationaryJump", "Jumper-v0")

@@ -10,7 +10,7 @@ import numpy as np
 
 from warpvox.envs.spec import TaskSpec
 from warpvox.evogym.envs.base import BenchmarkBase
-from warpvox.evogym.envs.task import TaskEnv
+from warpvox.evogym.envs.task import TaskEnv, task_env
 from warpvox.evogym.sim import EvoSim
 from warpvox.evogym.world import EvoWorld
 
@@ -81,36 +81,6 @@ class PackageBase(BenchmarkBase):
         return self.object_pos_at_time, self.object_vel_at_time
 
 
-class CarrySmallRect(TaskEnv, PackageBase):
-    """Carrier-v0."""
-
-    task = "Carrier-v0"
-
-
-class CarrySmallRectToTable(TaskEnv, PackageBase):
-    """Carrier-v1."""
-
-    task = "Carrier-v1"
-
-
-class PushSmallRect(TaskEnv, PackageBase):
-    """Pusher-v0."""
-
-    task = "Pusher-v0"
-
-
-class PushSmallRectOnOppositeSide(TaskEnv, PackageBase):
-    """Pusher-v1."""
-
-    task = "Pusher-v1"
-
-
-class ThrowSmallRect(TaskEnv, PackageBase):
-    """Thrower-v0."""
-
-    task = "Thrower-v0"
-
-
 class CatchSmallRect(TaskEnv, PackageBase):
     """Catcher-v0: the package and its pegs begin every episode in another place.
 
@@ -144,19 +114,11 @@ class CatchSmallRect(TaskEnv, PackageBase):
         return self._observe(self._state()), {}
 
 
-class ToppleBeam(TaskEnv, PackageBase):
-    """BeamToppler-v0."""
-
-    task = "BeamToppler-v0"
-
-
-class SlideBeam(TaskEnv, PackageBase):
-    """BeamSlider-v0."""
-
-    task = "BeamSlider-v0"
-
-
-class LiftSmallRect(TaskEnv, PackageBase):
-    """Lifter-v0."""
-
-    task = "Lifter-v0"
+CarrySmallRect = task_env("CarrySmallRect", "Carrier-v0", PackageBase)
+CarrySmallRectToTable = task_env("CarrySmallRectToTable", "Carrier-v1", PackageBase)
+PushSmallRect = task_env("PushSmallRect", "Pusher-v0", PackageBase)
+PushSmallRectOnOppositeSide = task_env("PushSmallRectOnOppositeSide", "Pusher-v1", PackageBase)
+ThrowSmallRect = task_env("ThrowSmallRect", "Thrower-v0", PackageBase)
+ToppleBeam = task_env("ToppleBeam", "BeamToppler-v0", PackageBase)
+SlideBeam = task_env("SlideBeam", "BeamSlider-v0", PackageBase)
+LiftSmallRect = task_env("LiftSmallRect", "Lifter-v0", PackageBase)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from warpvox.evogym.envs.base import BenchmarkBase, EvoGymBase
 from warpvox.evogym.world import EvoWorld, WorldObject
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["TaskEnv"]
+__all__ = ["TaskEnv", "task_env"]
 
 _BOUND = 100.0  # as released: nominal, observations are not clipped
 _FOLLOWED = ("package", "beam")
@@ -109,3 +110,10 @@ class TaskEnv(BenchmarkBase):
         """Begin an episode; ``options`` are not used. Returns the observation and an empty dictionary."""
         EvoGymBase.reset(self, seed=seed, options=options)
         return self._observe(self._state()), {}
+
+
+def task_env(name: str, task: str, *bases: type) -> type:
+    """The class of a task that adds nothing to :class:`TaskEnv` and to ``bases``, in the module that calls this."""
+    module = sys._getframe(1).f_globals["__name__"]
+    members = {"__module__": module, "__doc__": f"{task}: {get_task(task).summary}", "task": task}
+    return type(name, (TaskEnv, *bases), members)

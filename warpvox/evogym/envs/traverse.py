@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.evogym.envs.base import BenchmarkBase
-from warpvox.evogym.envs.task import TaskEnv
+from warpvox.evogym.envs.task import task_env
 
 __all__ = [
     "BlockSoup",
@@ -36,49 +36,11 @@ class StairsBase(BenchmarkBase):
         return np.concatenate([*parts, self.get_floor_obs("robot", ["ground"], self.sight_dist)]), {}
 
 
-class StepsUp(TaskEnv, StairsBase):
-    """UpStepper-v0."""
-
-    task = "UpStepper-v0"
-
-
-class StepsDown(TaskEnv, StairsBase):
-    """DownStepper-v0."""
-
-    task = "DownStepper-v0"
-
-
-class WalkingBumpy(TaskEnv, StairsBase):
-    """ObstacleTraverser-v0."""
-
-    task = "ObstacleTraverser-v0"
-
-
-class WalkingBumpy2(TaskEnv, StairsBase):
-    """ObstacleTraverser-v1."""
-
-    task = "ObstacleTraverser-v1"
-
-
-class VerticalBarrier(TaskEnv, StairsBase):
-    """Hurdler-v0."""
-
-    task = "Hurdler-v0"
-
-
-class FloatingPlatform(TaskEnv, StairsBase):
-    """PlatformJumper-v0."""
-
-    task = "PlatformJumper-v0"
-
-
-class Gaps(TaskEnv, StairsBase):
-    """GapJumper-v0."""
-
-    task = "GapJumper-v0"
-
-
-class BlockSoup(TaskEnv, StairsBase):
-    """Traverser-v0."""
-
-    task = "Traverser-v0"
+StepsUp = task_env("StepsUp", "UpStepper-v0", StairsBase)
+StepsDown = task_env("StepsDown", "DownStepper-v0", StairsBase)
+WalkingBumpy = task_env("WalkingBumpy", "ObstacleTraverser-v0", StairsBase)
+WalkingBumpy2 = task_env("WalkingBumpy2", "ObstacleTraverser-v1", StairsBase)
+VerticalBarrier = task_env("VerticalBarrier", "Hurdler-v0", StairsBase)
+FloatingPlatform = task_env("FloatingPlatform", "PlatformJumper-v0", StairsBase)
+Gaps = task_env("Gaps", "GapJumper-v0", StairsBase)
+BlockSoup = task_env("BlockSoup", "Traverser-v0", StairsBase)

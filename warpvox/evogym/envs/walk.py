@@ -2,24 +2,10 @@
 
 from __future__ import annotations
 
-from warpvox.evogym.envs.task import TaskEnv
+from warpvox.evogym.envs.task import task_env
 
 __all__ = ["Duck", "SoftBridge", "WalkingFlat"]
 
-
-class WalkingFlat(TaskEnv):
-    """Walker-v0."""
-
-    task = "Walker-v0"
-
-
-class SoftBridge(TaskEnv):
-    """BridgeWalker-v0."""
-
-    task = "BridgeWalker-v0"
-
-
-class Duck(TaskEnv):
-    """CaveCrawler-v0."""
-
-    task = "CaveCrawler-v0"
+WalkingFlat = task_env("WalkingFlat", "Walker-v0")
+SoftBridge = task_env("SoftBridge", "BridgeWalker-v0")
+Duck = task_env("Duck", "CaveCrawler-v0")
