@@ -1,6 +1,6 @@
-"""What a term means, said beside its code: formula, unit, size and range.
+"""Metadata of terms: formula, unit, size and range, declared beside their code.
 
-``warpvox tasks`` prints it, and the spaces of gymnasium take their bounds from it. Nothing is computed with a formula.
+``warpvox tasks`` prints it, and the spaces of gymnasium take their bounds from it. Formulas are text only.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class About:
-    """What a term says about itself.
+    """Metadata of a term.
 
     Attributes:
         formula: text with the term's parameters in braces; ``{low!d}`` writes an angle in degrees.
@@ -65,12 +65,12 @@ def about(formula: str, **details: Any) -> Callable[[Function], Function]:
 
 
 def about_of(function: Callable[..., Any]) -> About | None:
-    """What a term's function says about itself; None if it says nothing."""
+    """The metadata of a term's function, or None."""
     return getattr(function, "about", None)
 
 
 class _Filler(string.Formatter):
-    """Writes numbers without the noise of their last digits."""
+    """Formats numbers with six significant digits."""
 
     def convert_field(self, value: Any, conversion: str | None) -> Any:
         return f"{degrees(value):g}°" if conversion == "d" else super().convert_field(value, conversion)

@@ -1,7 +1,7 @@
-"""What the terms and memories of a task give, checked once when environments are made.
+"""Checks of what the terms and memories of a task return, made once for new environments.
 
-What a term gets wrong in the same way in every step is found here, so that a step need not look: shape, type, device,
-numbers that are not finite, objects and memories that do not exist, errors of its own.
+They find what a term gets wrong in every step, so that steps need no checks: shape, type, device, non-finite values,
+unknown objects and memories, exceptions.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from typing import Any
 import torch
 
 from warpvox.envs.about import about_of
-from warpvox.envs.draws import Draws
+from warpvox.envs.random_stream import RandomStream
+from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import Memory, Observation, TaskSpec, Term
-from warpvox.envs.state import State
 from warpvox.errors import SimulationError, TaskError, listing
 from warpvox.simulation import Simulation
 
 __all__ = ["check_fields", "check_memory", "check_terms"]
 
 
-def check_memory(spec: TaskSpec, sim: Simulation, draws: Draws) -> None:
+def check_memory(spec: TaskSpec, sim: Simulation, draws: RandomStream) -> None:
     """Check what the memories of a task begin with.
 
     Raises:
@@ -31,8 +31,8 @@ def check_memory(spec: TaskSpec, sim: Simulation, draws: Draws) -> None:
     for memory in spec.memory:
         what, value = f"The memory '{memory.name}' of the task '{spec.id}'", memory.begin(stream)
         expected = f"a tensor [{sim.num_envs}, ...] on {sim.device}, a row for each environment"
-        if memory.name == "offset" and spec.scattered:
-            expected = f"whole numbers [{sim.num_envs}, 2] on {sim.device}: cells to the right and up"
+        if memory.name == "offset" and spec.randomized:
+            expected = f"integers [{sim.num_envs}, 2] on {sim.device}: cells to the right and up"
             if isinstance(value, torch.Tensor) and (value.dtype.is_floating_point or tuple(value.shape[1:]) != (2,)):
                 raise TaskError(f"{what} must begin with {expected}; got {_got(value)}.")
         if not _has_rows(value, sim) or value.ndim < 1:
@@ -40,7 +40,7 @@ def check_memory(spec: TaskSpec, sim: Simulation, draws: Draws) -> None:
         _check_finite(what, value)
 
 
-def check_terms(spec: TaskSpec, sim: Simulation, state: State) -> None:
+def check_terms(spec: TaskSpec, sim: Simulation, state: Snapshot) -> None:
     """Check what all terms of a task give at the beginning of an episode.
 
     Args:
@@ -101,8 +101,8 @@ def _check_observation(what: str, term: Observation, value: Any, sim: Simulation
     _check_finite(what, value)
 
 
-def _check_update(memory: Memory, spec: TaskSpec, state: State) -> None:
-    before, after = state.remembered[memory.name], memory.advance(state)
+def _check_update(memory: Memory, spec: TaskSpec, state: Snapshot) -> None:
+    before, after = state.memory_values[memory.name], memory.advance(state)
     same = isinstance(after, torch.Tensor) and after.shape == before.shape and after.dtype == before.dtype
     if not same or after.device != before.device:
         raise TaskError(
@@ -134,7 +134,7 @@ def _got(value: Any) -> str:
 
 
 def _axis(value: Any) -> str:
-    """What to do about a superfluous last axis."""
+    """Advice to drop a superfluous last axis."""
     if isinstance(value, torch.Tensor) and value.ndim == 2 and value.shape[1] == 1:
         return " Leave its last axis out: value[:, 0]."
     return ""
@@ -144,11 +144,11 @@ def _axis(value: Any) -> str:
 
 
 def check_fields(state: Any, like: Mapping[str, Any], inside: str = "") -> None:
-    """Check a state from outside against one that would do: names, types and shapes.
+    """Check names, types and shapes of a state against those of a valid one.
 
     Args:
         state: what ``set_state`` was given.
-        like: nested mappings of tensors and None; a tensor that is ``torch.Tensor`` itself may be any.
+        like: nested mappings of tensors and None; ``torch.Tensor`` itself stands for any tensor.
         inside: name of the field that ``state`` is.
 
     Raises:

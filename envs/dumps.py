@@ -1,4 +1,4 @@
-"""What led to a divergence: the last states of an environment that has diverged, as a rollout file."""
+"""Rollout files with the last states of environments that have diverged."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["GUARDS", "LIMIT", "STEPS", "DivergenceDump", "check_guard"]
 
 GUARDS = ("on", "dump")
-"""Values of ``nan_guard``: divergence ends its environment; and what led to it is written to a file."""
+"""Values of ``nan_guard``. ``dump``: the last steps before a divergence are also written to a file."""
 STEPS = 64
 """Control steps that a file holds at most."""
 LIMIT = 10
@@ -36,8 +36,8 @@ class DivergenceDump:
     diverged; it was undone, so that the last two entries of the positions are equal. The metadata say which environment
     it was and in which step of its episode.
 
-    On the CPU it is written in the step in which it happens. On CUDA looking would wait for the device: it happens
-    every :data:`STEPS` steps, and of an environment that diverged twice meanwhile the first time is written.
+    On the CPU it is written in the step of the divergence. On CUDA, where reading flags waits for the device, files are
+    written every :data:`STEPS` steps, for the first divergence of an environment since the last time.
 
     Args:
         env: the environments.
@@ -53,19 +53,19 @@ class DivergenceDump:
         self.clear()
 
     def refresh(self) -> None:
-        """Forget all steps and look again at the bodies of the environments."""
+        """Drop all steps and read the bodies of the environments again."""
         self._scenes, self._points = points_of(self.env.sim)
         self.clear()
 
     def clear(self) -> None:
-        """Forget all steps: the next does not follow on them."""
+        """Drop all steps: the next one does not follow them."""
         self._count = 0
         self._rings: dict[str, torch.Tensor] = {}
         self._at = torch.full((self.env.num_envs,), -1, dtype=torch.long, device=self.env.device)
         self._length = torch.zeros_like(self._at)
 
     def before(self, actions: torch.Tensor) -> None:
-        """Note the state before a step, and the actions ``[num_envs, num_actions]`` that it will take."""
+        """Record the state before a step, and its actions ``[num_envs, num_actions]``."""
         self._note("positions", self._points())
         self._note("actions", actions)
 
@@ -75,7 +75,7 @@ class DivergenceDump:
         self._rings[name][self._count % self._room] = values
 
     def after(self, reward: torch.Tensor, info: dict[str, Any]) -> list[Path]:
-        """Note what the step has given; returns the files that were written."""
+        """Record the result of the step; returns the files that were written."""
         self._note("rewards", reward)
         new = info["diverged"] & (self._at < 0)
         self._at = torch.where(new, self._count, self._at)
@@ -89,7 +89,7 @@ class DivergenceDump:
         return written
 
     def _write(self, env: int) -> Path | None:
-        """Write one environment; a disk that refuses costs the file, not the simulation, which a warning says once."""
+        """Write the file of one environment; if that fails, warn once and write no more."""
         taken = [int(number) for p in self.folder.glob(PATTERN) if (number := p.stem.split("_")[1]).isdigit()]
         if not self._open or len(taken) >= LIMIT:
             return None
@@ -102,7 +102,7 @@ class DivergenceDump:
             return None
 
     def rollout(self, env: int) -> Rollout:
-        """What led to the divergence of an environment."""
+        """The last steps of an environment before its divergence."""
         at = int(self._at[env])
         steps = min(int(self._length[env]), STEPS, at + 1)
         places = [step % self._room for step in range(at + 1 - steps, at + 1)]
@@ -137,7 +137,7 @@ class DivergenceDump:
 
 
 def _finite_frames(positions: np.ndarray) -> np.ndarray:
-    """Frames ``[frames, points, 2]``; in place of one that float32 cannot hold or that is not finite, that before."""
+    """Frames ``[frames, points, 2]``; one that float32 cannot hold is replaced by the one before."""
     with np.errstate(over="ignore", invalid="ignore"):
         frames = positions.astype(np.float32)
     good = np.isfinite(frames).all((1, 2))
@@ -156,6 +156,6 @@ def check_guard(guard: str) -> str:
     if guard not in GUARDS:
         hint = did_you_mean(str(guard), GUARDS)
         raise ConfigError(
-            f"nan_guard must be one of {listing(GUARDS)}, got {guard!r}.{hint} (Bad numbers are always caught.)"
+            f"nan_guard must be one of {listing(GUARDS)}, got {guard!r}.{hint} (Divergence is always caught.)"
         )
     return guard

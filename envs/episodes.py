@@ -1,4 +1,4 @@
-"""What environments carry from step to step besides their simulation: tensors that stay where they are."""
+"""Episode state of environments, in tensors that are allocated once."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import torch
 
-from warpvox.envs.state import Quantity, State
+from warpvox.envs.snapshot import Quantity, Snapshot
 
 __all__ = ["Episodes"]
 
@@ -25,8 +25,8 @@ class Episodes:
         length: long ``[num_envs]``, control steps so far.
         returns: float64 ``[num_envs]``, sum of the rewards so far.
         terminated, truncated: bool ``[num_envs]``, how an environment ended that waits for its reset.
-        memory: ``[num_envs, ...]`` by name: what the task remembers.
-        before: what rewards compare with: quantities (see :class:`State`) before the next step.
+        memory: ``[num_envs, ...]`` by name: the task's episode state.
+        before: the quantities (see :class:`Snapshot`) that rewards compare the next step with.
         limit: long ``[]``, the time limit.
         drawn: whether the first episode has been drawn and no step taken, so that a reset keeps what was drawn.
     """
@@ -42,20 +42,20 @@ class Episodes:
         self.drawn = True
 
     def clear(self, mask: torch.Tensor | None = None) -> None:
-        """Begin to count anew, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
+        """Set counters and flags to 0, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
         for tensor in (self.length, self.returns, self.terminated, self.truncated):
             if mask is None:
                 tensor.zero_()
             else:
                 tensor.masked_fill_(mask, 0)
 
-    def remember(self, values: Mapping[str, torch.Tensor], mask: torch.Tensor | None = None) -> None:
-        """Write what the task remembers from now on, everywhere or where ``mask`` is True."""
+    def set_memory(self, values: Mapping[str, torch.Tensor], mask: torch.Tensor | None = None) -> None:
+        """Set the task's episode state, everywhere or where ``mask`` is True."""
         if not self.memory:
             self.memory = {name: value.clone() for name, value in values.items()}
             return
         mine = {id(tensor) for tensor in self.memory.values()}
-        # A memory may take over what another one held, which is written to here: copy it first.
+        # The new value of one entry may be the tensor of another, which is written to here: copy it first.
         values = {
             name: value.clone() if id(value) in mine and value is not self.memory[name] else value
             for name, value in values.items()
@@ -65,9 +65,9 @@ class Episodes:
             if value is not held:
                 held.copy_(value if mask is None else _where(mask, value, held))
 
-    def keep(self, state: State) -> None:
+    def set_before(self, state: Snapshot) -> None:
         """Write the quantities of ``state`` that rewards will compare the next step with."""
-        state.remember(self.before)
+        state.fetch(self.before)
         for quantity, held in self.before.items():
             held.copy_(state.value(quantity))
 

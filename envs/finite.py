@@ -1,4 +1,4 @@
-"""Terms that become NaN or infinite while environments run: there the episode ends, and the term is named."""
+"""Non-finite terms: they terminate the episode, and a warning names the term."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import warnings
 
 import torch
 
-from warpvox.envs.layout import Layout
+from warpvox.envs.observations import ObservationLayout
 from warpvox.envs.spec import TaskSpec
 from warpvox.simulation import Simulation
 
@@ -15,20 +15,20 @@ __all__ = ["FiniteGuard", "all_finite"]
 
 
 class FiniteGuard:
-    """Keeps numbers that are not finite from what environments hand out, and counts whose they were.
+    """Replaces non-finite values in observations and rewards, and counts them by term.
 
-    On the CPU :func:`all_finite` tells whether there is anything to do. Elsewhere looking would wait for the device:
-    masks are applied in every step, and counts stay on the device until somebody asks (:meth:`report`).
+    On the CPU :func:`all_finite` decides whether there is anything to do. Elsewhere reading it would wait for the
+    device: masks are applied in every step, and counts stay on the device until :meth:`report` reads them.
 
     Args:
         spec: the task.
         sim: its simulation.
         layout: of its observations.
 
-    Methods take ``look``: whether the host may look at results.
+    Methods take ``on_cpu``: whether results can be read without waiting for a device.
     """
 
-    def __init__(self, spec: TaskSpec, sim: Simulation, layout: Layout) -> None:
+    def __init__(self, spec: TaskSpec, sim: Simulation, layout: ObservationLayout) -> None:
         self._task = spec.id
         self._rewards = [term.name for term in spec.rewards]
         self._layout, self._columns, self._design = layout, layout.columns, sim.design_index
@@ -50,17 +50,17 @@ class FiniteGuard:
         self._of_columns.index_add_(0, self._design, counted.int())
         return obs.masked_fill(odd, 0.0), counted.any(1)
 
-    def first(self, obs: torch.Tensor, where: torch.Tensor | None, look: bool) -> torch.Tensor:
+    def first(self, obs: torch.Tensor, where: torch.Tensor | None, on_cpu: bool) -> torch.Tensor:
         """The observation of a beginning, with 0 for what is not finite; ``where`` as for :meth:`observation`."""
-        if look and all_finite(obs):
+        if on_cpu and all_finite(obs):
             return obs
         obs, _ = self.observation(obs, where)
-        if look:
+        if on_cpu:
             self.report()
         return obs
 
     def step(
-        self, obs: torch.Tensor, terms: dict[str, torch.Tensor], where: torch.Tensor, look: bool
+        self, obs: torch.Tensor, terms: dict[str, torch.Tensor], where: torch.Tensor, on_cpu: bool
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """The observation of a step as :meth:`observation` has it, and where the step gave something not finite.
 
@@ -73,12 +73,12 @@ class FiniteGuard:
             bad = torch.stack([~torch.isfinite(terms[name]) for name in self._rewards]) & where
             self._of_rewards += bad.sum(1)
             odd = odd | bad.any(0)
-        if look and bool(odd.any()):
+        if on_cpu and bool(odd.any()):
             self.report()
         return obs, odd
 
     def refresh(self) -> None:
-        """Count by the columns of other designs from now on; waits for the device."""
+        """Begin new counts after designs have changed; waits for the device."""
         self._earlier = self._counts()
         self._of_rewards.zero_()
         self._of_columns.zero_()
@@ -114,5 +114,5 @@ class FiniteGuard:
 
 
 def all_finite(*values: torch.Tensor) -> bool:
-    """Whether all values are finite, by one look at their sum; one that overflows gives False, too."""
+    """Whether the sum of all values is finite; False also if it overflows."""
     return math.isfinite(sum(value.sum() for value in values).item())

@@ -1,6 +1,6 @@
-"""The control step of environments as one CUDA graph: physics, sensing, observations, rewards, ends and resets.
+"""The control step of environments as one CUDA graph: physics, sensing, observations, rewards, terminations, resets.
 
-A graph repeats launches on fixed addresses. What an environment carries from step to step lives in tensors that are
+A graph repeats launches on fixed addresses. Episode state lives in tensors that are
 written to in place (:mod:`warpvox.envs.episodes`), so the step is captured as it stands; what it returns is cloned.
 """
 

@@ -75,7 +75,7 @@ class VoxelEnv(gymnasium.Env):
     """One robot in one task: numpy in and out, float64.
 
     Observations are ``[num_obs]`` (for their bounds see :func:`spaces_of`), actions ``[num_actions]``
-    (``Box(0.6, 1.6)``): goal lengths of the actuators, row by row from the top of the body, in units of their
+    (``Box(0.6, 1.6)``): target lengths of the actuators, row by row from the top of the body, in units of their
     rest length. The time limit is gymnasium's. An environment that has terminated stays as it is until it is
     reset.
 

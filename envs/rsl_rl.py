@@ -1,4 +1,4 @@
-"""A :class:`VoxelVecEnv` as rsl-rl's runners want it."""
+"""A :class:`VoxelVecEnv` behind rsl-rl's interface of environments."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ ACTION_CENTER = 1.1
 """The middle of the range of actions: what a policy's output of 0 means."""
 ACTION_SCALE = 0.5
 """Half of that range: outputs of -1 and 1 are its ends."""
-ENDS = ("unstable", "diverged")
-"""Ends by a step that was stopped, and those among them that diverged."""
+STOP_CAUSES = ("unstable", "diverged")
+"""Causes of a termination that are logged: a stopped step, and divergence among those."""
 OBS_GROUP = "policy"
 """rsl-rl's name for the one group of observations that there is."""
 
@@ -29,7 +29,7 @@ REWARD_EPS = 1e-8
 
 
 class RslRlVecEnv(VecEnv):
-    """Adapter: what the policy puts out becomes actions, rewards are scaled, ends are sorted by their cause.
+    """Adapter: scales outputs of the policy to actions, scales rewards, and tells time limits from terminations.
 
     ``extras`` of a step hold ``log`` (means of this step for TensorBoard) and, if time limits are to be
     bootstrapped, ``time_outs`` (bool ``[num_envs]``: ended by the time limit alone) with ``final_obs``
@@ -119,14 +119,14 @@ class RslRlVecEnv(VecEnv):
     @staticmethod
     def _log(info: dict[str, Any]) -> dict[str, torch.Tensor]:
         log = {f"Reward/{name}": values.mean() for name, values in info["reward_terms"].items()}
-        return log | {f"Episode/{name}": info[name].float().mean() for name in ENDS}
+        return log | {f"Episode/{name}": info[name].float().mean() for name in STOP_CAUSES}
 
     def _clear_episodes(self) -> None:
-        self._sums = torch.zeros(3 + len(ENDS), dtype=torch.float64, device=self.device)
+        self._sums = torch.zeros(3 + len(STOP_CAUSES), dtype=torch.float64, device=self.device)
 
     def _count(self, info: dict[str, Any], done: torch.Tensor) -> None:
         episode, whole = info["episode"], done & ~self._shortened
-        parts = (whole, episode["return"] * whole, episode["length"] * whole, *(info[name] for name in ENDS))
+        parts = (whole, episode["return"] * whole, episode["length"] * whole, *(info[name] for name in STOP_CAUSES))
         self._sums = self._sums + torch.stack([part.sum(dtype=torch.float64) for part in parts])
         self._shortened = self._shortened & ~done
 
@@ -139,7 +139,7 @@ class RslRlVecEnv(VecEnv):
         self.env.not_finite()  # warns of terms that were NaN; looking there is no wait more
         count, total, length, *ends = self._sums.tolist()
         self._clear_episodes()
-        stopped = {name: int(number) for name, number in zip(ENDS, ends, strict=True)}
+        stopped = {name: int(number) for name, number in zip(STOP_CAUSES, ends, strict=True)}
         if not count:
             return {"episodes": 0, "return": float("nan"), "length": float("nan")} | stopped
         return {"episodes": int(count), "return": total / count, "length": length / count} | stopped

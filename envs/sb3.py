@@ -39,7 +39,7 @@ class VoxelSB3VecEnv(VecEnv):
         num_envs: environments; a multiple of the number of ``designs``.
         body: one body for all; or ``designs``: several, in equal blocks.
         normalize_actions: actions are -1 to 1, as Stable-Baselines3 advises, and stand for 0.6 to 1.6; False: they are
-            goal lengths themselves.
+            target lengths themselves.
         render_mode: None or ``rgb_array``: :meth:`get_images` gives pictures of all environments.
         render_size: width and height of a picture in pixels.
         options: further arguments of :func:`warpvox.make_vec`, such as ``seed``, ``rules`` and ``device``.

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from warpvox.envs.state import Quantity, State
+from warpvox.envs.snapshot import Quantity, Snapshot
 from warpvox.kernels.state import DIVERGED, UNSTABLE
 
 if TYPE_CHECKING:
@@ -314,18 +314,18 @@ class RowTerms:
         """Names of the reward terms."""
         return [name for name, *_ in self._rewards]
 
-    def compared(self, state: State) -> tuple[Quantity, ...]:
+    def compared(self, state: Snapshot) -> tuple[Quantity, ...]:
         """The quantities that rewards ask of the state before a step."""
         for _, reward, params, _ in self._rewards:
-            reward(state, State(state.sim, state.remembered), **params)
+            reward(state, Snapshot(state.sim, state.memory_values), **params)
         return state.quantities
 
-    def observe(self, state: State) -> np.ndarray:
+    def observe(self, state: Snapshot) -> np.ndarray:
         """A fresh observation ``[num_obs]``."""
         parts = [term(state, **params).reshape(-1) for term, params in self._observations]
         return np.concatenate(parts, dtype=self._dtype, casting="same_kind").view(np.ndarray)
 
-    def judge(self, before: State, after: State, stopped: bool) -> tuple[dict[str, float], bool]:
+    def judge(self, before: Snapshot, after: Snapshot, stopped: bool) -> tuple[dict[str, float], bool]:
         """The parts of the reward, by name, and whether the episode terminates."""
         terms = {name: f(before, after, **params).item() * weight for name, f, params, weight in self._rewards}
         terms["unstable"] = float(stopped) * self._penalty
@@ -362,11 +362,11 @@ class SingleStepper:
         """Go on from where the environments stand: after a reset, or when something else has moved them."""
         self._sensors.moved = True
         memory = {name: value.copy().view(Row) for name, value in self._memory.items()}
-        self._before = State(self._sensors, memory).remember(self._episodes.before)
+        self._before = Snapshot(self._sensors, memory).fetch(self._episodes.before)
 
     def evaluate(self) -> tuple[np.ndarray, tuple[dict[str, float], bool]]:
         """The observation, and what :meth:`RowTerms.judge` gives, in the present state, without a step."""
-        state = State(self._sensors, self._before.remembered)
+        state = Snapshot(self._sensors, self._before.memory_values)
         return self._terms.observe(state), self._terms.judge(self._before, state, False)
 
     def step(self, action: np.ndarray) -> Result:
@@ -374,13 +374,13 @@ class SingleStepper:
         self._actions[:] = action
         self._sim.advance()
         self._sensors.moved = True
-        before, after = self._before, State(self._sensors, self._before.remembered)
+        before, after = self._before, Snapshot(self._sensors, self._before.memory_values)
         obs = self._terms.observe(after)
         self._episodes.drawn = False
         if self._updates:
-            remembered = after.update(self._updates)
+            memory_values = after.update(self._updates)
             for memory in self._updates:
-                self._memory[memory.name][...] = remembered[memory.name]
+                self._memory[memory.name][...] = memory_values[memory.name]
         status = self._status.item(self._slot)  # a number of Python's: those of numpy are slow
         stopped, diverged = bool(status & _STOPPED), bool(status & _DIVERGED)
         terms, ended = self._terms.judge(before, after, stopped)
@@ -406,7 +406,7 @@ def fast_stepper(env: VoxelVecEnv) -> SingleStepper | None:
         obs, judged = stepper.evaluate()
     except (AttributeError, TypeError, ValueError, IndexError, NotImplementedError):
         return None  # an operation that rows do not have
-    there = State(env.sim, env.episodes.memory)
+    there = Snapshot(env.sim, env.episodes.memory)
     theirs = env.observe(there)[0].numpy()
     parts, ended = env.judge(there, there, torch.zeros(1, dtype=torch.bool))
     same = judged == ({name: part.item() for name, part in parts.items()}, ended.item())

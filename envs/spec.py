@@ -1,6 +1,6 @@
 """What a task is: data. A :class:`TaskSpec` names its world, its terms and its limits; nothing here computes.
 
-A *term* is a small function on :class:`warpvox.envs.state.State` together with its parameters. The vector
+A *term* is a small function on :class:`warpvox.envs.snapshot.Snapshot` together with its parameters. The vector
 environment adds terms up, so that no task has code of its own.
 """
 
@@ -25,8 +25,8 @@ from warpvox.world import WorldObject
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from warpvox.envs.draws import Draws
-    from warpvox.envs.state import State
+    from warpvox.envs.random_stream import RandomStream
+    from warpvox.envs.snapshot import Snapshot
 
 __all__ = [
     "ROBOT",
@@ -40,6 +40,7 @@ __all__ = [
     "ends",
     "observes",
     "rewards",
+    "terminates",
 ]
 
 RULES = ("evogym", "paper")
@@ -48,7 +49,7 @@ RULES = ("evogym", "paper")
 ROBOT = "robot"
 """Name of the robot in the world of a task."""
 
-MAKERS = {"observations": "observes", "rewards": "rewards", "terminations": "ends"}
+MAKERS = {"observations": "observes", "rewards": "rewards", "terminations": "terminates"}
 
 ID = re.compile(r"[\w.+-]+")  # ids are also names of folders and, behind a slash, of gymnasium's environments
 
@@ -115,21 +116,21 @@ class Termination(Term):
 
 @dataclass(frozen=True)
 class Memory:
-    """Something that environments remember during an episode, read by terms with ``state.memory(name)``.
+    """An entry of a task's episode state, read by terms with ``state.memory(name)``.
 
     Attributes:
         name: unique in its task.
         start: ``start(draws)`` gives the value at the beginning of an episode, ``[num_envs, ...]``; what is random
-            in it comes from the :class:`warpvox.envs.draws.Draws`.
+            in it comes from the :class:`warpvox.envs.random_stream.RandomStream`.
         update: ``update(state)`` gives the value after a step; None: it stays what it was. Observations are made
-            before the update, rewards and ends look at the new value.
+            before the update, rewards and terminations see the new value.
     """
 
     name: str
-    start: Callable[[Draws], Tensor]
-    update: Callable[[State], Tensor] | None = None
+    start: Callable[[RandomStream], Tensor]
+    update: Callable[[Snapshot], Tensor] | None = None
 
-    def begin(self, draws: Draws) -> Tensor:
+    def begin(self, draws: RandomStream) -> Tensor:
         """What ``start`` gives."""
         try:
             return self.start(draws)
@@ -138,7 +139,7 @@ class Memory:
                 raise
             raise TaskError(f"The start of the memory '{self.name}' has failed: {_told(error)}") from error
 
-    def advance(self, state: State) -> Tensor:
+    def advance(self, state: Snapshot) -> Tensor:
         """What ``update`` gives."""
         try:
             return self.update(state)
@@ -178,9 +179,12 @@ def rewards(function: Callable[..., Tensor], name: str = "robot", weight: float 
     return Reward(function, (("name", name), *params.items()), weight)
 
 
-def ends(function: Callable[..., Tensor], name: str = "robot", bonus: float = 0.0, **params: Any) -> Termination:
-    """An end of the episode caused by the object ``name``."""
+def terminates(function: Callable[..., Tensor], name: str = "robot", bonus: float = 0.0, **params: Any) -> Termination:
+    """A termination of the episode, for what the object ``name`` does."""
     return Termination(function, (("name", name), *params.items()), bonus)
+
+
+ends = terminates  # the former name
 
 
 @dataclass(frozen=True)
@@ -199,9 +203,9 @@ class TaskSpec:
         observations: in the order in which they are concatenated.
         rewards: summed.
         terminations: independent of each other; several may fire in one step.
-        memory: what environments remember during an episode, random values included; later entries may use
-            earlier ones when they are updated.
-        scattered: objects that every episode moves by the cells (x, y) that the memory ``offset`` holds.
+        memory: the episode state, random values included; the update of an entry sees those before it updated.
+        randomized: objects whose placement is randomized: each episode moves them by the cells (x, y) in the memory
+            ``offset``.
         unstable_penalty: added to the reward of a step that self-folding has stopped; the episode ends.
         paper: fields that differ under ``rules="paper"``.
     """
@@ -217,7 +221,7 @@ class TaskSpec:
     rewards: tuple[Reward, ...]
     terminations: tuple[Termination, ...] = ()
     memory: tuple[Memory, ...] = ()
-    scattered: tuple[str, ...] = ()
+    randomized: tuple[str, ...] = ()
     partners: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     unstable_penalty: float = -3.0
     paper: Mapping[str, Any] = field(default_factory=dict)
@@ -240,9 +244,9 @@ class TaskSpec:
         twice |= {name for name in seen if seen.count(name) > 1}
         kept = [memory.name for memory in self.memory]
         twice |= {name for name in kept if kept.count(name) > 1}
-        if self.scattered and "offset" not in kept:
+        if self.randomized and "offset" not in kept:
             raise TaskError(
-                f"The task '{self.id}' scatters objects but has no memory named 'offset' that says how far."
+                f"The task '{self.id}' randomizes objects but has no memory named 'offset' that says how far."
             )
         if twice:
             raise TaskError(
@@ -264,10 +268,10 @@ class TaskSpec:
                     hint = f": {MAKERS.get(name, 'Memory')}({given})" if given else f", got {part!r:.60}"
                     raise TaskError(f"{name}[{number}] of the task '{self.id}' must be {_a(kind)}{hint}.")
         objects = [obj.name for obj in self.objects] + list(self.robots)
-        for name in self.scattered:
+        for name in self.randomized:
             if name not in objects:
                 hint = did_you_mean(name, objects)
-                raise TaskError(f"The task '{self.id}' scatters {name!r}; its objects are {listing(objects)}.{hint}")
+                raise TaskError(f"The task '{self.id}' randomizes {name!r}; its objects are {listing(objects)}.{hint}")
         numbers = {"unstable_penalty": self.unstable_penalty}
         numbers |= {f"weight of '{term.name}'": term.weight for term in self.rewards}
         numbers |= {f"bonus of '{term.name}'": term.bonus for term in self.terminations}
@@ -276,7 +280,7 @@ class TaskSpec:
                 raise TaskError(f"The {what} in the task '{self.id}' must be a finite number, got {number!r:.60}.")
         steps = self.max_episode_steps
         if not isinstance(steps, Integral) or isinstance(steps, bool):
-            raise TaskError(f"max_episode_steps of the task '{self.id}' must be a whole number, got {steps!r:.60}.")
+            raise TaskError(f"max_episode_steps of the task '{self.id}' must be an integer, got {steps!r:.60}.")
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Views of mappings cannot be copied or sent to other processes; the mappings can.

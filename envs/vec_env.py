@@ -16,16 +16,16 @@ from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
 from warpvox.envs.bodies import check_grid, load_connections, load_designs, one_body
 from warpvox.envs.checks import check_fields, check_memory, check_terms
-from warpvox.envs.draws import Draws
 from warpvox.envs.dumps import DivergenceDump, check_guard
 from warpvox.envs.episodes import Episodes
 from warpvox.envs.finite import FiniteGuard, all_finite
 from warpvox.envs.graph import StepGraph, capture_on_cuda
-from warpvox.envs.layout import Layout
 from warpvox.envs.needs import check_environments
+from warpvox.envs.observations import ObservationLayout
+from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
+from warpvox.envs.snapshot import Quantity, Snapshot
 from warpvox.envs.spec import ROBOT, TaskSpec
-from warpvox.envs.state import Quantity, State
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, did_you_mean, known_arguments, listing
@@ -125,7 +125,7 @@ def make_vec(
         arithmetic=arithmetic,
         lanes=lanes,
         threads=threads,
-        loose=spec.scattered,
+        loose=spec.randomized,
         grid=check_grid(grid),
     )
     if memory_check:
@@ -143,8 +143,8 @@ def make_vec(
 class VoxelVecEnv:
     """Environments of one task on one simulation; made by :func:`make_vec`.
 
-    All tensors that are returned are fresh: keeping them is safe, changing them has no effect on the
-    environments. What they carry from step to step is in ``episodes``: tensors that stay where they are.
+    All returned tensors are fresh: keeping them is safe, changing them has no effect on the environments. Episode state
+    is in ``episodes``, in tensors that are allocated once.
 
     Attributes:
         spec: the task under the rules chosen; ``rules`` names those.
@@ -189,31 +189,31 @@ class VoxelVecEnv:
         block = sim.num_envs // len(designs)
         self._blocks = len(designs)  # of environments that may have seeds of their own
         self.design_index = torch.arange(len(designs), device=sim.device).repeat_interleave(block)
-        self._draws = Draws(seed, self.num_envs, sim.device) if spec.memory else None
+        self._draws = RandomStream(seed, self.num_envs, sim.device) if spec.memory else None
         if spec.memory:
             check_memory(spec, sim, self._draws)
             self._start_memory(None)
-        check_terms(spec, sim, self._look())
+        check_terms(spec, sim, self._snapshot())
         # Rewards compare with the state before a step: find out once which quantities they need.
-        before, probe = self._look(), self._look()
+        before, probe = self._snapshot(), self._snapshot()
         for term in spec.rewards:
             term(before, probe)
         self.episodes.before = {quantity: before.value(quantity).clone() for quantity in before.quantities}
-        self._layout = Layout(spec.observations, sim, probe)
+        self._layout = ObservationLayout(spec.observations, sim, probe)
         self.num_obs, self.num_actions = self._layout.num_obs, sim.num_actions
         self._describe(sim.design_index[::block])  # equal designs share one entry of the simulation
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
-        # Looking at a mask to skip work is free on the CPU; elsewhere it would wait for the device.
-        self._may_look = torch.device(sim.device).type == "cpu"
+        # On the CPU a mask can be read to skip work; elsewhere reading it would wait for the device.
+        self._on_cpu = torch.device(sim.device).type == "cpu"
         self._finite = FiniteGuard(spec, sim, self._layout)
         self.dump: DivergenceDump | None = None
         self._graph: StepGraph | None = None
-        if cuda_graph and not self._may_look:
+        if cuda_graph and not self._on_cpu:
             self._graph = StepGraph(self._whole_step, capture_on_cuda(sim.device))
 
-    def _look(self, values: Mapping[Quantity, torch.Tensor] | None = None) -> State:
-        """What terms see at this moment; those that are not ours get copies, which they may work on."""
-        return State(self.sim, self.episodes.memory, values, copies=self._has_code)
+    def _snapshot(self, values: Mapping[Quantity, torch.Tensor] | None = None) -> Snapshot:
+        """The present state; terms of a user's own get copies, which they may write to."""
+        return Snapshot(self.sim, self.episodes.memory, values, copies=self._has_code)
 
     def _describe(self, worlds: torch.Tensor) -> None:
         """Sizes of the designs, from the simulation's world of each."""
@@ -256,7 +256,7 @@ class VoxelVecEnv:
 
     @property
     def memory(self) -> dict[str, torch.Tensor]:
-        """What the environments remember, by name (``spec.memory``): fresh tensors ``[num_envs, ...]``."""
+        """The task's episode state, by name (``spec.memory``): fresh tensors ``[num_envs, ...]``."""
         return {name: value.clone() for name, value in self.episodes.memory.items()}
 
     def reset(
@@ -270,8 +270,8 @@ class VoxelVecEnv:
         Args:
             seed: begin the random numbers anew, from this seed (or one for each design, or for each environment); None
                 goes on with those there are.
-            memory: what environments shall remember instead of what the task draws, ``[num_envs, ...]`` by the name
-                of the memory; entries that are missing at the end of a row are 0. For this episode only.
+            memory: episode state to set in place of what the task draws, ``[num_envs, ...]`` by name; entries that are
+                missing at the end of a row are 0. For this episode only.
             mask: bool ``[num_envs]``; None means all. The other environments stay as they are.
 
         Returns:
@@ -296,13 +296,13 @@ class VoxelVecEnv:
             self.episodes.drawn = False
             self._start_memory(mask, memory)
         elif memory:
-            raise ConfigError(f"{self.spec.id} remembers nothing: there is no {listing(memory)} to set.")
+            raise ConfigError(f"{self.spec.id} has no episode state: there is no {listing(memory)} to set.")
         self.episodes.clear(mask)
-        now = self._look()
-        self.episodes.keep(now)
+        now = self._snapshot()
+        self.episodes.set_before(now)
         if self.dump is not None:
             self.dump.clear()
-        return self._finite.first(self.observe(now), mask, self._may_look), {}
+        return self._finite.first(self.observe(now), mask, self._on_cpu), {}
 
     def set_designs(
         self, designs: object, mask: torch.Tensor | np.ndarray, connections: Sequence[object] | None = None
@@ -351,19 +351,21 @@ class VoxelVecEnv:
         return mask
 
     def _start_memory(self, mask: torch.Tensor | None, given: Mapping[str, Any] | None = None) -> None:
-        """Fill the memory of episodes that begin, where ``mask`` (None: everywhere), and place what is scattered."""
+        """Set the memory of episodes that begin where ``mask`` (None: everywhere), and move the randomized objects."""
         draws = self._draws.rewind()
         fresh = {memory.name: memory.begin(draws) for memory in self.spec.memory}
         for name, values in (given or {}).items():
             fresh[name] = self._given(name, values, fresh)
-        self.episodes.remember(fresh, mask)
-        if self.spec.scattered:
+        self.episodes.set_memory(fresh, mask)
+        if self.spec.randomized:
             self.sim.shift(fresh["offset"], mask)
 
     def _given(self, name: str, values: Any, drawn: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Values for a memory from outside, padded with 0 to the shape of those that would have been drawn."""
         if name not in drawn:
-            raise ConfigError(f"{self.spec.id} remembers {listing(drawn)}, not {name!r}.{did_you_mean(name, drawn)}")
+            raise ConfigError(
+                f"The episode state of {self.spec.id} is {listing(drawn)}, not {name!r}.{did_you_mean(name, drawn)}"
+            )
         like = drawn[name]
         values = torch.as_tensor(values, dtype=like.dtype, device=like.device)
         shape, most = tuple(values.shape), tuple(like.shape)
@@ -377,7 +379,7 @@ class VoxelVecEnv:
         """One control step everywhere.
 
         Args:
-            actions: ``[num_envs, num_actions]``, goal lengths of the actuators in units of their rest length,
+            actions: ``[num_envs, num_actions]``, target lengths of the actuators in units of their rest length,
                 clipped to [0.6, 1.6]; entries beyond a design's own actuators are ignored.
 
         Returns:
@@ -421,15 +423,15 @@ class VoxelVecEnv:
         """The part of :meth:`step` that runs on the device, without waiting for it."""
         episodes = self.episodes
         going = None if self.auto_reset else ~(episodes.terminated | episodes.truncated)
-        obs, after, remembered, unstable, terms, terminated = self._advance(going)
+        obs, after, memory_values, unstable, terms, terminated = self._advance(going)
         diverged = self.sim.diverged & unstable
         idle = diverged if going is None else diverged | ~going
         reward = sum(terms.values())
-        if not (self._may_look and all_finite(obs, reward) and not idle.any()):
-            obs, odd = self._finite.step(obs, terms, ~idle, self._may_look)
+        if not (self._on_cpu and all_finite(obs, reward) and not idle.any()):
+            obs, odd = self._finite.step(obs, terms, ~idle, self._on_cpu)
             diverged, unstable, terminated = diverged | odd, unstable | odd, terminated | odd
             terms["unstable"] = unstable.double() * self.spec.unstable_penalty
-            # non-finite values from before the step are no measure for a reward
+            # the state before the step may be non-finite: no reward follows from it
             for term in self.spec.rewards:
                 terms[term.name] = terms[term.name].masked_fill(idle | odd, 0.0)
             reward = sum(terms.values())
@@ -450,13 +452,13 @@ class VoxelVecEnv:
             "diverged": diverged,
             "reward_terms": terms,
         }
-        episodes.keep(after)
+        episodes.set_before(after)
         if going is None:
-            episodes.remember(remembered)
+            episodes.set_memory(memory_values)
             obs = self._restart(done, obs)
         else:
-            # An ended environment remembers what its last observation was made of.
-            episodes.remember(remembered, going & ~done)
+            # An ended environment keeps the episode state that its last observation shows.
+            episodes.set_memory(memory_values, going & ~done)
             terminated, truncated = episodes.terminated | terminated, episodes.truncated | (truncated & going)
             episodes.terminated.copy_(terminated)
             episodes.truncated.copy_(truncated)
@@ -466,28 +468,28 @@ class VoxelVecEnv:
     def _advance(self, going: torch.Tensor | None):
         """The step without what follows at the end of an episode."""
         self.sim.advance()
-        before, after = self._look(self.episodes.before), self._look()
+        before, after = self._snapshot(self.episodes.before), self._snapshot()
         obs = self.observe(after)
-        remembered = after.update(self.spec.memory)
+        memory_values = after.update(self.spec.memory)
         unstable = self.sim.unstable if going is None else self.sim.unstable & going
-        return obs, after, remembered, unstable, *self.judge(before, after, unstable, going)
+        return obs, after, memory_values, unstable, *self.judge(before, after, unstable, going)
 
     def step_one(self, actions: torch.Tensor | np.ndarray) -> tuple[torch.Tensor, dict[str, float], bool, bool, bool]:
-        """:meth:`step` for a single environment that waits at its end, without statistics: half of what they cost.
+        """:meth:`step` for one environment without auto-reset, without statistics: a quarter faster.
 
         Returns:
             Observation ``[num_obs]``, what each term has added to the reward, terminated, whether the step was
-            stopped, and whether by divergence. What follows after the end means nothing, until :meth:`reset`.
+            stopped, and whether by divergence. After a termination results are undefined until :meth:`reset`.
         """
         self.sim.take(actions)
         self.episodes.drawn = False
-        obs, after, remembered, unstable, terms, terminated = self._advance(None)
-        self.episodes.keep(after)
-        self.episodes.remember(remembered)
+        obs, after, memory_values, unstable, terms, terminated = self._advance(None)
+        self.episodes.set_before(after)
+        self.episodes.set_memory(memory_values)
         stopped, ended, values = unstable.item(), terminated.item(), {name: v.item() for name, v in terms.items()}
         diverged = stopped and self.sim.diverged.item()
         if not (math.isfinite(sum(values.values())) and all_finite(obs)):
-            obs, odd = self._finite.step(obs, terms, ~(unstable & diverged), self._may_look)
+            obs, odd = self._finite.step(obs, terms, ~(unstable & diverged), self._on_cpu)
             if odd.item():
                 stopped = ended = diverged = True
                 values["unstable"] = self.spec.unstable_penalty
@@ -506,20 +508,20 @@ class VoxelVecEnv:
         """
         return self._finite.report()
 
-    def observe(self, state: State) -> torch.Tensor:
+    def observe(self, state: Snapshot) -> torch.Tensor:
         """The observation ``[num_envs, num_obs]`` that a state gives, as it is: also what is not finite."""
         return self._layout.observe(state)
 
     def judge(
-        self, before: State, after: State, unstable: torch.Tensor, going: torch.Tensor | None = None
+        self, before: Snapshot, after: Snapshot, unstable: torch.Tensor, going: torch.Tensor | None = None
     ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
         """The parts of the reward (float64 ``[num_envs]`` each) and where the episode terminates.
 
-        Tests for the end look at the state after the step, or, where the step was stopped, at that before it.
+        Terminations are evaluated on the state after the step; where the step was stopped, that is the one before it.
 
         Args:
             unstable: bool ``[num_envs]``, where the step was stopped.
-            going: bool ``[num_envs]``, environments that have not ended; None: all.
+            going: bool ``[num_envs]``, environments whose episode has not ended; None: all.
         """
         terms = {term.name: term(before, after) * term.weight for term in self.spec.rewards}
         terms["unstable"] = unstable.double() * self.spec.unstable_penalty
@@ -532,21 +534,21 @@ class VoxelVecEnv:
 
     def _restart(self, done: torch.Tensor, obs: torch.Tensor) -> torch.Tensor:
         """Reset where ``done``; return the observations with which to go on."""
-        if self._may_look and not bool(done.any()):
+        if self._on_cpu and not bool(done.any()):
             return obs
         self.sim.reset(done)
         if self._draws is not None:
             self._draws.episode.add_(done)
             self._start_memory(done)
         self.episodes.clear(done)
-        now = self._look()
-        self.episodes.keep(now)
+        now = self._snapshot()
+        self.episodes.set_before(now)
         # An episode that goes on keeps its observation, which was made before the memory was updated.
-        fresh = self._finite.first(self.observe(now), done, self._may_look)
+        fresh = self._finite.first(self.observe(now), done, self._on_cpu)
         return torch.where(done[:, None], fresh, obs)
 
     def state(self) -> dict[str, Any]:
-        """Everything that changes, as tensors with a row for every environment: what :meth:`set_state` takes back."""
+        """The full state, as tensors with a row for every environment, for :meth:`set_state`."""
         return {
             "sim": self.sim.state(),
             "memory": self.memory,
@@ -564,12 +566,12 @@ class VoxelVecEnv:
         like = self.state()
         check_fields(state, like | {"sim": dict.fromkeys(like["sim"], torch.Tensor)})
         self.sim.set_state({name: value.to(self.device) for name, value in state["sim"].items()})
-        self.episodes.remember({name: state["memory"][name].to(self.device) for name in self.episodes.memory})
+        self.episodes.set_memory({name: state["memory"][name].to(self.device) for name in self.episodes.memory})
         if self._draws is not None:
             self._draws.episode.copy_(state["draws"])
         self.episodes.drawn = False
         self.episodes.set_state(state)
-        self.episodes.keep(self._look())
+        self.episodes.set_before(self._snapshot())
         if self.dump is not None:
             self.dump.clear()
 
@@ -583,10 +585,10 @@ def _check_seeds(seed: int | Sequence[int], designs: int, num_envs: int) -> None
         )
     for one in seed if several else [seed]:
         if not is_integer(one) or one < 0:
-            raise ConfigError(f"seed must be a whole number >= 0, got {one!r:.80}.")
+            raise ConfigError(f"seed must be an integer >= 0, got {one!r:.80}.")
 
 
 def _whole(name: str, value: object) -> int:
     if not is_integer(value) or value < 1:
-        raise ConfigError(f"{name} must be a whole number >= 1, got {value!r:.80}.")
+        raise ConfigError(f"{name} must be an integer >= 1, got {value!r:.80}.")
     return int(value)

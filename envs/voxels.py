@@ -13,8 +13,8 @@ import numpy as np
 import torch
 
 from warpvox.envs.about import NUMBER, About
+from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import Observation
-from warpvox.envs.state import State
 from warpvox.envs.terms.observations import shape
 from warpvox.simulation import Simulation
 from warpvox.types import Cell
@@ -78,15 +78,15 @@ class VoxelGrid:
         count = self.rows * self.columns
         self.about = About("voxels of {name}: corners, velocities, type, neighbours", NUMBER, count * NUM_FEATURES)
         self._sim, self._name = sim, name
-        self._tables = self._look()
+        self._tables = self._make_tables()
         self.action_cell, self._corners, self._known, self._filled = self._tables
 
     def refresh(self) -> None:
         """Look again at the bodies of the simulation."""
-        for table, new in zip(self._tables, self._look(), strict=True):
+        for table, new in zip(self._tables, self._make_tables(), strict=True):
             table.copy_(new)  # in place: a captured step may read it
 
-    def _look(self) -> tuple[torch.Tensor, ...]:
+    def _make_tables(self) -> tuple[torch.Tensor, ...]:
         """For every environment: the cells of its actions, the points of its cells, and what is known of them."""
         sim, name, count = self._sim, self._name, self.rows * self.columns
         grids = [sim.object_grid(name, design) for design in range(sim.num_designs)]
@@ -114,7 +114,7 @@ class VoxelGrid:
         padded[: grid.shape[0], : grid.shape[1]] = grid
         return padded.reshape(-1, 1) == np.array([int(cell) for cell in CELLS])
 
-    def __call__(self, state: State, name: str) -> torch.Tensor:
+    def __call__(self, state: Snapshot, name: str) -> torch.Tensor:
         """``[num_envs, cells * 25]``."""
         places = state.relative_positions(name).transpose(1, 2)
         parts = [

@@ -1,6 +1,6 @@
 """Climbing (paper section B.4)."""
 
-from warpvox.envs.spec import TaskSpec, ends, observes, rewards
+from warpvox.envs.spec import TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.observations import ceiling, orientation, overhang, shape, velocity
 from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.terms.terminations import beyond
@@ -18,7 +18,7 @@ CLIMBER_0 = TaskSpec(
     max_episode_steps=400,
     observations=(observes(velocity), observes(shape)),
     rewards=(rewards(displacement, axis="y"),),
-    terminations=(ends(beyond, axis="y", limit=8.6, bonus=1.0),),
+    terminations=(terminates(beyond, axis="y", limit=8.6, bonus=1.0),),
 )
 
 MIXED_PIPE = columns(
@@ -38,7 +38,7 @@ CLIMBER_1 = TaskSpec(
     max_episode_steps=600,
     observations=(observes(velocity), observes(shape)),
     rewards=(rewards(displacement, axis="y"),),
-    terminations=(ends(beyond, axis="y", limit=6.5, bonus=1.0),),
+    terminations=(terminates(beyond, axis="y", limit=6.5, bonus=1.0),),
 )
 
 BENT_PIPE = columns(

@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from warpvox.envs.spec import Memory, TaskSpec, ends, observes, rewards
+from warpvox.envs.spec import Memory, TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.goals import all_goals_reached, approach_goal, draw_goals, first_goal, next_goal
 from warpvox.envs.terms.observations import goal_number, goal_offset, goal_place, orientation, shape, velocity
 from warpvox.envs.terms.rewards import displacement
@@ -21,7 +21,7 @@ WALKER = TaskSpec(
     max_episode_steps=500,
     observations=(observes(velocity), observes(shape)),
     rewards=(rewards(displacement, axis="x"),),
-    terminations=(ends(beyond, axis="x", limit=9.9, bonus=1.0),),
+    terminations=(terminates(beyond, axis="x", limit=9.9, bonus=1.0),),
 )
 
 _POSTS, _ROPE = "F 4. F 4. F 7. F 10. F 16. F 11. 2F", "F 4S F 4S F 7S F 10S F 16S F 11S 2F"
@@ -37,7 +37,7 @@ BRIDGE_WALKER = TaskSpec(
     observations=(observes(velocity), observes(orientation), observes(shape)),
     rewards=(rewards(displacement, axis="x"),),
     # As released: the line is the very edge of the bridge, so the centre of mass has to leave it.
-    terminations=(ends(beyond, axis="x", limit=6.0, bonus=1.0),),
+    terminations=(terminates(beyond, axis="x", limit=6.0, bonus=1.0),),
 )
 
 
@@ -65,7 +65,7 @@ BIDIRECTIONAL_WALKER = TaskSpec(
     ),
     # As released: in the step that reaches a goal, the approach to the next one counts instead.
     rewards=(rewards(approach_goal),),
-    terminations=(ends(all_goals_reached, bonus=1.0),),
+    terminations=(terminates(all_goals_reached, bonus=1.0),),
     memory=_goals(way=100),
     # The paper names no end of the list and no bonus for it.
     paper={"terminations": (), "memory": _goals(way=None)},

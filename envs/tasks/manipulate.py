@@ -2,7 +2,7 @@
 
 from operator import methodcaller
 
-from warpvox.envs.spec import Memory, TaskSpec, ends, observes, rewards
+from warpvox.envs.spec import Memory, TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.observations import orientation, separation, shape, velocity
 from warpvox.envs.terms.rewards import away_from_start, displacement, distance, drop, gap, motion, staged_drop
 from warpvox.envs.terms.terminations import beyond, short
@@ -31,7 +31,7 @@ CARRIER_0 = TaskSpec(
         rewards(displacement, weight=0.5, axis="x"),
         rewards(drop, "package", weight=10.0, below=3 * VOXEL),
     ),
-    terminations=(ends(beyond, axis="x", limit=9.9, bonus=1.0),),
+    terminations=(terminates(beyond, axis="x", limit=9.9, bonus=1.0),),
     paper={"observations": _PRINTED},
 )
 
@@ -78,7 +78,7 @@ PUSHER_0 = TaskSpec(
     max_episode_steps=500,
     observations=_RELEASED,
     rewards=(*_PUSHED, _NEVER),
-    terminations=(ends(beyond, axis="x", limit=9.9, bonus=1.0),),
+    terminations=(terminates(beyond, axis="x", limit=9.9, bonus=1.0),),
     paper={"observations": _PRINTED, "rewards": _PUSHED},
 )
 
@@ -93,11 +93,11 @@ PUSHER_1 = TaskSpec(
     observations=_RELEASED,
     rewards=(*_PUSHED, _NEVER),
     # As released: the line lies at voxel 69 of 100. The paper has it at the end of the terrain.
-    terminations=(ends(beyond, axis="x", limit=6.9, bonus=1.0),),
+    terminations=(terminates(beyond, axis="x", limit=6.9, bonus=1.0),),
     paper={
         "observations": _PRINTED,
         "rewards": _PUSHED,
-        "terminations": (ends(beyond, axis="x", limit=9.9, bonus=1.0),),
+        "terminations": (terminates(beyond, axis="x", limit=9.9, bonus=1.0),),
     },
 )
 
@@ -140,7 +140,7 @@ CATCHER = TaskSpec(
     ),
     # As released; the paper does not say that the box and the pegs are moved together, cell by cell.
     memory=(Memory("offset", methodcaller("cells", x=(-6, 4), y=(0, 5))),),
-    scattered=("package", "peg1", "peg2"),
+    randomized=("package", "peg1", "peg2"),
 )
 
 _BEAM = (
@@ -169,11 +169,11 @@ BEAM_TOPPLER = TaskSpec(
     observations=_BEAM,
     rewards=(*_STIRRED, rewards(displacement, "beam", weight=-10.0, axis="y")),
     # As released: the beam starts at 3.4, so that toppling it does not meet this.
-    terminations=(ends(short, "beam", axis="x", limit=0.2, bonus=1.0),),
+    terminations=(terminates(short, "beam", axis="x", limit=0.2, bonus=1.0),),
     paper={
         "rewards": (*_STIRRED, rewards(displacement, "beam", weight=-1.0, axis="y")),
         # Reading of "completing the task": the beam's centre has come down past the tops of the pegs.
-        "terminations": (ends(short, "beam", axis="y", limit=0.5, bonus=1.0),),
+        "terminations": (terminates(short, "beam", axis="y", limit=0.5, bonus=1.0),),
     },
 )
 
@@ -193,7 +193,7 @@ BEAM_SLIDER = TaskSpec(
     observations=_BEAM,
     rewards=(_CLOSER, rewards(displacement, "beam", axis="x")),
     # As released: taken over from the toppler, although the way to the right is what is rewarded.
-    terminations=(ends(short, "beam", axis="x", limit=0.2, bonus=1.0),),
+    terminations=(terminates(short, "beam", axis="x", limit=0.2, bonus=1.0),),
     paper={"terminations": ()},
 )
 

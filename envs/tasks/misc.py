@@ -1,6 +1,6 @@
 """Flipping, jumping and balancing (paper section B.7)."""
 
-from warpvox.envs.spec import TaskSpec, ends, observes, rewards
+from warpvox.envs.spec import TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.observations import elevation, floor, orientation, shape, short_of, velocity
 from warpvox.envs.terms.rewards import displacement, distance, motion, turned
 from warpvox.envs.terms.terminations import short
@@ -20,7 +20,7 @@ FLIPPER = TaskSpec(
     observations=(observes(orientation), observes(shape)),
     rewards=(rewards(turned),),
     # As released: at the left end of the terrain it is over, which the paper does not say.
-    terminations=(ends(short, axis="x", limit=0.1),),
+    terminations=(terminates(short, axis="x", limit=0.1),),
     paper={"terminations": ()},
 )
 

@@ -2,7 +2,7 @@
 
 from math import radians
 
-from warpvox.envs.spec import TaskSpec, ends, observes, rewards
+from warpvox.envs.spec import TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.observations import ceiling, elevation, floor, orientation, overhang, shape, velocity
 from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.terms.terminations import beyond, fallen_or_tilted, reaches, short, tilted
@@ -19,7 +19,7 @@ def _sees(terrain, *objects):
 
 def _tilts(degrees):
     """The penalty for turning further than this to either side."""
-    return ends(tilted, low=radians(degrees), high=radians(360 - degrees), bonus=-3.0)
+    return terminates(tilted, low=radians(degrees), high=radians(360 - degrees), bonus=-3.0)
 
 
 def _arrives(limit, bonus):
@@ -27,7 +27,7 @@ def _arrives(limit, bonus):
 
     Reading of the paper's "end of the terrain", whose line lies a voxel before the edge of open terrain, too.
     """
-    return (ends(reaches, axis="x", limit=limit, bonus=bonus),)
+    return (terminates(reaches, axis="x", limit=limit, bonus=bonus),)
 
 
 STAIRS_UP = rows("ground", "21F", "20. 10F", "29. 8F", "36. 7F", "42. 6F", "47. 5F", "51. 5F", "55. 7F", "61. 9F")
@@ -42,7 +42,7 @@ UP_STEPPER = TaskSpec(
     max_episode_steps=600,
     observations=_sees(floor, "ground"),
     rewards=(rewards(displacement, axis="x"),),
-    terminations=(ends(beyond, axis="x", limit=6.9, bonus=2.0), _tilts(75)),
+    terminations=(terminates(beyond, axis="x", limit=6.9, bonus=2.0), _tilts(75)),
     paper={"observations": _sees(elevation, "ground")},
 )
 
@@ -61,7 +61,7 @@ DOWN_STEPPER = TaskSpec(
     max_episode_steps=500,
     observations=_sees(floor, "ground"),
     rewards=(rewards(displacement, axis="x"),),
-    terminations=(ends(beyond, axis="x", limit=7.4, bonus=2.0), _tilts(90)),
+    terminations=(terminates(beyond, axis="x", limit=7.4, bonus=2.0), _tilts(90)),
     paper={"observations": _sees(elevation, "ground")},
 )
 
@@ -80,7 +80,7 @@ OBSTACLE_TRAVERSER_0 = TaskSpec(
     max_episode_steps=1000,
     observations=_sees(floor, "ground"),
     rewards=(rewards(displacement, axis="x"),),
-    terminations=(ends(beyond, axis="x", limit=7.9, bonus=2.0), _tilts(90)),
+    terminations=(terminates(beyond, axis="x", limit=7.9, bonus=2.0), _tilts(90)),
     paper={"observations": _sees(elevation, "ground")},
 )
 
@@ -101,7 +101,7 @@ OBSTACLE_TRAVERSER_1 = TaskSpec(
     observations=_sees(floor, "ground"),
     rewards=(rewards(displacement, axis="x"),),
     # As released: the line lies inside the wall that closes the terrain, so that no robot gets the bonus.
-    terminations=(ends(beyond, axis="x", limit=5.9, bonus=2.0),),
+    terminations=(terminates(beyond, axis="x", limit=5.9, bonus=2.0),),
     paper={"observations": _sees(elevation, "ground"), "terminations": _arrives(limit=5.7, bonus=2.0)},
 )
 
@@ -128,7 +128,7 @@ def _platforms(*places):
 
 
 PLATFORMS = _platforms(*[(20, 0, 5), (10, 21, 7), (10, 33, 8), (10, 46, 6), (10, 57, 5), (10, 70, 6), (10, 81, 3)])
-_FALLS = ends(short, axis="y", limit=0.4, bonus=-3.0)
+_FALLS = terminates(short, axis="y", limit=0.4, bonus=-3.0)
 
 PLATFORM_JUMPER = TaskSpec(
     id="PlatformJumper-v0",
@@ -144,7 +144,7 @@ PLATFORM_JUMPER = TaskSpec(
     terminations=(_FALLS, _tilts(90)),
     paper={
         "observations": _sees(elevation, *(platform.name for platform in PLATFORMS)),
-        "terminations": (ends(fallen_or_tilted, limit=0.4, low=radians(90), high=radians(270), bonus=-3.0),),
+        "terminations": (terminates(fallen_or_tilted, limit=0.4, low=radians(90), high=radians(270), bonus=-3.0),),
     },
 )
 
@@ -185,7 +185,7 @@ TRAVERSER = TaskSpec(
     max_episode_steps=600,
     observations=_sees(floor, *_PIT_NAMES),
     rewards=(rewards(displacement, axis="x"),),
-    terminations=(ends(beyond, axis="x", limit=5.9, bonus=2.0),),
+    terminations=(terminates(beyond, axis="x", limit=5.9, bonus=2.0),),
     paper={"observations": _sees(elevation, *_PIT_NAMES), "max_episode_steps": 1000},
 )
 
@@ -211,7 +211,7 @@ CAVE_CRAWLER = TaskSpec(
     observations=_sees_both(floor, ceiling),
     rewards=(rewards(displacement, axis="x"),),
     # As released: the line is the face of the wall that closes the cave, so that no robot gets the bonus.
-    terminations=(ends(beyond, axis="x", limit=6.9, bonus=1.0),),
+    terminations=(terminates(beyond, axis="x", limit=6.9, bonus=1.0),),
     paper={"observations": _sees_both(elevation, overhang), "terminations": _arrives(limit=6.8, bonus=1.0)},
 )
 

@@ -14,15 +14,15 @@ from warpvox.types import VOXEL
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from warpvox.envs.draws import Draws
-    from warpvox.envs.state import State
+    from warpvox.envs.random_stream import RandomStream
+    from warpvox.envs.snapshot import Snapshot
 
 __all__ = ["all_goals_reached", "approach_goal", "draw_goals", "first_goal", "goal_x", "next_goal"]
 
 LONGEST = 64  # goals that a list can hold; a way of 100 takes 10 on average, more than this practically never
 
 
-def draw_goals(draws: Draws, low: int, high: int, start: int, way: int | None) -> Tensor:
+def draw_goals(draws: RandomStream, low: int, high: int, start: int, way: int | None) -> Tensor:
     """Goals in [low, high) until the way from ``start`` past all of them is ``way`` voxels or longer.
 
     ``way=None``: the list does not end (within an episode).
@@ -35,12 +35,12 @@ def draw_goals(draws: Draws, low: int, high: int, start: int, way: int | None) -
     return goals.masked_fill(behind >= way, 0)
 
 
-def first_goal(draws: Draws) -> Tensor:
+def first_goal(draws: RandomStream) -> Tensor:
     """The number of the first goal."""
     return draws.zeros(1)
 
 
-def next_goal(state: State, name: str, within: float) -> Tensor:
+def next_goal(state: Snapshot, name: str, within: float) -> Tensor:
     """The first goal from the present one on that is not within a distance of the object, else their count."""
     goals = state.memory("goals")
     count = goals.shape[1]
@@ -50,7 +50,7 @@ def next_goal(state: State, name: str, within: float) -> Tensor:
     return number.expand_as(goals).masked_fill(~ahead, count).amin(1, keepdim=True)
 
 
-def goal_x(state: State) -> Tensor:
+def goal_x(state: Snapshot) -> Tensor:
     """float64 ``[num_envs, 1]``: the present goal; after the last one still that."""
     goals = state.memory("goals")
     last = (goals > 0).sum(1, keepdim=True) - 1
@@ -58,13 +58,13 @@ def goal_x(state: State) -> Tensor:
 
 
 @about("-Δ|x of the goal - x_{name}|")
-def approach_goal(before: State, after: State, name: str) -> Tensor:
+def approach_goal(before: Snapshot, after: Snapshot, name: str) -> Tensor:
     """How much closer the object has come to the goal that it has after the step, in x."""
     goal = goal_x(after)[:, 0]
     return (goal - before.com(name)[:, 0]).abs() - (goal - after.com(name)[:, 0]).abs()
 
 
 @about("all goals reached by {name}")
-def all_goals_reached(state: State, name: str) -> Tensor:
+def all_goals_reached(state: Snapshot, name: str) -> Tensor:
     """There is no goal left."""
     return state.memory("goal")[:, 0] >= (state.memory("goals") > 0).sum(1)

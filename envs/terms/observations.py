@@ -16,7 +16,7 @@ from warpvox.types import SIGHT, VOXEL
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from warpvox.envs.state import State
+    from warpvox.envs.snapshot import Snapshot
 
 __all__ = [
     "ceiling",
@@ -42,25 +42,25 @@ def _count(reach: int, **_: object) -> int:
 
 
 @about("v_{name}", unit=SPEED, entries=2)
-def velocity(state: State, name: str) -> Tensor:
+def velocity(state: Snapshot, name: str) -> Tensor:
     """Velocity of the centre of mass: v."""
     return state.velocity(name)
 
 
 @about("θ_{name}", unit=ANGLE, low=0.0, high=2 * pi)
-def orientation(state: State, name: str) -> Tensor:
+def orientation(state: Snapshot, name: str) -> Tensor:
     """Turn since the episode began, counter-clockwise in [0, 2 pi): theta."""
     return state.orientation(name)[:, None]
 
 
 @about("c_{name}: x then y of all points about p_{name}", unit=LENGTH, entries=0, per_point=2)
-def shape(state: State, name: str) -> Tensor:
+def shape(state: Snapshot, name: str) -> Tensor:
     """All points relative to the centre of mass, all x before all y: c."""
     return state.relative_positions(name)
 
 
 @about("p_{name} - p_{other}", unit=LENGTH, entries=2)
-def separation(state: State, name: str, other: str) -> Tensor:
+def separation(state: Snapshot, name: str, other: str) -> Tensor:
     """From the centre of mass of ``other`` to that of ``name``: p^name - p^other."""
     return state.com(name) - state.com(other)
 
@@ -68,7 +68,7 @@ def separation(state: State, name: str, other: str) -> Tensor:
 @about(
     "floor below {name}, voxels -{reach} to {reach} beside it", unit=LENGTH, entries=_count, low=0.0, high=SCAN_RANGE
 )
-def floor(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
+def floor(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """How far the terrain lies below, as released: a distance in each of ``2 reach + 1`` windows.
 
     Window i (-reach .. reach) spans half a voxel to both sides of i voxels from the centre of mass; the
@@ -80,13 +80,13 @@ def floor(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tens
 @about(
     "ceiling above {name}, voxels -{reach} to {reach} beside it", unit=LENGTH, entries=_count, low=0.0, high=SCAN_RANGE
 )
-def ceiling(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
+def ceiling(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """The same as :func:`floor` upward, to the lowest point above."""
     return state.ceiling_scan(name, reach, objects)
 
 
 @about("h_b({reach}): y of the terrain below {name}", unit=LENGTH, entries=_count)
-def elevation(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
+def elevation(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """How high the terrain below is, as printed (h_b in section B.1): a height in ``2 reach + 1`` windows.
 
     Entry i (-reach .. reach) is the y of the highest terrain point that lies below the centre of mass p and
@@ -99,7 +99,7 @@ def elevation(state: State, name: str, reach: int, objects: tuple[str, ...]) -> 
 
 
 @about("h_a({reach}): y of the terrain above {name}", unit=LENGTH, entries=_count)
-def overhang(state: State, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
+def overhang(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """How high the terrain above is, as printed (h_a in section B.1): the mirror image of :func:`elevation`.
 
     Entry i is the y of the lowest terrain point above the centre of mass p in [p_x + i, p_x + i + 1] voxels, however
@@ -109,7 +109,7 @@ def overhang(state: State, name: str, reach: int, objects: tuple[str, ...]) -> T
     return _windows(state, name, reach, objects, state.com(name)[:, 1:] + SCAN_RANGE, above=True)
 
 
-def _windows(state: State, name: str, reach: int, objects: tuple[str, ...], nothing: Tensor, above: bool) -> Tensor:
+def _windows(state: Snapshot, name: str, reach: int, objects: tuple[str, ...], nothing: Tensor, above: bool) -> Tensor:
     """Height of the lowest point above or the highest below in windows that begin at the centre, else ``nothing``."""
     centre = state.com(name)
     none = nothing.new_full((1, 1), inf if above else -inf)
@@ -128,7 +128,7 @@ def _windows(state: State, name: str, reach: int, objects: tuple[str, ...], noth
 
 
 @about("({x}, {y}) - p_{name}", unit=LENGTH, entries=2)
-def short_of(state: State, name: str, x: float, y: float) -> Tensor:
+def short_of(state: Snapshot, name: str, x: float, y: float) -> Tensor:
     """From the centre of mass to a goal: (g_x - p_x, g_y - p_y)."""
     centre = state.com(name)
     goal = centre.new_full((2,), x)  # filled on the device: a list would have to be brought there, which waits
@@ -137,18 +137,18 @@ def short_of(state: State, name: str, x: float, y: float) -> Tensor:
 
 
 @about("goals reached", unit=NUMBER, low=0.0, high=LONGEST)
-def goal_number(state: State, name: str) -> Tensor:
-    """How many goals the object has reached: the paper's c, a whole number."""
+def goal_number(state: Snapshot, name: str) -> Tensor:
+    """How many goals the object has reached: the paper's c, an integer."""
     return state.memory("goal")
 
 
 @about("x of the goal", unit=LENGTH)
-def goal_place(state: State, name: str) -> Tensor:
+def goal_place(state: Snapshot, name: str) -> Tensor:
     """Where the present goal lies: g_x."""
     return goal_x(state)
 
 
 @about("x of the goal - x_{name}", unit=LENGTH)
-def goal_offset(state: State, name: str) -> Tensor:
+def goal_offset(state: Snapshot, name: str) -> Tensor:
     """How far it is to the present goal: g_x - p_x."""
     return goal_x(state) - state.com(name)[:, :1]

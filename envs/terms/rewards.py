@@ -14,7 +14,7 @@ from warpvox.types import AXES
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from warpvox.envs.state import State
+    from warpvox.envs.snapshot import Snapshot
 
 __all__ = [
     "away_from_start",
@@ -31,21 +31,21 @@ __all__ = [
 
 
 @about("Δ{axis}_{name}")
-def displacement(before: State, after: State, name: str, axis: str) -> Tensor:
+def displacement(before: Snapshot, after: Snapshot, name: str, axis: str) -> Tensor:
     """How far the centre of mass has moved along an axis: the paper's delta p."""
     column = AXES[axis]
     return after.com(name)[:, column] - before.com(name)[:, column]
 
 
 @about("[y_{name} < {below}] Δy_{name}")
-def drop(before: State, after: State, name: str, below: float) -> Tensor:
+def drop(before: Snapshot, after: Snapshot, name: str, below: float) -> Tensor:
     """How far the centre of mass has risen (negative: fallen) where it is now below a height, else 0."""
     height = after.com(name)[:, 1]
     return (height - before.com(name)[:, 1]).masked_fill(height >= below, 0.0)
 
 
 @about("[y_{name} < ({below} if x_{name} <= {x} else {below_beyond})] Δy_{name}")
-def staged_drop(before: State, after: State, name: str, below: float, x: float, below_beyond: float) -> Tensor:
+def staged_drop(before: Snapshot, after: Snapshot, name: str, below: float, x: float, below_beyond: float) -> Tensor:
     """As :func:`drop`, with another height (``below_beyond``) where the centre of mass is now beyond ``x``."""
     place, height = after.com(name).unbind(1)
     above = (height >= below).where(place <= x, height >= below_beyond)
@@ -53,27 +53,27 @@ def staged_drop(before: State, after: State, name: str, below: float, x: float, 
 
 
 @about("|Δ{axis}_{name}|")
-def motion(before: State, after: State, name: str, axis: str) -> Tensor:
+def motion(before: Snapshot, after: Snapshot, name: str, axis: str) -> Tensor:
     """How far the centre of mass has moved along an axis, either way: |delta p|."""
     return displacement(before, after, name, axis).abs()
 
 
 @about("(Δx_{name} if x_{name} >= 0 else -Δx_{name})")
-def away_from_start(before: State, after: State, name: str) -> Tensor:
+def away_from_start(before: Snapshot, after: Snapshot, name: str) -> Tensor:
     """How far the centre of mass has moved away from x = 0, on the side where it is now."""
     moved = displacement(before, after, name, "x")
     return moved.where(after.com(name)[:, 0] >= 0, -moved)
 
 
 @about("Δ|{goal} - {axis}_{name}|")
-def distance(before: State, after: State, name: str, axis: str, goal: float) -> Tensor:
+def distance(before: Snapshot, after: Snapshot, name: str, axis: str, goal: float) -> Tensor:
     """How much further from a goal the centre of mass now is along an axis: delta |g - p|."""
     column = AXES[axis]
     return (goal - after.com(name)[:, column]).abs() - (goal - before.com(name)[:, column]).abs()
 
 
 @about("Δ|{axis}_{name} - {axis}_{other}|")
-def gap(before: State, after: State, name: str, other: str, axis: str) -> Tensor:
+def gap(before: Snapshot, after: Snapshot, name: str, other: str, axis: str) -> Tensor:
     """How much further apart two objects now are along an axis: delta |p^name - p^other|."""
     column = AXES[axis]
     now = (after.com(name) - after.com(other))[:, column].abs()
@@ -81,20 +81,20 @@ def gap(before: State, after: State, name: str, other: str, axis: str) -> Tensor
 
 
 @about("Δ(max {axis} - min {axis} of the points of {name})")
-def grown(before: State, after: State, name: str, axis: str) -> Tensor:
+def grown(before: Snapshot, after: Snapshot, name: str, axis: str) -> Tensor:
     """How much longer the object has become along an axis: delta (max p_i - min p_i)."""
     column = AXES[axis]
     return after.extent(name)[:, column] - before.extent(name)[:, column]
 
 
 @about("Δ(area of the convex hull of {name})")
-def hull(before: State, after: State, name: str) -> Tensor:
+def hull(before: Snapshot, after: Snapshot, name: str) -> Tensor:
     """How much the area of the convex hull of all points has grown: delta a."""
     return after.hull_area(name) - before.hull_area(name)
 
 
 @about("Δθ_{name} (full turns counted)")
-def turned(before: State, after: State, name: str) -> Tensor:
+def turned(before: Snapshot, after: Snapshot, name: str) -> Tensor:
     """How far the object has turned counter-clockwise: delta theta, on past a full turn.
 
     As released: a step from below pi / 3 to above 5 pi / 3 has gone through 0 clockwise, and the other way round. A

@@ -10,38 +10,38 @@ from warpvox.types import AXES
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from warpvox.envs.state import State
+    from warpvox.envs.snapshot import Snapshot
 
 __all__ = ["beyond", "fallen_or_tilted", "reaches", "short", "tilted"]
 
 
 @about("{axis}_{name} > {limit}")
-def beyond(state: State, name: str, axis: str, limit: float) -> Tensor:
+def beyond(state: Snapshot, name: str, axis: str, limit: float) -> Tensor:
     """The centre of mass has passed ``limit`` along an axis."""
     return state.com(name)[:, AXES[axis]] > limit
 
 
 @about("max {axis} of the points of {name} > {limit}")
-def reaches(state: State, name: str, axis: str, limit: float) -> Tensor:
+def reaches(state: Snapshot, name: str, axis: str, limit: float) -> Tensor:
     """The foremost point of the object has passed ``limit`` along an axis."""
     column = AXES[axis]
     return state.relative_positions(name)[:, column].amax(1) + state.com(name)[:, column] > limit
 
 
 @about("{axis}_{name} < {limit}")
-def short(state: State, name: str, axis: str, limit: float) -> Tensor:
+def short(state: Snapshot, name: str, axis: str, limit: float) -> Tensor:
     """The centre of mass is short of ``limit`` along an axis."""
     return state.com(name)[:, AXES[axis]] < limit
 
 
 @about("y_{name} < {limit} or {low!d} < θ_{name} < {high!d}")
-def fallen_or_tilted(state: State, name: str, limit: float, low: float, high: float) -> Tensor:
+def fallen_or_tilted(state: Snapshot, name: str, limit: float, low: float, high: float) -> Tensor:
     """The centre of mass lies lower than ``limit``, or the orientation in the open interval (low, high), or both."""
     return short(state, name, "y", limit) | tilted(state, name, low, high)
 
 
 @about("{low!d} < θ_{name} < {high!d}")
-def tilted(state: State, name: str, low: float, high: float) -> Tensor:
+def tilted(state: Snapshot, name: str, low: float, high: float) -> Tensor:
     """The orientation lies in the open interval (low, high), radians in [0, 2 pi)."""
     angle = state.orientation(name)
     return (angle > low) & (angle < high)

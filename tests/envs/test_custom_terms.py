@@ -17,7 +17,7 @@ from warpvox.envs.about import about
 from warpvox.envs.gym import register_task
 from warpvox.envs.registry import get_task
 from warpvox.envs.rsl_rl import RslRlVecEnv
-from warpvox.envs.spec import Memory, TaskSpec, ends, observes, rewards
+from warpvox.envs.spec import Memory, TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.observations import velocity
 from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
@@ -110,7 +110,7 @@ def test_values_of_points_need_the_name_of_their_object() -> None:
 )
 def test_terminations_are_checked_when_environments_are_made(function: Callable, words: str) -> None:
     with pytest.raises(TaskError, match=rf"The termination 'odd_robot' of the task 'Mine-v0' .*{words}"):
-        make(replace(BASE, terminations=(ends(odd(function)),)))
+        make(replace(BASE, terminations=(terminates(odd(function)),)))
 
 
 @pytest.mark.parametrize(
@@ -131,12 +131,12 @@ def test_memories_are_checked_when_environments_are_made(start: Callable, update
         make(replace(BASE, memory=(Memory("odd", start, update),)))
 
 
-def test_what_is_scattered_is_checked() -> None:
+def test_randomized_objects_are_checked() -> None:
     task = get_task("Catcher-v0")
-    with pytest.raises(TaskError, match="scatters 'bal'; its objects are"):
-        replace(task, id="Mine-v0", scattered=("bal",))
+    with pytest.raises(TaskError, match="randomizes 'bal'; its objects are"):
+        replace(task, id="Mine-v0", randomized=("bal",))
     for start in (lambda d: torch.zeros(3, 2), lambda d: d.zeros(3)):
-        with pytest.raises(TaskError, match=r"'offset' .* must begin with whole numbers \[3, 2\]"):
+        with pytest.raises(TaskError, match=r"'offset' .* must begin with integers \[3, 2\]"):
             make(replace(task, id="Mine-v0", memory=(Memory("offset", start),)))
 
 
@@ -204,9 +204,9 @@ def test_gymnasium_checks_tasks_of_ones_own() -> None:
         ({"terminations": (3,)}, r"terminations\[0\] .* must be a Termination"),
         ({"memory": (("goal", None),)}, r"memory\[0\] .* must be a Memory"),
         ({"rewards": (rewards(displacement, axis="x", weight=float("nan")),)}, "weight .* finite number, got nan"),
-        ({"terminations": (ends(lookup, bonus="1"),)}, "bonus .* finite number, got '1'"),
+        ({"terminations": (terminates(lookup, bonus="1"),)}, "bonus .* finite number, got '1'"),
         ({"unstable_penalty": float("inf")}, "unstable_penalty .* finite number, got inf"),
-        ({"max_episode_steps": 2.5}, "max_episode_steps .* whole number"),
+        ({"max_episode_steps": 2.5}, "max_episode_steps .* integer"),
     ],
 )
 def test_a_specification_is_made_of_what_it_should(change: dict, words: str) -> None:
@@ -251,7 +251,7 @@ def test_a_term_that_is_not_finite_ends_its_environments(kind: str, auto_reset: 
     value = float("nan") if auto_reset else float("-inf")
     env = make(blinking(kind, value, [1]), auto_reset=auto_reset)
     calm = make(blinking(kind, value, []), auto_reset=auto_reset)
-    env._may_look = looks
+    env._on_cpu = looks
     obs, _ = env.reset()
     assert torch.equal(obs, calm.reset()[0])
     with warnings.catch_warnings(record=True) as heard:
@@ -285,7 +285,7 @@ def test_a_term_that_is_not_finite_ends_its_environments(kind: str, auto_reset: 
 def test_counts_go_on_when_bodies_change(kind: str) -> None:
     """Other designs have other columns, and there are more of them."""
     env = make(blinking(kind, float("nan"), [1]), grid=(3, 3))
-    env._may_look = False
+    env._on_cpu = False
     env.reset()
     at = AT if kind == "reward" else AT + 1
     for round_, body in enumerate((np.full((3, 3), 3), np.full((2, 3), 4)), start=1):
@@ -314,7 +314,7 @@ def test_a_reward_about_the_state_before_sees_it() -> None:
 
 def test_training_counts_and_names_it() -> None:
     env = RslRlVecEnv(make(blinking("reward", float("nan"), [0, 2])))
-    env.env._may_look = False
+    env.env._on_cpu = False
     for _ in range(AT):
         _, rewards_, dones, extras = env.step(torch.zeros((ENVS, env.num_actions)))
         assert torch.isfinite(rewards_).all()
@@ -398,7 +398,7 @@ def test_what_a_term_does_to_its_values_is_its_own_affair() -> None:
         plain,
         observations=(observes(spoiler), *plain.observations),
         rewards=(rewards(spoiling), *plain.rewards),
-        terminations=(ends(spoilt), *plain.terminations),
+        terminations=(terminates(spoilt), *plain.terminations),
     )
     env, calm = make(rough, seed=5), make(plain, seed=5)
     assert torch.equal(env.reset()[0][:, 2:], calm.reset()[0])
@@ -415,7 +415,7 @@ def test_tasks_of_warpvox_pay_nothing_for_that() -> None:
     assert all(not get_task(name).has_code for name in ("Walker-v0", "Traverser-v0", "Catcher-v0"))
     env = make(get_task("Walker-v0"))
     env.reset()
-    state = env._look()
+    state = env._snapshot()
     assert state.com("robot") is state.com("robot")
 
 

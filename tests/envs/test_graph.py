@@ -55,7 +55,7 @@ class Watch(TorchDispatchMode):
 
 def make(task: Any, **options: Any) -> VoxelVecEnv:
     env = make_vec(task, num_envs=3, device="cpu", threads=1, max_episode_steps=5, **options)
-    env._may_look = False  # as on CUDA
+    env._on_cpu = False  # as on CUDA
     return env
 
 
@@ -304,21 +304,10 @@ def test_what_is_replaced_would_be_noticed(name: str, monkeypatch: pytest.Monkey
     assert not all(equal(*acting(envs, random)) for _ in range(3))
 
 
-def test_a_time_limit_that_was_not_a_tensor_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    envs = make("Walker-v0"), graphed("Walker-v0", monkeypatch)
-    for env in envs:
-        env.episodes.limit = 5
-    random = torch.Generator().manual_seed(0)
-    assert all(equal(*acting(envs, random)) for _ in range(4))
-    for env in envs:
-        env.episodes.limit = 2
-    assert not all(equal(*acting(envs, random)) for _ in range(4))
-
-
 @pytest.mark.parametrize("limit", [0, 2.5, True, "many"])
 def test_a_time_limit_is_a_number_of_steps(limit: Any) -> None:
     env = make("Walker-v0")
-    with pytest.raises(ConfigError, match="max_episode_steps must be a whole number >= 1"):
+    with pytest.raises(ConfigError, match="max_episode_steps must be an integer >= 1"):
         env.max_episode_steps = limit
     with pytest.raises(ConfigError, match=r"episode_length must be integers \[3\]"):
         env.episode_length = torch.zeros(2, dtype=torch.long)

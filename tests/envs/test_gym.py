@@ -11,16 +11,13 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
-import torch
 from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 
 from warpvox.design import example_design
 from warpvox.envs.gym import VoxelEnv, register, register_task
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ActionError, ConfigError, DesignError, DisplayError, WorldError
-from warpvox.view.window import why_no_window
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -67,27 +64,6 @@ def test_gymnasium_accepts_the_environment(task: str, obs: str, monkeypatch: pyt
     expected = ("recommend using a symmetric", "minimum value is -inf", "maximum value is inf", "is out of date")
     assert [w for w in caught if not any(text in str(w.message) for text in expected)] == []
     assert pictures  # the checker has looked at the window, too
-
-
-@pytest.mark.parametrize("task", task_ids())
-def test_it_steps_as_the_vector_environment_does(task: str) -> None:
-    env = gymnasium.make(f"warpvox/{task}", body=example_design("walker").astype(float))
-    twin = make_vec(task, ["walker"], device="cpu", dtype="float64", threads=1)
-    obs, info = env.reset(seed=3)
-    assert info == {}
-    assert obs.dtype == np.float64
-    assert obs.tolist() == twin.reset(seed=3)[0][0].tolist()
-    rng = np.random.default_rng(0)
-    for _ in range(10):
-        action = rng.uniform(0.6, 1.6, env.action_space.shape)
-        obs, reward, terminated, truncated, info = env.step(action)
-        theirs = twin.step(torch.as_tensor(action[None]))
-        assert obs.tolist() == theirs[0][0].tolist()
-        assert reward == float(theirs[1])
-        assert isinstance(reward, float)
-        assert (terminated, truncated) == (False, False)
-        assert sum(info["reward_terms"].values()) == pytest.approx(reward)
-        assert info["unstable"] is False
 
 
 def test_spaces_are_honest() -> None:
@@ -146,21 +122,6 @@ def test_no_display_is_said_and_the_mode_is_not_offered(monkeypatch: pytest.Monk
     assert env.metadata["render_modes"] == ["rgb_array"]
     assert VoxelEnv.metadata["render_modes"] == ["human", "rgb_array"]
     check_env(env.unwrapped)
-
-
-def test_the_real_window() -> None:
-    reason = why_no_window()
-    if reason is not None:
-        pytest.skip(reason)
-    env = gymnasium.make("warpvox/Walker-v0", body="walker", render_mode="human", render_size=(160, 90))
-    env.reset()
-    window = env.unwrapped._window
-    env.step(env.action_space.sample())
-    assert window.visible
-    shown = {window._image.get(x, y) for x in range(0, 160, 4) for y in range(0, 90, 3)}
-    assert len(shown) > 1  # a robot before something else
-    env.close()
-    assert window.closed
 
 
 def test_pictures_depend_on_the_state_alone() -> None:

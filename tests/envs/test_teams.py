@@ -12,7 +12,7 @@ import torch
 from warpvox.design import example_design, sample_design
 from warpvox.envs.gym import register_task
 from warpvox.envs.registry import get_task
-from warpvox.envs.spec import TaskSpec, ends, observes, rewards
+from warpvox.envs.spec import TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.observations import separation, shape, velocity
 from warpvox.envs.terms.rewards import displacement, gap
 from warpvox.envs.terms.terminations import beyond
@@ -30,7 +30,7 @@ ALONE = TaskSpec(
     max_episode_steps=50,
     observations=(observes(velocity), observes(shape)),
     rewards=(rewards(displacement, axis="x"),),
-    terminations=(ends(beyond, axis="x", limit=5.0, bonus=1.0),),
+    terminations=(terminates(beyond, axis="x", limit=5.0, bonus=1.0),),
 )
 TEAM = replace(
     ALONE,

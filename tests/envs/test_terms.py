@@ -24,22 +24,6 @@ def moment(x: float = 0.0, y: float = 0.0) -> Moment:
     return Moment(com_robot=[[x, y]])
 
 
-def test_separation_points_from_other_to_name() -> None:
-    state = Moment(com_package=[[1.0, 5.0]], com_robot=[[0.5, 2.0]])
-    assert observations.separation(state, "package", "robot").tolist() == [[0.5, 3.0]]
-
-
-def test_orientation_is_a_column() -> None:
-    state = Moment(orientation_robot=[1.0, 2.0])
-    assert observations.orientation(state, "robot").tolist() == [[1.0], [2.0]]
-
-
-def test_displacement_is_signed_and_follows_its_axis() -> None:
-    before, after = moment(1.0, 2.0), moment(0.75, 2.5)
-    assert rewards.displacement(before, after, "robot", "x").tolist() == [-0.25]
-    assert rewards.displacement(before, after, "robot", "y").tolist() == [0.5]
-
-
 @pytest.mark.parametrize(
     ("start", "end", "expected"),
     [(0.5, 0.4, 0.0), (0.5, 0.3, 0.0), (0.5, 0.25, -0.25), (0.125, 0.25, 0.125), (0.25, 0.5, 0.0)],
@@ -100,19 +84,6 @@ def test_overhang_and_elevation_reach_any_distance() -> None:
     assert observations.elevation(state, "robot", 1, ("ground",))[0].tolist() == [-0.25, -0.5, 0.0]
 
 
-def test_short_of_points_to_the_goal() -> None:
-    assert observations.short_of(moment(1.0, 2.0), "robot", 1.75, 0.5).tolist() == [[0.75, -1.5]]
-
-
-@pytest.mark.parametrize(
-    ("start", "end", "expected"),
-    [(10, 30, 20), (30, 10, -20), (5, 355, -10), (355, 5, 10), (70, 310, 240), (350, 80, -270)],
-)
-def test_turned_goes_on_past_a_full_turn(start: float, end: float, expected: float) -> None:
-    before, after = (Moment(orientation_robot=[radians(angle)]) for angle in (start, end))
-    assert rewards.turned(before, after, "robot").tolist() == pytest.approx([radians(expected)], abs=1e-12)
-
-
 @pytest.mark.parametrize(
     ("x", "start", "end", "expected"),
     [(2.0, 0.7, 0.59, -0.11), (2.0, 0.7, 0.6, 0.0), (2.01, 0.5, 0.45, 0.0), (2.01, 0.5, 0.39, -0.11)],
@@ -120,8 +91,3 @@ def test_turned_goes_on_past_a_full_turn(start: float, end: float, expected: flo
 def test_staged_drop_changes_its_height_beyond_a_place(x, start, end, expected) -> None:
     fallen = rewards.staged_drop(moment(x, start), moment(x, end), "robot", below=0.6, x=2.0, below_beyond=0.4)
     assert fallen.tolist() == pytest.approx([expected], abs=1e-12)
-
-
-@pytest.mark.parametrize(("start", "end", "expected"), [(1.0, 1.5, 0.5), (0.1, -0.2, 0.3), (-0.5, -0.25, -0.25)])
-def test_away_from_start_counts_to_both_sides(start: float, end: float, expected: float) -> None:
-    assert rewards.away_from_start(moment(start), moment(end), "robot").tolist() == pytest.approx([expected])

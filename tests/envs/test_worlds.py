@@ -51,36 +51,6 @@ def test_unreadable_lines_are_refused(line: str) -> None:
         rows("thing", line)
 
 
-# Written down independently of the tasks: rows from the top, as pictures show them.
-GROUND = [[F] * 100]
-STAIRS = [(61, 70), (55, 62), (51, 56), (47, 52), (42, 48), (36, 43), (29, 37), (20, 30), (0, 21)]
-
-
-def literal_world(task: str) -> dict[str, tuple[int, int, list[list[int]]]]:
-    """Objects of a task's world: lower left cell and cells."""
-    if task == "Walker-v0":
-        return {"ground": (0, 0, GROUND)}
-    if task == "Carrier-v0":
-        return {"ground": (0, 0, GROUND), "package": (3, 6, [[S] * 3] * 2)}
-    if task == "Climber-v0":
-        lid = [[F] * 7]
-        return {"pipe": (0, 0, lid + [[F, 0, 0, 0, 0, 0, F]] * 88 + lid)}
-    if task == "UpStepper-v0":
-        steps = [[F if begin <= x < end else 0 for x in range(70)] for begin, end in STAIRS]
-        return {"ground": (0, 0, steps)}
-    raise AssertionError(f"write down the world of {task}")
-
-
-@pytest.mark.parametrize("task", ["Walker-v0", "Carrier-v0", "Climber-v0", "UpStepper-v0"])
-def test_terrain_is_as_written_down(task: str) -> None:
-    expected = literal_world(task)
-    objects = {obj.name: obj for obj in get_task(task).objects}
-    assert objects.keys() == expected.keys()
-    for name, (x, y, cells) in expected.items():
-        assert (objects[name].x, objects[name].y) == (x, y)
-        assert objects[name].grid.tolist() == cells
-
-
 @pytest.mark.parametrize("task", task_ids())
 def test_worlds_have_the_checksums_of_the_reference(task: str) -> None:
     """Place, size and CRC of the cells of every object, as ``tests/parity/record.py --worlds`` has written them."""

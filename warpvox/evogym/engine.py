@@ -37,7 +37,7 @@ class Engine:
         names: objects in their order.
         robots: names of those with actuators.
         time: complete control steps.
-        goals: for every robot float64 ``[actuators]``, goal lengths for the next step. May be written into.
+        goals: for every robot float64 ``[actuators]``, target lengths for the next step. May be written into.
         changes: grows with everything that happens to the points.
 
     Raises:
@@ -138,9 +138,7 @@ class Engine:
 
     def _at(self, time: int) -> tuple[np.ndarray, np.ndarray]:
         if time not in self._past:
-            raise ArgumentError(
-                f"There is no record of the time {time!r}; it must be a whole number, 0 to {self.time}."
-            )
+            raise ArgumentError(f"There is no record of the time {time!r}; it must be an integer, 0 to {self.time}.")
         return self._past[time]
 
     def check(self, name: str) -> None:

@@ -17,9 +17,9 @@ __all__ = ["EvoSim"]
 class EvoSim(Sim):
     """One world, stepped in float64 with the physics of the release.
 
-    It remembers all control steps since the reset: methods with a ``time`` tell about any of them, 0 to
-    :meth:`get_time`. Objects come robots first, then the others, each by name; their points in the order of their
-    cells, row by row from the top.
+    All control steps since the reset are recorded: methods with a ``time`` return any of them, 0 to :meth:`get_time`.
+    Objects come robots first, then the others, each by name; their points in the order of their cells, row by row from
+    the top.
 
     Args:
         world: what there is.
@@ -39,7 +39,7 @@ class EvoSim(Sim):
         self._robot_names = [name for name in self._object_names if self._plan.objects[name].is_robot]
 
     def reset(self) -> None:
-        """Go back to time 0. Goals of actuators stay as they are."""
+        """Go back to time 0. Targets of actuators stay as they are."""
         self.revert(0)
 
     def get_actuator_indices(self, robot_name: str) -> np.ndarray:
@@ -60,7 +60,7 @@ class EvoSim(Sim):
         return len(self.get_actuator_indices(robot_name))
 
     def set_action(self, robot_name: str, action: np.ndarray) -> None:
-        """Set goals of a robot's actuators from the next step on.
+        """Set targets of a robot's actuators from the next step on.
 
         Args:
             robot_name: of the robot.
@@ -80,7 +80,7 @@ class EvoSim(Sim):
         """``[2, points]``: positions of all points, object by object.
 
         Raises:
-            ArgumentError: that time has not been. ArgumentTypeError: it is no whole number.
+            ArgumentError: that time has not been. ArgumentTypeError: it is not an integer.
         """
         self._check_valid_time(time)
         return self._engine.all_positions(time).T / VOXEL
@@ -97,7 +97,7 @@ class EvoSim(Sim):
         """``[2, points]``: positions of an object's points.
 
         Raises:
-            ArgumentError: no such object, or that time has not been. ArgumentTypeError: it is no whole number.
+            ArgumentError: no such object, or that time has not been. ArgumentTypeError: it is not an integer.
         """
         self._check_valid_time(time)
         self._check_valid_object_name(object_name)
@@ -120,7 +120,7 @@ class EvoSim(Sim):
 
     def _check_valid_time(self, time: int) -> None:
         if not isinstance(time, int):
-            raise ArgumentTypeError(f"time must be a whole number, got {time!r} of type {type(time).__name__}.")
+            raise ArgumentTypeError(f"time must be an integer, got {time!r} of type {type(time).__name__}.")
         if not 0 <= time <= self._engine.time:
             raise ArgumentError(f"time must lie between 0 and {self._engine.time}, got {time}.")
 

@@ -80,7 +80,7 @@ class Sim:
         return self.read_object_from_array(grid, connections, robot_name, x, y)
 
     def read_object_from_file(self, file_name: str, object_name: str, x: float, y: float) -> bool:
-        """Add an object from a file of whole numbers: columns, rows, the cells from the top row on, pairs of indices.
+        """Add an object from a file of integers: columns, rows, the cells from the top row on, pairs of indices.
 
         Raises:
             FileNotFoundError: no such file. Otherwise as :meth:`read_object_from_array`.
@@ -123,11 +123,11 @@ class Sim:
         return self._engine.step()
 
     def set_action(self, robot_name: str, action: np.ndarray) -> None:
-        """Set goals of actuators from the next step on; they hold until others are set.
+        """Set targets of actuators from the next step on; they hold until others are set.
 
         Args:
             robot_name: of the robot.
-            action: ``[k, 2]``, the flat index of an actuator's cell and the goal length of its sides in units of
+            action: ``[k, 2]``, the flat index of an actuator's cell and the target length of its sides in units of
                 their rest length (1.0 before anything is set). Not clipped.
 
         Raises:
@@ -142,7 +142,7 @@ class Sim:
         self._engine.goals[robot_name][np.searchsorted(known, action[:, 0])] = action[:, 1]
 
     def revert(self, sim_time: int) -> None:
-        """Go back to a time that has been; what came after it is forgotten. Goals of actuators stay as they are.
+        """Go back to a time that has been; what came after it is forgotten. Targets of actuators stay as they are.
 
         Raises:
             ArgumentError: there is no record of that time.

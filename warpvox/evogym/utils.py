@@ -168,10 +168,10 @@ class Timer:
 
 
 class Pair:
-    """Two whole numbers, x and y, that are added, subtracted, multiplied and divided (rounding down) in parallel.
+    """Two integers, x and y, that are added, subtracted, multiplied and divided (rounding down) in parallel.
 
     Raises:
-        ArgumentTypeError: other than whole numbers.
+        ArgumentTypeError: other than integers.
     """
 
     __slots__ = ("x", "y")
@@ -179,7 +179,7 @@ class Pair:
     def __init__(self, x: int, y: int) -> None:
         for value in (x, y):
             if not isinstance(value, int | np.integer):
-                raise ArgumentTypeError(f"A Pair holds whole numbers, got {value!r} of type {type(value).__name__}.")
+                raise ArgumentTypeError(f"A Pair holds integers, got {value!r} of type {type(value).__name__}.")
         self.x, self.y = int(x), int(y)
 
     def _with(self, other: int | Pair, verb: str, result: Callable[[int, int], int]) -> Pair:

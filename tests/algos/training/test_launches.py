@@ -29,7 +29,7 @@ LOOKS = {("warpvox.simulation", "take"), ("warpvox.algos.training.ppo", "_beyond
 
 def environments(num_envs: int) -> Any:
     env = make_vec("Walker-v0", ["mini"], num_envs, device="cpu", threads=1, lanes=8, max_episode_steps=3)
-    env._may_look = False  # as on CUDA
+    env._on_cpu = False  # as on CUDA
     return env
 
 
@@ -108,7 +108,7 @@ def test_no_step_of_a_population_waits() -> None:
         made = PopulationTraining(
             Arena("Walker-v0", threads=1), bodies, [0, 1], training_preset("fast", {"steps": steps})
         )
-        made.env.env._may_look = False
+        made.env.env._on_cpu = False
         found.append(counted(made.iterate))
     assert waits_of_ours(found[0]) == waits_of_ours(found[1]), "more steps, and as many waits"
 

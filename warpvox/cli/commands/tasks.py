@@ -151,7 +151,7 @@ def _print_task(name: str, keys: dict[str, Any], console: Console) -> None:
     for number, line in enumerate(_ends(task)):
         echo(console, ("ends     " if number == 0 else "         ") + line)
     if task.memory:
-        moved = f"; every episode places {listing(task.scattered)} anew" if task.scattered else ""
+        moved = f"; every episode places {listing(task.randomized)} anew" if task.randomized else ""
         echo(console, f"memory   {listing(memory.name for memory in task.memory)}{moved}")
     if whole.paper:
         other = {"evogym": "rules=paper changes", "paper": "different under rules=evogym"}[keys["rules"]]

@@ -123,8 +123,8 @@ class EvoGymBase(gym.Env):
         """One control step.
 
         Args:
-            action: for robots, by name, ``[actuators]`` goal lengths, clipped to [0.6, 1.6]. A robot that is not named
-                keeps its goals.
+            action: target lengths ``[actuators]`` by the name of the robot, clipped to [0.6, 1.6]. A robot that is not
+                named keeps its targets.
 
         Returns:
             Whether the simulation was stopped by self-folding; the step is then undone.

@@ -98,7 +98,7 @@ class CatchSmallRect(TaskEnv, PackageBase):
         world = super()._make_world(spec, body, connections)
         self.offsetx, self.offsety = self._random.randint(-6, 4), self._random.randint(0, 5)
         places = {obj.name: (obj.x + self.offsetx, obj.y + self.offsety) for obj in spec.objects}
-        for name in spec.scattered:
+        for name in spec.randomized:
             world.move_object(name, *places[name])
         self._made_of = (spec, body, connections)
         return world

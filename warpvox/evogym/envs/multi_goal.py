@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import TaskSpec
-from warpvox.envs.state import State
 from warpvox.evogym.envs.base import BenchmarkBase
 from warpvox.evogym.envs.task import TaskEnv
 from warpvox.evogym.errors import ArgumentError
@@ -125,10 +125,10 @@ class BiWalk(TaskEnv, GoalBase):
         spec = super()._rules()
         return replace(spec, observations=spec.observations[:2], rewards=(), terminations=(), memory=())
 
-    def _observe(self, now: State) -> np.ndarray:
+    def _observe(self, now: Snapshot) -> np.ndarray:
         return np.concatenate([super()._observe(now), [self.current_goal], self.get_obs({_AFTER: self._points()})])
 
-    def _judge(self, before: State, after: State, stopped: bool) -> tuple[float, bool]:
+    def _judge(self, before: Snapshot, after: Snapshot, stopped: bool) -> tuple[float, bool]:
         reward, done = self.get_reward({_BEFORE: self._points(1 - stopped), _AFTER: self._points()})
         return float(reward) + done + stopped * self._spec.unstable_penalty, done or stopped
 

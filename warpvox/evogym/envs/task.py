@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import spaces
 
 from warpvox.envs.registry import get_task
+from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import TaskSpec
-from warpvox.envs.state import State
 from warpvox.evogym.envs.base import BenchmarkBase, EvoGymBase
 from warpvox.evogym.world import EvoWorld, WorldObject
 from warpvox.types import ACTION_HIGH, ACTION_LOW
@@ -24,8 +24,8 @@ _FOLLOWED = ("package", "beam")
 class TaskEnv(BenchmarkBase):
     """A task of the benchmark with the rules of the release. A subclass says which, as ``task``.
 
-    Observations are float64 ``[n]``, actions ``[actuators]``: goal lengths of the actuators, row by row from the top of
-    the body, in units of their rest length. An environment that has ended can be stepped on.
+    Observations are float64 ``[n]``. Actions ``[actuators]`` are target lengths of the actuators, row by row from the
+    top of the body, in units of their rest length. An environment that has ended can be stepped further.
 
     Args:
         body: cells ``[rows, columns]``, row 0 on top; with an actuator.
@@ -75,18 +75,18 @@ class TaskEnv(BenchmarkBase):
         world.add_from_array("robot", body, *spec.robot_cell, connections=connections)
         return world
 
-    def _state(self) -> State:
+    def _state(self) -> Snapshot:
         """The present state; the one of the last step if nothing has happened since."""
         engine = self._sim._engine
         if self._seen != (engine, engine.changes):
             self._seen = engine, engine.changes
-            self._now = State(engine.sensors).remember(self._compared)
+            self._now = Snapshot(engine.sensors).fetch(self._compared)
         return self._now
 
-    def _observe(self, now: State) -> np.ndarray:
+    def _observe(self, now: Snapshot) -> np.ndarray:
         return self._terms.observe(now)
 
-    def _judge(self, before: State, after: State, stopped: bool) -> tuple[float, bool]:
+    def _judge(self, before: Snapshot, after: Snapshot, stopped: bool) -> tuple[float, bool]:
         """Reward of a step, and whether the episode has ended with it."""
         terms, ended = self._terms.judge(before, after, stopped)
         return sum(terms.values()), ended

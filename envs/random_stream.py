@@ -1,4 +1,4 @@
-"""Random whole numbers for the episodes of many environments, drawn where the environments are."""
+"""Random integers for the episodes of many environments, on their device."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 
 from warpvox.errors import TaskError
 
-__all__ = ["Draws"]
+__all__ = ["RandomStream"]
 
 _EPISODE = 1 << 16  # numbers that an episode may draw
 _STEP, _MIX_1, _MIX_2 = (
@@ -17,21 +17,21 @@ _STEP, _MIX_1, _MIX_2 = (
 )
 
 
-class Draws:
-    """A stream of numbers for every environment.
+class RandomStream:
+    """Random integers of every environment, each from a stream of its own.
 
     Stream e begins at a key from numpy's ``SeedSequence(seed)`` spawned for environment e, so it does not depend
     on how many other environments there are. Within a stream numbers are counted (SplitMix64): number n of episode k
-    is a function of the key, k and n alone. No number waits for the host.
+    is a function of the key, k and n alone. Nothing waits for the host.
 
     Args:
         seed: one for all environments; or several, each for an equal block of them that draws as if it were alone.
         num_envs: a multiple of the number of seeds.
-        device: where to draw.
+        device: of the numbers.
 
     Attributes:
-        keys: long ``[num_envs]``, where the streams begin.
-        episode: long ``[num_envs]``, the episode that is being drawn for.
+        keys: long ``[num_envs]``, the beginnings of the streams.
+        episode: long ``[num_envs]``, the number of the episode.
     """
 
     def __init__(self, seed: int | Sequence[int], num_envs: int, device: torch.device | str) -> None:
@@ -40,13 +40,13 @@ class Draws:
         self._count = 0
 
     def begin(self, seed: int | Sequence[int], mask: torch.Tensor | None = None) -> None:
-        """Begin the streams anew, from other seeds; ``mask`` (bool ``[num_envs]``): only these."""
+        """Restart the streams from new seeds; ``mask`` (bool ``[num_envs]``): only these environments."""
         keys = _keys(seed, self.num_envs).to(self.keys.device)
         self.keys.copy_(keys if mask is None else torch.where(mask, keys, self.keys))
         self.episode.masked_fill_(torch.ones_like(keys, dtype=torch.bool) if mask is None else mask, 0)
 
-    def rewind(self) -> Draws:
-        """Begin an episode's numbers; return this object."""
+    def rewind(self) -> RandomStream:
+        """Go back to the first number of the episode; return this object."""
         self._count = 0
         return self
 
@@ -56,7 +56,7 @@ class Draws:
         return len(self.episode)
 
     def zeros(self, count: int) -> torch.Tensor:
-        """long ``[num_envs, count]``: a place for what is not random."""
+        """long ``[num_envs, count]``: zeros, for a memory that does not start at random."""
         return torch.zeros((self.num_envs, count), dtype=torch.long, device=self.episode.device)
 
     def integers(self, low: int, high: int, count: int) -> torch.Tensor:
@@ -66,7 +66,7 @@ class Draws:
             TaskError: no number lies there, or more are asked for than an episode may draw.
         """
         if high <= low:
-            raise TaskError(f"There is no number from {low} to {high - 1} to be drawn: low must be less than high.")
+            raise TaskError(f"There is no number from {low} to {high - 1} to draw: low must be less than high.")
         if not 0 <= count < _EPISODE - self._count:
             raise TaskError(f"An episode may draw {_EPISODE - 1} numbers, got {self._count} and {count} more.")
         place = torch.arange(self._count + 1, self._count + count + 1, device=self.episode.device)
@@ -78,12 +78,12 @@ class Draws:
         return low + _shifted(word, 11) % (high - low)
 
     def cells(self, x: tuple[int, int], y: tuple[int, int]) -> torch.Tensor:
-        """long ``[num_envs, 2]``: a whole number in each of two ranges, ends included."""
+        """long ``[num_envs, 2]``: an integer in each of two ranges, ends included."""
         return torch.cat([self.integers(low, high + 1, 1) for low, high in (x, y)], dim=1)
 
 
 def _keys(seed: int | Sequence[int], num_envs: int) -> torch.Tensor:
-    """Where the streams of ``num_envs`` environments begin, long ``[num_envs]``."""
+    """Keys of the streams of ``num_envs`` environments, long ``[num_envs]``."""
     seeds = list(seed) if isinstance(seed, Sequence) else [seed]
     children = [child for one in seeds for child in np.random.SeedSequence(one).spawn(num_envs // len(seeds))]
     keys = np.array([child.generate_state(1, np.uint64)[0] for child in children], np.uint64)
@@ -91,5 +91,5 @@ def _keys(seed: int | Sequence[int], num_envs: int) -> torch.Tensor:
 
 
 def _shifted(word: torch.Tensor, bits: int) -> torch.Tensor:
-    """Shifted to the right as if it had no sign."""
+    """Logical shift to the right."""
     return (word >> bits) & ((1 << (64 - bits)) - 1)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from warpvox.design import example_design, sample_design
-from warpvox.envs.draws import Draws
+from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.terms import goals
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
@@ -32,7 +32,7 @@ RANDOM = pytest.mark.parametrize("task", ["BidirectionalWalker-v0", "Catcher-v0"
 
 
 def test_numbers_are_uniform_and_in_range() -> None:
-    draws = Draws(3, 500, "cpu")
+    draws = RandomStream(3, 500, "cpu")
     numbers = draws.integers(-6, 5, 100)
     counts = torch.bincount((numbers + 6).flatten())
     assert (int(numbers.min()), int(numbers.max())) == (-6, 4)
@@ -44,14 +44,14 @@ def test_numbers_are_uniform_and_in_range() -> None:
 
 
 def test_a_stream_depends_on_seed_environment_episode_and_place_alone() -> None:
-    many, few = Draws(3, 50, "cpu"), Draws(3, 2, "cpu")
+    many, few = RandomStream(3, 50, "cpu"), RandomStream(3, 2, "cpu")
     assert torch.equal(many.integers(0, 1 << 30, 9)[:2], few.integers(0, 1 << 30, 9))
     few.episode += 1
     later = few.rewind().integers(0, 1 << 30, 9)
     assert not torch.equal(later, many.rewind().integers(0, 1 << 30, 9)[:2])
     parts = torch.cat([few.rewind().integers(0, 1 << 30, 4), few.integers(0, 1 << 30, 5)], dim=1)
     assert torch.equal(later, parts)
-    assert not torch.equal(later, Draws(4, 2, "cpu").integers(0, 1 << 30, 9))
+    assert not torch.equal(later, RandomStream(4, 2, "cpu").integers(0, 1 << 30, 9))
 
 
 @RANDOM
@@ -101,7 +101,7 @@ def test_what_is_drawn_can_be_set() -> None:
 @pytest.mark.parametrize(
     ("task", "memory", "words"),
     [
-        ("Walker-v0", {"goals": [[30]]}, "remembers nothing"),
+        ("Walker-v0", {"goals": [[30]]}, "has no episode state"),
         ("Catcher-v0", {"offsets": [[0, 0]]}, "Did you mean 'offset'"),
         ("Catcher-v0", {"offset": [[0, 0, 0]]}, r"shape \[1, 2\], got \[1, 3\]"),
     ],
@@ -153,7 +153,7 @@ def test_catcher_pegs_stay_where_they_are_and_stop_the_box() -> None:
 
 
 def test_goals_go_on_until_the_way_is_long_enough() -> None:
-    draws = Draws(1, 300, "cpu")
+    draws = RandomStream(1, 300, "cpu")
     lists = goals.draw_goals(draws, 20, 50, start=35, way=100).tolist()
     for row in lists:
         given = [goal for goal in row if goal]

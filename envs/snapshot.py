@@ -1,4 +1,4 @@
-"""What tasks see of the simulation at one moment."""
+"""What terms read: quantities of the simulation at one time."""
 
 from __future__ import annotations
 
@@ -13,27 +13,26 @@ if TYPE_CHECKING:
     from warpvox.envs.spec import Memory
     from warpvox.simulation import Simulation
 
-__all__ = ["Quantity", "State"]
+__all__ = ["Quantity", "Snapshot"]
 
 Quantity = tuple[object, ...]
 """A method of the simulation and its arguments."""
 
 
-class State:
-    """Quantities of all environments, asked from the simulator on first use and kept from then on.
+class Snapshot:
+    """Quantities of all environments at one time, computed on first use and cached.
 
-    It must be read while the simulator stands at the moment it is about: what was not asked for in time is
-    lost. :attr:`quantities` says what has been asked for, so that a state that rewards will need as their
-    "before" can be filled with :meth:`remember` in time.
+    What terms will need must be read before the simulation steps on: :meth:`fetch` reads the quantities that rewards
+    will ask of the state before the next step; :attr:`quantities` lists what has been read.
 
     Lengths are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step
     lasts 30 x 1e-4 by default), angles in radians. Without ``copies`` terms must not write into the tensors.
 
     Args:
-        sim: the simulation that stands at this moment.
-        memory: what the environments remember of their episodes, by name.
+        sim: the simulation, or another object with its sensing methods.
+        memory: the task's episode state, by name.
         values: quantities that are known already.
-        copies: hand out copies, so that what a term does to them is nobody else's affair.
+        copies: return copies, which terms may write to.
     """
 
     def __init__(
@@ -50,18 +49,18 @@ class State:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """What has been asked for."""
+        """The quantities read so far."""
         return tuple(self._values)
 
-    def remember(self, quantities: Iterable[Quantity]) -> State:
-        """Ask for ``quantities`` of another state now; return this state."""
+    def fetch(self, quantities: Iterable[Quantity]) -> Snapshot:
+        """Read ``quantities`` now; return this object."""
         for quantity in quantities:
             self._ask(*quantity)
         return self
 
     @property
-    def remembered(self) -> Mapping[str, Tensor]:
-        """What the environments remember of their episodes, by name."""
+    def memory_values(self) -> Mapping[str, Tensor]:
+        """The task's episode state, by name."""
         return self._memory
 
     def value(self, quantity: Quantity) -> Tensor:
@@ -69,7 +68,7 @@ class State:
         return self._values[quantity]
 
     def update(self, memories: Iterable[Memory]) -> dict[str, Tensor]:
-        """Update what this state remembers, one memory after the other; return all of it."""
+        """Update the episode state, one memory after the other; return all of it."""
         self._memory = dict(self._memory)
         for memory in memories:
             if memory.update is not None:
@@ -117,7 +116,7 @@ class State:
         return self._ask("hull_area", name)
 
     def memory(self, name: str) -> Tensor:
-        """``[num_envs, ...]``: what the environments remember under this name (the task's ``memory``).
+        """``[num_envs, ...]``: an entry of the task's episode state.
 
         Raises:
             TaskError: the task has no such memory.

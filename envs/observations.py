@@ -1,17 +1,17 @@
-"""How observation terms lie in the rows of an observation, for designs of different sizes."""
+"""The columns of observation terms, for designs of different sizes."""
 
 from __future__ import annotations
 
 import torch
 
+from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import Observation
-from warpvox.envs.state import State
 from warpvox.simulation import Simulation
 
-__all__ = ["Layout"]
+__all__ = ["ObservationLayout"]
 
 
-class Layout:
+class ObservationLayout:
     """Concatenates observation terms; each design's real entries come first, the rest of its row is 0.
 
     Terms with a value for every point are padded to the largest body by the simulator, x and y apart. A
@@ -23,7 +23,7 @@ class Layout:
         columns: for every distinct design of the simulation, where each term lies: ``{term name: slice}``.
     """
 
-    def __init__(self, terms: tuple[Observation, ...], sim: Simulation, state: State) -> None:
+    def __init__(self, terms: tuple[Observation, ...], sim: Simulation, state: Snapshot) -> None:
         self._terms, self._sim, self._dtype = terms, sim, sim.dtype
         self._values = [term(state) for term in terms]
         self._gather: torch.Tensor | None = None
@@ -31,7 +31,7 @@ class Layout:
         self.refresh()
 
     def refresh(self) -> None:
-        """Look again at how large the designs of the simulation are."""
+        """Read the sizes of the designs again, after they have changed."""
         sim, terms = self._sim, self._terms
         real = [self._real_columns(term, value, sim) for term, value in zip(terms, self._values, strict=True)]
         counts = torch.stack([mask.sum(1) for mask in real], dim=1)  # [designs, terms]
@@ -65,7 +65,7 @@ class Layout:
             return torch.cat([points, points], dim=1)
         return torch.ones((sim.num_designs, value.shape[1]), dtype=torch.bool)
 
-    def observe(self, state: State) -> torch.Tensor:
+    def observe(self, state: Snapshot) -> torch.Tensor:
         """A fresh tensor ``[num_envs, num_obs]`` in the simulation's dtype."""
         parts = [term(state).flatten(1).to(self._dtype) for term in self._terms]
         if self._gather is None:

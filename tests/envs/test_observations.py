@@ -6,9 +6,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from warpvox.envs.layout import Layout
+from warpvox.envs.observations import ObservationLayout
+from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import observes
-from warpvox.envs.state import State
 from warpvox.envs.terms.observations import orientation, shape, velocity
 
 TERMS = {
@@ -26,13 +26,13 @@ TERMS = {
 def test_real_entries_come_first_and_equal_those_of_the_design_alone(puppet, points, names) -> None:
     terms = tuple(TERMS[name] for name in names)
     sim = puppet(points, objects=("package",))
-    layout = Layout(terms, sim, State(sim))
-    rows = layout.observe(State(sim))
+    layout = ObservationLayout(terms, sim, Snapshot(sim))
+    rows = layout.observe(Snapshot(sim))
     assert tuple(rows.shape) == (len(points), layout.num_obs)
     for design, count in enumerate(points):
         alone = []
         for name, term in zip(names, terms, strict=True):
-            value = term(State(sim))[design]
+            value = term(Snapshot(sim))[design]
             alone.append(value[:, : count if name == "shape" else 4].flatten() if value.ndim == 2 else value)
             assert torch.equal(rows[design, layout.columns[design][term.name]], alone[-1])
         expected = torch.cat(alone)
@@ -43,8 +43,8 @@ def test_real_entries_come_first_and_equal_those_of_the_design_alone(puppet, poi
 
 def test_every_observation_is_a_fresh_tensor(puppet) -> None:
     sim = puppet([4, 6])
-    layout = Layout((TERMS["shape"],), sim, State(sim))
-    state = State(sim)
+    layout = ObservationLayout((TERMS["shape"],), sim, Snapshot(sim))
+    state = Snapshot(sim)
     first = layout.observe(state)
     first.fill_(7.0)
     assert not (layout.observe(state) == 7.0).any()
@@ -52,4 +52,6 @@ def test_every_observation_is_a_fresh_tensor(puppet) -> None:
 
 def test_the_dtype_is_that_of_the_simulation(puppet) -> None:
     sim = puppet([4, 6], dtype=torch.float32)
-    assert Layout(tuple(TERMS.values())[:2], sim, State(sim)).observe(State(sim)).dtype == torch.float32
+    assert (
+        ObservationLayout(tuple(TERMS.values())[:2], sim, Snapshot(sim)).observe(Snapshot(sim)).dtype == torch.float32
+    )
