@@ -39,7 +39,7 @@ class Lane:
         """Number of a point or of its leader."""
         return self.number[row // 4 * 4 + int(self.meshes.leader[0, row, self.lane])]
 
-    def terminates(self, spring: int) -> tuple[int, ...]:
+    def ends(self, spring: int) -> tuple[int, ...]:
         return tuple(sorted(self.point(int(row)) for row in self.meshes.ends[0, spring]))
 
     def springs(self) -> list[tuple]:
