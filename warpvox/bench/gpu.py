@@ -16,7 +16,7 @@ from warpvox.bench import gpu_checks, gpu_rates
 from warpvox.bench.kernels import compile_seconds
 from warpvox.bench.machine import machine
 from warpvox.bench.progress import Progress
-from warpvox.bench.report import Report, number
+from warpvox.bench.report import Report
 from warpvox.envs.registry import get_task, task_ids
 
 __all__ = ["Size", "run"]
@@ -49,9 +49,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     about = {"suite": config.suite, "machine": machine(config.device), "task": config.task, "device": config.device}
     progress = Progress(report, about, config.seconds)
     for name, part in _parts(config, size, progress).items():
-        if progress.time_for(name):
-            with progress.part(name):
-                part()
+        progress.run(name, part)
     return {"task": config.task, "device": config.device} | progress.close()
 
 
@@ -62,45 +60,24 @@ def _parts(config: Any, size: Size, progress: Progress) -> dict[str, Callable[[]
     rest = [task for task in wanted if task not in first]
     report, exact = progress.report, "float64"
 
-    def kept(name: str, part: Callable[[], Any]) -> Callable[[], None]:
-        def do() -> None:
-            progress.figures[name] = part()
-
-        return do
-
-    checks = {
+    parts = {
         "correctness": lambda: gpu_checks.trajectories(config, progress, "correctness", first, config.dtype),
-        "determinism": kept("determinism", lambda: gpu_checks.determinism(config, report, size.checked)),
-        "independence": kept("independence", lambda: gpu_checks.independence(config, report, size.checked)),
-        "graph": kept("graph", lambda: gpu_checks.graph(config, report, size.checked)),
-    }
-    figures = {
+        "determinism": lambda: gpu_checks.determinism(config, report, size.checked),
+        "independence": lambda: gpu_checks.independence(config, report, size.checked),
+        "graph": lambda: gpu_checks.graph(config, report, size.checked),
         "sizes": lambda: gpu_rates.sizes(config, progress, size.envs, size.blocks, False),
         "stages": lambda: gpu_rates.stages(config, progress, size.tasks),
         "bodies": lambda: gpu_rates.bodies(config, progress, size.bodies, size.sides),
         "training": lambda: gpu_rates.training(config, progress, size.training, size.designs),
         "learning": lambda: gpu_rates.learning(config, progress),
-    }
-    if config.device != "cpu":
-        figures["sizes, graph"] = lambda: gpu_rates.sizes(config, progress, size.envs, (), True)
-    long = {
+        "sizes, graph": lambda: gpu_rates.sizes(config, progress, size.envs, (), True),
         "double": lambda: gpu_checks.trajectories(config, progress, "double", first, exact),
         "other tasks": lambda: gpu_checks.trajectories(config, progress, "other tasks", rest, config.dtype),
         "tasks": lambda: gpu_rates.tasks(config, progress, wanted, size.tasks),
-        "recordings": kept("recordings", lambda: gpu_checks.recordings(config, report, progress.left)),
+        "recordings": lambda: gpu_checks.recordings(config, report, progress.left),
         "other tasks, double": lambda: gpu_checks.trajectories(config, progress, "other tasks, double", rest, exact),
-        "compilation": kept("compilation", lambda: _compilation(config, report)),
+        "compilation": lambda: compile_seconds(config, report) if config.compile else {},
     }
-    parts = checks | figures | long
-    return {name: part for name, part in parts.items() if rest or not name.startswith("other")}
-
-
-def _compilation(config: Any, report: Report) -> dict[str, float]:
-    if not config.compile:
-        return {}
-    seconds = compile_seconds(config)
-    report.note(
-        f"First run: {number(seconds['first'])} s of CPU time until the first control step,"
-        f" {number(seconds['cached'])} s with the kernels in the cache."
-    )
-    return seconds
+    left_out = {"sizes, graph"} if config.device == "cpu" else set()
+    left_out |= set() if rest else {"other tasks", "other tasks, double"}
+    return {name: part for name, part in parts.items() if name not in left_out}

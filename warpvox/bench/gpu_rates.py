@@ -24,12 +24,9 @@ __all__ = ["bodies", "learning", "predicted", "sizes", "stages", "tasks", "train
 
 KERNEL = "16 threads an environment"
 """The kernel whose predictions stand beside measurements."""
-PREDICTED: dict[str, dict[int, tuple[float, float]]] = {
-    KERNEL: {4096: (3.2e6, 6.4e6), 16384: (3.6e6, 7.3e6), 65536: (4.1e6, 8.2e6)},
-    "one thread an environment": {4096: (0.15e6, 0.25e6), 16384: (0.6e6, 0.9e6), 65536: (1.1e6, 1.9e6)},
-}
-"""Control steps per second of the physics, Walker-v0 in float32 on an H100 or H200: least and most, by kernel and count
-of environments; the arithmetic is in docs/performance.md."""
+PREDICTED = {4096: (3.2, 6.4), 16384: (3.6, 7.3), 65536: (4.1, 8.2)}
+"""Million control steps per second of its physics by number of environments, least and most: Walker-v0 in float32 on an
+H100 or H200; the arithmetic is in docs/performance.md."""
 LAUNCHES = 3
 LEARNING_SECONDS = 60.0
 """What learning may take at the most."""
@@ -37,12 +34,11 @@ POPULATION_STEPS = 16
 """Control steps of an iteration of the population's training that is timed."""
 
 
-def predicted(task: str, dtype: str, num_envs: int, kernel: str = KERNEL) -> str:
-    """``0.600 to 0.900 M``, or ``-`` for what was not predicted."""
-    found = PREDICTED.get(kernel, {}).get(num_envs)
-    if found is None or (task, dtype) != ("Walker-v0", "float32"):
+def predicted(task: str, dtype: str, num_envs: int) -> str:
+    """``3.60 to 7.30 M``, or ``-`` for what was not predicted."""
+    if num_envs not in PREDICTED or (task, dtype) != ("Walker-v0", "float32"):
         return "-"
-    return f"{number(found[0] / 1e6)} to {number(found[1] / 1e6)} M"
+    return " to ".join(map(number, PREDICTED[num_envs])) + " M"
 
 
 def _runner(config: Any, count: int, task: str | None = None, bodies: Any = None, **options: Any) -> Runner:
@@ -63,9 +59,12 @@ def sizes(config: Any, progress: Progress, counts: tuple[int, ...], blocks: tupl
     part, needed = "sizes, graph" if graph else "sizes", 0.0
     rows, kernels = [], []
     for count in counts:
-        if not progress.time_for(f"{part}: {count:,} environments") or not _fits(config, progress, count, needed):
+        if not progress.time_for(f"{part}: {count:,} environments"):
             continue
         before = available_memory(config.device)
+        if count * needed > before:
+            progress.report.note(f"{count:,} environments need {count * needed / 2**30:.1f} GiB: left out.")
+            continue
         runner = _runner(config, count, cuda_graph=graph)
         taken, needed = before - available_memory(config.device), per_environment(runner.env)
         physics = {} if graph or runner.env.sim.layout == "lanes" else {KERNEL: _physics(runner)}
@@ -86,14 +85,6 @@ def sizes(config: Any, progress: Progress, counts: tuple[int, ...], blocks: tupl
         f"{config.task}, control steps per second, {config.dtype}, {config.device}{launched}; predicted for {KERNEL}"
     )
     progress.report.table(title, ["environments", *kernels, "predicted", "step only"], rows)
-
-
-def _fits(config: Any, progress: Progress, count: int, needed: float) -> bool:
-    """Whether environments of ``needed`` bytes each fit into what is free; a note says it if they do not."""
-    fits = count * needed <= available_memory(config.device)
-    if not fits:
-        progress.report.note(f"{count:,} environments need {count * needed / 2**30:.1f} GiB: left out.")
-    return fits
 
 
 def _physics(runner: Runner, block: int = BLOCK) -> float:

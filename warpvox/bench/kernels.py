@@ -67,12 +67,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     figures = {"task": config.task, "check_error": runner.error, "stages": stages, "parts": parts, "bytes": memory}
     if config.compile:
         with report.status("compiling all kernels of a control step anew"):
-            figures["compile"] = compile_seconds(config)
-        report.note(
-            f"First run on a machine: {number(figures['compile']['first'])} s of CPU time until the first control step"
-            f" and reset are done, {number(figures['compile']['cached'])} s with the kernels in the cache"
-            " (start of Python and imports included)."
-        )
+            figures["compile"] = compile_seconds(config, report)
     return figures
 
 
@@ -127,7 +122,7 @@ def _launch_seconds(device: str) -> float:
     return middle(times)
 
 
-def compile_seconds(config: Any) -> dict[str, float]:
+def compile_seconds(config: Any, report: Report) -> dict[str, float]:
     """CPU seconds of a fresh process that makes the environments and steps them, without and with cached kernels.
 
     Raises:
@@ -143,7 +138,12 @@ def compile_seconds(config: Any) -> dict[str, float]:
         "print(env.sim.com('robot').cpu().isfinite().all().item())\n"
     )
     with tempfile.TemporaryDirectory() as folder:
-        return {name: _cpu_seconds(code, folder) for name in ("first", "cached")}
+        seconds = {name: _cpu_seconds(code, folder) for name in ("first", "cached")}
+    report.note(
+        f"First run on a machine: {number(seconds['first'])} s of CPU time until the first control step and reset are"
+        f" done, {number(seconds['cached'])} s with the kernels in the cache (start of Python and imports included)."
+    )
+    return seconds
 
 
 def _cpu_seconds(code: str, cache: str) -> float:

@@ -49,7 +49,14 @@ def run(config: Any, report: Report) -> dict[str, Any]:
             found = measure({batch.name: runner}, config.columns, config.repeats, others)
     alone, drop_in, theirs = (found[name]["step"] for name in others)
     base = middle(theirs)
-    _show(config, report, found, base)
+    rows = []
+    for name, rates in found.items():
+        best = rates.get("step") or next(iter(rates.values()))
+        rows.append([name, *(spread(rates.get(column, [])) for column in config.columns), number(middle(best) / base)])
+    title = f"{config.task}, control steps per {unit(config.device)}: median (least to most)"
+    report.table(title, ["", *(HEADINGS[column] for column in config.columns), "ratio"], rows)
+    if config.device == "cpu":
+        report.note("Rates are per second of CPU time, that is of one core; the ratio is that of the medians.")
     return {
         "task": config.task,
         "check_error": error,
@@ -82,16 +89,3 @@ def _timer(config: Any, env: gymnasium.Env) -> Callable[[], float]:
         return config.steps / (seconds + time.process_time() - began)
 
     return rate
-
-
-def _show(config: Any, report: Report, found: dict[str, dict[str, list[float]]], base: float) -> None:
-    rows = []
-    for name, rates in found.items():
-        best = rates.get("step") or next(iter(rates.values()))
-        cells = [spread(rates.get(column, [])) for column in config.columns]
-        rows.append([name, *cells, number(middle(best) / base)])
-    headings = ["", *(HEADINGS[column] for column in config.columns), "ratio"]
-    title = f"{config.task}, control steps per {unit(config.device)}: median (least to most)"
-    report.table(title, headings, rows)
-    if config.device == "cpu":
-        report.note("Rates are per second of CPU time, that is of one core; the ratio is that of the medians.")

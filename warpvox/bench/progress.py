@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 from warpvox.bench.report import Report
@@ -40,9 +39,9 @@ class Progress:
         """Seconds that are left; negative when they are over."""
         return self._end - time.perf_counter()
 
-    def time_for(self, what: str, seconds: float = 0.0) -> bool:
-        """Whether so many seconds are left for something; if not, it is noted as left out."""
-        if self.left > seconds:
+    def time_for(self, what: str) -> bool:
+        """Whether time is left for something; if not, it is noted as left out."""
+        if self.left > 0:
             return True
         self.figures["left_out"].append(what)
         return False
@@ -53,18 +52,20 @@ class Progress:
         self.figures.setdefault(part, []).append(values)
         self.save()
 
-    @contextmanager
-    def part(self, name: str) -> Iterator[None]:
-        """Time a part, note how it failed, and save what there is."""
+    def run(self, name: str, part: Callable[[], Any]) -> None:
+        """Do a part if there is time; keep what it returns or how it failed, and its seconds."""
+        if not self.time_for(name):
+            return
         began = time.perf_counter()
         echo(self.report.console, f"\n{name} ({self.left:.0f} s left)")
         try:
-            yield
+            found = part()
+            self.figures |= {} if found is None else {name: found}
         except Exception as error:  # whatever it is, the other parts are worth having
             self.figures["failed"].append(name)
-            self.figures[f"{name}, error"] = {"error": f"{type(error).__name__}: {error}"}
-            self.figures[f"{name}, error"]["traceback"] = traceback.format_exc()
-            self.report.note(f"FAILED, {name}: {type(error).__name__}: {error}")
+            text = f"{type(error).__name__}: {error}"
+            self.figures[f"{name}, error"] = {"error": text, "traceback": traceback.format_exc()}
+            self.report.note(f"FAILED, {name}: {text}")
         finally:  # an interrupt, too
             self.figures["seconds"][name] = round(time.perf_counter() - began, 1)
             self.save()

@@ -91,14 +91,9 @@ def find_python310() -> Path | None:
 
 
 def _candidates() -> Iterator[Path]:
-    yield Path(sys.executable)
-    for name in ("python3.10", "python3", "python"):
-        found = shutil.which(name)
-        if found:
-            yield Path(found)
-    roots = [os.environ.get("PYENV_ROOT"), Path.home() / ".pyenv"]
-    for root in filter(None, roots):
-        yield from sorted(Path(root).glob("versions/3.10*/bin/python"))
+    on_path = map(shutil.which, ("python3.10", "python3", "python"))
+    yield from map(Path, [sys.executable, *filter(None, on_path)])
+    yield from sorted(Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob("versions/3.10*/bin/python"))
     yield from sorted(Path.home().glob(".local/share/uv/python/cpython-3.10*/bin/python3.10"))
 
 

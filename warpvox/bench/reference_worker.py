@@ -39,22 +39,16 @@ def main():
 
 def start(task, body):
     """Make the environment; returns it and the versions."""
-    import evogym
-    import evogym.envs
+    from importlib.metadata import version
+
+    import evogym.envs  # noqa: F401  (registers)
     import gymnasium
     import numpy
 
     gymnasium.logger.min_level = 50
     env = gymnasium.make(task, body=numpy.array(body, dtype=float), disable_env_checker=True)
     env.reset()
-    return env, {"python": sys.version.split()[0], "evogym": version("evogym"), "module": evogym.__name__}
-
-
-def version(package):
-    """The installed version of a package."""
-    from importlib.metadata import version as installed
-
-    return installed(package)
+    return env, {"python": sys.version.split()[0], "evogym": version("evogym")}
 
 
 def check(env, actions):

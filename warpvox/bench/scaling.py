@@ -84,7 +84,7 @@ def _one_size(config: Any, scaling: Any, side: int, reference: Reference | None)
     }
     theirs: list[float] = []
     for body in bodies:
-        one = Runner(config, Case("one robot", config.task, [body], 1), checked=False)
+        one = Runner(config, Case("one robot", config.task, [body], 1))
         one.fit()
         row["one"].append(one.rate("step", steps))
         one.check_finite()
