@@ -6,9 +6,11 @@ import dataclasses
 from importlib.resources import files
 from typing import Any
 
-import yaml
+from hydra import compose
+from omegaconf import OmegaConf
 
-from warpvox.algos.settings import PpoConfig, TrainingConfig
+from warpvox.algos.settings import TrainingConfig
+from warpvox.configs.composition import opened
 from warpvox.errors import ConfigError, did_you_mean, listing
 
 __all__ = ["training_preset"]
@@ -24,11 +26,10 @@ def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any
     names = sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml"))
     if name not in names:
         raise ConfigError(f"training must be one of {listing(names)}; got {name!r}.{did_you_mean(name, names)}")
-    values = yaml.safe_load((folder / f"{name}.yaml").read_text(encoding="utf-8"))
-    inner = values.pop("ppo")
-    for schema, given in ((TrainingConfig, changes), (PpoConfig, ppo or {})):
-        known = [item.name for item in dataclasses.fields(schema)]
+    with opened():
+        preset = OmegaConf.to_object(compose("codesign", [f"training={name}"]).training)
+    for settings, given in ((preset, changes), (preset.ppo, ppo or {})):
         for key in given:
-            if key not in known:
-                raise ConfigError(f"Training has no setting {key!r}.{did_you_mean(key, known)}")
-    return TrainingConfig(**(values | changes), ppo=PpoConfig(**(inner | (ppo or {}))))
+            if key not in vars(settings):
+                raise ConfigError(f"Training has no setting {key!r}.{did_you_mean(key, vars(settings))}")
+    return dataclasses.replace(preset, **changes, ppo=dataclasses.replace(preset.ppo, **ppo or {}))

@@ -145,7 +145,7 @@ def _words(key: str, value: Any) -> Iterator[str]:
 
 def _literal(value: Any, key: str, top: bool = False) -> str:
     """A value as the command line reads it."""
-    from warpvox.cli.hydra_parts import quoted
+    from warpvox.configs.composition import quoted
 
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()

@@ -19,9 +19,10 @@ from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.cli.config_file import read_config_file
 from warpvox.cli.help import flat_keys, presets_of
-from warpvox.cli.hydra_parts import CFG, INFO, is_plugin_key, one_line, opened
+from warpvox.cli.hydra_parts import CFG, INFO, is_plugin_key, one_line
 from warpvox.cli.quoting import as_list, parse, readable
 from warpvox.cli.trust import allow_code
+from warpvox.configs.composition import opened
 from warpvox.configs.schema import COMMANDS, GROUPS, PRESET
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values

@@ -16,7 +16,7 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 
 from warpvox.cli.help import Key
-from warpvox.cli.hydra_parts import quoted
+from warpvox.configs.composition import quoted
 
 __all__ = ["as_list", "is_list", "parse", "readable"]
 

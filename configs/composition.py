@@ -1,0 +1,50 @@
+"""Hydra on the YAML files and schemas of this package."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from hydra import initialize_config_module
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.types import Quote, QuotedString
+from omegaconf import OmegaConf
+
+from warpvox.configs.paper import design_of, shape_of
+from warpvox.configs.schema import COMMANDS
+
+__all__ = ["opened", "quoted"]
+
+
+@contextmanager
+def opened(config_dir: Path | None = None) -> Iterator[tuple[Any, list[str]]]:
+    """Hydra on our configurations, and the overrides that add a folder of the user's own."""
+    _register()
+    search = [f"hydra.searchpath=[{quoted(f'file://{config_dir}')}]"] if config_dir else []
+    shared = GlobalHydra.instance()
+    outer = shared.hydra  # a launcher that makes runs in this process has opened one
+    shared.clear()
+    try:
+        with initialize_config_module("warpvox.configs", version_base="1.3"):
+            yield shared.hydra, search
+    finally:
+        shared.hydra = outer
+
+
+def quoted(text: str) -> str:
+    """A text in quotes that Hydra reads as that text."""
+    return QuotedString(text=text, quote=Quote.single).with_quotes()
+
+
+@functools.cache
+def _register() -> None:
+    """Make the schemas known to Hydra; once, because it takes as long as a small command."""
+    store = ConfigStore.instance()
+    for command, schema in COMMANDS.items():
+        store.store(name=f"{command}_schema", node=schema)
+    for name, resolver in {"paper_shape": shape_of, "paper_design": design_of}.items():
+        OmegaConf.register_new_resolver(name, resolver, replace=True)
