@@ -15,11 +15,12 @@ from warpvox.cli import COMMANDS
 from warpvox.cli.config import Arguments, expand, load, parse_overrides, read_arguments, to_yaml
 from warpvox.cli.help import command_help, flat_values
 from warpvox.cli.hydra_parts import multirun, show
+from warpvox.cli.runs import check_output
 from warpvox.cli.sweep import Sweep, attempt, member_of, members
 from warpvox.errors import RunError
 from warpvox.io.writing import write_text
 
-__all__ = ["run_command"]
+__all__ = ["prepared", "run_command"]
 
 Prepare = Callable[[Any, list[str], "Path | None"], Any]
 Do = Callable[[Any, Console], "Path | None"]
@@ -63,18 +64,24 @@ def run_command(
         _run_here(command, arguments, do, prepare, check)
 
 
+def prepared(command: str, overrides: list[str], config_dir: Path | None, prepare: Prepare) -> Any:
+    """What the ``do`` of a command gets for a run with these overrides."""
+    config = load(command, overrides, config_dir)
+    check_output(config)
+    return prepare(config, overrides, config_dir)
+
+
 def _run_here(command: str, arguments: Arguments, do: Do, prepare: Prepare, check: Callable | None) -> None:
     """Make the runs one after another in this process."""
     runs, console = members(arguments, command), Console()
-    configs = [load(command, run.overrides, arguments.config_dir) for run in runs]
-    pairs = zip(configs, runs, strict=True)
-    jobs = [prepare(config, run.overrides, arguments.config_dir) for config, run in pairs]
+    jobs = [prepared(command, run.overrides, arguments.config_dir, prepare) for run in runs]
     if len(jobs) == 1:
         do(jobs[0], console)
         return
     for job in jobs if check else []:  # a mistake in the last of a hundred runs should not show after a day
         check(job)
-    with Sweep(command, console, configs[0].output_dir, len(jobs)) as sweep:
+    config = load(command, runs[0].overrides, arguments.config_dir)
+    with Sweep(command, console, config.output_dir, len(jobs)) as sweep:
         for number, (run, job) in enumerate(zip(runs, jobs, strict=True), start=1):
             sweep.rows.append({"run": number})
             attempt(sweep.rows[-1], run, functools.partial(do, job, console), console, f" of {len(jobs)}")
@@ -109,7 +116,7 @@ def _run_there(
     words, row, console = [*fixed, *hydra.overrides.task], {"run": hydra.job.num + 1}, Console()
 
     def make() -> Path | None:
-        return do(prepare(load(command, words, config_dir), words, config_dir), console)
+        return do(prepared(command, words, config_dir, prepare), console)
 
     try:
         attempt(row, member_of(words, fixed), make, console)

@@ -22,7 +22,6 @@ from warpvox.algos.report import FILE as REPORT
 from warpvox.algos.report import write_report
 from warpvox.cli.bodies import body_rows
 from warpvox.cli.console import echo
-from warpvox.cli.provenance import provenance
 from warpvox.cli.runs import SUMMARY, write_summary
 from warpvox.view.body_picture import write_bodies
 
@@ -86,7 +85,6 @@ class Results:
             "search": self.config.search.algorithm,
             "status": status,
             "seed": self.config.seed,
-            **provenance(),
             "evaluations": self.archive.trained(),
             "generations": sum(row["evaluated"] == row["designs"] for row in rows),
             "steps": steps,

@@ -18,13 +18,15 @@ from typing import Any
 from warpvox.algos.codesign.archive import FILE as ARCHIVE
 from warpvox.algos.codesign.archive import Archive
 from warpvox.cli.plain_yaml import LARGEST_CONFIG, parse_yaml
+from warpvox.cli.provenance import provenance
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.reading import Unreadable, read_text
-from warpvox.io.writing import MARK, claimed, complaint, sweep, write_text
+from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
 
 __all__ = [
     "Run",
     "as_name",
+    "check_output",
     "find_codesign",
     "find_run",
     "find_runs",
@@ -257,6 +259,13 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
         raise
 
 
+def check_output(config: Any) -> None:
+    """Raise an error unless a command can write its folder: its name is valid, and there is room for it."""
+    check_name(getattr(config, "name", None))
+    if not any(getattr(config, key, None) for key in ("resume", "report")) and hasattr(config, "name"):
+        check_writable(config.output_dir)
+
+
 def check_name(name: str | None) -> None:
     """Raise ConfigError unless ``name`` can end the name of a folder."""
     if name and not NAME.fullmatch(name):
@@ -326,5 +335,5 @@ def is_summed_up(folder: Path) -> bool:
 
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
-    """Write ``summary.json``."""
-    write_text(folder / SUMMARY, json.dumps(content, indent=2) + "\n", make_folders=False)
+    """Write ``summary.json``: ``content``, and which version of the program has made it."""
+    write_text(folder / SUMMARY, json.dumps(content | provenance(), indent=2) + "\n", make_folders=False)

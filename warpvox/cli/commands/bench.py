@@ -15,9 +15,8 @@ from rich.console import Console
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
 from warpvox.cli.console import echo
-from warpvox.cli.runs import check_name, new_folder, write_summary
+from warpvox.cli.runs import new_folder, write_summary
 from warpvox.errors import SimulationError, listing
-from warpvox.io.writing import check_writable
 
 __all__ = ["run"]
 
@@ -33,8 +32,6 @@ def measure(config: Any, console: Console) -> Path:
     Raises:
         WarpvoxError: something asked for does not exist, or a result is wrong.
     """
-    check_name(config.name)
-    check_writable(config.output_dir)
     with console.status("preparing"):
         from warpvox.bench.machine import machine, machine_line
         from warpvox.bench.report import Document, Report

@@ -24,7 +24,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.console import echo, shell_argument
-from warpvox.cli.runs import CONFIG, SUMMARY, check_name, find_codesign, going_on, new_folder
+from warpvox.cli.runs import CONFIG, SUMMARY, find_codesign, going_on, new_folder
 from warpvox.cli.trust import STORED, again, as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
@@ -79,11 +79,9 @@ def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | No
     Raises:
         ConfigError, RunError: what is wrong with it.
     """
-    check_name(config.name)
     if config.report is not None:
         return Job(config)
     if config.resume is None:
-        check_writable(config.output_dir)
         job = Job(config)
     else:
         source = find_codesign(config.resume, config.output_dir)

@@ -12,11 +12,10 @@ from warpvox.cli.commands.play import print_returns
 from warpvox.cli.commands.train import Job, train
 from warpvox.cli.console import echo
 from warpvox.cli.exports import ROLLOUT, check_formats, load_run, record_run, write_exports
-from warpvox.cli.runs import check_name, find_run
+from warpvox.cli.runs import find_run
 from warpvox.configs.schema import DemoConfig, PlayConfig
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError
-from warpvox.io.writing import check_writable
 
 __all__ = ["demo", "run"]
 
@@ -34,8 +33,6 @@ def demo(config: DemoConfig, console: Console) -> Path:
     """
     if config.resume is not None:
         raise ConfigError("A demo starts anew; go on with it by `warpvox train resume=FOLDER`.")
-    check_name(config.name)
-    check_writable(config.output_dir)
     formats = check_formats(config.export, "export") if config.export else []
     folder = train(Job(config), console, "demo")
     _show(folder, config, formats, console)

@@ -19,14 +19,13 @@ from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
 from warpvox.cli.console import echo, literal
 from warpvox.cli.exports import draws_at_random, load_run
-from warpvox.cli.provenance import provenance
 from warpvox.cli.run_groups import Group, group_runs
-from warpvox.cli.runs import Run, as_name, check_name, find_runs, new_folder, write_summary
+from warpvox.cli.runs import Run, as_name, find_runs, new_folder, write_summary
 from warpvox.cli.trust import STORED
 from warpvox.configs.schema import EvaluateConfig, PlayConfig
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError
-from warpvox.io.writing import check_writable, write_text
+from warpvox.io.writing import write_text
 
 if TYPE_CHECKING:
     from warpvox.algos.evaluate import Evaluation
@@ -66,8 +65,6 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     Raises:
         WarpvoxError: a run that does not exist or cannot be evaluated as asked; nothing is written then.
     """
-    check_name(config.name)
-    check_writable(config.output_dir)
     if config.task is not None and not (config.task == STORED or is_code(config.task)):
         raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
     found = find_runs(config.runs, config.output_dir)
@@ -186,7 +183,7 @@ def _write(folder: Path, judged: list[Judged], every: dict[int, list[float]], co
     facts = {"command": "evaluate", "checkpoint": config.checkpoint, "stochastic": config.stochastic}
     facts |= {"episodes": config.episodes, "seed": config.seed, "level": config.level, "interval": "Student t, Welch"}
     facts["mean_return"] = sum(values) / len(values)
-    write_summary(folder, facts | provenance() | {"runs": runs, "groups": groups, "comparisons": pairs})
+    write_summary(folder, facts | {"runs": runs, "groups": groups, "comparisons": pairs})
 
 
 def _row(interval: Interval, name: str = "mean") -> dict[str, Any]:

@@ -13,11 +13,9 @@ from warpvox.cli.commands.play import play_run, write_results
 from warpvox.cli.config import to_yaml
 from warpvox.cli.console import echo
 from warpvox.cli.exports import check_formats, check_size
-from warpvox.cli.provenance import provenance
-from warpvox.cli.runs import as_name, check_name, new_folder, write_summary
+from warpvox.cli.runs import as_name, new_folder, write_summary
 from warpvox.configs.schema import EXPORTS, POLICY_EXPORTS
 from warpvox.errors import ConfigError
-from warpvox.io.writing import check_writable
 
 if TYPE_CHECKING:
     from warpvox.algos.checkpoints.policy import Policy
@@ -35,8 +33,6 @@ def _export(config: Any, console: Console) -> Path:
     pictures = [name for name in formats if name in EXPORTS]
     programs = [name for name in formats if name in POLICY_EXPORTS]
     check_size(config.size)
-    check_name(config.name)
-    check_writable(config.output_dir)
     if config.rollout is not None:
         if programs:
             raise ConfigError(f"format={programs[0]} writes the policy of a run; a rollout holds none.")
@@ -69,7 +65,7 @@ def _export_policy(policy: Policy, config: Any, formats: list[str], console: Con
     with new_folder(config.output_dir, "export", place, config.name, to_yaml(config)) as folder:
         checks = _write_policy(policy, folder, formats, console)
         summary = {"command": "export", "task": policy.metadata.get("task"), "source": policy.metadata.get("source")}
-        write_summary(folder, summary | provenance() | {"checks": checks})
+        write_summary(folder, summary | {"checks": checks})
     return folder
 
 

@@ -24,13 +24,11 @@ from warpvox.cli.exports import (
     write_exports,
 )
 from warpvox.cli.playback import play_in_window, wants_window
-from warpvox.cli.provenance import provenance
-from warpvox.cli.runs import as_name, check_name, find_run, new_folder, write_summary
+from warpvox.cli.runs import as_name, find_run, new_folder, write_summary
 from warpvox.cli.trust import STORED
 from warpvox.configs.schema import PlayConfig
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, listing
-from warpvox.io.writing import check_writable
 
 if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
@@ -58,8 +56,6 @@ def play(config: PlayConfig, console: Console) -> Path:
     formats = ([] if in_window else ["html"]) if config.export is None else config.export
     formats = check_formats(formats, "export") if formats else []
     size = check_size(config.size)
-    check_name(config.name)
-    check_writable(config.output_dir)
     if config.rollout is not None:
         rollout, source = stored_rollout(config)
         config = dataclasses.replace(config, run="", record=False)
@@ -156,7 +152,6 @@ def summary_of(rollout: Rollout, command: str, source: str) -> dict[str, Any]:
         "command": command,
         "task": rollout.title,
         "source": source,
-        **provenance(),
         "seed": rollout.metadata.get("seed"),
         "mean_return": float(returns.mean()),
         "returns": [float(value) for value in returns],

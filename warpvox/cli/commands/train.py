@@ -12,16 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from warpvox.cli.application import run_command
+from warpvox.cli.application import prepared, run_command
 from warpvox.cli.config import load, to_yaml
 from warpvox.cli.console import echo, shell_argument
 from warpvox.cli.help import flat_values
-from warpvox.cli.provenance import provenance
 from warpvox.cli.runs import (
     STATE,
     TRAINING,
     Run,
-    check_name,
     find_run,
     going_on,
     is_summed_up,
@@ -83,9 +81,9 @@ def _check(job: Job) -> None:
     resolve(job.config)
 
 
-def make_job(overrides: list[str], config_dir: Path | None = None) -> Job:
-    """A run from its overrides alone; see :func:`_prepare`."""
-    return _prepare(load("train", overrides, config_dir), overrides, config_dir)
+def make_job(overrides: list[str]) -> Job:
+    """A run from its overrides; see :func:`_prepare`."""
+    return prepared("train", overrides, None, _prepare)
 
 
 def _prepare(config: TrainConfig, overrides: list[str], config_dir: Path | None) -> Job:
@@ -94,9 +92,7 @@ def _prepare(config: TrainConfig, overrides: list[str], config_dir: Path | None)
     Raises:
         ConfigError, RunError: what is wrong with it.
     """
-    check_name(config.name)
     if config.resume is None:
-        check_writable(config.output_dir)
         return Job(config)
     source = find_run(config.resume, config.output_dir, TRAINING, resume=True)
     check_writable(source.folder)
@@ -296,7 +292,7 @@ def _learn(runner: Any, console: Console, folder: Path, command: str, config: Tr
                 "seed": config.seed,
                 "design": config.design,
             }
-            summary |= provenance() | runner.summary()
+            summary |= runner.summary()
             summary["steps_per_second"] = round((runner.steps - started_at) / seconds, 1)
             # a run that has failed may have failed because nothing can be written; that is what should be told
             with suppress(StorageError) if status == "failed" else nullcontext():
