@@ -27,7 +27,7 @@ PROGRESS = {
 def candidate_seed(seed: int, number: int) -> int:
     """The seed of candidate ``number`` in an experiment with ``seed``: all that its training draws follows from it.
 
-    A whole number of 63 bits, which torch, numpy and SQLite can hold alike.
+    An integer of 63 bits, which torch, numpy and SQLite can hold alike.
     """
     return int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0] >> np.uint64(1))
 

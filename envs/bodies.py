@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from warpvox.checks import check_shape
 from warpvox.design import Design, load_design
 from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.worlds import task_team
@@ -63,7 +64,4 @@ def check_grid(grid: object) -> tuple[int, int] | None:
     """
     if grid is None:
         return None
-    sizes = list(grid) if isinstance(grid, Sequence) and not isinstance(grid, str) else []
-    if len(sizes) != 2 or not all(isinstance(n, int) and not isinstance(n, bool) and n >= 1 for n in sizes):
-        raise ConfigError(f"grid must be two integers >= 1, (rows, columns), got {grid!r:.80}.")
-    return tuple(sizes)
+    return check_shape("grid", grid)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from warpvox.checks import check_integer
 from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
 from warpvox.envs.bodies import check_grid, load_connections, load_designs, one_body
@@ -30,7 +31,7 @@ from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, did_you_mean, known_arguments, listing
 from warpvox.simulation import Simulation
-from warpvox.types import Physics, is_integer
+from warpvox.types import Physics
 
 __all__ = ["VoxelVecEnv", "make_vec", "one_body"]
 
@@ -104,10 +105,10 @@ def make_vec(
     """
     spec, guard = get_task(task).under(rules), check_guard(nan_guard)
     if max_episode_steps is not None:
-        spec = replace(spec, max_episode_steps=_whole("max_episode_steps", max_episode_steps))
+        spec = replace(spec, max_episode_steps=check_integer("max_episode_steps", max_episode_steps, 1))
     designs, connections = one_body(body, designs, connections)
     bodies = load_designs(spec, designs)
-    count = _whole("num_envs", num_envs)
+    count = check_integer("num_envs", num_envs, 1)
     if count % len(bodies):
         below = count - count % len(bodies)
         near = f"{below} or {below + len(bodies)}" if below else f"{len(bodies)}"
@@ -251,7 +252,7 @@ class VoxelVecEnv:
 
     @max_episode_steps.setter
     def max_episode_steps(self, steps: int) -> None:
-        self._limit = _whole("max_episode_steps", steps)
+        self._limit = check_integer("max_episode_steps", steps, 1)
         self.episodes.limit.fill_(self._limit)
 
     @property
@@ -584,11 +585,4 @@ def _check_seeds(seed: int | Sequence[int], designs: int, num_envs: int) -> None
             f" got {len(seed)}."
         )
     for one in seed if several else [seed]:
-        if not is_integer(one) or one < 0:
-            raise ConfigError(f"seed must be an integer >= 0, got {one!r:.80}.")
-
-
-def _whole(name: str, value: object) -> int:
-    if not is_integer(value) or value < 1:
-        raise ConfigError(f"{name} must be an integer >= 1, got {value!r:.80}.")
-    return int(value)
+        check_integer("seed", one, 0)

@@ -27,7 +27,7 @@ DIAGONAL = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 
 
 class HashSet:
-    """A set of whole numbers that is gone through in the order of libstdc++'s ``unordered_set<int>``.
+    """A set of integers that is gone through in the order of libstdc++'s ``unordered_set<int>``.
 
     A number comes to the front of its bucket (itself modulo the count of buckets), a new bucket to the front of all;
     a full table puts its numbers, in their order, into a larger one.

@@ -15,6 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from warpvox.checks import check_shape
 from warpvox.errors import DesignError, did_you_mean, listing
 from warpvox.examples import EXAMPLES
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_npy, read_text
@@ -57,7 +58,7 @@ _FILE_SUFFIXES = (".json", ".npz", ".npy")
 def check_design(body: object) -> Design:
     """Return ``body`` as a fresh int8 array ``[rows, columns]`` if it is a valid robot.
 
-    Accepts an array or nested lists; floating-point entries are fine as long as they are whole numbers.
+    Accepts an array or nested lists; floating-point entries are fine as long as they are integers.
 
     Raises:
         DesignError: not two-dimensional, empty, too large (:data:`LARGEST_BODY`), an unknown cell type (with its
@@ -205,7 +206,7 @@ def sample_design(
     Raises:
         DesignError: a bad shape, seed or weights, or weights under which no valid body turns up.
     """
-    rows, columns = _check_shape(shape)
+    rows, columns = check_shape("shape", shape, DesignError)
     if rows * columns > LARGEST_BODY:
         raise DesignError(f"The shape {rows}x{columns} is too large: a body has at most {LARGEST_BODY:,} cells.")
     weights = _check_weights(SAMPLING_WEIGHTS if probabilities is None else probabilities)
@@ -379,17 +380,6 @@ def _parse_size(text: str) -> tuple[int, int]:
     if match is None:
         raise DesignError(f"Cannot read the size in '{_shorten(text)}': expected random:ROWSxCOLUMNS, e.g. random:5x7.")
     return int(match[1]), int(match[2])
-
-
-def _check_shape(shape: object) -> tuple[int, int]:
-    try:
-        rows, columns = (int(n) for n in shape)  # type: ignore[attr-defined]
-        whole = (rows, columns) == tuple(shape)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
-        whole = False
-    if not whole or rows < 1 or columns < 1:
-        raise DesignError(f"The shape must be two whole numbers (rows, columns) >= 1, got {shape!r}.")
-    return rows, columns
 
 
 def _check_weights(weights: Sequence[float]) -> np.ndarray:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
-from numbers import Integral
 
+from warpvox.checks import is_number
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["ACTION_HIGH", "ACTION_LOW", "AXES", "DT", "SIGHT", "SUBSTEPS", "VOXEL", "Cell", "Physics", "is_integer"]
+__all__ = ["ACTION_HIGH", "ACTION_LOW", "AXES", "DT", "SIGHT", "SUBSTEPS", "VOXEL", "Cell", "Physics"]
 
 VOXEL = 0.1
 """Side of a voxel in simulator units."""
@@ -24,11 +24,6 @@ DT = 1.0e-4
 nominal 1500 Hz."""
 ACTION_LOW, ACTION_HIGH = 0.6, 1.6
 """Bounds of an action: the goal length of an actuator's sides in units of their rest length."""
-
-
-def is_integer(value: object) -> bool:
-    """Whether a value is an integer of Python or numpy; ``True`` is none."""
-    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 class Cell(IntEnum):
@@ -150,14 +145,10 @@ _RANGES = {
 def _check_constant(name: str, value: object) -> None:
     kind = "an integer" if name == "substeps" else "a finite number"
     low, high = _RANGES.get(name, (0.0, math.inf))
-    valid = _is_number(value) and low <= value <= high
+    valid = is_number(value) and low <= value <= high
     if not valid or (name == "substeps" and not isinstance(value, int)):
         limits = f"from {low:g} to {high:g}" if name in _RANGES else ">= 0"
         raise ConfigError(f"physics.{name} must be {kind} {limits}, got {value!r:.80}.")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 _TABLE_1 = dict(

@@ -16,11 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from warpvox.checks import check_integer, is_integer
 from warpvox.design import LARGEST_GRID, as_grid, full_connections
 from warpvox.errors import WorldError, did_you_mean, listing
 from warpvox.io.reading import Missing, Unreadable, parse_json, read_text
 from warpvox.io.writing import write_text
-from warpvox.types import Cell, is_integer
+from warpvox.types import Cell
 
 __all__ = ["World", "WorldObject"]
 
@@ -137,8 +138,7 @@ class World:
 
     def __init__(self, width: int = 1, height: int = 1) -> None:
         for value, what in ((width, "width"), (height, "height")):
-            if not is_integer(value) or value < 1:
-                raise WorldError(f"The {what} of a world must be a whole number >= 1, got {value!r}.")
+            check_integer(f"The {what} of a world", value, 1, error=WorldError)
         _check_size(int(width), int(height))
         self.width = int(width)
         self.height = int(height)
@@ -334,7 +334,7 @@ def _is_writable(text: str) -> bool:
 
 def _check_position(name: str, x: object, y: object) -> tuple[int, int]:
     if not is_integer(x) or not is_integer(y):
-        raise WorldError(f"The position of '{name}' must be two whole numbers of cells, got ({x!r}, {y!r}).")
+        raise WorldError(f"The position of '{name}' must be two integers, in cells, got ({x!r}, {y!r}).")
     if x < 0 or y < 0:  # type: ignore[operator]
         raise WorldError(f"The position of '{name}' must not be negative, got ({x}, {y}).")
     return int(x), int(y)  # type: ignore[call-overload]
@@ -379,10 +379,8 @@ def _parse_world(source: object) -> tuple[int, int, list[WorldObject]]:
     if missing:
         raise WorldError(f"{origin} is not a world: it lacks {listing(missing)}.")
     width, height, objects = data["grid_width"], data["grid_height"], data["objects"]
-    if not is_integer(width) or not is_integer(height) or width < 1 or height < 1:
-        raise WorldError(
-            f"{origin}: grid_width and grid_height must be whole numbers >= 1, got {width!r:.80}, {height!r:.80}."
-        )
+    for name in ("grid_width", "grid_height"):
+        check_integer(f"{origin}: {name}", data[name], 1, error=WorldError)
     try:
         _check_size(int(width), int(height))
     except WorldError as error:
@@ -444,7 +442,7 @@ def _object_from_json(name: str, entry: object, world_width: int, world_height: 
     known = all(is_integer(index) and 0 <= index < size for index in indices)
     if not known or len(set(indices)) < len(indices):
         raise WorldError(
-            f"the indices of the object '{name}' must be different whole numbers from 0 to {size - 1}"
+            f"the indices of the object '{name}' must be different integers from 0 to {size - 1}"
             " (grid_width x grid_height - 1)."
         )
     columns = [index % world_width for index in indices]

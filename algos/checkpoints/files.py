@@ -182,7 +182,7 @@ def check_spec(spec: PolicySpec, weights: object) -> None:
     """Raise ValueError unless a network as ``spec`` describes it could have ``weights``, before it takes memory."""
     sizes = [spec.num_obs, *(spec.hidden if isinstance(spec.hidden, list) else [None]), spec.num_actions]
     if not all(type(size) is int and 0 < size <= WIDEST for size in sizes):
-        raise ValueError(f"sizes must be whole numbers from 1 to {WIDEST}, got {sizes!r:.100}")
+        raise ValueError(f"sizes must be integers from 1 to {WIDEST}, got {sizes!r:.100}")
     scale = spec.action_scale
     if type(scale) not in (int, float) or not math.isfinite(scale):
         raise ValueError(f"action_scale must be a finite number, got {scale!r:.100}")
@@ -210,7 +210,7 @@ def _check_voxels(spec: PolicySpec, weights: dict[str, torch.Tensor]) -> None:
     if given.keys() != {"network", "settings", "layout"} or not isinstance(layout, dict):
         raise ValueError(f"a policy for voxels has network, settings and layout, got {given!r:.100}")
     if not all(type(size) is int and 0 <= size <= WIDEST for size in layout.values()):
-        raise ValueError(f"sizes of a layout are whole numbers up to {WIDEST}, got {layout!r:.100}")
+        raise ValueError(f"sizes of a layout are integers up to {WIDEST}, got {layout!r:.100}")
     layout = VoxelLayout(**layout)
     if (layout.num_obs, layout.actions) != (spec.num_obs, spec.num_actions):
         raise ValueError("the layout is that of other observations or actions")

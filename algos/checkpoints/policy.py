@@ -178,7 +178,7 @@ def _weights(spec: PolicySpec, given: Any) -> dict[str, torch.Tensor]:
         raise ValueError("it has no weights")
     sizes = [spec.num_obs, *(spec.hidden if isinstance(spec.hidden, list) else [None]), spec.num_actions]
     if not all(type(size) is int and size > 0 for size in sizes):
-        raise ValueError(f"sizes must be whole numbers, got {sizes!r:.100}")
+        raise ValueError(f"sizes must be integers, got {sizes!r:.100}")
     weights: dict[str, torch.Tensor] = {}
     shapes = {} if spec.voxels is None else _voxel_shapes(spec)
     for name, value in given.items():

@@ -12,6 +12,7 @@ import numpy as np
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.bodies import MAX_VOXELS, body_key, count_valid, first_valid, mutate
 from warpvox.algos.search.settings import SearchSettings
+from warpvox.checks import check_integer, check_shape
 from warpvox.design import check_design, draw_bodies
 from warpvox.errors import ConfigError, DesignError, SearchError
 
@@ -64,7 +65,7 @@ class BaseSearch(ABC):
     """
 
     def __init__(self, settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
-        self.settings, self.shape, self.seed = settings, _check_shape(shape), _check_seed(seed)
+        self.settings, self.shape, self.seed = settings, check_shape("shape", shape), check_integer("seed", seed, 0)
         _check_room(self.shape, settings.max_evaluations)
         self.generation = 0
         self.bodies: list[np.ndarray] = []
@@ -247,19 +248,6 @@ def _check_same(told: Sequence[Candidate], asked: Sequence[Candidate]) -> None:
             f"The history is not of this search: generation {generation} holds other designs than these settings and"
             " this seed propose. It comes from other settings, another seed or another version."
         )
-
-
-def _check_shape(shape: tuple[int, int]) -> tuple[int, int]:
-    whole = isinstance(shape, (tuple, list)) and all(isinstance(n, int) and n > 0 for n in shape)
-    if not whole or len(shape) != 2:
-        raise ConfigError(f"The shape must be two whole numbers (rows, columns) >= 1, got {shape!r}.")
-    return shape[0], shape[1]
-
-
-def _check_seed(seed: int) -> int:
-    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise ConfigError(f"The seed must be a whole number >= 0, got {seed!r}.")
-    return seed
 
 
 def _check_room(shape: tuple[int, int], evaluations: int) -> None:

@@ -180,7 +180,7 @@ def _as_tuple(value: Any) -> Any:
 
 
 def _check_types(settings: SearchSettings) -> None:
-    """Whole numbers where whole numbers are meant: a generation of 2.5 designs must not get as far as a search."""
+    """Integers where integers are meant: a generation of 2.5 designs must not get as far as a search."""
     hints = typing.get_type_hints(type(settings))
     for item in dataclasses.fields(settings):
         value, hint = getattr(settings, item.name), hints[item.name]
@@ -189,5 +189,5 @@ def _check_types(settings: SearchSettings) -> None:
         if float in allowed:
             allowed = (*allowed, int)
         if not isinstance(value, allowed) or (isinstance(value, bool) and bool not in allowed):
-            words = {int: "a whole number", float: "a number", str: "text", tuple: "a list of names"}
+            words = {int: "an integer", float: "a number", str: "text", tuple: "a list of names"}
             raise ConfigError(f"{item.name} must be {words[allowed[0]]}, got {value!r}.")

@@ -132,7 +132,7 @@ def test_time_runs_as_fast_as_asked_for(tmp_path: Path) -> None:
             assert image.n_frames == counts[-1][1]
     assert {total for _, total in counts} == {100, 20, 1}
     for write in (write_gif, write_mp4):
-        with pytest.raises(RolloutError, match="every must be a whole number"):
+        with pytest.raises(RolloutError, match="every must be an integer"):
             write(rollout, tmp_path / "film.mp4", every=0)
 
 

@@ -11,9 +11,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from PIL import Image, ImageDraw
 
+from warpvox.checks import check_integer, is_integer
 from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path
-from warpvox.types import VOXEL, is_integer
+from warpvox.types import VOXEL
 from warpvox.view.gif import write_pictures
 from warpvox.view.painter import INK, Painter, font
 from warpvox.view.rollout import FRAME_SECONDS, Rollout
@@ -324,8 +325,7 @@ def write_mp4(
 
 def _frames(rollout: Rollout, fps: float, start: int, stop: int | None, every: int, most: float) -> list[int]:
     """Frames of the rollout to show, so that time runs as in the simulation, or ``every`` times as fast."""
-    if not is_integer(every) or every < 1:
-        raise RolloutError(f"every must be a whole number >= 1, got {every!r}.")
+    check_integer("every", every, 1, error=RolloutError)
     if not 1 <= fps <= most:
         raise RolloutError(f"fps must lie in 1 to {most:g}, got {fps!r}.")
     if stop is None:

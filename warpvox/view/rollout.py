@@ -35,10 +35,11 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.checks import check_integer, is_integer
 from warpvox.errors import ConfigError, RolloutError, did_you_mean, listing
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
-from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, is_integer
+from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 from warpvox.view.scene import Scene, check_scene, scene_from_json, scene_of, scene_to_json, stretch
 
 __all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "points_of", "record", "scenes_of"]
@@ -241,8 +242,8 @@ def record(
     """
     import torch
 
-    if num_steps is not None and not (is_integer(num_steps) and num_steps >= 1):
-        raise ConfigError(f"num_steps must be a whole number >= 1 or None, got {num_steps!r}.")
+    if num_steps is not None:
+        check_integer("num_steps (or None)", num_steps, 1)
     act = _agent(policy, env) if isinstance(policy, str) else policy
     scenes, gather = scenes_of(env.sim)
     limit = env.max_episode_steps if num_steps is None else min(int(num_steps), env.max_episode_steps)

@@ -201,7 +201,7 @@ def _text(value: object) -> str:
 def _whole(value: object) -> int:
     # int() would take "7", 7.9 and True without a word
     if type(value) is not int or not 0 <= value < 2**31:
-        raise TypeError(f"expected a whole number from 0 on, got {value!r:.80}")
+        raise TypeError(f"expected an integer from 0 on, got {value!r:.80}")
     return value
 
 

@@ -23,10 +23,11 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.checks import check_integer
 from warpvox.devices.out_of_memory import free_memory
 from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path
-from warpvox.types import VOXEL, Cell, is_integer
+from warpvox.types import VOXEL, Cell
 from warpvox.view.palette import RAMPS, colour_index, palette
 from warpvox.view.rollout import FRAME_SECONDS, Rollout
 
@@ -69,8 +70,7 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         raise RolloutError(f"A USD file ends in .usdc, .usd or .usda, got {str(path)!r}.")
-    if not is_integer(stride) or stride < 1:
-        raise RolloutError(f"stride must be a whole number >= 1, got {stride!r}.")
+    check_integer("stride", stride, 1, error=RolloutError)
     chosen = [rollout.check_env(env) for env in (range(rollout.num_envs) if envs is None else envs)]
     if not chosen:
         raise RolloutError("No environment was chosen to be written.")

@@ -242,13 +242,13 @@ def test_a_history_without_its_beginning_is_refused(algorithm: str) -> None:
 
 @pytest.mark.parametrize("shape", [(5,), (0, 5), (5, 5.0), "55", 5])
 def test_bad_shapes_are_told(shape: object) -> None:
-    with pytest.raises(ConfigError, match="two whole numbers"):
+    with pytest.raises(ConfigError, match="two integers"):
         fresh("ga", shape)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("seed", [-1, 0.5, None, True])
 def test_bad_seeds_are_told(seed: object) -> None:
-    with pytest.raises(ConfigError, match="seed must be a whole number >= 0"):
+    with pytest.raises(ConfigError, match="seed must be an integer >= 0"):
         fresh("ga", seed=seed)  # type: ignore[arg-type]
 
 

@@ -28,9 +28,10 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.checks import check_integer
 from warpvox.errors import RolloutError
 from warpvox.io.writing import write_text
-from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, is_integer
+from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 from warpvox.view.palette import CELL_NAMES, RAMPS
 from warpvox.view.rollout import FRAME_SECONDS, Rollout
 from warpvox.view.scene import Scene
@@ -184,8 +185,7 @@ def _thinned_rewards(rollout: Rollout, env: int, every: int) -> np.ndarray:
 
 def _check_length(rollout: Rollout, envs: list[int], every: int) -> None:
     """Raise RolloutError if a browser could not hold the page."""
-    if not is_integer(every) or every < 1:
-        raise RolloutError(f"every must be a whole number >= 1, got {every!r}.")
+    check_integer("every", every, 1, error=RolloutError)
     points = sum(rollout.scene(env).num_points for env in envs)
     numbers = 2 * points * len(range(0, rollout.num_frames, every))
     if numbers > MOST_NUMBERS:
