@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 import warpvox as wv
-from warpvox.cli import consent
+from warpvox.cli import trust
 from warpvox.cli.config import load
 from warpvox.errors import ConfigError
 from warpvox.view.rollout import Rollout
@@ -335,7 +335,7 @@ def test_a_cluster_that_a_file_names_is_not_connected_to(warpvox: Callable) -> N
 def test_large_files_stay_where_they_are(
     train: Callable, warpvox: Callable, own_task: str, monkeypatch: pytest.MonkeyPatch, capfd: Any
 ) -> None:
-    monkeypatch.setattr(consent, "LARGEST_FILE", 100_000)
+    monkeypatch.setattr(trust, "LARGEST_FILE", 100_000)
     np.save("mine/table.npy", np.zeros(20_000))
     Path("mine/own.py").write_text(OWN + "import numpy\nTABLE = numpy.load(Path(__file__).with_name('table.npy'))\n")
     run = train(f"task={own_task}", "max_iterations=1")

@@ -1,6 +1,6 @@
 """Scenes as pictures: camera, terrain, voxels; of a rollout, or of anything that gives positions.
 
-Everything that does not move is painted once, as a wide sprite from which each frame is cut: an integer
+Everything that does not move is painted once, as a wide sprite from which each frame is cut: an integer number
 of pixels to a voxel and a camera that moves by whole pixels keep terrain and grid sharp without any
 filtering. Only the boxes around moving objects are painted larger and scaled down, which is what makes their
 edges smooth.
