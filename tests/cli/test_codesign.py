@@ -27,7 +27,7 @@ from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.search import settings_from
-from warpvox.cli.bodies import body_rows
+from warpvox.cli.cell_text import body_rows
 from warpvox.cli.codesign_progress import Results, SearchProgress
 from warpvox.cli.commands.codesign import _archive, resolve
 from warpvox.cli.config import load

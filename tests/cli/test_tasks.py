@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
-from warpvox.cli.terrain import GLYPHS, LOWER, UPPER, print_world
+from warpvox.cli.cell_text import GLYPHS, LOWER, UPPER, print_world
 from warpvox.design import example_design
 from warpvox.envs.about import UNITS, about_of
 from warpvox.envs.registry import get_task, task_ids

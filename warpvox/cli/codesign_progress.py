@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -20,9 +19,10 @@ from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.report import FILE as REPORT
 from warpvox.algos.report import write_report
-from warpvox.cli.bodies import body_rows
-from warpvox.cli.console import echo
-from warpvox.cli.runs import SUMMARY, write_summary
+from warpvox.checks import is_number
+from warpvox.cli.cell_text import body_rows
+from warpvox.cli.console import duration, echo, figure
+from warpvox.cli.runs import read_summary, write_summary
 from warpvox.view.body_picture import write_bodies
 
 __all__ = ["Results", "SearchProgress"]
@@ -49,13 +49,8 @@ class Results:
     def __init__(self, folder: Path, archive: Archive, config: Any) -> None:
         self.folder, self.archive, self.config = folder, archive, config
         self.search = NAMES.get(config.search.algorithm, config.search.algorithm)
-        self._began, self._before = time.monotonic(), self._elapsed_before()
-
-    def _elapsed_before(self) -> float:
-        try:
-            return float(json.loads((self.folder / SUMMARY).read_text(encoding="utf-8"))["elapsed_seconds"])
-        except (OSError, ValueError, KeyError, TypeError):
-            return 0.0
+        before = read_summary(folder).get("elapsed_seconds")
+        self._began, self._before = time.monotonic(), before if is_number(before) else 0.0
 
     @property
     def elapsed(self) -> float:
@@ -231,15 +226,15 @@ class SearchProgress(Listener):
             for value, training in zip(event["best"], event["training"], strict=True)
         )
         diverged = f", {lost} diverged" if lost else ""
-        return f"iteration {iteration}, {going} in training{diverged}, best of them {_figure(best)}"
+        return f"iteration {iteration}, {going} in training{diverged}, best of them {figure(best)}"
 
     def _show(self) -> None:
         if self._live is None:
             return
         best = self.archive.best()
-        figures = f"{self.archive.trained()}/{self.total}  best {_figure(best[0].fitness if best else math.nan)}  "
+        figures = f"{self.archive.trained()}/{self.total}  best {figure(best[0].fitness if best else math.nan)}  "
         rows = [row for row in self.archive.generations() if row["evaluated"]]
-        figures += f"mean {_figure(rows[-1]['mean'] if rows else math.nan)}  {self._figures()}"
+        figures += f"mean {figure(rows[-1]['mean'] if rows else math.nan)}  {self._figures()}"
         self._progress.update(
             self._line, completed=self.done, description=f"generation {self._generation}", figures=figures
         )
@@ -266,13 +261,3 @@ class _Training:
     @property
     def steps(self) -> int:
         return self.event["steps"] - self.first
-
-
-def duration(seconds: float) -> str:
-    """Hours, minutes and seconds."""
-    minutes, seconds = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"
-
-
-def _figure(value: float) -> str:
-    return f"{value:.3f}" if math.isfinite(value) else "-"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
@@ -18,7 +17,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.cli.config_file import read_config_file
-from warpvox.cli.help import flat_keys, presets_of
+from warpvox.cli.help import flat_keys, options_of, presets_of
 from warpvox.cli.hydra_parts import CFG, INFO, is_plugin_key, one_line
 from warpvox.cli.quoting import as_list, parse, readable
 from warpvox.cli.trust import allow_code
@@ -278,7 +277,7 @@ def _check_override(override: Override, command: str, scratch: Any, config_dir: 
     """
     key, value, given = override.key_or_group, override.value(), override.get_value_string()
     if key in GROUPS or (key == PRESET and value is not None):
-        options = sorted(_options(key, config_dir) if key in GROUPS else presets_of(command, config_dir))
+        options = options_of(key, config_dir) if key in GROUPS else list(presets_of(command, config_dir))
         if value not in options:
             more = f" Single values are set by {key}.NAME=VALUE." if key in GROUPS else ""
             null = "" if key in GROUPS else " or null"
@@ -294,9 +293,3 @@ def _check_override(override: Override, command: str, scratch: Any, config_dir: 
         if "Unsupported interpolation" in str(error):
             expected = "a plain value"
         raise ConfigError(f"{key} must be {expected}{optional}, got '{given}'.") from None
-
-
-def _options(group: str, config_dir: Path | None) -> Iterator[str]:
-    for folder in [files("warpvox.configs") / group, *([config_dir / group] if config_dir else [])]:
-        if folder.is_dir():
-            yield from (item.name[:-5] for item in folder.iterdir() if item.name.endswith(".yaml"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 import unicodedata
@@ -10,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-__all__ = ["echo", "escaped", "literal", "shell_argument"]
+__all__ = ["duration", "echo", "escaped", "figure", "literal", "shell_argument"]
 
 CONTROL = {"Cc", "Cs", "Zl", "Zp"}
 """Unicode's categories of control characters, halves of characters, and ends of lines and paragraphs."""
@@ -37,6 +38,17 @@ def literal(text: object, style: str = "") -> Text:
 def shell_argument(key: str, path: str | os.PathLike[str]) -> str:
     """``KEY=PATH`` as it can be pasted into a shell, whatever the current folder is and whatever the path contains."""
     return shlex.quote(f"{key}={Path(path).absolute()}")
+
+
+def duration(seconds: float) -> str:
+    """Hours, minutes and seconds."""
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"
+
+
+def figure(value: float, digits: int = 3) -> str:
+    """A number with so many decimals; a dash if there is none."""
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
 def _obeyed(character: str) -> bool:

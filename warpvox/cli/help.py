@@ -16,7 +16,7 @@ from warpvox.keys import MISSING
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-__all__ = ["Row", "command_help", "flat_keys", "flat_values", "help_rows", "presets_of"]
+__all__ = ["Row", "command_help", "flat_keys", "flat_values", "help_rows", "options_of", "presets_of"]
 
 OPTIONS = """\
 options:
@@ -55,6 +55,13 @@ def flat_keys(schema: type, prefix: str = "") -> Iterator[tuple[str, Key]]:
             yield from flat_keys(type(default), name + ".")
 
 
+def options_of(group: str, config_dir: Path | None = None) -> list[str]:
+    """The names of the YAML files of a group, those in a folder of the user's own among them."""
+    folders = [files("warpvox.configs") / group, *([config_dir / group] if config_dir else [])]
+    found = (file.name for folder in folders if folder.is_dir() for file in folder.iterdir())
+    return sorted({name.removesuffix(".yaml") for name in found if name.endswith(".yaml")})
+
+
 def presets_of(command: str, config_dir: Path | None = None) -> dict[str, Traversable]:
     """The YAML files of the presets that a command has, by name; those in a folder of the user's own go before ours."""
     folders = [files("warpvox.configs") / PRESET, *([config_dir / PRESET] if config_dir else [])]
@@ -64,10 +71,11 @@ def presets_of(command: str, config_dir: Path | None = None) -> dict[str, Traver
 
 
 def flat_values(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested values by their dotted keys."""
+    """Nested values by their dotted keys; a design is one value, also if it is a mapping."""
     found = {}
     for name, value in values.items():
-        found |= flat_values(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+        nested = isinstance(value, dict) and name != "design"
+        found |= flat_values(value, f"{prefix}{name}.") if nested else {prefix + name: value}
     return found
 
 
@@ -85,9 +93,7 @@ def help_rows(command: str, values: dict[str, Any]) -> Iterator[Row]:
     """The keys of a command; ``values``: see :func:`command_help`."""
     for name, key in flat_keys(COMMANDS[command]):
         if name in GROUPS:
-            folder = files("warpvox.configs") / name
-            options = sorted(file.name[:-5] for file in folder.iterdir() if file.name.endswith(".yaml"))
-            yield Row(name, "NAME", f"{key.help}: {', '.join(options)}", is_group=True)
+            yield Row(name, "NAME", f"{key.help}: {', '.join(options_of(name))}", is_group=True)
         elif name == PRESET:
             yield Row(name, "null", f"{key.help}: {', '.join(presets_of(command))}")
         elif not dataclasses.is_dataclass(key.default):

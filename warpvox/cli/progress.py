@@ -15,7 +15,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from warpvox.cli.console import echo
+from warpvox.cli.console import duration, echo, figure
 
 __all__ = ["TrainingProgress"]
 
@@ -84,17 +84,11 @@ class TrainingProgress:
 
     def _figures(self, row: Mapping[str, float]) -> str:
         return (
-            f"{row['steps_per_second']:,.0f} steps/s  return {_figure(self._exploring)}"
-            f"  eval {_figure(self._last_eval)}  best {_figure(row['best_return'])}"
+            f"{row['steps_per_second']:,.0f} steps/s  return {figure(self._exploring, 2)}"
+            f"  eval {figure(self._last_eval, 2)}  best {figure(row['best_return'], 2)}"
             + (f"  unstable {row['unstable']:.0f}" if row["unstable"] else "")
             + (f"  diverged {self._diverged} in all" if self._diverged else "")
         )
 
     def _left(self, iteration: int, now: float) -> str:
-        seconds = (now - self._began) / max(iteration - self._start, 1) * (self.total - iteration)
-        minutes, seconds = divmod(round(seconds), 60)
-        return f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"
-
-
-def _figure(value: float) -> str:
-    return f"{value:.2f}" if math.isfinite(value) else "-"
+        return duration((now - self._began) / max(iteration - self._start, 1) * (self.total - iteration))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from warpvox.cli.config import load
+from warpvox.cli.help import flat_values
 from warpvox.cli.runs import Run
 from warpvox.configs.schema import PPO
 from warpvox.design import example_design, example_designs
@@ -61,18 +62,10 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
 
 def settings(run: Run) -> dict[str, Any]:
     """What a run was made with, by dotted keys, but for what only says where and how it was computed."""
-    flat = _flat(run.config)
+    flat = flat_values(run.config)
     if isinstance(flat.get("device"), str):
         flat["device"] = flat["device"].partition(":")[0]  # which of several GPUs makes no difference
     return {name: value for name, value in flat.items() if name not in NOT_SETTINGS}
-
-
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    found = {}
-    for name, value in values.items():
-        inside = isinstance(value, dict) and name != "design"
-        found |= _flat(value, f"{prefix}{name}.") if inside else {f"{prefix}{name}": value}
-    return found
 
 
 def _labels(groups: list[dict[str, Any]]) -> list[str]:

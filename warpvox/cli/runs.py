@@ -31,9 +31,9 @@ __all__ = [
     "find_run",
     "find_runs",
     "going_on",
-    "is_summed_up",
     "label",
     "new_folder",
+    "read_summary",
     "write_config",
     "write_summary",
 ]
@@ -326,12 +326,13 @@ def _ours(folder: Path) -> Iterator[None]:
             sweep(folder)
 
 
-def is_summed_up(folder: Path) -> bool:
-    """Whether the summary of a run says that it is done; a run that was killed in its last moment has none."""
+def read_summary(folder: Path) -> dict[str, Any]:
+    """What ``summary.json`` says; nothing if there is none, or one that cannot be read."""
     try:
-        return json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["status"] == "done"
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
+        content = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:

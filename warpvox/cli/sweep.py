@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import json
 import re
 import traceback
 from collections.abc import Callable, Collection, Sequence
@@ -20,7 +19,7 @@ from rich.table import Table
 from warpvox.cli.config import Arguments, expand
 from warpvox.cli.console import echo, literal
 from warpvox.cli.quoting import parse
-from warpvox.cli.runs import STAMP, SUMMARY, label
+from warpvox.cli.runs import STAMP, label, read_summary
 from warpvox.errors import RunError, WarpvoxError
 from warpvox.io.writing import write_text
 
@@ -102,7 +101,9 @@ def attempt(
         row |= {"status": "failed", "error": f"{type(error).__name__}: {error}"}
         traceback.print_exc()
     else:
-        row |= {"status": "done", **_figures(folder), "folder": "" if folder is None else str(folder)}
+        summary = {} if folder is None else read_summary(folder)
+        figures = {name: summary[name] for name in FIGURES if summary.get(name) is not None}
+        row |= {"status": "done", **figures, "folder": "" if folder is None else str(folder)}
     finally:
         label.reset(token)
 
@@ -162,15 +163,6 @@ class Sweep:
             table.add_row(*(literal(_shown(row.get(name))) for name in columns))
         self.console.print(table)
         echo(self.console, f"table: {self.file}")
-
-
-def _figures(folder: Path | None) -> dict[str, Any]:
-    """What the summary in ``folder`` says, if there is one."""
-    try:
-        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-        return {name: summary[name] for name in FIGURES if summary.get(name) is not None}
-    except (OSError, ValueError, TypeError, AttributeError):
-        return {}
 
 
 def _shown(value: Any) -> str:

@@ -24,7 +24,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.console import echo, shell_argument
-from warpvox.cli.runs import CONFIG, SUMMARY, find_codesign, going_on, new_folder
+from warpvox.cli.runs import CONFIG, find_codesign, going_on, new_folder
 from warpvox.cli.trust import STORED, again, as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
@@ -367,9 +367,7 @@ def write_again(config: CodesignConfig, console: Console) -> Path:
         results = Results(source.folder, archive, dataclasses.replace(stored, top=config.top))
         for row in archive.generations():
             results.draw(row["generation"])
-        summary = source.folder / SUMMARY
-        known = json.loads(summary.read_text(encoding="utf-8")) if summary.is_file() else {"status": "running"}
-        echo(console, shown(results.report(known)))
+        echo(console, shown(results.report(read_summary(source.folder) or {"status": "running"})))
         write_exports(archive, source.folder, config.export, console)
     return source.folder
 

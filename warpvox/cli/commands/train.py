@@ -22,8 +22,8 @@ from warpvox.cli.runs import (
     Run,
     find_run,
     going_on,
-    is_summed_up,
     new_folder,
+    read_summary,
     write_summary,
 )
 from warpvox.cli.trust import again, as_stored, keep_code
@@ -208,7 +208,7 @@ def _check_left(folder: Path, runner: Any) -> None:
     """
     done, total, goal = runner.current_learning_iteration, runner.schedule.total, runner.schedule.stop_return
     again = f"go on with: warpvox train {shell_argument('resume', folder)}"
-    ended = is_summed_up(folder)
+    ended = read_summary(folder).get("status") == "done"  # a run that was killed in its last moment has no summary
     if done > total or (ended and done == total):
         raise RunError(
             f"The run has already made {done} iterations, and max_iterations={total} asks for no more;"
