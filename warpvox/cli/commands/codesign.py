@@ -24,7 +24,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.console import echo, shell_argument
-from warpvox.cli.runs import CONFIG, find_codesign, going_on, new_folder
+from warpvox.cli.runs import CONFIG, find_codesign, going_on, new_folder, read_summary
 from warpvox.cli.trust import STORED, again, as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
