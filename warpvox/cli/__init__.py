@@ -1,7 +1,8 @@
 """The command line: ``warpvox COMMAND [KEY=VALUE ...]``.
 
 Each command is a module of :mod:`warpvox.cli.commands` with a function ``run``, imported when it is asked for, so that
-help and mistakes are answered at once; the modules beside this one are what commands share. Nothing else imports Hydra.
+help and mistakes are answered at once; the modules beside this one are what commands share. Only they and
+:mod:`warpvox.configs` import Hydra.
 
 Exit codes: 0 done, 2 bad usage, bad input or a machine that will not (one line on stderr), 130 interrupted by Ctrl-C,
 143 asked to end (SIGTERM), 129 its terminal was closed (SIGHUP).
