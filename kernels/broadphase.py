@@ -2,8 +2,8 @@
 
 Candidates are collected with a margin and stay valid until the fastest point has moved half of it, so this runs
 every few dozen sub-steps. The list is common to the lanes of a unit, in ascending order, hence the order of
-contact forces does not depend on who else is in the pack. Few mobile voxels are compared all with all (vectorised
-over the lanes, that is the fastest); many go through a hashed grid, lane by lane. Voxels that stand still are looked
+contact forces does not depend on who else is in the pack. Few movable voxels are compared all with all (vectorised
+over the lanes, that is the fastest); many go through a hashed grid, lane by lane. Fixed voxels are looked
 up on the lattice of the terrain. All ways give the same candidates: a bit each, then a list.
 """
 
@@ -13,37 +13,37 @@ from warpvox.kernels.kit import Kit, builder
 from warpvox.kernels.state import FARTHEST
 from warpvox.types import VOXEL
 
-GRID_FROM = 64  # mobile voxels from which the grid is used ...
+GRID_FROM = 64  # movable voxels from which the grid is used ...
 WIDE_GRID_FROM = 256  # ... where comparing boxes serves many lanes at once
 SLOT = 0.2  # size of a grid cell: a voxel with its margin covers 1 to 4 cells
 ENTRIES_PER_VOXEL = 9  # capacity; a voxel cannot be stretched over more cells than 3 x 3
 WIDE_HULL = 2.0  # lanes that are further apart are looked at one by one
-TORN = 5.0  # a voxel wider than this has exploded: its environment is lost, and its cells are too many to visit
+TOO_WIDE = 5.0  # a wider voxel has exploded: its environment is lost, and its cells are too many to visit
 
 
 @builder
 def boxes(kit: Kit):
     """Stage: bounds of the surface voxels that may have moved."""
-    return kit.stage("native/voxel_boxes.h", precision="float64", mobile=1)
+    return kit.stage("native/voxel_boxes.h", precision="float64", movable=1)
 
 
 @builder
-def boxes_meet(kit: Kit):
+def boxes_overlap(kit: Kit):
     """Function: the lanes in which the boxes of row i of a table and row j of another overlap or touch."""
 
-    @kit.func_native("native/boxes_meet.h", precision="float64")
-    def meet(one: wp.array3d(dtype=wp.float64), i, other: wp.array3d(dtype=wp.float64), j, pack, lane) -> int: ...
+    @kit.func_native("native/boxes_overlap.h", precision="float64")
+    def overlap(one: wp.array3d(dtype=wp.float64), i, other: wp.array3d(dtype=wp.float64), j, pack, lane) -> int: ...
 
-    return meet
+    return overlap
 
 
 @builder
 def mark_pair(kit: Kit):
-    """Function: note that two voxels are candidates, in one bit for both orders; still ones never meet."""
+    """Function: note that two voxels are candidates, in one bit for both orders; fixed ones never meet."""
 
     @kit.func
     def mark(model, data, mesh, unit, v, w):
-        if model.still[mesh, v] == 1 and model.still[mesh, w] == 1:
+        if model.fixed_voxel[mesh, v] == 1 and model.fixed_voxel[mesh, w] == 1:
             return
         i, j = wp.min(v, w), wp.max(v, w)
         word = i * ((model.voxels[mesh] + 31) // 32) + j // 32
@@ -54,22 +54,22 @@ def mark_pair(kit: Kit):
 
 @builder
 def hulls(kit: Kit):
-    """Stage: boxes of the mobile voxels around all lanes."""
+    """Stage: boxes of the movable voxels around all lanes."""
     return kit.stage("native/hulls.h", precision="float64")
 
 
 @builder
 def mark_all(kit: Kit):
-    """Stage: candidates among mobile voxels by comparing all boxes with all, after their hulls."""
+    """Stage: candidates among movable voxels by comparing all boxes with all, after their hulls."""
     return kit.stage("native/mark_all.h", precision="float64")
 
 
 @builder
-def meets(kit: Kit):
+def near_in_lane(kit: Kit):
     """Function: whether the boxes of two voxels, together ``m`` wider, overlap or touch in lane k."""
 
     @kit.func
-    def meet(data, pack, k, i, j, m: wp.float64):
+    def near(data, pack, k, i, j, m: wp.float64):
         return (
             data.box[pack, 4 * i, k] <= data.box[pack, 4 * j + 1, k] + m
             and data.box[pack, 4 * j, k] <= data.box[pack, 4 * i + 1, k] + m
@@ -77,7 +77,7 @@ def meets(kit: Kit):
             and data.box[pack, 4 * j + 2, k] <= data.box[pack, 4 * i + 3, k] + m
         )
 
-    return meet
+    return near
 
 
 @wp.func
@@ -89,12 +89,13 @@ def on_lattice(x0: wp.float64, x1: wp.float64, y0: wp.float64, y1: wp.float64):
 
 @builder
 def mark_grid(kit: Kit):
-    """Stage: candidates among mobile voxels through a hashed grid, one lane after another."""
+    """Stage: candidates among movable voxels through a hashed grid, one lane after another."""
     width = kit.width
-    mark, meet = mark_pair(kit), meets(kit)
+    mark, near = mark_pair(kit), near_in_lane(kit)
 
     @kit.func
     def slot_of(data, x, y):
+        """Hash of a cell."""
         return ((x * 73856093) ^ (y * 19349663)) & (data.grid_head.shape[1] - 1)
 
     @kit.func
@@ -103,15 +104,15 @@ def mark_grid(kit: Kit):
         half = margin * wp.float64(0.5)
         x0, x1 = data.box[pack, 4 * v, k] - half, data.box[pack, 4 * v + 1, k] + half
         y0, y1 = data.box[pack, 4 * v + 2, k] - half, data.box[pack, 4 * v + 3, k] + half
-        whole = x1 - x0 < wp.float64(TORN) and y1 - y0 < wp.float64(TORN)
+        whole = x1 - x0 < wp.float64(TOO_WIDE) and y1 - y0 < wp.float64(TOO_WIDE)
         if whole and on_lattice(x0, x1, y0, y1):
             s = wp.float64(1.0 / SLOT)
             return int(wp.floor(x0 * s)), int(wp.floor(x1 * s)), int(wp.floor(y0 * s)), int(wp.floor(y1 * s))
         return 0, -1, 0, -1
 
     @kit.func
-    def enter(model, data, mesh, pack, k, unit, v, entries):
-        """Meet the voxels that have entered the cells of voxel v, then enter it; the number of entries after that."""
+    def insert(model, data, mesh, pack, k, unit, v, entries):
+        """Mark the pairs of voxel v with those already in its cells, then insert it; the entries after that."""
         n = int(entries)
         x0, x1, y0, y1 = cells(data, pack, k, v, model.margin)
         for y in range(y0, y1 + 1):
@@ -120,7 +121,7 @@ def mark_grid(kit: Kit):
                 e = data.grid_head[unit, slot]
                 while e >= 0:
                     w = data.grid_voxel[unit, e]
-                    if w != v and meet(data, pack, k, w, v, model.margin):
+                    if w != v and near(data, pack, k, w, v, model.margin):
                         mark(model, data, mesh, unit, w, v)
                     e = data.grid_next[unit, e]
                 if n >= data.grid_next.shape[1]:
@@ -139,8 +140,8 @@ def mark_grid(kit: Kit):
             for slot in range(data.grid_head.shape[1]):
                 data.grid_head[unit, slot] = -1
             entries = int(0)
-            for n in range(model.mobiles[mesh]):
-                entries = enter(model, data, mesh, pack, k, unit, model.mobile[mesh, n], entries)
+            for n in range(model.movables[mesh]):
+                entries = insert(model, data, mesh, pack, k, unit, model.movable[mesh, n], entries)
 
     return stage
 
@@ -175,7 +176,7 @@ def lattice_range(kit: Kit):
 
 @builder
 def lattice_content(kit: Kit):
-    """Function: what is under the hull of the n-th mobile voxel: bit 1 surface of terrain, bit 2 still voxels.
+    """Function: what is under the hull of the n-th movable voxel: bit 1 surface of terrain, bit 2 fixed voxels.
 
     Both are said to be where the hull is large (its lanes are far apart) or not finite.
     """
@@ -196,7 +197,7 @@ def lattice_content(kit: Kit):
                 for x in range(x0, x1 + 1):
                     if model.terrain_side[frame, y * size[0] + x] != 0:
                         found = found | 1
-                    if model.still_at[frame, y * size[0] + x] >= 0:
+                    if model.fixed_at[frame, y * size[0] + x] >= 0:
                         found = found | 2
         return found
 
@@ -204,31 +205,33 @@ def lattice_content(kit: Kit):
 
 
 @builder
-def mark_still(kit: Kit):
-    """Stage: candidates of mobile voxels and those that stand still, which the terrain lattice finds."""
+def mark_fixed(kit: Kit):
+    """Stage: candidates of movable voxels and fixed ones, which the terrain lattice finds."""
     width = kit.width
-    mark, meet, span, content = mark_pair(kit), meets(kit), lattice_range(kit), lattice_content(kit)
+    mark, near = mark_pair(kit), near_in_lane(kit)
+    span, content = lattice_range(kit), lattice_content(kit)
 
     @kit.func
-    def look(model, data, mesh, pack, k, unit, v):
+    def mark_lane(model, data, mesh, pack, k, unit, v):
+        """Candidates of voxel v in one lane."""
         x0, x1, y0, y1 = span(model, data, mesh, pack, k, v, model.margin)
         frame, first = model.frame[mesh], model.first_other[mesh]
         for y in range(y0, y1 + 1):
             for x in range(x0, x1 + 1):
-                w = model.still_at[frame, y * model.terrain[frame][0] + x]
-                if w >= 0 and meet(data, pack, k, first + w, v, model.margin):
+                w = model.fixed_at[frame, y * model.terrain[frame][0] + x]
+                if w >= 0 and near(data, pack, k, first + w, v, model.margin):
                     mark(model, data, mesh, unit, v, first + w)
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
-        if model.mobiles[mesh] == model.voxels[mesh]:
+        if model.movables[mesh] == model.voxels[mesh]:
             return
         lanes = int(width)
-        for n in range(model.mobiles[mesh]):
+        for n in range(model.movables[mesh]):
             if (content(model, data, mesh, unit, n) & 2) == 0:
                 continue
             for k in range(lane, lane + lanes):
-                look(model, data, mesh, pack, k, unit, model.mobile[mesh, n])
+                mark_lane(model, data, mesh, pack, k, unit, model.movable[mesh, n])
 
     return stage
 
@@ -246,7 +249,8 @@ def collect_near(kit: Kit):
     span, content = lattice_range(kit), lattice_content(kit)
 
     @kit.func
-    def touches(model, data, mesh, pack, k, v):
+    def near_terrain(model, data, mesh, pack, k, v):
+        """1 if a surface cell of the terrain is in reach of voxel v in lane k, else 0."""
         frame = model.frame[mesh]
         x0, x1, y0, y1 = span(model, data, mesh, pack, k, v, model.margin)
         for y in range(y0, y1 + 1):
@@ -256,7 +260,7 @@ def collect_near(kit: Kit):
         return 0
 
     @kit.func
-    def bound(model, data, mesh, pack, k, v):
+    def store_near_box(model, data, mesh, pack, k, v):
         """Bounds of the surface cells in reach, inside out where there are none."""
         x0, x1, y0, y1 = span(model, data, mesh, pack, k, v, model.margin)
         frame = model.frame[mesh]
@@ -278,20 +282,20 @@ def collect_near(kit: Kit):
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
         n = int(0)
-        for m in range(model.mobiles[mesh]):
-            v = model.mobile[mesh, m]
+        for m in range(model.movables[mesh]):
+            v = model.movable[mesh, m]
             found = int(0)
             k = int(lane)
             if (content(model, data, mesh, unit, m) & 1) == 0:
                 k = lane + int(width)
             while found == 0 and k < lane + int(width):
-                found = touches(model, data, mesh, pack, k, v)
+                found = near_terrain(model, data, mesh, pack, k, v)
                 k += 1
             if found == 1:
                 data.near[unit, n] = v
                 n += 1
                 for e in range(lane, lane + int(width)):
-                    bound(model, data, mesh, pack, e, v)
+                    store_near_box(model, data, mesh, pack, e, v)
         data.near_count[unit] = n
 
     return stage
@@ -301,15 +305,15 @@ def collect_near(kit: Kit):
 def collect_pairs(kit: Kit):
     """Stage: the candidate pairs anew."""
     grid_from = GRID_FROM if kit.width == 1 else WIDE_GRID_FROM
-    all_boxes, around = kit.stage("native/voxel_boxes.h", precision="float64", mobile=0), hulls(kit)
-    by_grid, by_all, by_lattice, listed = mark_grid(kit), mark_all(kit), mark_still(kit), list_pairs(kit)
+    all_boxes, around = kit.stage("native/voxel_boxes.h", precision="float64", movable=0), hulls(kit)
+    by_grid, by_all, by_lattice, listed = mark_grid(kit), mark_all(kit), mark_fixed(kit), list_pairs(kit)
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
-        if model.mobiles[mesh] < model.voxels[mesh]:
+        if model.movables[mesh] < model.voxels[mesh]:
             all_boxes(model, data, mesh, pack, lane, unit, dt)
         around(model, data, mesh, pack, lane, unit, dt)
-        if model.mobiles[mesh] >= grid_from:
+        if model.movables[mesh] >= grid_from:
             by_grid(model, data, mesh, pack, lane, unit, dt)
         else:
             by_all(model, data, mesh, pack, lane, unit, dt)
@@ -321,7 +325,7 @@ def collect_pairs(kit: Kit):
 
 @builder
 def collect(kit: Kit):
-    """Stage: all candidates anew, once the old ones are worn out."""
+    """Stage: all candidates anew, once the accumulated motion exceeds half the margin."""
     pairs, near = collect_pairs(kit), collect_near(kit)
 
     @kit.func

@@ -9,7 +9,7 @@ import functools
 
 import warp as wp
 
-from warpvox.kernels.broadphase import boxes_meet, lattice_range
+from warpvox.kernels.broadphase import boxes_overlap, lattice_range
 from warpvox.kernels.kit import Kit, builder
 from warpvox.kernels.lanes import constants, first_lane, text, without_first
 
@@ -130,8 +130,8 @@ def voxel_contacts(kit: Kit, act):
 
     contact = corner_contact(kit, act)
 
-    @kit.func_native("native/triangles.h", "native/next_touch.h", precision="float64")
-    def next_touch(
+    @kit.func_native("native/triangles.h", "native/next_corner.h", precision="float64")
+    def next_corner(
         pairs: wp.array2d(dtype=wp.vec4i), corners: wp.array2d(dtype=wp.vec4i), side_lanes: wp.array2d(dtype=wp.vec4i),
         twin_range: wp.array2d(dtype=wp.vec2i), twin: wp.array2d(dtype=wp.vec2i), twin_lanes: wp.array2d(dtype=int),
         places: points3, boxes: points3, touching: wp.array(dtype=int), mesh, pack, lane, unit, count, active, begin,
@@ -140,14 +140,14 @@ def voxel_contacts(kit: Kit, act):
         ...
 
     @kit.func
-    def touch_from(model, data, mesh, pack, lane, unit, active, begin):
-        return next_touch(
+    def corner_from(model, data, mesh, pack, lane, unit, active, begin):
+        return next_corner(
             data.pairs, model.corner, model.side_lanes, model.twin_range, model.twin, model.twin_lanes, data.pos,
             data.box, data.touching, mesh, pack, lane, unit, data.pair_count[unit], active, begin,
         )  # fmt: skip
 
     @kit.func
-    def touch(model, data, mesh, pack, k, i, j, c, times: real):
+    def corner_in_voxel(model, data, mesh, pack, k, i, j, c, times: real):
         """One lane in which corner c of voxel i is in voxel j."""
         m, r = quad_of(data.pos, pack, k, model.corner[mesh, i]), quad_of(data.pos, pack, k, model.corner[mesh, j])
         p, ends = int(model.pushed[mesh, i][c]), model.pushed[mesh, j]
@@ -158,7 +158,7 @@ def voxel_contacts(kit: Kit, act):
 
     @kit.func
     def all_pairs(model, data, mesh, pack, lane, unit, active):
-        at = touch_from(model, data, mesh, pack, lane, unit, active, 0)
+        at = corner_from(model, data, mesh, pack, lane, unit, active, 0)
         while at < 8 * data.pair_count[unit]:
             pair = data.pairs[unit, at >> 3]
             way = (at >> 2) & 1
@@ -167,15 +167,15 @@ def voxel_contacts(kit: Kit, act):
             times = wp.where(model.body[mesh, i] == model.body[mesh, j], real(2.0), real(1.0))
             lanes = data.touching[unit]
             while lanes != 0:
-                touch(model, data, mesh, pack, lane + first_lane(lanes), i, j, at & 3, times)
+                corner_in_voxel(model, data, mesh, pack, lane + first_lane(lanes), i, j, at & 3, times)
                 lanes = without_first(lanes)
-            at = touch_from(model, data, mesh, pack, lane, unit, active, at + 1)
+            at = corner_from(model, data, mesh, pack, lane, unit, active, at + 1)
 
     return all_pairs
 
 
 @wp.func
-def holds(x0: real, x1: real, y0: real, y1: real, x: real, y: real):
+def in_box(x0: real, x1: real, y0: real, y1: real, x: real, y: real):
     """Whether a point is in a box."""
     return x0 <= x and x <= x1 and y0 <= y and y <= y1
 
@@ -183,7 +183,7 @@ def holds(x0: real, x1: real, y0: real, y1: real, x: real, y: real):
 @functools.cache
 def terrain_contacts(kit: Kit, act):
     """Function: contacts of the near voxels with the cells of the terrain lattice."""
-    contact, span, overlap = corner_contact(kit, act), lattice_range(kit), boxes_meet(kit)
+    contact, span, overlap = corner_contact(kit, act), lattice_range(kit), boxes_overlap(kit)
 
     @kit.func
     def cell_quad(model, frame, cell):
@@ -208,11 +208,11 @@ def terrain_contacts(kit: Kit, act):
         four = int(4)
         for c in range(four):
             x, y = m[2 * c], m[2 * c + 1]
-            if holds(r[0], r[2], r[5], r[1], x, y) and inside_quad(x, y, r):
+            if in_box(r[0], r[2], r[5], r[1], x, y) and inside_quad(x, y, r):
                 contact(model, data, mesh, pack, k, v, m, m_sides, mc[c], c, -1 - cell, r, r_sides, none, one)
         for c in range(four):
             x, y = r[2 * c], r[2 * c + 1]
-            if holds(x0, x1, y0, y1, x, y) and inside_quad(x, y, m):
+            if in_box(x0, x1, y0, y1, x, y) and inside_quad(x, y, m):
                 contact(model, data, mesh, pack, k, -1 - cell, r, r_sides, -1, c, v, m, m_sides, mc, one)
 
     @kit.func

@@ -3,7 +3,7 @@
 Uses the boxes of the sub-step's start; a pair counts in both orders.
 """
 
-from warpvox.kernels.broadphase import boxes_meet
+from warpvox.kernels.broadphase import boxes_overlap
 from warpvox.kernels.kit import Kit, builder
 from warpvox.kernels.lanes import first_lane, without_first
 from warpvox.kernels.state import DISTANT, UNSTABLE
@@ -13,7 +13,7 @@ from warpvox.kernels.state import DISTANT, UNSTABLE
 def check(kit: Kit):
     """Stage: set UNSTABLE in the status of environments with a folded robot."""
     width = kit.width
-    meet = boxes_meet(kit)
+    overlap = boxes_overlap(kit)
 
     @kit.func
     def clear(data, pack, lane, robots):
@@ -23,8 +23,8 @@ def check(kit: Kit):
                 data.folds[pack, robot, k] = 0
 
     @kit.func
-    def judge(model, data, mesh, pack, lane):
-        """Compare the counts with their limits."""
+    def apply_limits(model, data, mesh, pack, lane):
+        """UNSTABLE where a robot has more folded pairs than its limit."""
         for robot in range(model.robots[mesh]):
             for k in range(lane, lane + int(width)):
                 if data.folds[pack, robot, k] > model.fold_limit[mesh, robot, k]:
@@ -36,7 +36,7 @@ def check(kit: Kit):
         for n in range(data.pair_count[unit]):
             pair = data.pairs[unit, n]
             if (pair[2] & DISTANT) != 0:
-                lanes = meet(data.box, pair[0], data.box, pair[1], pack, lane)
+                lanes = overlap(data.box, pair[0], data.box, pair[1], pack, lane)
                 if lanes != 0 and found == 0:
                     clear(data, pack, lane, model.robots[mesh])
                     found = 1
@@ -46,6 +46,6 @@ def check(kit: Kit):
                     data.folds[pack, robot, k] = data.folds[pack, robot, k] + 2
                     lanes = without_first(lanes)
         if found == 1:
-            judge(model, data, mesh, pack, lane)
+            apply_limits(model, data, mesh, pack, lane)
 
     return stage

@@ -36,7 +36,7 @@ def reset_kernel(kit: Kit):
         mesh = model.pack_mesh[pack]
         zero = wp.float64(0.0)
         for r in range(2 * model.points[mesh]):
-            data.pos[pack, r, k] = model.home[mesh, r, k]
+            data.pos[pack, r, k] = model.rest_pos[mesh, r, k]
             data.vel[pack, r, k] = zero
             data.true_vel[pack, r, k] = zero
         data.time[pack, k] = 0

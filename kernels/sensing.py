@@ -21,7 +21,7 @@ class Batch:
 
     pos: wp.array3d(dtype=wp.float64)
     vel: wp.array3d(dtype=wp.float64)
-    home: wp.array3d(dtype=wp.float64)
+    rest_pos: wp.array3d(dtype=wp.float64)
     order: wp.array3d(dtype=int)
     object_range: wp.array3d(dtype=wp.vec2i)
     frame: wp.array(dtype=int)
@@ -34,6 +34,14 @@ class Batch:
 def span_of(batch: Batch, pack: int, o: int, k: int):
     """Where the points of an object lie in the order of observations: from, to."""
     return batch.object_range[batch.pack_mesh[pack], o, k]
+
+
+@wp.func
+def points_of(batch: Batch, env: int, o: int):
+    """Pack and lane of an environment, and where the points of an object lie in the order of observations: from, to."""
+    pack, k = batch.env_pack[env], batch.env_lane[env]
+    span = span_of(batch, pack, o, k)
+    return pack, k, span[0], span[1]
 
 
 @wp.func
@@ -58,17 +66,16 @@ def centre(batch: Batch, pack: int, k: int, begin: int, end: int):
 def centres(batch: Batch, com: wp.array2d(dtype=wp.vec2d), velocity: wp.array2d(dtype=wp.vec2d)):
     """Centre of mass and its velocity of every object [environment, object]."""
     env, o = wp.tid()
-    pack, k = batch.env_pack[env], batch.env_lane[env]
-    span = span_of(batch, pack, o, k)
-    if span[1] <= span[0]:
+    pack, k, begin, end = points_of(batch, env, o)
+    if end <= begin:
         return
-    x, y = centre(batch, pack, k, span[0], span[1])
+    x, y = centre(batch, pack, k, begin, end)
     vx, vy = wp.float64(0.0), wp.float64(0.0)
-    for i in range(span[0], span[1]):
+    for i in range(begin, end):
         p = row(batch, pack, i, k)
         vx += batch.vel[pack, 2 * p, k]
         vy += batch.vel[pack, 2 * p + 1, k]
-    n = wp.float64(span[1] - span[0])
+    n = wp.float64(end - begin)
     com[env, o] = wp.vec2d(x, y)
     velocity[env, o] = wp.vec2d(vx / n, vy / n)
 
@@ -84,7 +91,7 @@ def place(batch: Batch, pack: int, i: int, k: int):
 def rest(batch: Batch, pack: int, i: int, k: int):
     """Position of the i-th point at time 0."""
     p, mesh = row(batch, pack, i, k), batch.pack_mesh[pack]
-    return wp.vec2d(batch.home[mesh, 2 * p, k], batch.home[mesh, 2 * p + 1, k])
+    return wp.vec2d(batch.rest_pos[mesh, 2 * p, k], batch.rest_pos[mesh, 2 * p + 1, k])
 
 
 @wp.func
@@ -105,29 +112,27 @@ def turn(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64):
 def orientations(batch: Batch, o: int, out: wp.array(dtype=wp.float64)):
     """Orientation of one object [environment], counter-clockwise in [0, 2 pi)."""
     env = wp.tid()
-    pack, k = batch.env_pack[env], batch.env_lane[env]
-    span = span_of(batch, pack, o, k)
-    begin, end = span[0], span[1]
+    pack, k, begin, end = points_of(batch, env, o)
     if end <= begin:
         return
     # The released simulator sums the first point, then four at a time in two pairs, then the rest. At time 0, where
     # rounding decides what the guard does, only this order gives its value.
-    now, home = place(batch, pack, begin, k), rest(batch, pack, begin, k)
+    pos_sum, rest_sum = place(batch, pack, begin, k), rest(batch, pack, begin, k)
     q = begin + 1
     while q + 3 < end:
-        now += (place(batch, pack, q, k) + place(batch, pack, q + 1, k)) + (
+        pos_sum += (place(batch, pack, q, k) + place(batch, pack, q + 1, k)) + (
             place(batch, pack, q + 2, k) + place(batch, pack, q + 3, k)
         )
-        home += (rest(batch, pack, q, k) + rest(batch, pack, q + 1, k)) + (
+        rest_sum += (rest(batch, pack, q, k) + rest(batch, pack, q + 1, k)) + (
             rest(batch, pack, q + 2, k) + rest(batch, pack, q + 3, k)
         )
         q += 4
     while q < end:
-        now += place(batch, pack, q, k)
-        home += rest(batch, pack, q, k)
+        pos_sum += place(batch, pack, q, k)
+        rest_sum += rest(batch, pack, q, k)
         q += 1
     n = wp.float64(end - begin)
-    x, y, hx, hy = now[0] / n, now[1] / n, home[0] / n, home[1] / n
+    x, y, hx, hy = pos_sum[0] / n, pos_sum[1] / n, rest_sum[0] / n, rest_sum[1] / n
     angle, weight, crosses = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
     for i in range(begin, end):
         point, origin = place(batch, pack, i, k), rest(batch, pack, i, k)
@@ -145,13 +150,12 @@ def orientations(batch: Batch, o: int, out: wp.array(dtype=wp.float64)):
 def points(batch: Batch, o: int, what: int, out: wp.array3d(dtype=wp.float64)):
     """Positions (what 0), velocities (1) or positions about the centre of mass (2): [environment, point, axis]."""
     env = wp.tid()
-    pack, k = batch.env_pack[env], batch.env_lane[env]
-    span = span_of(batch, pack, o, k)
+    pack, k, begin, end = points_of(batch, env, o)
     x, y = wp.float64(0.0), wp.float64(0.0)
     if what == 2:
-        x, y = centre(batch, pack, k, span[0], span[1])
-    for i in range(span[0], span[1]):
-        n, p = i - span[0], row(batch, pack, i, k)
+        x, y = centre(batch, pack, k, begin, end)
+    for i in range(begin, end):
+        n, p = i - begin, row(batch, pack, i, k)
         if what == 1:
             out[env, n, 0] = batch.vel[pack, 2 * p, k]
             out[env, n, 1] = batch.vel[pack, 2 * p + 1, k]
@@ -176,13 +180,12 @@ def cross(a: wp.vec2d, b: wp.vec2d):
 def extents(batch: Batch, o: int, out: wp.array(dtype=wp.vec2d)):
     """Width and height of the bounding box of one object [environment]."""
     env = wp.tid()
-    pack, k = batch.env_pack[env], batch.env_lane[env]
-    span = span_of(batch, pack, o, k)
-    if span[1] <= span[0]:
+    pack, k, begin, end = points_of(batch, env, o)
+    if end <= begin:
         return
-    low = place(batch, pack, span[0], k)
+    low = place(batch, pack, begin, k)
     high = low
-    for p in range(span[0] + 1, span[1]):
+    for p in range(begin + 1, end):
         point = place(batch, pack, p, k)
         low, high = wp.min(low, point), wp.max(high, point)
     out[env] = high - low
@@ -196,22 +199,21 @@ def hulls(batch: Batch, o: int, out: wp.array(dtype=wp.float64)):
     step goes strictly on in one order of the points, so that rounding cannot send it round in circles.
     """
     env = wp.tid()
-    pack, k = batch.env_pack[env], batch.env_lane[env]
-    span = span_of(batch, pack, o, k)
-    if span[1] <= span[0]:
+    pack, k, begin, end = points_of(batch, env, o)
+    if end <= begin:
         return
-    low = place(batch, pack, span[0], k)
-    for p in range(span[0] + 1, span[1]):
+    low = place(batch, pack, begin, k)
+    for p in range(begin + 1, end):
         point = place(batch, pack, p, k)
         if later(point, low):
             low = point
     here = low  # the area is a fan of triangles about the lowest point
     area = wp.float64(0.0)
     up, steps = int(1), int(0)
-    while up >= -1 and steps < 2 * (span[1] - span[0]) + 2:
+    while up >= -1 and steps < 2 * (end - begin) + 2:
         found = int(0)
         best = here
-        for p in range(span[0], span[1]):
+        for p in range(begin, end):
             point = place(batch, pack, p, k)
             ahead = later(here, point)
             if up == -1:
@@ -247,34 +249,34 @@ def edge(window: int, reach: int, side: int):
 @kernel
 def scans(
     batch: Batch, o: int, reach: int, sight: wp.float64, up: int,
-    column: wp.array2d(dtype=int), still: wp.array2d(dtype=wp.vec2d), moving: wp.array(dtype=int),
+    column: wp.array2d(dtype=int), static_points: wp.array2d(dtype=wp.vec2d), moving: wp.array(dtype=int),
     out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
     """Distance to the nearest listed point in centred windows one voxel wide: [environment, window].
 
-    ``still`` are static points in voxels sorted by lattice column, ``column`` where each column starts;
+    ``static_points`` are fixed points in voxels sorted by lattice column, ``column`` where each column starts;
     ``moving`` lists objects that can move (-1: none). In voxels until the last line, as released.
     """
     env = wp.tid()
-    pack, k = batch.env_pack[env], batch.env_lane[env]
-    frame, span = batch.frame[batch.pack_mesh[pack]], span_of(batch, pack, o, k)
+    pack, k, begin, end = points_of(batch, env, o)
+    frame = batch.frame[batch.pack_mesh[pack]]
     x, y = wp.float64(0.0), wp.float64(0.0)
-    for i in range(span[0], span[1]):
+    for i in range(begin, end):
         p = row(batch, pack, i, k)
         x += batch.pos[pack, 2 * p, k] / VOXEL
         y += batch.pos[pack, 2 * p + 1, k] / VOXEL
-    n = wp.float64(span[1] - span[0])
+    n = wp.float64(end - begin)
     x, y = x / n, y / n
     last = column.shape[1] - 2
     for window in range(2 * reach + 1):
         left, right = x + edge(window, reach, -1), x + edge(window, reach, 1)
         best = sight
         if left < wp.float64(last + 1) and right > wp.float64(-1.0):
-            begin = wp.clamp(int(wp.floor(left)), 0, last)
+            first = wp.clamp(int(wp.floor(left)), 0, last)
             stop = wp.clamp(int(wp.floor(right)) + 1, 0, last)
-            for i in range(column[frame, begin], column[frame, stop + 1]):
-                if still[frame, i][0] > left and still[frame, i][0] < right:
-                    best = seen(still[frame, i][1], y, best, up)
+            for i in range(column[frame, first], column[frame, stop + 1]):
+                if static_points[frame, i][0] > left and static_points[frame, i][0] < right:
+                    best = seen(static_points[frame, i][1], y, best, up)
         out[env, window] = best
     for m in range(moving.shape[0]):
         listed = wp.vec2i(0, 0)
@@ -299,7 +301,7 @@ KERNELS = {k.func.__name__: k for k in (centres, orientations, points, extents, 
 def record(state, name: str, dim, *inputs) -> wp.Launch | device.Command:
     """A command that runs one sensing kernel; ``inputs`` follow the batch, which all of them take."""
     batch = Batch()
-    for field in ("pos", "vel", "home", "order", "object_range", "frame", "pack_mesh"):
+    for field in ("pos", "vel", "rest_pos", "order", "object_range", "frame", "pack_mesh"):
         setattr(batch, field, state.arrays[field])
     for field in ("env_pack", "env_lane"):
         setattr(batch, field, getattr(state, field))

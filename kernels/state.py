@@ -2,7 +2,7 @@
 
 The tables below say every array's type, shape and meaning once; structs and allocations follow from them. Shape
 symbols: a ``mesh`` is what one pack holds, or several alike; ``point, active, joint, spring, link, rigid, twin, voxel,
-mobile, robot, row, object, cell, action`` are capacities over the meshes of a model; a ``frame`` is a terrain;
+movable, robot, row, object, cell, action`` are capacities over the meshes of a model; a ``frame`` is a terrain;
 ``pack, lane`` number environments (see :mod:`warpvox.kernels.lanes`); ``unit`` is one thread's share of a pack;
 ``pair, entry, slot, word`` are capacities of the broad phase. ``2*`` rows hold x and y alternately.
 ``node, leaf, plot, hit`` are capacities of what keeps the released order of contacts, in exact arithmetic only.
@@ -62,7 +62,7 @@ MODEL = {
     "twins": (int, "mesh", "entries of twin in use"),
     "voxels": (int, "mesh", "surface voxels in use"),
     "robots": (int, "mesh", "robots"),
-    "home": (STATE, "mesh 2*point lane", "position at time 0"),
+    "rest_pos": (STATE, "mesh 2*point lane", "position at time 0"),
     "free_lanes": (int, "mesh point", "where the point can move"),
     "twin_range": (wp.vec2i, "mesh point", "entries of twin about the point's grid node: from, to"),
     "twin": (wp.vec2i, "mesh twin", "a point and that whose position it shares in some lanes, its leader"),
@@ -87,10 +87,10 @@ MODEL = {
     "body": (int, "mesh voxel", "index of its object"),
     "robot": (int, "mesh voxel", "index of its robot, or -1"),
     "grid": (wp.vec2i, "mesh voxel", "column and row in its object"),
-    "still": (int, "mesh voxel", "1: all four corners are fixed"),
-    "mobiles": (int, "mesh", "entries of `mobile` in use"),
-    "mobile": (int, "mesh mobile", "surface voxels that are not in `still_at`, in ascending order"),
-    "first_other": (int, "mesh", "the surface voxel from which `still_at` counts"),
+    "fixed_voxel": (int, "mesh voxel", "1: all four corners are fixed"),
+    "movables": (int, "mesh", "entries of `movable` in use"),
+    "movable": (int, "mesh movable", "surface voxels that are not in `fixed_at`, in ascending order"),
+    "first_other": (int, "mesh", "the surface voxel from which `fixed_at` counts"),
     "fold_limit": (
         int,
         "mesh robot lane",
@@ -108,7 +108,7 @@ MODEL = {
     "node_area": (STATE, "mesh node", "area of the box of a terrain node"),
     "leaf": (int, "mesh leaf", "leaf of a surface voxel"),
     "cell_leaf": (int, "mesh plot", "leaf of a surface cell of the terrain"),
-    "still_at": (int, "frame cell", "the still surface voxel in a cell of the terrain lattice, or -1"),
+    "fixed_at": (int, "frame cell", "the fixed surface voxel in a cell of the terrain lattice, or -1"),
     "terrain": (wp.vec2i, "frame", "columns and rows of the terrain lattice"),
     "terrain_side": (int, "frame cell", "bits of the surface sides; 0: empty or buried cell"),
     "terrain_box": (STATE, "frame cell 4", "left, right, bottom, top of the cell"),
@@ -140,13 +140,13 @@ DATA = {
         "accelerations of the first three stages, then corrections of the strain limit; exact: other sums",
     ),
     "hits": (int, "pack lane", "contacts met in this sub-step; these and the box trees only in exact arithmetic"),
-    "hit": (wp.vec4i, "pack hit lane", "leaves in the order of their objects, 4 x way + corner, point (-1: still)"),
+    "hit": (wp.vec4i, "pack hit lane", "leaves in the order of their objects, 4 x way + corner, point (-1: fixed)"),
     "hit_ends": (wp.vec2i, "pack hit lane", "points of the side"),
     "hit_side": (wp.vec3d, "pack hit lane", "vector of the side, and depth of the corner under it"),
     "hit_key": (wp.int64, "pack hit lane", "place in the released order, ascending"),
     "hit_rank": (int, "pack hit lane", "the contact with that key"),
     "node_box": (STATE, "pack 4*node lane", "bounds of the nodes of bodies, as box"),
-    "goal": (STATE, "pack spring lane", "length toward which a spring creeps"),
+    "goal": (STATE, "pack spring lane", "length toward which that of a spring relaxes"),
     "span": (REAL, "pack 2*spring lane", "spring vector at the sub-step's start"),
     "length": (REAL, "pack spring lane", "its length"),
     "pull": (REAL, "pack spring lane", "equilibrium length minus length, exact: the former; constant in a sub-step"),
@@ -168,7 +168,7 @@ DATA = {
     "near_count": (int, "unit", ""),
     "near_box": (STATE, "pack 4*voxel lane", "bounds of the terrain cells that a near voxel may touch, as box"),
     "overflow": (int, "unit", "1: more candidates than capacity"),
-    "hull": (STATE, "unit 4*mobile", "boxes of mobile voxels around all lanes"),
+    "hull": (STATE, "unit 4*movable", "boxes of movable voxels around all lanes"),
     "pair_bit": (int, "unit word", "candidate matrix, a bit per pair"),
     "grid_head": (int, "unit slot", "first entry of a hash slot, or -1"),
     "grid_next": (int, "unit entry", "next entry of the same slot, or -1"),

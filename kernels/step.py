@@ -30,19 +30,19 @@ STAGES = {
 def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
     """The fused kernel; launch over (units of a pack, packs) with the first pack of this launch."""
     kit = kit_of(precision, width)
-    begin, aim, end = save(kit), goals(kit), settle(kit)
+    begin, set_goals, end = save(kit), goals(kit), settle(kit)
     stages = (build(kit) for build in STAGES[arithmetic])
-    bound, gather, touch, move, strain, fold = stages
+    bounds, candidates, contact, motion, strain, folds = stages
 
     @kit.func
     def idle(data, pack, lane):
         """Clear the status; 1 if all lanes are frozen."""
-        still = int(1)
+        all_frozen = int(1)
         for k in range(lane, lane + int(width)):
             if data.frozen[pack, k] == 0:
-                still = 0
+                all_frozen = 0
             data.status[pack, k] = 0
-        return still
+        return all_frozen
 
     @kernel
     def control_step(model: kit.Model, data: kit.Data, first_pack: int, units: int, substeps: int, dt: wp.float64):
@@ -54,14 +54,14 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
             return
         mesh = model.pack_mesh[pack]
         begin(model, data, mesh, pack, lane, unit, dt)
-        aim(model, data, mesh, pack, lane, unit, dt)
+        set_goals(model, data, mesh, pack, lane, unit, dt)
         for _ in range(substeps):
-            bound(model, data, mesh, pack, lane, unit, dt)
-            gather(model, data, mesh, pack, lane, unit, dt)
-            touch(model, data, mesh, pack, lane, unit, dt)
-            move(model, data, mesh, pack, lane, unit, dt)
+            bounds(model, data, mesh, pack, lane, unit, dt)
+            candidates(model, data, mesh, pack, lane, unit, dt)
+            contact(model, data, mesh, pack, lane, unit, dt)
+            motion(model, data, mesh, pack, lane, unit, dt)
             strain(model, data, mesh, pack, lane, unit, dt)
-            fold(model, data, mesh, pack, lane, unit, dt)
+            folds(model, data, mesh, pack, lane, unit, dt)
         end(model, data, mesh, pack, lane, unit, dt)
 
     return control_step

@@ -36,7 +36,7 @@ SIDE_ENDS = (
     (TL, BL),
     (TR, BR),
 )  # top, bottom, left, right: the order in which sides are made
-FILL = {"pushed": -1, "still_at": -1, "order": -1}
+FILL = {"pushed": -1, "fixed_at": -1, "order": -1}
 """What pads tables, if not 0."""
 NOTHING_MOVES = "The world has nothing that can move: add a robot or an object with a cell that is not fixed."
 SIDE_BIT = {"top": 1, "right": 2, "bottom": 4, "left": 8}
@@ -266,7 +266,7 @@ def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
         link_lanes=np.full(len(out["link"]), -1, np.int32),
         rigid_lanes=np.full(len(out["rigid_spring"]), -1, np.int32),
         side_lanes=(-bits).astype(np.int32),
-        home=in_lanes(out["home"]),
+        rest_pos=in_lanes(out["rest_pos"]),
         spring_k=in_lanes(out["spring_k"]),
         spring_drive=in_lanes(pack_drives(out["spring_drive"], axis=1)),
         fold_limit=in_lanes(out["fold_limit"]),
@@ -300,7 +300,7 @@ def pad(parts: Sequence[np.ndarray], fill: int = 0) -> np.ndarray:
 def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
     """Arrays of one compiled world, named as in :data:`warpvox.kernels.state.MODEL` where they mean the same."""
     bodies = design.bodies
-    ends, rests, stiffness, drives, rigid, corner, side, owner, robot, grid, still = ([] for _ in range(11))
+    ends, rests, stiffness, drives, rigid, corner, side, owner, robot, grid, fixed_voxel = ([] for _ in range(11))
     robots = design.robots
     for index, body in enumerate(bodies):
         base = body.first_point
@@ -323,9 +323,9 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
             owner.append(index)
             robot.append(robots.index(body) if body in robots else -1)
             grid.append([cell[1], cell[0]])
-            still.append(all(body.fixed[p] for p in body.corners[cell]))
-    still_at = _still_voxels(design, still, owner, grid)
-    home = [value for body in bodies for point in body.points for value in point]
+            fixed_voxel.append(all(body.fixed[p] for p in body.corners[cell]))
+    fixed_at = _fixed_voxels(design, fixed_voxel, owner, grid)
+    rest_pos = [value for body in bodies for point in body.points for value in point]
     lattice = _lattice(design)
     fixed = [f for body in bodies for f in body.fixed]
     tied = {p for pair in ends for p in pair}
@@ -337,7 +337,7 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
         springs=len(ends),
         rigids=len(rigid),
         voxels=len(side),
-        mobiles=len(side) - np.count_nonzero(still_at >= 0),
+        movables=len(side) - np.count_nonzero(fixed_at >= 0),
         robots=len(robots),
         actions=sum(body.source.num_actuators for body in bodies),
     )
@@ -355,13 +355,13 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
         body=owner,
         robot=robot,
         grid=np.reshape(grid, (-1, 2)),
-        still=still,
-        mobile=np.setdiff1d(np.arange(len(still)), still_at),
-        still_at=still_at,
+        fixed_voxel=fixed_voxel,
+        movable=np.setdiff1d(np.arange(len(fixed_voxel)), fixed_at),
+        fixed_at=fixed_at,
         fold_limit=[len(body.surface) for body in robots],
     )
     reals = dict(
-        home=home,
+        rest_pos=rest_pos,
         spring_rest=rests,
         spring_k=stiffness,
         terrain_box=lattice[1],
@@ -380,13 +380,13 @@ def _links_of_points(ends: list[list[int]]) -> np.ndarray:
     return np.where(order % 2 == 0, order // 2, -1 - order // 2)
 
 
-def _still_voxels(design: CompiledWorld, still: list[bool], owner: list[int], grid: list[list[int]]) -> np.ndarray:
+def _fixed_voxels(design: CompiledWorld, fixed: list[bool], owner: list[int], grid: list[list[int]]) -> np.ndarray:
     """For every cell of the terrain lattice the surface voxel that always stays there, or -1."""
     width, height = design.width, design.height
     at = np.full(width * height, -1)
     for v, (column, row) in enumerate(grid):
         body = design.bodies[owner[v]]
-        if still[v] and not body.loose:
+        if fixed[v] and not body.loose:
             source = body.source
             at[(source.y + source.height - 1 - row) * width + source.x + column] = v
     return at

@@ -1,5 +1,5 @@
 // Body of a function (law, velocity, out, pack, lane, p, a, b, side, times), after pairs.h and contact_law.h: add `times` the forces
-// of a contact on the corner p and on the ends a, b of the side (dx, dy, depth); points of -1 stand still.
+// of a contact on the corner p and on the ends a, b of the side (dx, dy, depth); points of -1 are fixed.
 
 const int point[3] = {p, a, b};
 Place speed[3];

@@ -14,7 +14,7 @@ auto spring_force = [&](Value dx, Value dy, Value ux, Value uy, Value rest, Valu
 };
 // The implicit floor at y = 0: normal force and friction on a point at the height y <= 0 with the velocity vx.
 auto floor_force = [&](Real y, Real vx, Real& normal, Real& drag) {
-    const double press = -model.floor_stiffness * double(y), grip = model.friction * press;
-    normal = Real(press);
-    drag = Real(model.floor_friction * grip * tanh_of(double(vx) * grip));
+    const double force = -model.floor_stiffness * double(y), most = model.friction * force;
+    normal = Real(force);
+    drag = Real(model.floor_friction * most * tanh_of(double(vx) * most));
 };

@@ -4,7 +4,7 @@ const int diverged = find_diverged();
 each_lane([&](int k) {
     if (!(diverged >> k & 1)) return;
     for (int r = 0; r < 2 * wp::index(model.points, mesh); ++r) {
-        wp::index(data.pos, pack, r, lane + k) = wp::index(model.home, mesh, r, lane + k);
+        wp::index(data.pos, pack, r, lane + k) = wp::index(model.rest_pos, mesh, r, lane + k);
         wp::index(data.vel, pack, r, lane + k) = wp::index(data.true_vel, pack, r, lane + k) = 0.0;
     }
     wp::index(data.drift, unit) = STALE;

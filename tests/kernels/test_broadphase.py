@@ -49,7 +49,7 @@ def corners_of(sim):
 def scatter(sim, seed, spread):
     """Throw every free point of every lane somewhere near its place; the corners of voxels, as above."""
     state, rng = sim._state, np.random.default_rng(seed)
-    home, free = state.arrays["home"].numpy()[0], np.repeat(state.arrays["free_lanes"].numpy()[0] != 0, 2)
+    home, free = state.arrays["rest_pos"].numpy()[0], np.repeat(state.arrays["free_lanes"].numpy()[0] != 0, 2)
     noise = rng.normal(scale=spread, size=state.arrays["pos"].shape)
     state.arrays["pos"].assign(home[None] + np.where(free[None, :, None], noise, 0.0))
     launch_stage(boxes, state)
@@ -141,7 +141,7 @@ def mixed():
 @settings(max_examples=25, deadline=None)
 def test_still_voxels_are_candidates_of_mobile_ones_only(mixed, seed, spread):
     expected = brute_force(mixed, scatter(mixed, seed, spread))
-    still = mixed._state.arrays["still"].numpy()[0]
+    still = mixed._state.arrays["fixed_voxel"].numpy()[0]
     assert 4 < still.sum() < len(still)
     expected = {(i, j): bits for (i, j), bits in expected.items() if not (still[i] and still[j])}
     assert candidates(mixed, collect_pairs) == expected

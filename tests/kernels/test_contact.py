@@ -55,7 +55,7 @@ def voxels(scene, pos):
             corners,
             int((model.side_lanes[v] & 1) @ [1, 2, 4, 8]),
             int(model.body[v]),
-            bool(model.still[v]),
+            bool(model.fixed_voxel[v]),
         )
     for side, (left, right, bottom, top) in zip(model.terrain_side, model.terrain_box, strict=True):
         if side:

@@ -25,8 +25,8 @@ CELLS_PER_VOXEL = 16  # the same for cells of the terrain, in the group layout
 # cost of the others; up to so many surface voxels (33 MB a pack) it does.
 ALL_PAIRS = 2048
 SIZES = {
-    "point": "home", "active": "active", "joint": "link_start", "spring": "spring_rest", "link": "link",
-    "rigid": "rigid_spring", "twin": "twin", "voxel": "body", "mobile": "mobile", "robot": "fold_limit",
+    "point": "rest_pos", "active": "active", "joint": "link_start", "spring": "spring_rest", "link": "link",
+    "rigid": "rigid_spring", "twin": "twin", "voxel": "body", "movable": "movable", "robot": "fold_limit",
     "row": "order", "object": "object_range", "node": "node", "leaf": "leaf", "plot": "cell_leaf",
 }  # fmt: skip
 """Capacities and the tables whose second axis has them."""
@@ -79,8 +79,8 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
         taken = choose(sizes["point"], sizes["spring"], precision, device)
         if taken is None:
             return None
-    hits = HITS + HITS_PER_VOXEL * sizes["mobile"] if batch.arithmetic == "exact" else 1
-    sizes |= _capacities(sizes["voxel"], sizes["mobile"], width, taken is not None) | {
+    hits = HITS + HITS_PER_VOXEL * sizes["movable"] if batch.arithmetic == "exact" else 1
+    sizes |= _capacities(sizes["voxel"], sizes["movable"], width, taken is not None) | {
         "hit": hits,
         "pack": packs,
         "lane": lanes,
@@ -103,8 +103,8 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
         _fill(state, name, values)
     put_tables(state, tables)
     # Lanes without an environment hold a body at rest, frozen.
-    home = wp.to_torch(model["home"])[torch.as_tensor(which, device=device)]
-    wp.to_torch(data["pos"]).copy_(home)
+    rest_pos = wp.to_torch(model["rest_pos"])[torch.as_tensor(which, device=device)]
+    wp.to_torch(data["pos"]).copy_(rest_pos)
     wp.to_torch(data["drift"]).fill_(STALE)
     return state
 
@@ -139,16 +139,16 @@ def _set_constants(state: Buffers, physics: Physics) -> None:
     state.model.contact = contact
 
 
-def _capacities(voxels: int, mobiles: int, width: int, grouped: bool) -> dict[str, int]:
-    """Capacities of the broad phase for a number of surface voxels, of those that are mobile, and of lanes.
+def _capacities(voxels: int, movables: int, width: int, grouped: bool) -> dict[str, int]:
+    """Capacities of the broad phase for a number of surface voxels, of those that are movable, and of lanes.
 
     A group lists the cells of the terrain that may be touched behind the pairs.
     """
-    gridded = mobiles if mobiles >= GRID_FROM else 0
+    gridded = movables if movables >= GRID_FROM else 0
     every = voxels * (voxels - 1) // 2
     pairs = every if width > 1 and voxels <= ALL_PAIRS else min(every, PAIRS_PER_VOXEL * voxels)
     return {
-        "pair": pairs + (CELLS_PER_VOXEL * mobiles if grouped else 0),
+        "pair": pairs + (CELLS_PER_VOXEL * movables if grouped else 0),
         "word": voxels * -(-voxels // 32),
         "entry": ENTRIES_PER_VOXEL * gridded,
         "slot": 1 << (2 * gridded).bit_length(),

@@ -238,7 +238,7 @@ class _PackTables:
                 kind.append(_Numbers(part, stops[k]))
                 stops[k] = kind[-1].stop
         self.first_point, self.first_spring, self.first_voxel = stops
-        counts = {"points": "home", "springs": "spring_rest", "voxels": "body"}
+        counts = {"points": "rest_pos", "springs": "spring_rest", "voxels": "body"}
         for (name, source), stop in zip(counts.items(), stops, strict=True):
             size = len(self.others[source]) // (2 if name == "points" else 1)
             self.arrays[name] = (stop + size).astype(np.int32)
@@ -253,15 +253,15 @@ class _PackTables:
             table[np.arange(self.packs)[:, None], first[:, None] + np.arange(count)] = values
 
     def _points(self) -> None:
-        home, free = self._table("points", 2, self.lanes, kind=np.float64), self._table("points")
-        tied = np.zeros(home.shape[:2], bool)
+        rest_pos, free = self._table("points", 2, self.lanes, kind=np.float64), self._table("points")
+        tied = np.zeros(rest_pos.shape[:2], bool)
         for mesh, numbers in zip(self.meshes, self.points, strict=True):
-            numbers.put(home, np.repeat(mesh.position, 4, axis=1))
+            numbers.put(rest_pos, np.repeat(mesh.position, 4, axis=1))
             numbers.put(free, pack_bits(mesh.free))
             numbers.put(tied, mesh.link.any((2, 3)))
         others = self.others
-        places = others["home"].reshape(-1, 2, 1)
-        self._append(home, self.first_point, len(places), places)
+        places = others["rest_pos"].reshape(-1, 2, 1)
+        self._append(rest_pos, self.first_point, len(places), places)
         self._append(free, self.first_point, len(places), np.where(others["fixed"] == 0, -1, 0))
         held = np.zeros(len(others["fixed"]), bool)
         held[others["spring_ends"].ravel()] = True
@@ -270,9 +270,9 @@ class _PackTables:
         numbers = _Numbers(self.active, np.zeros(self.packs, int))
         self.arrays["actives"] = numbers.stop.astype(np.int32)
         rows = self._table("actives", 2)
-        numbers.put(rows, np.broadcast_to(2 * np.arange(home.shape[1])[:, None] + [0, 1], (*home.shape[:2], 2)))
+        numbers.put(rows, np.broadcast_to(2 * np.arange(rest_pos.shape[1])[:, None] + [0, 1], (*rest_pos.shape[:2], 2)))
         self.arrays["active"] = rows.reshape(self.packs, -1)
-        self.arrays["home"] = home.reshape(self.packs, -1, self.lanes)
+        self.arrays["rest_pos"] = rest_pos.reshape(self.packs, -1, self.lanes)
         self.arrays["free_lanes"] = free
         self._twins()
 
@@ -378,7 +378,7 @@ class _PackTables:
     def _voxels(self) -> None:
         corner, pushed = self._table("voxels", 4), self._table("voxels", 4)
         sides, grid = self._table("voxels", 4), self._table("voxels", 2)
-        body, robot, still = self._table("voxels"), self._table("voxels"), self._table("voxels")
+        body, robot, fixed_voxel = self._table("voxels"), self._table("voxels"), self._table("voxels")
         pack = np.arange(self.packs)[:, None, None]
         limits = []
         for number, (mesh, points, voxels) in enumerate(zip(self.meshes, self.points, self.voxels, strict=True)):
@@ -396,21 +396,21 @@ class _PackTables:
         corners = others["corner"] + self.first_point[:, None, None]
         for table, values in (
             (corner, corners), (sides, -bits), (grid, others["grid"]), (body, others["body"] + robots), (robot, -1),
-            (still, others["still"]),
+            (fixed_voxel, others["fixed_voxel"]),
         ):  # fmt: skip
             self._append(table, start, len(others["body"]), values)
         is_active = self.active[pack, corner]
         pushed = np.where(is_active, corner, -1)
-        mobile_rows = [np.arange(int(n)) for n in start]
-        mobile = [np.concatenate([own, n + others["mobile"]]) for own, n in zip(mobile_rows, start, strict=True)]
-        self.arrays["mobiles"] = np.array([len(rows) for rows in mobile], np.int32)
-        table = self._table("mobiles")
-        for row, values in zip(table, mobile, strict=True):
+        movable_rows = [np.arange(int(n)) for n in start]
+        movable = [np.concatenate([own, n + others["movable"]]) for own, n in zip(movable_rows, start, strict=True)]
+        self.arrays["movables"] = np.array([len(rows) for rows in movable], np.int32)
+        table = self._table("movables")
+        for row, values in zip(table, movable, strict=True):
             row[: len(values)] = values
         folds = np.stack(limits, axis=1) if limits else np.zeros((self.packs, 1, self.lanes))
         self.arrays |= dict(
-            corner=corner, pushed=pushed, side_lanes=sides, grid=grid, body=body, robot=robot, still=still,
-            mobile=table, fold_limit=folds.astype(np.int32), robots=np.full(self.packs, robots, np.int32),
+            corner=corner, pushed=pushed, side_lanes=sides, grid=grid, body=body, robot=robot, fixed_voxel=fixed_voxel,
+            movable=table, fold_limit=folds.astype(np.int32), robots=np.full(self.packs, robots, np.int32),
         )  # fmt: skip
 
     def _objects(self) -> None:
@@ -448,6 +448,6 @@ def capacities(frame: Frame, rows: int, columns: int, cut: bool) -> dict[str, in
         "rigid": robots * 6 * cells + len(others["rigid_spring"]),
         "twin": robots * (rows - 1) * (columns - 1) * (6 if cut else 1),
         "voxel": robots * cells + len(others["body"]),
-        "mobile": robots * cells + len(others["mobile"]),
+        "movable": robots * cells + len(others["movable"]),
         "action": robots * cells,
     }

@@ -17,7 +17,7 @@ from warpvox.world import World
 
 __all__ = ["Batch", "group"]
 
-FRAME_TABLES = ("still_at", "terrain", "terrain_side", "terrain_box")
+FRAME_TABLES = ("fixed_at", "terrain", "terrain_side", "terrain_box")
 
 
 def group(worlds: Sequence[World]) -> tuple[list[World], list[int]]:
@@ -233,7 +233,7 @@ class Batch:
     def frame_tables(self) -> dict[str, np.ndarray]:
         """Tables of the terrain of all frames."""
         parts = [frame.arrays for frame in self.frames] or [world_arrays(world) for world in self.compiled]
-        return {name: pad([part[name] for part in parts], -1 if name == "still_at" else 0) for name in FRAME_TABLES}
+        return {name: pad([part[name] for part in parts], -1 if name == "fixed_at" else 0) for name in FRAME_TABLES}
 
     def capacities(self) -> dict[str, int]:
         """What bodies up to ``grid`` may need at most; empty without one."""

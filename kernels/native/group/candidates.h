@@ -33,9 +33,9 @@ auto collect = [&]() {
     const int* terrain_side = row_of(model.terrain_side, frame);
     const int columns = wp::index(model.terrain, frame)[0], lattice_rows = wp::index(model.terrain, frame)[1];
     const int first_other = wp::index(model.first_other, here);
-    const int* mobile = row_of(model.mobile, here);
-    const int* still = row_of(model.still, here);
-    const int* still_at = row_of(model.still_at, frame);
+    const int* movable = row_of(model.movable, here);
+    const int* fixed = row_of(model.fixed_voxel, here);
+    const int* fixed_at = row_of(model.fixed_at, frame);
     double* box = &wp::index(data.box, pack, 0, 0);
     int* bits = &wp::index(data.pair_bit, unit, 0);
     const int words = (voxels + 31) / 32;
@@ -68,24 +68,24 @@ auto collect = [&]() {
         range[3] = wp::min(static_cast<int>(wp::floor(y1 * scale + slack)), lattice_rows - 1);
     };
 
-    for (int a = part; a < mobiles; a += PARTS) {
-        const int i = mobile[a];
-        for (int b = a + 1; b < mobiles; ++b) {
-            const int j = mobile[b];
-            if (!(still[i] && still[j]) && meet(box + 4 * i, box + 4 * j)) mark(i, j);
+    for (int a = part; a < movables; a += PARTS) {
+        const int i = movable[a];
+        for (int b = a + 1; b < movables; ++b) {
+            const int j = movable[b];
+            if (!(fixed[i] && fixed[j]) && meet(box + 4 * i, box + 4 * j)) mark(i, j);
         }
     }
-    // Voxels that stand still; where they come first, their rows belong to nobody: one thread after another.
+    // Fixed voxels; where they come first, their rows belong to nobody: one thread after another.
     bool before = false;
-    ROLL for (int turn = some(mobiles < voxels) ? -1 : PARTS; turn < PARTS; ++turn) {
-        for (int a = part; a < mobiles && (turn < 0 || turn == part); a += PARTS) {
-            const int v = mobile[a];
+    ROLL for (int turn = some(movables < voxels) ? -1 : PARTS; turn < PARTS; ++turn) {
+        for (int a = part; a < movables && (turn < 0 || turn == part); a += PARTS) {
+            const int v = movable[a];
             int range[4];
             lattice(v, range);
             for (int y = range[2]; y <= range[3]; ++y) {
                 for (int x = range[0]; x <= range[1]; ++x) {
-                    const int other = still_at[y * columns + x], w = first_other + other;
-                    if (other < 0 || still[v] || !meet(box + 4 * w, box + 4 * v)) continue;
+                    const int other = fixed_at[y * columns + x], w = first_other + other;
+                    if (other < 0 || fixed[v] || !meet(box + 4 * w, box + 4 * v)) continue;
                     before |= w < v;
                     if ((turn < 0) == (v < w)) mark(wp::min(v, w), wp::max(v, w));
                 }
@@ -113,7 +113,7 @@ auto collect = [&]() {
         }
         return own;
     };
-    const int all_words = most(voxels * words), all_mobiles = most(mobiles);
+    const int all_words = most(voxels * words), all_mobiles = most(movables);
     ROLL for (int base = 0; base < all_words; base += PARTS) {
         const int word = base + part;
         unsigned left = word < voxels * words ? unsigned(bits[word]) : 0;
@@ -138,7 +138,7 @@ auto collect = [&]() {
     found = wp::min(found, capacity);
     pair_count = found;
     ROLL for (int base = 0; base < all_mobiles; base += PARTS) {
-        const int v = base + part < mobiles ? mobile[base + part] : -1;
+        const int v = base + part < movables ? movable[base + part] : -1;
         int range[4] = {0, -1, 0, -1}, own = 0;
         if (v >= 0) lattice(v, range);
         for (int y = range[2]; y <= range[3]; ++y) {

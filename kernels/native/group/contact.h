@@ -47,7 +47,7 @@ auto within = [&](const Place& p, const Quad& r) -> bool {
             r.x[0] - p.x, r.y[0] - p.y, r.x[1] - p.x, r.y[1] - p.y, r.x[2] - p.x, r.y[2] - p.y, r.x[3] - p.x, r.y[3] - p.y
         );
 };
-auto boxes_meet = [](const Box& a, const Box& b) -> bool {
+auto boxes_overlap = [](const Box& a, const Box& b) -> bool {
     return a.left <= b.right && b.left <= a.right && a.bottom <= b.top && b.bottom <= a.top;
 };
 
@@ -160,7 +160,7 @@ auto find_close = [&]() {
                 if (holds(around_a, b.x[c], b.y[c])) near |= 16u << c;
             }
             near &= (pair[2] & 15) | pair[3] << 4;
-            folding |= pair[2] & DISTANT && boxes_meet(around_a, around_b);
+            folding |= pair[2] & DISTANT && boxes_overlap(around_a, around_b);
         }
         if (!some(near)) continue;
         COUNT(candidate_near);
@@ -186,7 +186,7 @@ auto look_for_folds = [&]() {
         if (n < pair_count && count) {
             const wp::vec_t<4, int> pair = candidates[n];
             i = pair[0];
-            fold = pair[2] & DISTANT && boxes_meet(box_of(quad_of(i), 0.0), box_of(quad_of(pair[1]), 0.0));
+            fold = pair[2] & DISTANT && boxes_overlap(box_of(quad_of(i), 0.0), box_of(quad_of(pair[1]), 0.0));
         }
         const unsigned folded = vote(fold);
         if (some(folded)) count_folds(folded, i);

@@ -2,7 +2,7 @@
 
 const bool frozen = !live || wp::index(data.frozen, pack, 0) != 0;  // a group that only fills its warp is not live
 int points = wp::index(model.points, mesh), springs = wp::index(model.springs, mesh);
-int rigids = wp::index(model.rigids, mesh), voxels = wp::index(model.voxels, mesh), mobiles = wp::index(model.mobiles, mesh);
+int rigids = wp::index(model.rigids, mesh), voxels = wp::index(model.voxels, mesh), movables = wp::index(model.movables, mesh);
 // A row of a table or of the state. Where one is looked up in every sub-step, its index is hidden from the compiler, which
 // would keep all of these addresses in registers else.
 auto row_of = [](const auto& table, int row) { return &wp::index(table, row, 0); };

@@ -34,7 +34,7 @@ auto in_bounds = [&]() -> bool {
 };
 auto put_at_rest = [&]() {
     for (int r = part; r < 2 * points; r += PARTS) {
-        wp::index(data.pos, pack, r, 0) = wp::index(model.home, mesh, r, 0);
+        wp::index(data.pos, pack, r, 0) = wp::index(model.rest_pos, mesh, r, 0);
         wp::index(data.vel, pack, r, 0) = 0.0;
         wp::index(data.true_vel, pack, r, 0) = 0.0;
     }
@@ -57,7 +57,7 @@ auto store = [&]() {
 load_points();
 int status = vote(!sound) ? DIVERGED : 0;
 if (status && live) put_at_rest();
-if (status || frozen) points = springs = rigids = voxels = mobiles = count = 0;  // nothing to do but come along
+if (status || frozen) points = springs = rigids = voxels = movables = count = 0;  // nothing to do but come along
 load_springs();
 load_rigids();
 sync();
