@@ -20,7 +20,7 @@ UNITS = {
     ANGLE: "radians, counter-clockwise",
     NUMBER: "no unit",
 }
-"""What the units mean."""
+"""Descriptions of the units."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -24,7 +24,7 @@ GUARDS = ("on", "dump")
 STEPS = 64
 """Control steps that a file holds at most."""
 LIMIT = 10
-"""Files that a folder holds at most, whatever wrote them."""
+"""Files that a folder holds at most."""
 PATTERN = "diverged_*.npz"
 
 

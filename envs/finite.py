@@ -46,7 +46,7 @@ class FiniteGuard:
         """
         odd = ~torch.isfinite(obs)
         counted = odd if where is None else odd & where[:, None]
-        # in place: a graph that has been captured goes on counting in the same memory
+        # in place: a captured graph adds to the same memory
         self._of_columns.index_add_(0, self._design, counted.int())
         return obs.masked_fill(odd, 0.0), counted.any(1)
 

@@ -197,7 +197,7 @@ class VoxelEnv(gymnasium.Env):
         """
         try:
             action = np.asarray(action, dtype=np.float64)
-        except Exception as error:  # whatever an object that is no array says when it is asked for numbers
+        except Exception as error:  # conversion of an arbitrary object may raise anything
             raise ActionError(f"An action must be an array of numbers: {str(error)[:200]}.") from None
         if action.shape != self.action_space.shape:
             expected = list(self.action_space.shape)
@@ -250,7 +250,7 @@ class VoxelEnv(gymnasium.Env):
             return
         early = self._next_frame - time.perf_counter()
         if 0 < early < 1:
-            time.sleep(early)  # people want to see time run as it does in the simulation
+            time.sleep(early)  # in real time
         self._window.show(self._picture())
         self._next_frame = time.perf_counter() + FRAME_SECONDS
 

@@ -155,7 +155,7 @@ class VoxelGymVectorEnv(VectorEnv):
         self._obs = np.where(mask[:, None], fresh, self._obs)
 
     def set_designs(self, designs: object, mask: np.ndarray, connections: Sequence[object] | None = None) -> np.ndarray:
-        """Give environments other bodies; they begin a new episode, the others go on.
+        """Replace the bodies of some environments, which begin a new episode; the others continue.
 
         Args:
             designs, mask, connections: as in :meth:`warpvox.envs.vec_env.VoxelVecEnv.set_designs`.
@@ -201,7 +201,7 @@ class VoxelGymVectorEnv(VectorEnv):
         return self._obs.copy(), rewards, *flags, infos
 
     def _infos_of_same_step(self, info: dict[str, Any], details: dict[str, Any]) -> dict[str, Any]:
-        """What is told of a step after which ended environments have been reset."""
+        """``infos`` of a step after which environments have been reset."""
         done = info["episode"]["done"].cpu().numpy()
         infos = {} if done.all() else _masked(details, ~done)
         if done.any():
@@ -240,7 +240,7 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
-    """Values of all environments as gymnasium has them: 0 where the mask, which stands beside them, is False."""
+    """Values in gymnasium's form: 0 where the mask is False, and the mask itself under ``_name``."""
     out: dict[str, Any] = {}
     for name, value in values.items():
         here = _masked(value, mask) if isinstance(value, dict) else np.where(mask, value, np.zeros_like(value))

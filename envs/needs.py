@@ -1,7 +1,7 @@
 """How much memory environments need, known before it is allocated.
 
 Simulations are the larger part: their arrays are measured on a few environments of the largest designs and scaled by
-the number of packs. What the environments add (observations, rewards, intermediate results of a step) is a sum over the
+the number of packs. The rest (observations, rewards, intermediate results of a step) is a sum over the
 sizes of observations and actions, with factors that ``tests/envs/test_needs.py`` compares with what a process takes.
 """
 
@@ -81,7 +81,7 @@ def environment_bytes(num_envs: int, num_obs: int, num_actions: int, itemsize: i
 
 
 def is_small(worlds: Sequence[World], per_design: int, free: int | None) -> bool:
-    """Whether environments need no closer look, however they are simulated; also where nothing tells what is free."""
+    """Whether environments fit without a measurement; also True where free memory is unknown."""
     cells = max(cells_of(world) for world in worlds)
     return free is None or len(worlds) * per_design * cells * MOST_PER_CELL <= SMALL * free
 

@@ -63,7 +63,7 @@ def _task_of(text: str) -> TaskSpec:
     place, name = split(text)
     try:
         module = load_code(place).module
-    except (Exception, SystemExit) as error:  # whatever a user's module may raise
+    except (Exception, SystemExit) as error:  # a user's module may raise anything
         raise TaskError(_why_not(text, place, error)) from error
     found = getattr(module, name, None)
     if not isinstance(found, TaskSpec):

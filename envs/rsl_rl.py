@@ -136,7 +136,7 @@ class RslRlVecEnv(VecEnv):
         Returns are the task's own, not scaled. Episodes that were shortened for a random start do not count, except
         in ``unstable`` and ``diverged``: how many ended by a step that was stopped, and by divergence among them.
         """
-        self.env.not_finite()  # warns of terms that were NaN; looking there is no wait more
+        self.env.not_finite()  # warns of non-finite terms; the device is read below anyway
         count, total, length, *ends = self._sums.tolist()
         self._clear_episodes()
         stopped = {name: int(number) for name, number in zip(STOP_CAUSES, ends, strict=True)}
@@ -161,7 +161,7 @@ class RslRlVecEnv(VecEnv):
             ConfigError: the designs do not scale their rewards apart.
         """
         if self.reward_norm is not None and not self.apart:
-            raise ConfigError("Designs that share one scale of rewards cannot go on without each other.")
+            raise ConfigError("Designs that share one scale of rewards cannot be separated.")
         mask = self.env.design_index[:, None] == torch.as_tensor(list(designs), device=self.device)
         rows = mask.T.nonzero()[:, 1]
         state = _rows(self.state() | {"sums": None, "reward_norm": None}, rows)

@@ -1,4 +1,4 @@
-"""Many environments as Stable-Baselines3 wants them: ``PPO("MlpPolicy", VoxelSB3VecEnv("Walker-v0", 64))``."""
+"""Environments behind Stable-Baselines3's interface: ``PPO("MlpPolicy", VoxelSB3VecEnv("Walker-v0", 64))``."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class VoxelSB3VecEnv(VecEnv):
         if render_mode not in (None, "rgb_array"):
             raise ConfigError(f"render_mode must be None or rgb_array, got {render_mode!r:.80}.")
         if "auto_reset" in options:
-            raise ConfigError("Stable-Baselines3 wants environments that reset themselves: auto_reset cannot be given.")
+            raise ConfigError("Stable-Baselines3 needs environments that reset themselves: auto_reset cannot be given.")
         self.vec = make_vec(task, designs, num_envs, body=body, **({"device": "cpu"} | options))
         self.normalize_actions, self.render_size = normalize_actions, render_size
         self._mode, self._view = render_mode, None

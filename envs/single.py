@@ -36,7 +36,7 @@ Result = tuple[np.ndarray, dict[str, float], bool, bool, bool]
 class Row(np.ndarray):
     """A numpy array ``[1, ...]`` with the methods of tensors that terms use; results are bit for bit those of torch.
 
-    What would have one entry, ``[1]``, is a :class:`Number`.
+    A value with one entry, ``[1]``, is a :class:`Number`.
     """
 
     def __getitem__(self, key: Any) -> Any:
@@ -202,7 +202,7 @@ for _name in ("add", "sub", "mul"):
 
 
 class Sensors:
-    """What a simulation of one environment senses, as rows ``[1, ...]``.
+    """Sensing of a simulation of one environment, as rows ``[1, ...]``.
 
     The methods are those of :class:`warpvox.Simulation`, with the same values: launches of the same kernels, into
     buffers of our own. Rows are fresh.
@@ -217,7 +217,7 @@ class Sensors:
         """Whether something has moved since the centres were sensed."""
 
     def _record(self, method: str, args: tuple) -> tuple[torch.Tensor, Any, list[torch.Tensor]]:
-        """What a method of the simulation gives, the launch that it makes for it (None: none), and its buffers."""
+        """The result of a method of the simulation, its kernel launch (None: none), and the launch's buffers."""
         with self._sim.sensing_anew() as launches:
             value = getattr(self._sim, method)(*args)
         command, buffers = next(iter(launches.values()), (None, []))
@@ -395,7 +395,7 @@ class SingleStepper:
 
 
 def fast_stepper(env: VoxelVecEnv) -> SingleStepper | None:
-    """What steps a single environment fast; None if it needs torch: see this module's text."""
+    """The fast stepper of a single environment; None if the environment needs torch (see the module's docstring)."""
     terms = [*env.spec.observations, *env.spec.rewards, *env.spec.terminations]
     functions = [term.function for term in terms] + [memory.update for memory in env.spec.memory if memory.update]
     own = all(str(getattr(getattr(f, "func", f), "__module__", "")).startswith(OURS) for f in functions)

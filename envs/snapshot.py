@@ -1,4 +1,4 @@
-"""What terms read: quantities of the simulation at one time."""
+"""Quantities of the simulation at one time, which terms read."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Quantity = tuple[object, ...]
 class Snapshot:
     """Quantities of all environments at one time, computed on first use and cached.
 
-    What terms will need must be read before the simulation steps on: :meth:`fetch` reads the quantities that rewards
+    They must be read before the simulation is stepped: :meth:`fetch` reads the quantities that rewards
     will ask of the state before the next step; :attr:`quantities` lists what has been read.
 
     Lengths are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step

@@ -1,4 +1,4 @@
-"""What a task is: data. A :class:`TaskSpec` names its world, its terms and its limits; nothing here computes.
+"""Tasks as data: a :class:`TaskSpec` names a world, terms and limits.
 
 A *term* is a small function on :class:`warpvox.envs.snapshot.Snapshot` together with its parameters. The vector
 environment adds terms up, so that no task has code of its own.
@@ -79,7 +79,7 @@ class Term:
 
     @property
     def formula(self) -> str:
-        """What is computed, as text; of a function that says nothing about itself the name and parameters."""
+        """The computation as text; without metadata the function's name and parameters."""
         described = about_of(self.function)
         if described is not None:
             return described.text(dict(self.params))
@@ -255,7 +255,7 @@ class TaskSpec:
             )
 
     def _check_parts(self) -> None:
-        """Whether everything is of its kind: what terms give is looked at when environments are made."""
+        """Check the types of all parts; results of terms are checked when environments are made."""
         kinds = {"observations": Observation, "rewards": Reward, "terminations": Termination, "memory": Memory}
         for name, kind in kinds.items():
             parts = getattr(self, name)

@@ -75,9 +75,9 @@ def make_vec(
         device: ``auto`` (CUDA where there is one, from 1,000 environments on), ``cpu``, ``cuda`` or ``cuda:<index>``.
         rules: ``evogym`` (as released) or ``paper`` (section B as printed).
         dtype: ``float32`` or ``float64``, of the simulation, observations and rewards.
-        seed: governs everything random in a task (nothing in the deterministic ones). Environment k draws the same
-            whatever the other environments are. Or one for each design, whose environments then draw as if they
-            were alone; or one for each environment.
+        seed: governs everything random in a task (nothing in the deterministic ones). The numbers of environment k
+            do not depend on the other environments. Or one seed for each design, whose environments then draw as if
+            they were alone; or one for each environment.
         auto_reset: reset environments in the step in which they end; otherwise they stay as they ended.
         physics: preset or constants; default: the preset named as the rules.
         lanes, threads: see :class:`warpvox.Simulation`.
@@ -269,8 +269,8 @@ class VoxelVecEnv:
         """Begin a new episode everywhere, or where ``mask`` is True.
 
         Args:
-            seed: begin the random numbers anew, from this seed (or one for each design, or for each environment); None
-                goes on with those there are.
+            seed: restart the random streams from this seed (or one for each design, or for each environment); None
+                continues them.
             memory: episode state to set in place of what the task draws, ``[num_envs, ...]`` by name; entries that are
                 missing at the end of a row are 0. For this episode only.
             mask: bool ``[num_envs]``; None means all. The other environments stay as they are.
@@ -308,7 +308,7 @@ class VoxelVecEnv:
     def set_designs(
         self, designs: object, mask: torch.Tensor | np.ndarray, connections: Sequence[object] | None = None
     ) -> torch.Tensor:
-        """Give environments other bodies; they begin a new episode, the others go on.
+        """Replace the bodies of some environments, which begin a new episode; the others continue.
 
         Nothing is compiled and no array moves; sizes of observations and actions stay. ``designs``, ``design_index``,
         the masks and columns follow: equal designs are one then.
@@ -534,7 +534,7 @@ class VoxelVecEnv:
         return terms, terminated
 
     def _restart(self, done: torch.Tensor, obs: torch.Tensor) -> torch.Tensor:
-        """Reset where ``done``; return the observations with which to go on."""
+        """Reset where ``done``; return the observations for the next step."""
         if self._on_cpu and not bool(done.any()):
             return obs
         self.sim.reset(done)
@@ -544,7 +544,7 @@ class VoxelVecEnv:
         self.episodes.clear(done)
         now = self._snapshot()
         self.episodes.set_before(now)
-        # An episode that goes on keeps its observation, which was made before the memory was updated.
+        # A running episode keeps its observation, which was made before the memory was updated.
         fresh = self._finite.first(self.observe(now), done, self._on_cpu)
         return torch.where(done[:, None], fresh, obs)
 

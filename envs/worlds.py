@@ -54,7 +54,7 @@ def heights(name: str, profile: str, cell: str = "F", x: int = 0, y: int = 0) ->
 
 
 def task_team(task: TaskSpec, design: object) -> dict[str, object]:
-    """What each robot of a task is designed as: ``{name: body}``, the robot first.
+    """The bodies of all robots of a task: ``{name: body}``, the robot first.
 
     Args:
         design: such a mapping, or one body, which all robots of the task then have.

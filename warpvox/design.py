@@ -104,7 +104,7 @@ def as_grid(
         raw = np.asarray(cells)
     except ValueError:  # numpy's word for nested lists of unequal length
         raise error(f"The {what} is ragged: every row must have the same number of cells.") from None
-    except Exception as reason:  # whatever an object that is no array says when it is asked for numbers
+    except Exception as reason:  # conversion of an arbitrary object may raise anything
         raise error(f"The {what} cannot be read as an array: {type(reason).__name__}: {reason}.") from None
     if raw.dtype.kind not in "iuf":
         kind = type(cells).__name__ if raw.ndim == 0 else raw.dtype
@@ -214,7 +214,7 @@ def sample_design(
         rng = np.random.default_rng(seed)
     except (TypeError, ValueError):
         raise DesignError(f"The seed must be None, an integer >= 0 or a numpy Generator, got {seed!r}.") from None
-    # One body per draw: a shared Generator then advances by exactly what was rejected, whatever else uses it.
+    # One body per draw, so that a shared Generator advances by the draws that were needed.
     draws = max(1, _MAX_DRAWS // (rows * columns))
     for _ in range(draws):
         body = draw_bodies(rng, 1, (rows, columns), weights)
@@ -386,7 +386,7 @@ def _check_weights(weights: Sequence[float]) -> np.ndarray:
     """Return normalised weights [5] or raise DesignError."""
     try:
         array = np.asarray(weights, dtype=float)
-    except Exception:  # whatever an object that is no array says when it is asked for numbers
+    except Exception:  # conversion of an arbitrary object may raise anything
         array = np.empty(0)
     if array.shape != (5,):
         raise DesignError(

@@ -192,15 +192,3 @@ def test_scripts_with_windows_run_without_one(sim: EvoSim, monkeypatch: pytest.M
     env.reset()
     env.step(env.action_space.sample())
     env.close()
-
-
-def test_verbose_tells_the_rate(
-    sim: EvoSim, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    now = [0.0]
-    monkeypatch.setattr("warpvox.evogym.utils.time.monotonic", lambda: now[0])
-    viewer = make(sim)
-    for _ in range(3):
-        now[0] += 0.4
-        viewer.render("img", verbose=True)
-    assert capsys.readouterr().out == "rps: 3 | avg rps: 3.00\n"

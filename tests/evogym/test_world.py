@@ -42,12 +42,6 @@ def test_connections_are_told_both_ways() -> None:
     assert alone.get_connections().shape == (2, 0)
 
 
-@pytest.mark.parametrize("wrong", [[[0], [1]], [[0], [4]], [[0], [9]]])
-def test_connections_are_between_neighbouring_cells(wrong: list[list[int]]) -> None:
-    with pytest.raises(ValueError, match="connections"):
-        WorldObject.from_array("robot", BODY, np.array(wrong))
-
-
 def test_objects_are_moved_and_removed(world: EvoWorld) -> None:
     world.translate_object("robot", 3, 1)
     assert world.objects["robot"].get_pos() == (5, 2)
@@ -74,11 +68,6 @@ def test_what_cannot_be_done_changes_nothing(world: EvoWorld) -> None:
             wrong()
         assert np.array_equal(world.grid, grid)
         assert world.objects["robot"].get_pos() == (2, 1)
-
-
-def test_the_bounding_box_must_be_free(world: EvoWorld) -> None:
-    with pytest.raises(WorldError, match="overlaps"):
-        world.add_from_array("box", np.array([[1, 1], [1, 0]]), 1, 1)
 
 
 def test_copies_are_independent(world: EvoWorld) -> None:

@@ -1,6 +1,6 @@
-"""One environment of the simulator, seen with numpy: its points without copies, and the record of its past.
+"""One environment of the simulator with numpy views of its points, and a record of all control steps.
 
-The release keeps every control step since the reset and answers questions about any of them; so does this.
+As in the release, positions and velocities of any control step since the reset can be read.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Engine:
     cells, row by row from the top. Positions are in simulator units (0.1 a voxel).
 
     Args:
-        world: what there is.
+        world: the objects.
         loose: names of objects that may be moved although none of their cells can move.
 
     Attributes:
@@ -38,7 +38,7 @@ class Engine:
         robots: names of those with actuators.
         time: complete control steps.
         goals: for every robot float64 ``[actuators]``, target lengths for the next step. May be written into.
-        changes: grows with everything that happens to the points.
+        changes: counter of changes of the points.
 
     Raises:
         SimulationError: the world is empty.
@@ -88,7 +88,7 @@ class Engine:
         self._past[self.time] = (self._views["pos"].copy(), self._views["vel"].copy())
 
     def revert(self, time: int) -> None:
-        """Go back to a recorded time and forget what came after it."""
+        """Go back to a recorded time and drop the records after it."""
         pos, vel = self._at(time)
         self._set(pos, vel)
         self.time = time
@@ -106,7 +106,7 @@ class Engine:
         self.sensors.moved = True
 
     def translate(self, name: str, dx: float, dy: float) -> None:
-        """Move all points of an object, in simulator units; overlaps are not looked at."""
+        """Move all points of an object, in simulator units; overlaps are not checked."""
         if name not in self._loose and (self._bodies[name].source.grid == Cell.FIXED).any():
             self._loosen(name)
         self._views["pos"][self._spans[name]] += (dx, dy)
@@ -115,19 +115,19 @@ class Engine:
         self._record()
 
     def _loosen(self, name: str) -> None:
-        """Make an object one whose fixed cells can be moved; the past is told anew with its points in it."""
+        """Rebuild the simulation so that an object of fixed cells can be moved; add its points to the record."""
         past, actions = self._past, self._actions.copy()
-        told = {time: [self._parts(kept) for kept in past[time]] for time in past}
+        parts_at = {time: [self._parts(kept) for kept in past[time]] for time in past}
         static, self._loose = self._static, (*self._loose, name)
         self._build()
         self._actions[:] = actions
         moving = [body.name for body in self._sim.designs[0].bodies]
         if name in static:  # it has not moved so far
-            for pos, vel in told.values():
+            for pos, vel in parts_at.values():
                 pos[name], vel[name] = static[name], np.zeros_like(static[name])
         self._past = {
             time: tuple(np.concatenate([part[each] for each in moving]) for part in parts)
-            for time, parts in told.items()
+            for time, parts in parts_at.items()
         }
         self._set(*self._past[self.time])
 
@@ -145,10 +145,6 @@ class Engine:
         """Raise ArgumentError unless there is an object of that name."""
         if name not in self._bodies:
             raise ArgumentError(f"{name} is not a valid object name; there are {listing(self.names)}.")
-
-    def moves(self, name: str) -> bool:
-        """Whether an object has points that the simulation can move."""
-        return name not in self._static
 
     def positions(self, time: int, name: str) -> np.ndarray:
         """``[points, 2]``, not to be written into."""

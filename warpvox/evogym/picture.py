@@ -34,7 +34,7 @@ def paint(
     """The present state.
 
     Args:
-        engine: what is looked at.
+        engine: the simulation.
         middle: the centre of the picture, in simulator units.
         view: width and height of what is seen, in simulator units; stretched to the picture.
         size: width and height in pixels.

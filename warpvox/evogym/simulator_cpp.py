@@ -26,7 +26,7 @@ __all__ = ["Camera", "Sim", "Viewer"]
 class Sim:
     """A simulation that objects are read into, and that is then stepped.
 
-    Objects are simulated in one order, whatever the order of reading: robots first, then the others, each by name.
+    The order of objects does not depend on the order of reading: robots first, then the others, each by name.
     """
 
     def __init__(self) -> None:
@@ -118,7 +118,7 @@ class Sim:
         """One control step of 30 sub-steps.
 
         Returns:
-            Whether a robot has folded into itself. The step is then undone, and time stands still.
+            Whether a robot has folded into itself. The step is then undone, and the time stays.
         """
         return self._engine.step()
 
@@ -150,7 +150,7 @@ class Sim:
         self._engine.revert(sim_time)
 
     def translate_object(self, x: float, y: float, object_name: str) -> None:
-        """Move an object by (x, y) at once; overlaps are not looked at.
+        """Move an object by (x, y) at once; overlaps are not checked.
 
         Raises:
             ArgumentError: no such object.
@@ -211,7 +211,7 @@ def _rows(points: np.ndarray) -> np.ndarray:
 
 
 class Camera:
-    """What a picture shows.
+    """The view of a picture.
 
     Args:
         is_renderable: as released, True for a camera of images and False for one of windows.
@@ -248,17 +248,17 @@ class Camera:
 
 
 class Viewer:
-    """Paints a simulation for cameras, and owns a window.
+    """Paints a simulation for cameras, or in a window.
 
     Args:
-        sim: what is looked at.
+        sim: the simulation to paint.
     """
 
     def __init__(self, sim: Sim) -> None:
         self._sim, self._window, self._shown = sim, None, False
 
     def look_at(self, sim: Sim) -> None:
-        """Go on with another simulation, in the same window."""
+        """Paint another simulation from now on, in the same window."""
         self._sim = sim
 
     def init(self) -> None:

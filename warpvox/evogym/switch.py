@@ -37,7 +37,7 @@ class _Alias(MetaPathFinder, Loader):
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        # The import system has just told the module that its name is another one.
+        # The import system has set these to those of the alias.
         module.__spec__, module.__loader__, module.__package__ = self._own
 
 

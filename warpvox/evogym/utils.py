@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 VOXEL_TYPES = {cell.name: int(cell) for cell in Cell}
-"""What a cell holds: EMPTY 0, RIGID 1, SOFT 2, H_ACT 3, V_ACT 4, FIXED 5."""
+"""Types of cells: EMPTY 0, RIGID 1, SOFT 2, H_ACT 3, V_ACT 4, FIXED 5."""
 
 BASELINE_ENV_NAMES = [
     *("Walker-v0", "BridgeWalker-v0", "BidirectionalWalker-v0"),

@@ -17,18 +17,18 @@ __all__ = ["EvoViewer"]
 
 _SCREEN, _IMAGE = ("screen", "human"), ("img", "rgb_array")
 _LOCKS = ("lock_x", "lock_y", "lock_width", "lock_height")
-# The camera's motion, as released: gains of the filter, how fast its memory fades, and how far targets may wander
-# before they are followed (voxels for places, a share for sizes).
+# The camera's motion, as released: gains of its filter, decay of the integral, and dead bands of the target (voxels
+# for positions, a share for sizes).
 _GAIN, _SUM_GAIN, _SPEED_GAIN, _FADE = 0.04, 0.005, 0.08, 0.9
 _DEAD_PLACE, _DEAD_SIZE = 1.0, 0.3
 _JUMP_BACK = 50  # steps of the camera in one go after time has gone back
 
 
 class EvoViewer:
-    """A camera on a simulation, which stands still or follows objects.
+    """A camera on a simulation, fixed or following objects.
 
     Args:
-        sim_to_view: what is looked at.
+        sim_to_view: the simulation.
         target_rps: pictures per second at most; None: as many as possible.
         pos: middle of the picture.
         view_size: width and height of what is seen; stretched to the picture.
@@ -62,7 +62,7 @@ class EvoViewer:
         self.set_resolution(resolution)
 
     def look_at(self, sim: EvoSim) -> None:
-        """Go on with another simulation, in the same window and with the same camera."""
+        """Show another simulation from now on, in the same window and with the same camera."""
         self._sim = sim
         if self._viewer is not None:
             self._viewer.look_at(sim)
@@ -125,7 +125,7 @@ class EvoViewer:
                 self._scale = _checked(name, value)
 
     def _box(self) -> np.ndarray:
-        """What should be seen: x, y, width and height of the objects' box, with padding and scale."""
+        """x, y, width and height of the tracked objects' box, with padding and scale."""
         now = self._sim.get_time()
         points = np.concatenate([self._sim.object_pos_at_time(now, name) for name in self._tracked], axis=1)
         low, high = points.min(axis=1) - self._padding, points.max(axis=1) + self._padding

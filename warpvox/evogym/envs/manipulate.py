@@ -74,11 +74,9 @@ class PackageBase(BenchmarkBase):
         """Begin an episode. Returns what :meth:`get_obs` gives with the robot's points, and an empty dictionary."""
         super().reset(seed=seed, options=options)
         now = self.get_time()
-        parts = [look(now, name) for name in ("robot", "package") for look in self._looks()]
+        reads = self.object_pos_at_time, self.object_vel_at_time
+        parts = [read(now, name) for name in ("robot", "package") for read in reads]
         return np.concatenate([self.get_obs(*parts), self.get_relative_pos_obs("robot")]), {}
-
-    def _looks(self) -> tuple:
-        return self.object_pos_at_time, self.object_vel_at_time
 
 
 class CatchSmallRect(TaskEnv, PackageBase):

@@ -40,7 +40,7 @@ class Goal:
         raise NotImplementedError(f"The goal '{self.name}' must define evaluate(args).")
 
     def get_obs(self, args: Mapping[str, Any]) -> np.ndarray:
-        """What is observed of the goal."""
+        """The observation of the goal."""
         raise NotImplementedError(f"The goal '{self.name}' must define get_obs(args).")
 
 
@@ -92,7 +92,7 @@ class GoalBase(BenchmarkBase):
         return reward, self.current_goal == len(self.goals)
 
     def get_obs(self, args: Mapping[str, Any]) -> np.ndarray:
-        """What is observed of the present goal; of the last one when all have been reached."""
+        """The observation of the present goal; of the last one when all have been reached."""
         return self.goals[min(self.current_goal, len(self.goals) - 1)].get_obs(args)
 
 
@@ -108,7 +108,7 @@ class BiWalk(TaskEnv, GoalBase):
     _random: Any = random
 
     def _make_world(self, *parts: Any) -> EvoWorld:
-        self.set_random_goals(20, 50, 100)  # before the first observation tells the size of observations
+        self.set_random_goals(20, 50, 100)  # the size of observations is that of the first one
         return super()._make_world(*parts)
 
     def set_random_goals(self, lower_bound: int, upper_bound: int, goal_dist: float) -> None:
