@@ -1,4 +1,4 @@
-"""What design search, evaluation and archive hand to each other."""
+"""Data types and protocols that design search, evaluation and archive share."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ PROGRESS = {
     "best": "list, by candidate: the best deterministic return so far, NaN before the first evaluation",
     "training": "list, by candidate: whether it is still being trained",
 }
-"""What an evaluation reports while it is under way: keys and meanings."""
+"""Progress that an evaluation reports: keys and meanings."""
 
 
 def candidate_seed(seed: int, number: int) -> int:
-    """The seed of candidate ``number`` in an experiment with ``seed``: all that its training draws follows from it.
+    """The seed of the training of candidate ``number`` in an experiment with ``seed``.
 
-    An integer of 63 bits, which torch, numpy and SQLite can hold alike.
+    An integer of 63 bits, which torch, numpy and SQLite can all represent.
     """
     return int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A design that a search wants evaluated.
+    """A design to be evaluated.
 
     ``id`` counts the candidates of an experiment from 0 in the order of their proposal; ``body`` is int8
     ``[rows, columns]``; ``parents`` are the ids it descends from; ``origin`` says how it was made
@@ -50,12 +50,12 @@ class Candidate:
 
 @dataclass
 class Outcome:
-    """What became of a candidate.
+    """The result of a candidate's evaluation.
 
     ``fitness`` is the best deterministic return (paper section C.1), -inf if learning diverged before the first
     evaluation; ``curve`` the evaluations behind it as (control steps, return); ``steps`` the control steps spent;
-    ``policy`` what a stock rsl-rl actor of this body loads, on the CPU; ``stopped`` says that training ended early, for
-    want of promise or because learning diverged.
+    ``policy`` the state of a stock rsl-rl actor, on the CPU; ``stopped``: training ended early, by successive halving or
+    because learning diverged.
     """
 
     fitness: float
@@ -72,7 +72,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Parent:
-    """What a child can inherit: ``body``, ``policy`` and ``fitness`` of a candidate that has an outcome."""
+    """An evaluated candidate whose policy a child can start from."""
 
     body: Design
     policy: dict[str, Any]
@@ -89,14 +89,14 @@ class Search(Protocol):
         """The fitness of the candidates asked for last, in their order."""
 
     def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
-        """Get to where asking and telling had got: whole generations and their fitness, in order.
+        """Restore the state after these generations, in order.
 
-        The outcome is the same as of asking and telling again, but what is costly to propose is taken as given.
+        The result is that of asking and telling again, but candidates that are costly to propose are taken as given.
         """
 
 
 class DesignEvaluator(Protocol):
-    """Trains a policy for each of some designs and says how good it gets."""
+    """Trains a policy for each design and returns its fitness."""
 
     def evaluate(
         self,
@@ -107,17 +107,16 @@ class DesignEvaluator(Protocol):
     ) -> list[Outcome]:
         """Outcomes in the order of the candidates.
 
-        A candidate's outcome follows from the seed of the experiment, its id, its body and the policy it starts
-        from; which others are evaluated with it does not matter (unless hopeless ones are stopped early, which
-        is a race among them).
+        The same candidates with the same seed of the experiment give the same bits on the same machine. Among other
+        candidates an outcome is the same up to rounding, unless successive halving makes them compete.
 
         Args:
             candidates: what to evaluate.
             parents: by their ids, for ``training.inherit``: a child starts from the policy of the best of its
                 parents that are listed here.
-            report: told of progress now and then, with keys of :data:`PROGRESS`.
-            checkpoint: a file that training is saved to now and then, and goes on from if it exists; the outcomes
-                are those of an undisturbed evaluation. Whoever has stored the outcomes removes it.
+            report: called with progress, keys as in :data:`PROGRESS`.
+            checkpoint: a file that training is saved to at intervals and resumed from if it exists; the outcomes are
+                those of an uninterrupted evaluation. The caller removes it once the outcomes are stored.
 
         Raises:
             RunError: the checkpoint is that of other candidates or settings.

@@ -1,4 +1,4 @@
-"""Where a design search trains: everything about environments but bodies, numbers and seeds."""
+"""Makes the environments of a design search: a task and how it is simulated."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.types import Physics
 
-__all__ = ["Arena"]
+__all__ = ["EnvFactory"]
 
 
 @dataclass(frozen=True)
-class Arena:
+class EnvFactory:
     """A task and how it is simulated; the arguments are those of :func:`warpvox.envs.vec_env.make_vec`."""
 
     task: str | TaskSpec

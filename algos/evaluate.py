@@ -1,4 +1,4 @@
-"""How good is a policy? Whole episodes without exploration, the same for training, play and design search."""
+"""Deterministic evaluation: whole episodes without exploration, for training, play and design search."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ __all__ = ["Evaluation", "Evaluator", "Policy", "evaluate", "evaluator"]
 Policy = Callable[[torch.Tensor], torch.Tensor]
 """Observations ``[num_envs, num_obs]`` to actions ``[num_envs, num_actions]`` in [0.6, 1.6]."""
 
-LOOK_EVERY = 25
-"""Steps between looks at whether all episodes have ended, where a look means waiting for the device."""
+CHECK_EVERY = 25
+"""Steps between checks whether all episodes have ended, where a check waits for the device."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Evaluation:
 
 
 class Evaluator(Protocol):
-    """Anything that can say how good a policy is: what training asks now and then."""
+    """Evaluates policies during training."""
 
     def __call__(self, policy: Policy) -> Evaluation:
         """Evaluate ``policy``; must not touch the environments that it is trained in."""
@@ -70,14 +70,14 @@ def evaluate(
     if env.auto_reset:
         raise ConfigError("An evaluation needs environments that wait at the end: make_vec(auto_reset=False).")
     steps = env.max_episode_steps if max_steps is None else min(max_steps, env.max_episode_steps)
-    look_every = 1 if torch.device(env.device).type == "cpu" else LOOK_EVERY
+    check_every = 1 if torch.device(env.device).type == "cpu" else CHECK_EVERY
     unstable = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
     with torch.no_grad():
         obs, _ = env.reset(seed)
         for step in range(steps):
             obs, _, terminated, truncated, info = env.step(policy(obs))
             unstable = unstable | info["unstable"]
-            if (step + 1) % look_every == 0 and bool((terminated | truncated).all()):
+            if (step + 1) % check_every == 0 and bool((terminated | truncated).all()):
                 break
     return Evaluation(
         info["episode"]["return"].double().cpu(),

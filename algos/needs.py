@@ -1,4 +1,4 @@
-"""How much memory a training needs, known before it is allocated.
+"""Estimates of the memory that training needs.
 
 PPO keeps a storage of transitions and, while it learns, copies of a minibatch and the activations of both networks for
 it. The factors were found by measuring processes; ``tests/algos/test_needs.py`` compares.
@@ -15,7 +15,7 @@ __all__ = ["learning_bytes", "training_bytes"]
 FLOAT = 4
 """Bytes of a number that networks work on."""
 SCALARS = 6
-"""Numbers of a transition besides observation, action, mean and deviation: reward, end, value, ..."""
+"""Numbers of a transition besides observation, action, mean and deviation: reward, termination, value, ..."""
 COPIES, COPIES_TOGETHER = 3.1, 2.2
 """Of a transition: the storage, and what learning makes of it; of one policy, and of a population's."""
 ACTIVATIONS, ACTIVATIONS_TOGETHER = 0.6, 2.4

@@ -52,7 +52,7 @@ class TrainingConfig:
 
     method: str = key(
         "population",
-        "population: all designs of a generation side by side in one batch; sequential: one after another",
+        "population: all designs of a generation in one batch; sequential: one after another",
         choices=("population", "sequential"),
     )
     envs: int = key(MISSING, "environments of a design", low=1)
@@ -62,7 +62,10 @@ class TrainingConfig:
     save_interval: int = key(50, "iterations between checkpoints of an evaluation under way", low=1)
     inherit: bool = key(False, "a child's training starts from the policy of its best parent")
     rungs: list[float] = key(
-        [], "shares of the iterations after which the least promising designs are stopped: [0.2,0.5]", above=0, high=1
+        [],
+        "successive halving: shares of the iterations after which the worst designs are stopped, [0.2,0.5]",
+        above=0,
+        high=1,
     )
-    keep: float = key(0.5, "share of the designs in training that goes on after a rung", above=0, high=1)
+    keep: float = key(0.5, "successive halving: share of the designs that goes on after a rung", above=0, high=1)
     ppo: PpoConfig = key(PpoConfig, "training method")

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
-from warpvox.algos.codesign.archive_check import check_numbers, check_row, check_schema, harden
+from warpvox.algos.codesign.archive_check import check_numbers, check_row, check_schema, restrict
 from warpvox.design import as_grid
 from warpvox.errors import RunError, StorageError
 from warpvox.io.reading import parse_json
@@ -99,7 +99,7 @@ class Record:
     ``fitness`` and what follows are None until then; ``reused`` is the id of the candidate with an equal body whose
     evaluation this is; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time of the batch
     that it was evaluated in. ``diverged``: its learning gave no evaluation; when its generation is whole, its
-    fitness is set to the worst of all others so far (:meth:`Archive.settle`).
+    fitness is set to the worst of all others so far (:meth:`Archive.rank_diverged`).
     """
 
     candidate: Candidate
@@ -160,14 +160,14 @@ class Archive:
         """
         if path.exists():
             raise RunError(f"{path} exists already: an archive is never overwritten.")
-        lock = _take(path)
+        lock = _lock_for_writing(path)
         try:
             with atomic_path(path, make_folders=False) as temporary:  # a killed process leaves no empty archive
                 cls._fill(temporary, settings)
             return cls(path, _connect(path, "rw"), lock)
         except (sqlite3.Error, StorageError) as error:
             lock.close()
-            raise _unwritable(path, error) from None
+            raise _write_error(path, error) from None
 
     @staticmethod
     def _fill(path: Path, settings: Mapping[str, Any]) -> None:
@@ -189,7 +189,7 @@ class Archive:
             RunError: no archive, a damaged or foreign one, or another process is writing it.
         """
         _check_exists(path)
-        lock = _take(path)
+        lock = _lock_for_writing(path)
         try:
             return cls(path, _checked(path), lock)
         except RunError:
@@ -301,9 +301,9 @@ class Archive:
             with _transaction(self._db):
                 yield self._db
         except sqlite3.Error as error:
-            raise _unwritable(self.path, error) from None
+            raise _write_error(self.path, error) from None
 
-    def settle(self, generation: int) -> None:
+    def rank_diverged(self, generation: int) -> None:
         """Give the diverged designs of a whole generation a fitness: the worst of all others until then.
 
         Searches need a finite number (a Gaussian process cannot learn from -inf), and one that follows from the
@@ -333,7 +333,7 @@ class Archive:
             with atomic_path(path, make_folders=False) as temporary, closing(sqlite3.connect(temporary)) as copy:
                 self._db.backup(copy)
         except sqlite3.Error as error:
-            raise _unwritable(path, error) from None
+            raise _write_error(path, error) from None
         return path
 
     # ------------------------------------------------------------------------------------------ reading
@@ -361,8 +361,8 @@ class Archive:
         try:
             yield
         except (sqlite3.Error, ValueError, TypeError) as error:
-            reason = _trouble(error) or f"is damaged ({error})"
-            raise RunError(f"{self.path} {reason}.{_remedy(self.path, reason)}") from None
+            reason = _access_problem(error) or f"is damaged ({error})"
+            raise RunError(f"{self.path} {reason}.{_repair_hint(self.path, reason)}") from None
 
     def count(self) -> int:
         """Candidates so far, evaluated or not."""
@@ -505,7 +505,7 @@ def _connect(path: Path, mode: str, wait: float = WAIT_SECONDS) -> sqlite3.Conne
     )
 
 
-def _take(path: Path) -> sqlite3.Connection:
+def _lock_for_writing(path: Path) -> sqlite3.Connection:
     """The right to write: an exclusive transaction on a file of its own, which ends with the process that holds it."""
     lock = path.with_name(path.name + ".lock")
     db = None
@@ -518,11 +518,11 @@ def _take(path: Path) -> sqlite3.Connection:
             db.close()
         if "locked" in str(error):
             raise RunError(f"Another process is writing {path}; there can be one at a time.") from None
-        raise _unwritable(path, error) from None
+        raise _write_error(path, error) from None
     return db
 
 
-def _unwritable(path: Path, error: Exception) -> RunError:
+def _write_error(path: Path, error: Exception) -> RunError:
     """What to say when the archive cannot be written. What it held before it still holds."""
     reason = str(error).rstrip(".")
     if not path.parent.is_dir():
@@ -547,20 +547,20 @@ def _checked(path: Path) -> sqlite3.Connection:
     try:
         # Writable also for reading: SQLite then undoes what a killed process has left half written.
         db = _connect(path, "rw")
-        harden(db)
+        restrict(db)
         application = db.execute("PRAGMA application_id").fetchone()[0]
         version = db.execute("PRAGMA user_version").fetchone()[0]
-        reason = _objection(db, application, version)
+        reason = _format_problem(db, application, version)
     except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite repeats what is damaged, whatever bytes it has
-        reason = _trouble(error) or f"is damaged or no SQLite file ({error})"
+        reason = _access_problem(error) or f"is damaged or no SQLite file ({error})"
     if reason is not None:
         if db is not None:
             db.close()
-        raise RunError(f"{path} {reason}.{_remedy(path, reason)}")
+        raise RunError(f"{path} {reason}.{_repair_hint(path, reason)}")
     return db
 
 
-def _trouble(error: Exception) -> str | None:
+def _access_problem(error: Exception) -> str | None:
     """Why a whole archive cannot be read: what a killed process has left half written cannot be undone just now."""
     text = str(error)
     if isinstance(error, sqlite3.OperationalError) and any(
@@ -570,7 +570,7 @@ def _trouble(error: Exception) -> str | None:
     return None
 
 
-def _remedy(path: Path, reason: str) -> str:
+def _repair_hint(path: Path, reason: str) -> str:
     """How to go on from the copy, if there is one and the archive is damaged."""
     backup = path.with_name(BACKUP)
     if "damaged" not in reason or path == backup or not backup.is_file():
@@ -581,7 +581,7 @@ def _remedy(path: Path, reason: str) -> str:
     )
 
 
-def _objection(db: sqlite3.Connection, application: int, version: int) -> str | None:
+def _format_problem(db: sqlite3.Connection, application: int, version: int) -> str | None:
     if application != APPLICATION:
         return "is an SQLite file, but no archive of warpvox"
     if version > VERSION:

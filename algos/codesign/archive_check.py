@@ -14,7 +14,7 @@ from contextlib import closing
 from functools import cache
 from pathlib import Path
 
-__all__ = ["LARGEST_VALUE", "check_numbers", "check_row", "check_schema", "harden"]
+__all__ = ["LARGEST_VALUE", "check_numbers", "check_row", "check_schema", "restrict"]
 
 NoneType = type(None)
 
@@ -24,7 +24,7 @@ _COMMENT = re.compile(r"--[^\n]*")
 _SCHEMA = "SELECT type, name, tbl_name, sql FROM sqlite_master"
 
 
-def harden(db: sqlite3.Connection) -> None:
+def restrict(db: sqlite3.Connection) -> None:
     """Let SQLite trust nothing that lies in the file."""
     db.execute("PRAGMA trusted_schema = OFF")
     db.execute("PRAGMA cell_size_check = ON")

@@ -12,31 +12,31 @@ from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parent
 __all__ = ["Batch", "Executor", "LocalExecutor", "Report", "batches"]
 
 Report = Callable[[int, dict[str, Any]], None]
-"""Is told the place of a batch and what its evaluator reports."""
+"""Called with the index of a batch and the progress of its evaluation."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Candidates that are trained together, and the file that their training is saved to now and then."""
+    """Candidates that are trained together, and the checkpoint file of their training."""
 
     candidates: Sequence[Candidate]
     checkpoint: Path | None = None
 
 
 class Executor(Protocol):
-    """Evaluates batches of candidates. The results must not depend on where and in what order that happens."""
+    """Evaluates batches of candidates. The results must not depend on where and in what order."""
 
     def run(
         self, work: Sequence[Batch], parents: Mapping[int, Parent], report: Report
     ) -> Iterator[tuple[int, list[Outcome]]]:
-        """Yield the place of each batch in ``work`` with its outcomes, as they are done.
+        """Yield the index of each batch in ``work`` with its outcomes, as they finish.
 
         Args:
             parents: as for :class:`warpvox.algos.candidate.DesignEvaluator`.
         """
 
     def close(self) -> None:
-        """Let go of workers."""
+        """Release the workers."""
 
 
 class LocalExecutor:
@@ -57,7 +57,7 @@ class LocalExecutor:
             yield place, self.evaluator.evaluate(batch.candidates, parents, tell, batch.checkpoint)
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to release."""
 
 
 def batches(candidates: Sequence[Candidate], size: int | None, folder: Path | None = None) -> list[Batch]:

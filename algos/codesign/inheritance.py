@@ -1,4 +1,4 @@
-"""A child's policy out of its parent's, where their bodies differ: inputs and outputs are matched by their place."""
+"""Weight inheritance between different bodies: inputs and outputs are matched by their position in the grid."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from warpvox.envs.worlds import ROBOT
 from warpvox.errors import RunError
 from warpvox.types import Cell
 
-__all__ = ["Anatomy", "inherit"]
+__all__ = ["BodyLayout", "copy_weights"]
 
-MEMORY = 4096
-"""Samples that a child's normaliser counts for its parent's moments: few enough to learn its own from."""
+MAX_COUNT = 4096
+"""Largest sample count that a child's normaliser takes over, so that it still adapts to its own observations."""
 
 
 @dataclass(frozen=True)
-class Anatomy:
-    """What the columns of a design's observations and actions are about.
+class BodyLayout:
+    """Meaning of the columns of a design's observations and actions.
 
-    ``columns`` name an entry of a term that has nothing to do with points, or an axis and a corner of the body's
-    grid; ``actuators`` give the cell and its type. Equal names mean the same thing in different bodies.
+    ``columns`` name an axis and a corner of the body's grid, or an entry of a term that is not about points;
+    ``actuators`` give the cell and its type. Equal names mean the same thing in different bodies.
     """
 
     columns: tuple[tuple, ...]
     actuators: tuple[tuple, ...]
 
     @staticmethod
-    def of(env: VoxelVecEnv, design: int) -> Anatomy:
-        """The anatomy of one of the designs of ``env``."""
+    def of(env: VoxelVecEnv, design: int) -> BodyLayout:
+        """The layout of one of the designs of ``env``."""
         body = env.designs[design]
         first = design * env.num_envs // env.num_designs
         mesh = env.sim.designs[int(env.sim.design_index[first])].body(ROBOT)
@@ -55,17 +55,17 @@ class Anatomy:
             else:
                 columns += [(term.name, width, k) for k in range(width)]
         kinds = [(r + row, c + column, mesh.kind((r, c))) for r, c in mesh.cells]
-        return Anatomy(tuple(columns), tuple(kind for kind in kinds if kind[2] in (Cell.H_ACT, Cell.V_ACT)))
+        return BodyLayout(tuple(columns), tuple(kind for kind in kinds if kind[2] in (Cell.H_ACT, Cell.V_ACT)))
 
 
-def inherit(
-    actor: MLPModel, critic: MLPModel, child: Anatomy, parent: Anatomy, policy: dict[str, torch.Tensor]
+def copy_weights(
+    actor: MLPModel, critic: MLPModel, child: BodyLayout, parent: BodyLayout, policy: dict[str, torch.Tensor]
 ) -> None:
-    """Make a child's fresh networks begin where its parent's policy ended.
+    """Initialise a child's networks with its parent's policy.
 
-    Weights of inputs and outputs that both have, hidden layers and running moments come from the parent. What is new
-    in the child starts without influence: weights of 0 for its inputs; its outputs keep their fresh weights and
-    deviation. The value function is fresh but for the moments: a policy's state does not hold one.
+    Weights of shared inputs and outputs, hidden layers and running moments come from the parent. New inputs of the
+    child have weights of 0; new outputs keep their initial weights and deviation. The value function keeps its initial
+    weights, for a policy's state holds none, and takes the moments.
 
     Args:
         actor, critic: of the child; changed in place.
@@ -92,14 +92,14 @@ def inherit(
         if key in state:
             _copy(state[key].T, policy[key].T, inputs, None, key)
     if "obs_normalizer.count" in state:
-        state["obs_normalizer.count"].copy_(policy["obs_normalizer.count"].clamp(max=MEMORY))
+        state["obs_normalizer.count"].copy_(policy["obs_normalizer.count"].clamp(max=MAX_COUNT))
     actor.load_state_dict(state)
     moments = {name: value for name, value in state.items() if name.startswith("obs_normalizer.")}
     critic.load_state_dict(critic.state_dict() | moments)
 
 
 def _matches(child: tuple[tuple, ...], parent: tuple[tuple, ...]) -> tuple[list[int], list[int]]:
-    """Indices of what both have: in the child, in the parent."""
+    """Indices of shared names: in the child, in the parent."""
     where = {name: k for k, name in enumerate(parent)}
     pairs = [(k, where[name]) for k, name in enumerate(child) if name in where]
     return [mine for mine, _ in pairs], [theirs for _, theirs in pairs]

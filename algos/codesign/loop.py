@@ -1,8 +1,7 @@
-"""The co-design loop: a search proposes designs, an executor trains and judges them, the archive remembers.
+"""The co-design loop: a search proposes designs, an executor evaluates them, the archive stores the results.
 
-A search is a function of its settings, its seed and the fitness it has been told, and a training one of the seed of
-its candidate. So an experiment goes on from its archive as if nothing had happened: the search is told again what it
-was told before, and what had not been evaluated is evaluated.
+A search depends on its settings, its seed and the fitness it was told, and a training on the seed of its candidate. So
+an experiment resumes from its archive alone: the search is replayed, and candidates without a result are evaluated.
 """
 
 from __future__ import annotations
@@ -25,26 +24,26 @@ __all__ = ["Listener", "Loop", "PolicyStore"]
 
 
 class PolicyStore(Protocol):
-    """Keeps policies; see :class:`warpvox.algos.codesign.stored_policies.Policies`."""
+    """Keeps policies; see :class:`warpvox.algos.codesign.stored_policies.StoredPolicies`."""
 
     def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
-        """Write a policy down; returns where, and the SHA-256 of its content."""
+        """Store a policy; returns its path and the SHA-256 of its content."""
 
     def load(self, path: str) -> dict[str, Any]:
         """The policy that :meth:`save` wrote there."""
 
 
 class Listener:
-    """Is told what the loop does; the methods of this one do nothing."""
+    """Callbacks of the loop; the methods of this class do nothing."""
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
-        """``waiting`` of the ``total`` candidates of a generation are going to be trained."""
+        """``waiting`` of the ``total`` candidates of a generation will be trained."""
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
         """What an evaluator reports of the training of these candidates; see :data:`PROGRESS`."""
 
     def finished(self, records: Sequence[Record]) -> None:
-        """These candidates are evaluated and written down."""
+        """These candidates are evaluated and stored."""
 
     def told(self, generation: int, fresh: bool) -> None:
         """The search has learned from a generation; not ``fresh``: it had been complete before this run."""
@@ -55,7 +54,7 @@ class Loop:
 
     Args:
         search: must not have been asked yet.
-        executor: trains and judges.
+        executor: evaluates candidates.
         archive: new or of an experiment to go on with; open for writing.
         seed: of the experiment.
         policies: where policies go; None: they are not kept.
@@ -63,7 +62,7 @@ class Loop:
         batch: designs trained together; None: all of a generation.
         reuse: a body that was evaluated before is not trained again.
         inherit: a training may start from the policies of the parents.
-        listener: is told what happens.
+        listener: receives the callbacks.
     """
 
     def __init__(
@@ -116,7 +115,7 @@ class Loop:
                     interrupt.stop()
 
     def _replay(self) -> None:
-        """Tell the search again what it was told before."""
+        """Restore the state of the search from the archive."""
         history = []
         for row in self.archive.generations():
             if row["evaluated"] == row["designs"]:
@@ -136,7 +135,7 @@ class Loop:
             raise RunError(f"Candidate {wrong.id} belongs to generation {self.generation}, not {wrong.generation}.")
 
     def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> None:
-        """Evaluate what is still waiting."""
+        """Evaluate the candidates without a result."""
         done = {record.id for record in self.archive.records(self.generation) if record.finished}
         originals = self._originals(asked)
         # batches are cut before what is done is left out: a resumed generation trains the same designs together
@@ -150,11 +149,15 @@ class Loop:
             if candidate.id in originals and candidate.id not in done
         ]
         self.archive.finish(copies)
-        self._settle()
+        self._rank_diverged()
         self.listener.finished([self.archive.record(copy.id) for copy in copies])
 
-    def _settle(self) -> None:
-        """Rank what has diverged below all others; where nothing else is left, the settings are to blame."""
+    def _rank_diverged(self) -> None:
+        """Rank diverged candidates below all others.
+
+        Raises:
+            DivergenceError: the whole generation diverged.
+        """
         records = self.archive.records(self.generation)
         if all(record.diverged for record in records) and (len(records) > 1 or not self.archive.best()):
             raise DivergenceError(
@@ -162,7 +165,7 @@ class Loop:
                 " first evaluation: its settings do not suit the task. Begin a new search with a lower"
                 " training.ppo.learning_rate."
             )
-        self.archive.settle(self.generation)
+        self.archive.rank_diverged(self.generation)
 
     def _originals(self, asked: Sequence[Candidate]) -> dict[int, int]:
         """The candidates whose body was proposed before, with the id of the first that had it."""
@@ -207,7 +210,7 @@ class Loop:
                 interrupt.stop()
 
     def _clear(self) -> None:
-        """Remove what was saved of trainings that are over; a killed process may have had no time for it."""
+        """Remove checkpoints of finished trainings, which a killed process may have left."""
         if self.checkpoints is None or not self.checkpoints.is_dir():
             return
         if all(row["evaluated"] == row["designs"] for row in self.archive.generations()):
@@ -215,7 +218,7 @@ class Loop:
                 file.unlink()
 
     def _finished(self, candidate: Candidate, outcome: Outcome) -> Finished:
-        """An outcome whose policy is on the disk: the archive never names a file that is not there."""
+        """Store the policy first: the archive never names a missing file."""
         if self.policies is None or outcome.policy is None:
             return Finished(candidate.id, outcome)
         return Finished(candidate.id, outcome, *self.policies.save(candidate, outcome))

@@ -1,4 +1,4 @@
-"""Evaluation of a whole generation of designs at once: all are trained side by side in one batch."""
+"""Evaluation of a generation of designs in one batch."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.checkpoints.files import read_tensors, save_checkpoint
-from warpvox.algos.codesign.inheritance import Anatomy, inherit
-from warpvox.algos.env_factory import Arena
+from warpvox.algos.codesign.inheritance import BodyLayout, copy_weights
+from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.population.training import Networks, PopulationTraining
 from warpvox.algos.settings import TrainingConfig
@@ -24,10 +24,10 @@ from warpvox.io.writing import writing
 
 __all__ = [
     "PopulationEvaluator",
-    "bequeath",
     "best_parent",
     "describe",
-    "less_memory",
+    "inherit_policy",
+    "memory_hint",
     "read_evaluation",
     "save_evaluation",
 ]
@@ -40,19 +40,18 @@ VERSION = 2
 
 @dataclass(frozen=True)
 class PopulationEvaluator:
-    """Trains all candidates side by side; fitness is the best of their deterministic evaluations.
+    """Trains all candidates in one batch; fitness is the best of their deterministic evaluations.
 
-    With ``settings.rungs`` the least promising candidates leave the batch early, the survivors going on as they
-    would have anyway, up to rounding. A candidate whose learning diverges leaves it too, with the fitness it had
-    reached (-inf: none).
+    With ``settings.rungs`` the worst candidates are stopped early (successive halving). A candidate whose learning
+    diverges is stopped too, with the fitness it had reached (-inf: none).
 
     Attributes:
-        arena: where they are trained.
+        factory: where they are trained.
         settings: how.
         seed: of the experiment.
     """
 
-    arena: Arena
+    factory: EnvFactory
     settings: TrainingConfig
     seed: int = 0
 
@@ -72,7 +71,7 @@ class PopulationEvaluator:
         """
         if not candidates:
             return []
-        with enough_memory(less_memory(self.settings, len(candidates))):
+        with enough_memory(memory_hint(self.settings, len(candidates))):
             return self._evaluate(candidates, parents, report, checkpoint)
 
     def _evaluate(
@@ -100,15 +99,15 @@ class PopulationEvaluator:
 
 
 class _Generation:
-    """The evaluation of some candidates while it is under way."""
+    """The state of an evaluation."""
 
     def __init__(
         self, evaluator: PopulationEvaluator, candidates: Sequence[Candidate], parents: Mapping[int, Parent]
     ) -> None:
-        self.arena, self.settings = evaluator.arena, evaluator.settings
+        self.factory, self.settings = evaluator.factory, evaluator.settings
         self.candidates, self.parents = list(candidates), parents
         self.seeds = [candidate_seed(evaluator.seed, candidate.id) for candidate in candidates]
-        self.about = describe(evaluator.arena, evaluator.settings, evaluator.seed, candidates)
+        self.about = describe(evaluator.factory, evaluator.settings, evaluator.seed, candidates)
         self.outcomes = [Outcome(-math.inf) for _ in candidates]
         self.rungs = {max(1, round(share * self.settings.iterations)) for share in self.settings.rungs}
         self.active = list(range(len(candidates)))
@@ -121,10 +120,10 @@ class _Generation:
 
             def prepare(design: int, env: VoxelVecEnv, networks: Networks) -> None:
                 if chosen[design] is not None:
-                    bequeath(self.arena, chosen[design], env, design, networks)
+                    inherit_policy(self.factory, chosen[design], env, design, networks)
 
         bodies = [self.candidates[k].body for k in self.active]
-        return PopulationTraining(self.arena, bodies, [self.seeds[k] for k in self.active], self.settings, prepare)
+        return PopulationTraining(self.factory, bodies, [self.seeds[k] for k in self.active], self.settings, prepare)
 
     @property
     def iteration(self) -> int:
@@ -160,10 +159,10 @@ class _Generation:
         self._keep([place for place, value in enumerate(values) if math.isfinite(value)])
 
     def _halve(self) -> None:
-        """Stop the least promising; of equals, those that were proposed last."""
+        """Stop the worst; of equals, those that were proposed last."""
         count = math.ceil(self.settings.keep * len(self.active))
-        by_promise = sorted(range(len(self.active)), key=lambda place: -self.outcomes[self.active[place]].fitness)
-        self._keep(sorted(by_promise[:count]))
+        ranked = sorted(range(len(self.active)), key=lambda place: -self.outcomes[self.active[place]].fitness)
+        self._keep(sorted(ranked[:count]))
 
     def _keep(self, places: list[int]) -> None:
         if len(places) == len(self.active):
@@ -204,13 +203,17 @@ class _Generation:
 # ------------------------------------------------------------------------------- shared with other evaluators
 
 
-def describe(arena: Arena, settings: TrainingConfig, seed: int, candidates: Sequence[Candidate]) -> dict[str, Any]:
-    """What the outcomes of candidates follow from, as plain values: whether a checkpoint is theirs."""
+def describe(
+    factory: EnvFactory, settings: TrainingConfig, seed: int, candidates: Sequence[Candidate]
+) -> dict[str, Any]:
+    """All that determines the outcomes, as plain values, to recognise a checkpoint."""
     irrelevant = {"save_interval", "method"}
     return {
         "version": VERSION,
-        "task": get_task(arena.task).id,
-        "arena": repr((arena.rules, arena.physics, arena.dtype, arena.arithmetic, arena.max_episode_steps)),
+        "task": get_task(factory.task).id,
+        "simulation": repr(
+            (factory.rules, factory.physics, factory.dtype, factory.arithmetic, factory.max_episode_steps)
+        ),
         "settings": {key: value for key, value in dataclasses.asdict(settings).items() if key not in irrelevant},
         "seed": seed,
         "candidates": [[candidate.id, candidate.body.tolist(), list(candidate.parents)] for candidate in candidates],
@@ -221,7 +224,7 @@ def save_evaluation(path: Path, content: dict[str, Any]) -> None:
     """Write the checkpoint of an evaluation.
 
     Raises:
-        StorageError: the disk will not have it, or the run's folder, in which that of ``path`` lies, has vanished.
+        StorageError: it cannot be written, or the run's folder no longer exists.
     """
     with writing(path):
         path.parent.mkdir(exist_ok=True)
@@ -232,7 +235,7 @@ def read_evaluation(path: Path, about: dict[str, Any]) -> dict[str, Any]:
     """Read the checkpoint of an evaluation.
 
     Raises:
-        RunError: it is damaged, or that of an evaluation which ``about`` (:func:`describe`) does not describe.
+        RunError: it is damaged, or ``about`` (:func:`describe`) differs.
     """
     try:
         content = read_tensors(path)
@@ -248,19 +251,19 @@ def read_evaluation(path: Path, about: dict[str, Any]) -> dict[str, Any]:
     return content
 
 
-def less_memory(settings: TrainingConfig, count: int) -> str:
-    """What to do if the training of ``count`` designs takes too much memory."""
+def memory_hint(settings: TrainingConfig, count: int) -> str:
+    """Advice for when the training of ``count`` designs takes too much memory."""
     fewer = f"batch={-(-count // 2)} trains {-(-count // 2)} designs at once instead of {count}; " if count > 1 else ""
     return f"Take less at once: {fewer}training.envs is {settings.envs}, training.ppo.steps {settings.ppo.steps}."
 
 
 def best_parent(candidate: Candidate, parents: Mapping[int, Parent]) -> Parent | None:
-    """The fittest of a candidate's parents that are known; of equals the first."""
+    """The fittest of a candidate's known parents; of equals the first."""
     known = [parents[number] for number in candidate.parents if number in parents]
     return max(known, key=lambda parent: parent.fitness, default=None)
 
 
-def bequeath(arena: Arena, parent: Parent, env: VoxelVecEnv, design: int, networks: Networks) -> None:
-    """Change the fresh ``networks`` of a design of ``env`` to begin with the parent's policy."""
-    old = Anatomy.of(arena.make([parent.body], 1, [0], auto_reset=False), 0)
-    inherit(networks.actor, networks.critic, Anatomy.of(env, design), old, parent.policy)
+def inherit_policy(factory: EnvFactory, parent: Parent, env: VoxelVecEnv, design: int, networks: Networks) -> None:
+    """Initialise the ``networks`` of a design of ``env`` with the parent's policy."""
+    old = BodyLayout.of(factory.make([parent.body], 1, [0], auto_reset=False), 0)
+    copy_weights(networks.actor, networks.critic, BodyLayout.of(env, design), old, parent.policy)

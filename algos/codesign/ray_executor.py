@@ -19,11 +19,11 @@ from warpvox.errors import ConfigError, RunError, WarpvoxError
 
 __all__ = ["RayExecutor"]
 
-LOOK_SECONDS = 0.5
+POLL_SECONDS = 0.5
 """How often progress is asked for."""
-ATTEMPTS = 3
+MAX_ATTEMPTS = 3
 """How often a batch may lose its worker before the batch itself is suspected."""
-PATIENCE_SECONDS = 600.0
+WORKER_TIMEOUT = 600.0
 """How long to wait for a first or a new worker while there is none."""
 
 
@@ -89,16 +89,16 @@ class RayExecutor:
         groups = {"train": 1, "watch": 1}
         remote = self._ray.remote(num_cpus=cpus, num_gpus=gpus, concurrency_groups=groups, max_restarts=0)
         self._class, self._make = remote(_Worker), make
-        self._workers = [self._hire() for _ in range(workers)]
+        self._workers = [self._start_worker() for _ in range(workers)]
 
     @property
     def size(self) -> int:
         """The number of workers."""
         return len(self._workers)
 
-    def _hire(self) -> _Hand:
+    def _start_worker(self) -> _Handle:
         actor = self._class.remote(self._make)
-        return _Hand(actor, actor.ready.options(concurrency_group="watch").remote())
+        return _Handle(actor, actor.ready.options(concurrency_group="watch").remote())
 
     def run(
         self, work: Sequence[Batch], parents: Mapping[int, Parent], report: Report
@@ -110,53 +110,57 @@ class RayExecutor:
         """
         waiting, losses = deque(range(len(work))), Counter()
         idle_since = time.monotonic()
-        while waiting or any(hand.place is not None for hand in self._workers):
+        while waiting or any(worker.place is not None for worker in self._workers):
             self._assign(work, parents, waiting)
-            busy = [hand for hand in self._workers if hand.place is not None]
+            busy = [worker for worker in self._workers if worker.place is not None]
             if busy:
                 idle_since = time.monotonic()
-            elif time.monotonic() - idle_since > PATIENCE_SECONDS:
-                raise RunError(f"No worker has come up for {PATIENCE_SECONDS:.0f} s; see `ray status`.")
-            self._ray.wait([hand.task for hand in busy] or [hand.up for hand in self._workers], timeout=LOOK_SECONDS)
-            for hand in busy:
-                for event in self._events(hand):
-                    report(hand.place, event)
-            for hand in busy:
-                if not self._is_done(hand.task):
+            elif time.monotonic() - idle_since > WORKER_TIMEOUT:
+                raise RunError(f"No worker has come up for {WORKER_TIMEOUT:.0f} s; see `ray status`.")
+            self._ray.wait(
+                [worker.task for worker in busy] or [worker.up for worker in self._workers], timeout=POLL_SECONDS
+            )
+            for worker in busy:
+                for event in self._events(worker):
+                    report(worker.place, event)
+            for worker in busy:
+                if not self._is_done(worker.task):
                     continue
-                place = hand.place
-                outcomes = self._collect(hand)
+                place = worker.place
+                outcomes = self._collect(worker)
                 if outcomes is None:
                     losses[place] += 1
-                    if losses[place] == ATTEMPTS:
+                    if losses[place] == MAX_ATTEMPTS:
                         ids = [candidate.id for candidate in work[place].candidates]
-                        raise RunError(f"The evaluation of the candidates {ids} has ended its worker {ATTEMPTS} times.")
+                        raise RunError(
+                            f"The evaluation of the candidates {ids} has ended its worker {MAX_ATTEMPTS} times."
+                        )
                     waiting.appendleft(place)
                 else:
                     yield place, outcomes
 
     def _assign(self, work: Sequence[Batch], parents: Mapping[int, Parent], waiting: deque[int]) -> None:
         """Give batches to workers that are up and idle. One that is not up might wait for a node for ever."""
-        for number, hand in enumerate(self._workers):
+        for number, worker in enumerate(self._workers):
             if not waiting:
                 return
-            if hand.place is not None or not self._is_done(hand.up):
+            if worker.place is not None or not self._is_done(worker.up):
                 continue
             try:
-                self._ray.get(hand.up)
+                self._ray.get(worker.up)
             except self._ray.exceptions.RayError:
-                self._workers[number] = self._hire()
+                self._workers[number] = self._start_worker()
                 continue
-            hand.place = waiting.popleft()
-            batch = work[hand.place]
+            worker.place = waiting.popleft()
+            batch = work[worker.place]
             own = {parent: parents[parent] for item in batch.candidates for parent in item.parents if parent in parents}
-            method = hand.actor.evaluate.options(concurrency_group="train")
-            hand.task = method.remote(list(batch.candidates), own, batch.checkpoint)
+            method = worker.actor.evaluate.options(concurrency_group="train")
+            worker.task = method.remote(list(batch.candidates), own, batch.checkpoint)
 
-    def _collect(self, hand: _Hand) -> list[Outcome] | None:
+    def _collect(self, worker: _Handle) -> list[Outcome] | None:
         """The outcomes of a finished task; None and a new worker if it was lost."""
-        errors, task = self._ray.exceptions, hand.task
-        hand.place = hand.task = None
+        errors, task = self._ray.exceptions, worker.task
+        worker.place = worker.task = None
         try:
             return self._ray.get(task)
         except errors.RayTaskError as error:
@@ -164,21 +168,21 @@ class RayExecutor:
             cause = error.cause if isinstance(error.cause, WarpvoxError) else None
             raise (RunError(str(cause)) if cause else error) from None
         except errors.RayError:
-            self._workers[self._workers.index(hand)] = self._hire()
+            self._workers[self._workers.index(worker)] = self._start_worker()
             return None
 
-    def _events(self, hand: _Hand) -> list[dict[str, Any]]:
+    def _events(self, worker: _Handle) -> list[dict[str, Any]]:
         """What a busy worker has reported; nothing if it does not answer, for its task will tell why."""
-        if hand.news is None:
-            hand.news = hand.actor.events.options(concurrency_group="watch").remote()
-        if not self._is_done(hand.news):
+        if worker.news is None:
+            worker.news = worker.actor.events.options(concurrency_group="watch").remote()
+        if not self._is_done(worker.news):
             return []
         try:
-            return self._ray.get(hand.news)
+            return self._ray.get(worker.news)
         except self._ray.exceptions.RayError:
             return []
         finally:
-            hand.news = None
+            worker.news = None
 
     def _is_done(self, reference: Any) -> bool:
         return bool(self._ray.wait([reference], timeout=0)[0])
@@ -188,7 +192,7 @@ class RayExecutor:
         self._ray.shutdown()
 
 
-class _Hand:
+class _Handle:
     """A worker as the driver knows it: the actor, the sign that it is up, the batch it works on."""
 
     def __init__(self, actor: Any, up: Any) -> None:

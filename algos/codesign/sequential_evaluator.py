@@ -14,14 +14,14 @@ import torch
 from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.checkpoints.files import Controller
 from warpvox.algos.codesign.population_evaluator import (
-    bequeath,
     best_parent,
     describe,
-    less_memory,
+    inherit_policy,
+    memory_hint,
     read_evaluation,
     save_evaluation,
 )
-from warpvox.algos.env_factory import Arena
+from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import Evaluation, evaluator
 from warpvox.algos.population.training import Networks
 from warpvox.algos.settings import TrainingConfig
@@ -42,7 +42,7 @@ class SequentialEvaluator:
         ConfigError: ``settings.rungs``: without the others there is no race to drop out of.
     """
 
-    arena: Arena
+    factory: EnvFactory
     settings: TrainingConfig
     seed: int = 0
 
@@ -63,9 +63,9 @@ class SequentialEvaluator:
             RunError: the checkpoint is another's. StorageError: it cannot be written. DeviceError: memory has run out.
             KeyboardInterrupt: interrupted; the checkpoint has been written.
         """
-        done = _Done(describe(self.arena, self.settings, self.seed, candidates), checkpoint)
+        done = _Done(describe(self.factory, self.settings, self.seed, candidates), checkpoint)
         for candidate in candidates[len(done.outcomes) :]:
-            with enough_memory(less_memory(self.settings, 1)):
+            with enough_memory(memory_hint(self.settings, 1)):
                 outcome = self._train(candidate, best_parent(candidate, parents), done)
             done.add(outcome)
             if report is not None:
@@ -77,8 +77,8 @@ class SequentialEvaluator:
         outcome = done.outcome or Outcome(-math.inf)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            env = adapt(self.arena.make([candidate.body], settings.envs, [seed], auto_reset=True), settings.ppo)
-            judge = evaluator(self.arena.make([candidate.body], settings.eval_envs, [seed], auto_reset=False), [seed])
+            env = adapt(self.factory.make([candidate.body], settings.envs, [seed], auto_reset=True), settings.ppo)
+            judge = evaluator(self.factory.make([candidate.body], settings.eval_envs, [seed], auto_reset=False), [seed])
 
             def evaluate(policy: Controller) -> Evaluation:
                 result = judge(policy)
@@ -91,14 +91,18 @@ class SequentialEvaluator:
                 return result
 
             schedule = Schedule(settings.iterations, settings.save_interval, settings.eval_interval)
-            runner = _Runner(env, settings.ppo, schedule, evaluator=evaluate)
-            runner.keep = lambda: done.save(outcome, runner.state())
-            runner.less_memory = lambda: less_memory(settings, 1)
+
+            def save() -> None:
+                if runner.current_learning_iteration > 0:  # before that there is nothing to save
+                    done.save(outcome, runner.state())
+
+            hint = memory_hint(settings, 1)
+            runner = Runner(env, settings.ppo, schedule, evaluator=evaluate, on_save=save, memory_hint=hint)
             if done.training is not None:
                 runner.set_state(done.training)
             elif settings.inherit and parent is not None:
                 networks = Networks(runner.alg.actor, runner.alg.critic, torch.empty(0))
-                bequeath(self.arena, parent, env.env, 0, networks)
+                inherit_policy(self.factory, parent, env.env, 0, networks)
             try:
                 if runner.current_learning_iteration < settings.iterations:
                     runner.run()
@@ -117,17 +121,6 @@ class SequentialEvaluator:
             "best": [math.nan if one.diverged else one.fitness for one in outcomes] + [math.nan] * left,
             "training": [False] * len(outcomes) + [True] * left,
         }
-
-
-class _Runner(Runner):
-    """A training that is saved beside the outcomes of the designs before it."""
-
-    keep: Callable[[], None]
-
-    def save_state(self) -> None:
-        """Before the first iteration there is nothing to keep: it would be the same again."""
-        if self.current_learning_iteration > 0:
-            self.keep()
 
 
 class _Done:

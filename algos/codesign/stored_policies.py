@@ -15,10 +15,10 @@ from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.runner import BEST
 from warpvox.io.writing import write_text
 
-__all__ = ["Policies", "policy_sha256"]
+__all__ = ["StoredPolicies", "policy_sha256"]
 
 
-class Policies:
+class StoredPolicies:
     """Writes and reads ``designs/<id>/`` in a run's folder: ``model_best.pt`` and the ``config.yaml`` to play it by.
 
     Args:

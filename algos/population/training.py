@@ -14,7 +14,7 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
 from warpvox.algos.checkpoints.files import actions_of
-from warpvox.algos.env_factory import Arena
+from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.population.model import PopulationModel
 from warpvox.algos.population.ppo import PopulationPPO
@@ -55,7 +55,7 @@ class PopulationTraining:
     ``torch.manual_seed(seed)``, up to rounding.
 
     Args:
-        arena: where they are trained.
+        factory: where they are trained.
         bodies: the designs.
         seeds: from which all that a design's training draws follows.
         settings: how they are trained.
@@ -69,13 +69,13 @@ class PopulationTraining:
 
     def __init__(
         self,
-        arena: Arena,
+        factory: EnvFactory,
         bodies: Sequence[Design],
         seeds: Sequence[int],
         settings: TrainingConfig,
         prepare: Callable[[int, Any, Networks], None] | None = None,
     ) -> None:
-        self.arena, self.bodies, self.seeds, self.settings = arena, list(bodies), list(seeds), settings
+        self.factory, self.bodies, self.seeds, self.settings = factory, list(bodies), list(seeds), settings
         self.ppo, self.iteration = settings.ppo, 0
         self._make_environments()
         inner = self.env.env
@@ -89,9 +89,9 @@ class PopulationTraining:
 
     def _make_environments(self) -> None:
         settings = self.settings
-        training = self.arena.make(self.bodies, settings.envs, self.seeds, auto_reset=True)
+        training = self.factory.make(self.bodies, settings.envs, self.seeds, auto_reset=True)
         self.env = adapt(training, self.ppo, apart=True)
-        self._judge = self.arena.make(self.bodies, settings.eval_envs, self.seeds, auto_reset=False)
+        self._judge = self.factory.make(self.bodies, settings.eval_envs, self.seeds, auto_reset=False)
 
     def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
         device, obs = str(self.env.device), self.env.get_observations()

@@ -1,15 +1,39 @@
 """Design search: algorithms that propose bodies and learn from their fitness, and never simulate.
 
-All speak the protocol of :class:`warpvox.algos.candidate.Search`::
+All implement :class:`warpvox.algos.candidate.Search`::
 
     search = make_search(GaSettings(max_evaluations=100), shape=(5, 5), seed=0)
     while candidates := search.ask():
         search.tell([fitness_of(candidate.body) for candidate in candidates])
 
-The names of ``__init__.pyi`` load on first use: BoTorch, neat-python and pyribs are imported only by the search that
-needs them.
+BoTorch, neat-python and pyribs are imported only by the search that needs them.
 """
 
-import lazy_loader as _lazy
+from warpvox.algos.search.base import BaseSearch, Proposal
+from warpvox.algos.search.factory import make_search
+from warpvox.algos.search.settings import (
+    ALGORITHMS,
+    BoSettings,
+    CppnNeatSettings,
+    CustomSettings,
+    GaSettings,
+    MapElitesSettings,
+    RandomSettings,
+    SearchSettings,
+    settings_from,
+)
 
-__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
+__all__ = [
+    "ALGORITHMS",
+    "BaseSearch",
+    "BoSettings",
+    "CppnNeatSettings",
+    "CustomSettings",
+    "GaSettings",
+    "MapElitesSettings",
+    "Proposal",
+    "RandomSettings",
+    "SearchSettings",
+    "make_search",
+    "settings_from",
+]

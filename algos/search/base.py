@@ -21,10 +21,10 @@ __all__ = ["BaseSearch", "Proposal"]
 BATCH = 32
 """Random bodies drawn at a time; about one in seven of 5x5 is valid."""
 
-LITTER = 16
+MUTANTS_PER_DRAW = 16
 """Mutants of one parent that are drawn at a time, of which the first that will do counts."""
 
-FAMILY = 100_000
+MAX_MUTANT_VOXELS = 100_000
 """Voxels of mutants that are drawn before all mutants of a parent count as known."""
 
 FEW_CELLS = 6
@@ -120,8 +120,8 @@ class BaseSearch(ABC):
     def mutant(self, rng: np.random.Generator, parents: Sequence[int], rate: float) -> Proposal:
         """A new mutant of one of the parents, each as likely; should all their mutants be known, a random body."""
         for parent in rng.permutation(parents):
-            litter = np.repeat(self.bodies[parent][None], LITTER, axis=0)
-            body = self.new_body(lambda litter=litter: mutate(rng, litter, rate), FAMILY)
+            copies = np.repeat(self.bodies[parent][None], MUTANTS_PER_DRAW, axis=0)
+            body = self.new_body(lambda copies=copies: mutate(rng, copies, rate), MAX_MUTANT_VOXELS)
             if body is not None:
                 return Proposal(body, (int(parent),), "mutation")
         return self.random_proposal(rng)

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 from warpvox.algos.candidate import Search
-from warpvox.algos.search.settings import (
-    BoSettings,
-    CppnNeatSettings,
-    CustomSettings,
-    GaSettings,
-    MapElitesSettings,
-    RandomSettings,
-    SearchSettings,
-)
+from warpvox.algos.search.settings import SearchSettings
 from warpvox.errors import ConfigError
 
 __all__ = ["make_search"]
+
+SEARCHES = {
+    "ga": ("ga", "GeneticSearch"),
+    "random": ("random_search", "RandomSearch"),
+    "bo": ("bo", "BayesianSearch"),
+    "cppn_neat": ("cppn_neat", "CppnNeatSearch"),
+    "map_elites": ("map_elites", "MapElitesSearch"),
+    "custom": ("custom", "make_custom"),
+}
+"""Module of this package and class (or function) for each :attr:`SearchSettings.algorithm`."""
 
 
 def make_search(settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> Search:
@@ -28,28 +32,7 @@ def make_search(settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed:
     Raises:
         ConfigError: settings of no known algorithm, a bad shape or seed, or a library that is not installed.
     """
-    if isinstance(settings, GaSettings):
-        from warpvox.algos.search.ga import GeneticSearch
-
-        return GeneticSearch(settings, shape, seed)
-    if isinstance(settings, RandomSettings):
-        from warpvox.algos.search.random_search import RandomSearch
-
-        return RandomSearch(settings, shape, seed)
-    if isinstance(settings, BoSettings):
-        from warpvox.algos.search.bo import BayesianSearch
-
-        return BayesianSearch(settings, shape, seed)
-    if isinstance(settings, CppnNeatSettings):
-        from warpvox.algos.search.cppn_neat import CppnNeatSearch
-
-        return CppnNeatSearch(settings, shape, seed)
-    if isinstance(settings, MapElitesSettings):
-        from warpvox.algos.search.map_elites import MapElitesSearch
-
-        return MapElitesSearch(settings, shape, seed)
-    if isinstance(settings, CustomSettings):
-        from warpvox.algos.search.custom import make_custom
-
-        return make_custom(settings, shape, seed)
-    raise ConfigError(f"There is no search for settings of type {type(settings).__name__}.")
+    if getattr(settings, "algorithm", None) not in SEARCHES:
+        raise ConfigError(f"There is no search for settings of type {type(settings).__name__}.")
+    module, name = SEARCHES[settings.algorithm]
+    return getattr(import_module(f"warpvox.algos.search.{module}"), name)(settings, shape, seed)

@@ -12,11 +12,11 @@ import torch.distributed as dist
 
 from warpvox.errors import ConfigError, DeviceError
 
-__all__ = ["ALONE", "Team", "join_team", "started_by_torchrun"]
+__all__ = ["SINGLE_PROCESS", "ProcessGroup", "join_process_group", "started_by_torchrun"]
 
 
 @dataclass(frozen=True)
-class Team:
+class ProcessGroup:
     """The processes of a training and this one's place among them; of one process all methods are trivial.
 
     ``rank`` of ``size`` processes in all, ``local_rank`` of ``local_size`` on this machine; ``device`` of what the
@@ -30,17 +30,17 @@ class Team:
     device: str = "cpu"
 
     @property
-    def leads(self) -> bool:
+    def is_main_process(self) -> bool:
         """Whether this process writes files, evaluates and talks."""
         return self.rank == 0
 
     def seed(self, seed: int) -> int:
         """This process's own of a training's seed; the first process has the seed itself."""
-        if self.leads:
+        if self.is_main_process:
             return seed
         return int(np.random.SeedSequence([seed, self.rank]).generate_state(1, np.uint32)[0])
 
-    def sums(self, values: Sequence[float]) -> list[float]:
+    def sum(self, values: Sequence[float]) -> list[float]:
         """Sums over the processes, of each of some numbers."""
         if self.size == 1:
             return list(values)
@@ -51,9 +51,9 @@ class Team:
 
     def any(self, flag: bool) -> bool:
         """Whether the flag is set in any process."""
-        return bool(self.sums([float(flag)])[0])
+        return bool(self.sum([float(flag)])[0])
 
-    def leaders(self, value: object) -> object:
+    def broadcast(self, value: object) -> object:
         """What the leading process has for ``value``."""
         if self.size == 1:
             return value
@@ -62,7 +62,7 @@ class Team:
         return box[0]
 
 
-ALONE = Team()
+SINGLE_PROCESS = ProcessGroup()
 
 
 def started_by_torchrun() -> bool:
@@ -70,8 +70,8 @@ def started_by_torchrun() -> bool:
     return int(os.environ.get("WORLD_SIZE", "1")) > 1
 
 
-def join_team(device: str) -> Team:
-    """Meet the other processes; a team of one where ``torchrun`` has started none.
+def join_process_group(device: str) -> ProcessGroup:
+    """Meet the other processes; a group of one where ``torchrun`` has started none.
 
     Args:
         device: ``cuda`` and ``auto`` become this process's own GPU; the processes talk by NCCL then, else by gloo.
@@ -80,7 +80,7 @@ def join_team(device: str) -> Team:
         DeviceError: there are fewer GPUs than processes. ConfigError: a single GPU is named for all.
     """
     if not started_by_torchrun():
-        return ALONE
+        return SINGLE_PROCESS
     names = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE")
     rank, size, local_rank, local_size = (int(os.environ[name]) for name in names)
     if device.startswith("cuda:"):
@@ -95,4 +95,4 @@ def join_team(device: str) -> Team:
         torch.cuda.set_device(local_rank)
     if not dist.is_initialized():
         dist.init_process_group("gloo" if own == "cpu" else "nccl", rank=rank, world_size=size)
-    return Team(rank, size, local_rank, local_size, own)
+    return ProcessGroup(rank, size, local_rank, local_size, own)

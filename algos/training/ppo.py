@@ -131,12 +131,14 @@ class PPO(RslRlPPO):
         """
         storage = self.storage
         if "time_outs" in extras:
-            rewards = self._beyond_the_limit(rewards, extras["time_outs"], extras["final_obs"])
+            rewards = self._bootstrap_time_limit(rewards, extras["time_outs"], extras["final_obs"])
         storage.rewards[storage.step, :, 0] = rewards
         storage.dones[storage.step, :, 0] = dones
         storage.step += 1
 
-    def _beyond_the_limit(self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict) -> torch.Tensor:
+    def _bootstrap_time_limit(
+        self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict
+    ) -> torch.Tensor:
         # Looking first saves the forward pass of nearly all steps; on CUDA looking would wait for the device.
         if time_outs.device.type == "cpu" and not bool(time_outs.any()):
             return rewards

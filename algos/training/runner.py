@@ -1,9 +1,8 @@
-"""The training loop: rsl-rl's runner with evaluations, metrics, atomic checkpoints and exact resumption."""
+"""The training loop: PPO with evaluations, metrics, atomic checkpoints and exact resumption."""
 
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,18 +11,13 @@ from typing import Any
 
 import torch
 
-# rsl-rl imports GitPython, which raises at import where no git is installed, unless told to be quiet.
-os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
-
-from rsl_rl.runners import OnPolicyRunner
-
 from warpvox.algos.checkpoints.files import Controller, PolicySpec, load_checkpoint, save_checkpoint, spec_dict, spec_of
 from warpvox.algos.evaluate import Evaluator
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.settings import PpoConfig
-from warpvox.algos.training.distributed import ALONE, Team
+from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
 from warpvox.algos.training.metrics import Metrics
-from warpvox.algos.training.ppo import rsl_rl_config
+from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, DivergenceError, RunError
@@ -62,7 +56,7 @@ def adapt(env: Any, ppo: PpoConfig, apart: bool = False) -> RslRlVecEnv:
     )
 
 
-class Runner(OnPolicyRunner):
+class Runner:
     """Trains one policy.
 
     ``current_learning_iteration`` counts complete iterations. With ``folder`` the run leaves there
@@ -76,7 +70,9 @@ class Runner(OnPolicyRunner):
         folder: of the run; must exist.
         evaluator: says how good the policy is without exploration; None: no evaluations.
         report: called after every iteration with its row of ``metrics.csv``.
-        team: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
+        on_save: called where ``state.pt`` would be written, instead; :meth:`state` is what there is to save.
+        memory_hint: what to do if learning takes too much memory.
+        group: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
             and reports; its ``evaluator`` and ``report`` are the only ones that are used.
         voxels: of a policy for voxels, see :func:`warpvox.algos.training.ppo.rsl_rl_config`.
     """
@@ -89,13 +85,22 @@ class Runner(OnPolicyRunner):
         folder: Path | None = None,
         evaluator: Evaluator | None = None,
         report: Callable[[Mapping[str, float]], None] | None = None,
-        team: Team = ALONE,
+        group: ProcessGroup = SINGLE_PROCESS,
+        on_save: Callable[[], None] | None = None,
+        memory_hint: str | None = None,
         voxels: Mapping[str, Any] | None = None,
     ) -> None:
-        self.team = team
-        super().__init__(env, rsl_rl_config(ppo, schedule.total, voxels), log_dir=None, device=str(env.device))
-        self.ppo, self.schedule, self.folder = ppo, schedule, folder
-        self.evaluator, self.report = evaluator, report
+        self.env, self.ppo, self.schedule, self.folder = env, ppo, schedule, folder
+        self.evaluator, self.report, self.group, self.on_save = evaluator, report, group, on_save
+        self.device = str(env.device)
+        config = rsl_rl_config(ppo, schedule.total, voxels)
+        ranks = {"global_rank": group.rank, "local_rank": group.local_rank, "world_size": group.size}
+        config["multi_gpu"] = ranks if group.size > 1 else None
+        self.alg = PPO.construct_algorithm(env.get_observations(), env, config, self.device)
+        self.memory_hint = memory_hint or (
+            f"Train with fewer environments (num_envs={max(1, env.num_envs // 2)} instead of {env.num_envs}) or a lower"
+            " ppo.steps."
+        )
         self.spec = PolicySpec(
             num_obs=env.get_observations()["policy"].shape[1],
             num_actions=env.num_actions,
@@ -105,22 +110,14 @@ class Runner(OnPolicyRunner):
             action_scale=ppo.action_scale,
             voxels=None if voxels is None else dict(voxels),
         )
-        self.elapsed, self.saved_iteration = 0.0, None
+        self.current_learning_iteration, self.saved_iteration, self.elapsed = 0, None, 0.0
         self.best_return, self.best_iteration, self.last_return = -math.inf, 0, math.nan
         self._metrics: Metrics | None = None
-
-    def _configure_multi_gpu(self) -> None:
-        """What rsl-rl would read from the environment and insist on having GPUs for."""
-        team = self.team
-        self.gpu_world_size, self.gpu_global_rank, self.gpu_local_rank = team.size, team.rank, team.local_rank
-        self.is_distributed = team.size > 1
-        places = {"global_rank": team.rank, "local_rank": team.local_rank, "world_size": team.size}
-        self.cfg["multi_gpu"] = places if self.is_distributed else None
 
     @property
     def steps_per_iteration(self) -> int:
         """Control steps of all environments of all processes in an iteration."""
-        return self.ppo.steps * self.env.num_envs * self.team.size
+        return self.ppo.steps * self.env.num_envs * self.group.size
 
     @property
     def steps(self) -> int:
@@ -146,13 +143,8 @@ class Runner(OnPolicyRunner):
         """
         self.check_schedule()
         left = self.schedule.total - self.current_learning_iteration
-        with enough_memory(self.less_memory()):
+        with enough_memory(self.memory_hint):
             self.learn(left, init_at_random_ep_len=self.ppo.random_start)
-
-    def less_memory(self) -> str:
-        """What to do if learning takes too much memory."""
-        count = self.env.num_envs
-        return f"Train with fewer environments (num_envs={max(1, count // 2)} instead of {count}) or a lower ppo.steps."
 
     def check_schedule(self) -> None:
         """Raise RunError if there is nothing left to do."""
@@ -168,16 +160,16 @@ class Runner(OnPolicyRunner):
         if init_at_random_ep_len and self.current_learning_iteration == 0:
             lengths = torch.randint(int(self.env.max_episode_length), (self.env.num_envs,))
             self.env.episode_length_buf = lengths.to(self.env.device)
-        if self.folder is not None and self.team.leads:
+        if self.folder is not None and self.group.is_main_process:
             self._metrics = Metrics(self.folder, self.current_learning_iteration)
         self.alg.train_mode()
-        if self.is_distributed:
+        if self.group.size > 1:
             self.alg.broadcast_parameters()
         try:
             with deferred_interrupts() as interrupted:
                 while self.current_learning_iteration < end and not self._reached():
                     self._iterate(end)
-                    if self.team.any(bool(interrupted)):
+                    if self.group.any(bool(interrupted)):
                         self.save_all()
                         interrupted.stop()
             self.save_all()
@@ -203,7 +195,7 @@ class Runner(OnPolicyRunner):
         row = self._row(losses, seconds, evaluated)
         if self._metrics is not None:
             self._metrics.write(row, _means(logs))
-        if self.report is not None and self.team.leads:
+        if self.report is not None and self.group.is_main_process:
             self.report(row)
         if done % self.schedule.save == 0 and done != end:
             self.save_all()
@@ -243,7 +235,7 @@ class Runner(OnPolicyRunner):
     def _evaluate(self) -> float:
         """The mean return of a deterministic evaluation; keeps the policy if it is the best so far."""
         value = math.nan
-        if self.team.leads and self.evaluator is not None:
+        if self.group.is_main_process and self.evaluator is not None:
             self.alg.eval_mode()
             try:
                 value = self.evaluator(self.controller).mean_return
@@ -251,13 +243,13 @@ class Runner(OnPolicyRunner):
                 self.current_learning_iteration -= 1  # it is not complete
                 raise self._diverged(str(error)) from error
             self.alg.train_mode()
-        value = self.team.leaders(value)
+        value = self.group.broadcast(value)
         if math.isnan(value):  # there is no evaluator
             return value
         self.last_return = value
         if self.last_return > self.best_return:
             self.best_return, self.best_iteration = self.last_return, self.current_learning_iteration
-            if self.folder is not None and self.team.leads:
+            if self.folder is not None and self.group.is_main_process:
                 save_checkpoint(self.folder / BEST, self._policy_content())
         return self.last_return
 
@@ -288,7 +280,7 @@ class Runner(OnPolicyRunner):
         count = own["episodes"]
         sums = [count, *(count * own[name] if count else 0.0 for name in ("return", "length"))]
         sums += [own["unstable"], own["diverged"]]
-        count, total, length, unstable, diverged = self.team.sums(sums) if self.is_distributed else sums
+        count, total, length, unstable, diverged = self.group.sum(sums)
         stopped = {"unstable": int(unstable), "diverged": int(diverged)}
         if not count:
             return {"episodes": 0, "return": math.nan, "length": math.nan} | stopped
@@ -317,10 +309,6 @@ class Runner(OnPolicyRunner):
         }
         return self.alg.save() | own
 
-    def save(self, path: str, infos: dict | None = None) -> None:
-        """Write the policy, value function and optimiser to ``path``."""
-        save_checkpoint(Path(path), self._policy_content() | {"infos": infos})
-
     def save_all(self) -> None:
         """Write ``model_<iteration>.pt`` and ``state.pt`` to the run's folder, if there is one.
 
@@ -329,14 +317,16 @@ class Runner(OnPolicyRunner):
         Raises:
             StorageError: the folder cannot be written any more, or has vanished.
         """
-        if self.folder is not None and self.team.leads:
+        if self.folder is not None and self.group.is_main_process:
             check_folder(self.folder)
-            self.save(str(self.folder / f"model_{self.current_learning_iteration}.pt"))
+            save_checkpoint(self.folder / f"model_{self.current_learning_iteration}.pt", self._policy_content())
         self.save_state()
 
     def save_state(self) -> None:
         """Write ``state.pt`` to the run's folder, if there is one."""
-        if self.folder is not None:
+        if self.on_save is not None:
+            self.on_save()
+        elif self.folder is not None:
             check_folder(self.folder)
             save_checkpoint(self.state_file(self.folder / STATE), self.state())
         self.saved_iteration = self.current_learning_iteration
@@ -352,13 +342,13 @@ class Runner(OnPolicyRunner):
             "elapsed": self.elapsed,
             "best_return": self.best_return,
             "best_iteration": self.best_iteration,
-            "processes": self.team.size,
+            "processes": self.group.size,
         }
         return self._policy_content() | own
 
     def state_file(self, path: Path) -> Path:
         """The state of this process beside that of the first one, which is at ``path``."""
-        return path if self.team.leads else path.with_name(f"{path.stem}_{self.team.rank}{path.suffix}")
+        return path if self.group.is_main_process else path.with_name(f"{path.stem}_{self.group.rank}{path.suffix}")
 
     def resume(self, path: Path) -> None:
         """Go on from a checkpoint file.
@@ -371,7 +361,7 @@ class Runner(OnPolicyRunner):
         """
         content = load_checkpoint(path, self.device)
         processes = content.get("processes", 1)
-        if "env" in content and processes != self.team.size:
+        if "env" in content and processes != self.group.size:
             raise RunError(f"{path} was made by {processes} process(es) and can only go on with as many.")
         if "env" in content:
             content = load_checkpoint(self.state_file(path), self.device)
@@ -380,7 +370,7 @@ class Runner(OnPolicyRunner):
         self.set_state(content)
 
     def set_state(self, content: dict[str, Any]) -> None:
-        """Go on from :meth:`state`, or with new episodes from what :meth:`save` has written."""
+        """Go on from :meth:`state`, or with new episodes from the content of ``model_<iteration>.pt``."""
         self.alg.load(content, None, True)
         self.current_learning_iteration = self.saved_iteration = content["iter"]
         self.last_return = content["eval_return"]

@@ -16,7 +16,7 @@ import torch
 
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
-from warpvox.algos.env_factory import Arena
+from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.needs import training_bytes
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.cli.config import load
@@ -40,8 +40,8 @@ def train(task: str, envs: int, designs: int, ppo: Any) -> None:
 def search(task: str, envs: int, designs: int, ppo: Any) -> None:
     config = load("codesign", [f"training.envs={envs}", "training.iterations=2", "training.eval_interval=2"])
     config.training.ppo = ppo
-    arena = Arena(task, "evogym", Physics.preset("evogym"), "cpu", "float32", 1)
-    evaluator = PopulationEvaluator(arena, config.training, 0)
+    factory = EnvFactory(task, "evogym", Physics.preset("evogym"), "cpu", "float32", 1)
+    evaluator = PopulationEvaluator(factory, config.training, 0)
     candidates = [Candidate(number, BODY) for number in range(designs)]
     evaluator.evaluate(candidates, {}, lambda event: None)
 

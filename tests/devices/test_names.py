@@ -8,7 +8,7 @@ import pytest
 import torch
 import warp as wp
 
-from warpvox.algos.env_factory import Arena
+from warpvox.algos.env_factory import EnvFactory
 from warpvox.cli.build import resolve
 from warpvox.cli.config import load
 from warpvox.design import example_design
@@ -43,7 +43,7 @@ def test_auto_is_the_cpu_where_there_is_no_gpu(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.usefixtures("gpu")
 def test_environments_and_commands_choose_by_their_number() -> None:
     assert make_vec("Walker-v0", num_envs=2, threads=1, lanes=8).device == "cpu"
-    assert Arena("Walker-v0", device="auto").make([example_design("mini")], 2, [0], True).device == "cpu"
+    assert EnvFactory("Walker-v0", device="auto").make([example_design("mini")], 2, [0], True).device == "cpu"
     for count, device in ((ENOUGH - 8, "cpu"), (ENOUGH, "cuda:0")):
         assert resolve(load("train", [f"num_envs={count}"])).device == device
 

@@ -1,11 +1,11 @@
-"""What the tests of evaluations share: settings that are quick, bodies and an arena."""
+"""What the tests of evaluations share: settings that are quick, bodies and an environment factory."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from warpvox.algos.candidate import Candidate
-from warpvox.algos.env_factory import Arena
+from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.settings import TrainingConfig
 from warpvox.configs.presets import training_preset
 from warpvox.design import sample_design
@@ -19,8 +19,8 @@ def small(preset: str = "fast", **changes: object) -> TrainingConfig:
     return training_preset(preset, quick, **({"envs": 4, "iterations": 6, "eval_interval": 2} | changes))
 
 
-def arena(task: str = "Walker-v0", dtype: str = "float32") -> Arena:
-    return Arena(task, threads=1, max_episode_steps=LIMIT, dtype=dtype)
+def factory(task: str = "Walker-v0", dtype: str = "float32") -> EnvFactory:
+    return EnvFactory(task, threads=1, max_episode_steps=LIMIT, dtype=dtype)
 
 
 def bodies(count: int) -> list[np.ndarray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from warpvox.algos.env_factory import Arena
+from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
 from warpvox.batch.options import CUDA_LANES
 from warpvox.bench.case import Case, full_body, one_body, sampled_bodies
@@ -152,8 +152,8 @@ def training(config: Any, progress: Progress, counts: tuple[int, ...], designs: 
         return
     settings = training_preset("paper_wide", {"steps": POPULATION_STEPS})
     precision = dict(dtype=config.dtype, arithmetic=config.arithmetic)
-    arena = Arena(config.task, device=config.device, threads=config.threads, **precision)
-    population = PopulationTraining(arena, sampled_bodies(5, designs, config.seed), list(range(designs)), settings)
+    factory = EnvFactory(config.task, device=config.device, threads=config.threads, **precision)
+    population = PopulationTraining(factory, sampled_bodies(5, designs, config.seed), list(range(designs)), settings)
     population.iterate()  # loads the kernels
     began = clock(config.device)
     population.iterate()

@@ -135,7 +135,7 @@ def test_there_must_be_something_to_compare_with(tmp_path: Path) -> None:
         archive.propose([Candidate(0, sample_design((3, 3), 0))], 0)
         archive.finish([Finished(0, Outcome(-math.inf, steps=5, stopped=True))])
         with pytest.raises(RunError, match="No design has a fitness yet"):
-            archive.settle(0)
+            archive.rank_diverged(0)
         record = archive.record(0)
         assert (record.fitness, record.diverged, record.finished) == (None, True, True)
         with pytest.raises(RunError, match="waits for its evaluation"):

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from population_cases import arena, small
+from population_cases import factory, small
 
 from warpvox.algos.candidate import Candidate, Parent
-from warpvox.algos.codesign.inheritance import Anatomy
-from warpvox.algos.codesign.population_evaluator import PopulationEvaluator, bequeath, best_parent
+from warpvox.algos.codesign.inheritance import BodyLayout
+from warpvox.algos.codesign.population_evaluator import PopulationEvaluator, best_parent, inherit_policy
 from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
 from warpvox.algos.population.training import Networks, fresh_networks
 from warpvox.errors import RunError
@@ -33,7 +33,7 @@ def one_thread() -> Iterator[None]:
 
 
 def env_of(body: np.ndarray, task: str = "Walker-v0"):
-    return arena(task).make([body], 2, [0], auto_reset=False)
+    return factory(task).make([body], 2, [0], auto_reset=False)
 
 
 def networks_of(body: np.ndarray, seed: int) -> Networks:
@@ -55,7 +55,7 @@ def parent_of(body: np.ndarray, fitness: float = 1.0) -> Parent:
 
 def child_of(parent: Parent, body: np.ndarray) -> Networks:
     networks = networks_of(body, 2)
-    bequeath(arena(), parent, env_of(body), 0, networks)
+    inherit_policy(factory(), parent, env_of(body), 0, networks)
     return networks
 
 
@@ -133,7 +133,7 @@ def test_actuators_are_matched_by_place_and_kind() -> None:
 
 @pytest.mark.parametrize("task", ["Catcher-v0", "Carrier-v0", "UpStepper-v0"])
 def test_every_column_of_a_task_has_a_meaning_of_its_own(task: str) -> None:
-    anatomy = Anatomy.of(env_of(GROWN, task), 0)
+    anatomy = BodyLayout.of(env_of(GROWN, task), 0)
     env = env_of(GROWN, task)
     assert len(anatomy.columns) == len(set(anatomy.columns)) == env.num_obs
     assert len(anatomy.actuators) == len(set(anatomy.actuators)) == env.num_actions
@@ -162,9 +162,9 @@ def test_inheritance_is_an_option_and_children_of_nobody_start_afresh(evaluator:
     child, orphan = Candidate(1, GROWN, (0,)), Candidate(2, GROWN)
     how = small(iterations=1, eval_interval=1)
     how.ppo.learning_rate, how.ppo.schedule = 1e-12, "fixed"  # what comes out is what went in
-    plain = evaluator(arena(), how, 0).evaluate([child, orphan], parents)
+    plain = evaluator(factory(), how, 0).evaluate([child, orphan], parents)
     how.inherit = True
-    heirs = evaluator(arena(), how, 0).evaluate([child, orphan], parents)
+    heirs = evaluator(factory(), how, 0).evaluate([child, orphan], parents)
     expected = child_of(parents[0], GROWN).actor.state_dict()
     torch.testing.assert_close(heirs[0].policy["mlp.0.weight"], expected["mlp.0.weight"])
     assert not torch.equal(heirs[0].policy["mlp.0.weight"], plain[0].policy["mlp.0.weight"])

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import torch
-from population_cases import LIMIT, arena, candidates, small
+from population_cases import LIMIT, candidates, factory, small
 
 from warpvox.algos.candidate import PROGRESS, Candidate, Outcome, candidate_seed
 from warpvox.algos.checkpoints.files import Controller, PolicySpec, build_actor
@@ -53,7 +53,7 @@ def assert_close(one: Outcome, other: Outcome) -> None:
 def outcomes(
     found: list[Candidate], task: str = "Walker-v0", seed: int = 0, dtype: str = "float32", **changes: Any
 ) -> list[Outcome]:
-    return PopulationEvaluator(arena(task, dtype), small(**changes), seed).evaluate(found, {})
+    return PopulationEvaluator(factory(task, dtype), small(**changes), seed).evaluate(found, {})
 
 
 # ------------------------------------------------------------------------------------------------ what comes out
@@ -70,7 +70,7 @@ def test_fitness_is_the_best_of_the_evaluations_and_the_policy_earns_it(task: st
         assert (outcome.steps, outcome.stopped) == (steps[-1], False)
         seeds = [candidate_seed(5, candidate.id)]
         for count in (1, 4):  # beside others, too: networks are evaluated in float64
-            env = arena(task).make([candidate.body], count, seeds, auto_reset=False)
+            env = factory(task).make([candidate.body], count, seeds, auto_reset=False)
             spec = PolicySpec(env.num_obs, env.num_actions, how.ppo.hidden, how.ppo.activation, True, 0.5)
             actor = build_actor(spec)
             actor.load_state_dict(outcome.policy)
@@ -83,7 +83,7 @@ def test_fitness_is_the_best_of_the_evaluations_and_the_policy_earns_it(task: st
 def test_the_batched_evaluator_equals_the_sequential_one(preset: str) -> None:
     found, how = candidates(3), small(preset)
     batched, separate = (
-        evaluator(arena(dtype="float64"), how, 7).evaluate(found, {})
+        evaluator(factory(dtype="float64"), how, 7).evaluate(found, {})
         for evaluator in (PopulationEvaluator, SequentialEvaluator)
     )
     for ours, theirs in zip(batched, separate, strict=True):
@@ -92,7 +92,7 @@ def test_the_batched_evaluator_equals_the_sequential_one(preset: str) -> None:
 
 def test_progress_is_reported() -> None:
     seen: list[dict[str, Any]] = []
-    PopulationEvaluator(arena(), small(), 0).evaluate(candidates(2), {}, seen.append)
+    PopulationEvaluator(factory(), small(), 0).evaluate(candidates(2), {}, seen.append)
     assert [event["iteration"] for event in seen] == [1, 2, 3, 4, 5, 6]
     assert all(event.keys() == PROGRESS.keys() for event in seen)
     assert all(math.isnan(value) for value in seen[0]["best"])
@@ -142,7 +142,7 @@ def test_an_outcome_does_not_depend_on_the_company(preset: str, task: str) -> No
     """Other bodies, other numbers of them, another order, or a twin beside it."""
     found = candidates(5)
     how = small(preset)
-    run = lambda part: PopulationEvaluator(arena(task, "float64"), how, 3).evaluate(part, {})  # noqa: E731
+    run = lambda part: PopulationEvaluator(factory(task, "float64"), how, 3).evaluate(part, {})  # noqa: E731
     together = run(found)
     for part in ([2], [4, 0], [3, 1, 2]):
         for k, outcome in zip(part, run([found[k] for k in part]), strict=True):
@@ -154,7 +154,7 @@ def test_an_outcome_does_not_depend_on_the_company(preset: str, task: str) -> No
 @TASKS
 @pytest.mark.parametrize("preset", ["paper", "fast"])
 def test_the_same_batch_gives_the_same_bits(preset: str, task: str) -> None:
-    first, second = (PopulationEvaluator(arena(task), small(preset), 3).evaluate(candidates(3), {}) for _ in range(2))
+    first, second = (PopulationEvaluator(factory(task), small(preset), 3).evaluate(candidates(3), {}) for _ in range(2))
     for one, other in zip(first, second, strict=True):
         assert_equal(one, other)
 
@@ -169,7 +169,7 @@ def test_randomness_follows_from_seed_and_id() -> None:
 def test_the_global_random_numbers_are_left_alone() -> None:
     before = torch.get_rng_state()
     for evaluator in (PopulationEvaluator, SequentialEvaluator):
-        evaluator(arena(), small(iterations=2), 0).evaluate(candidates(1), {})
+        evaluator(factory(), small(iterations=2), 0).evaluate(candidates(1), {})
         assert torch.equal(torch.get_rng_state(), before)
 
 
@@ -196,13 +196,13 @@ def test_a_killed_evaluation_goes_on_to_the_same_outcomes(
 ) -> None:
     found, file = candidates(4), tmp_path / "state.pt"
     how = small(preset, save_interval=1, **changes)
-    whole = PopulationEvaluator(arena(task), how, 2).evaluate(found, {})
+    whole = PopulationEvaluator(factory(task), how, 2).evaluate(found, {})
     for iteration in (1, 3, 5):
         with pytest.raises(Killed):
-            PopulationEvaluator(arena(task), how, 2).evaluate(found, {}, killed_at(iteration), file)
+            PopulationEvaluator(factory(task), how, 2).evaluate(found, {}, killed_at(iteration), file)
         torch.manual_seed(iteration)  # whatever happens between
     for ours, theirs in zip(
-        PopulationEvaluator(arena(task), how, 2).evaluate(found, {}, None, file), whole, strict=True
+        PopulationEvaluator(factory(task), how, 2).evaluate(found, {}, None, file), whole, strict=True
     ):
         assert_equal(ours, theirs)
 
@@ -217,10 +217,10 @@ def test_an_interrupted_evaluation_is_saved_and_goes_on(tmp_path: Path) -> None:
             signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        PopulationEvaluator(arena(), how, 0).evaluate(found, {}, interrupt, file)
+        PopulationEvaluator(factory(), how, 0).evaluate(found, {}, interrupt, file)
     assert seen == [1, 2, 3]
-    whole = PopulationEvaluator(arena(), how, 0).evaluate(found, {})
-    resumed = PopulationEvaluator(arena(), how, 0).evaluate(
+    whole = PopulationEvaluator(factory(), how, 0).evaluate(found, {})
+    resumed = PopulationEvaluator(factory(), how, 0).evaluate(
         found, {}, lambda event: seen.append(event["iteration"]), file
     )
     assert seen == [1, 2, 3, 4, 5, 6]
@@ -231,7 +231,7 @@ def test_an_interrupted_evaluation_is_saved_and_goes_on(tmp_path: Path) -> None:
 def test_checkpoints_are_written_when_due_and_only_then(tmp_path: Path) -> None:
     file, there = tmp_path / "state.pt", []
     how = small(save_interval=4)
-    PopulationEvaluator(arena(), how, 0).evaluate(candidates(1), {}, lambda _: there.append(file.exists()), file)
+    PopulationEvaluator(factory(), how, 0).evaluate(candidates(1), {}, lambda _: there.append(file.exists()), file)
     assert there == [False, False, False, False, True, True]  # written after the report
 
 
@@ -239,12 +239,12 @@ def test_checkpoints_are_written_when_due_and_only_then(tmp_path: Path) -> None:
 def test_the_checkpoint_of_others_is_refused(tmp_path: Path, evaluator: type) -> None:
     file, found = tmp_path / "state.pt", candidates(2)
     how = small(save_interval=1, iterations=2)
-    evaluator(arena(), how, 0).evaluate(found, {}, None, file)
+    evaluator(factory(), how, 0).evaluate(found, {}, None, file)
     assert file.exists()
     others = ((how, 1, found), (small(save_interval=1, iterations=3), 0, found), (how, 0, found[:1]))
     for settings, seed, part in others:
         with pytest.raises(RunError, match="other candidates or settings"):
-            evaluator(arena(), settings, seed).evaluate(part, {}, None, file)
+            evaluator(factory(), settings, seed).evaluate(part, {}, None, file)
 
 
 @pytest.mark.parametrize("iteration", range(1, 7))
@@ -255,7 +255,7 @@ def test_one_by_one_a_killed_training_goes_on_within_a_design(
     from warpvox.algos.training.runner import Runner
 
     file, found, how = tmp_path / "training" / "state.pt", candidates(2), small(save_interval=2)
-    whole = SequentialEvaluator(arena(), how, 0).evaluate(found, {})
+    whole = SequentialEvaluator(factory(), how, 0).evaluate(found, {})
     iterate, count = Runner._iterate, []
 
     def counted(runner: Runner, end: int) -> None:
@@ -266,10 +266,10 @@ def test_one_by_one_a_killed_training_goes_on_within_a_design(
 
     monkeypatch.setattr(Runner, "_iterate", counted)
     with pytest.raises(Killed):
-        SequentialEvaluator(arena(), how, 0).evaluate(found, {}, None, file)
+        SequentialEvaluator(factory(), how, 0).evaluate(found, {}, None, file)
     torch.manual_seed(iteration)  # whatever happens between
     count.clear()
-    for ours, theirs in zip(SequentialEvaluator(arena(), how, 0).evaluate(found, {}, None, file), whole, strict=True):
+    for ours, theirs in zip(SequentialEvaluator(factory(), how, 0).evaluate(found, {}, None, file), whole, strict=True):
         assert_equal(ours, theirs)
     saved = {1: 0, 2: 2, 3: 2, 4: 4, 5: 4, 6: 4}[iteration]
     assert count == list(range(saved + 1, 7))  # and nothing is done twice but what was not saved
@@ -279,7 +279,7 @@ def test_one_by_one_an_interrupt_is_saved_within_a_design(tmp_path: Path, monkey
     from warpvox.algos.training.runner import Runner
 
     file, found, how = tmp_path / "state.pt", candidates(1), small(save_interval=100)
-    whole = SequentialEvaluator(arena(), how, 0).evaluate(found, {})
+    whole = SequentialEvaluator(factory(), how, 0).evaluate(found, {})
     iterate, count = Runner._iterate, []
 
     def interrupted(runner: Runner, end: int) -> None:
@@ -290,15 +290,15 @@ def test_one_by_one_an_interrupt_is_saved_within_a_design(tmp_path: Path, monkey
 
     monkeypatch.setattr(Runner, "_iterate", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        SequentialEvaluator(arena(), how, 0).evaluate(found, {}, None, file)
-    (resumed,) = SequentialEvaluator(arena(), how, 0).evaluate(found, {}, None, file)
+        SequentialEvaluator(factory(), how, 0).evaluate(found, {}, None, file)
+    (resumed,) = SequentialEvaluator(factory(), how, 0).evaluate(found, {}, None, file)
     assert_equal(resumed, whole[0])
     assert count == [1, 2, 3, 4, 5, 6]
 
 
 def test_designs_that_were_done_are_not_trained_again_one_by_one(tmp_path: Path) -> None:
     file, found, how = tmp_path / "state.pt", candidates(3), small(iterations=2)
-    whole = SequentialEvaluator(arena(), how, 0).evaluate(found, {})
+    whole = SequentialEvaluator(factory(), how, 0).evaluate(found, {})
     seen: list[int] = []
 
     def report(event: dict[str, Any]) -> None:
@@ -307,8 +307,10 @@ def test_designs_that_were_done_are_not_trained_again_one_by_one(tmp_path: Path)
             raise Killed
 
     with pytest.raises(Killed):
-        SequentialEvaluator(arena(), how, 0).evaluate(found, {}, report, file)
-    for ours, theirs in zip(SequentialEvaluator(arena(), how, 0).evaluate(found, {}, report, file), whole, strict=True):
+        SequentialEvaluator(factory(), how, 0).evaluate(found, {}, report, file)
+    for ours, theirs in zip(
+        SequentialEvaluator(factory(), how, 0).evaluate(found, {}, report, file), whole, strict=True
+    ):
         assert_equal(ours, theirs)
     assert seen == [1, 2, 3]
 
@@ -346,7 +348,7 @@ def test_a_rung_between_evaluations_brings_one_of_its_own() -> None:
 
 def test_one_after_another_there_is_no_race() -> None:
     with pytest.raises(ConfigError, match="method=population"):
-        SequentialEvaluator(arena(), small(rungs=[0.5]))
+        SequentialEvaluator(factory(), small(rungs=[0.5]))
 
 
 @DOUBLE
@@ -400,7 +402,7 @@ def test_divergence_before_the_first_evaluation_is_a_fitness_of_its_own(
     monkeypatch.setattr(PopulationTraining, "iterate", iterated)
     monkeypatch.setattr(PopulationTraining, "evaluate", evaluated)
     events: list[dict[str, Any]] = []
-    results = PopulationEvaluator(arena(dtype="float64"), small(), 0).evaluate(found, {}, events.append)
+    results = PopulationEvaluator(factory(dtype="float64"), small(), 0).evaluate(found, {}, events.append)
     assert [outcome.diverged for outcome in results] == [False, True, False]
     assert (results[1].curve, results[1].policy, results[1].stopped) == ([], None, True)
     assert results[1].steps == (16 if moment == "update" else 32)
@@ -413,10 +415,10 @@ def test_divergence_before_the_first_evaluation_is_a_fitness_of_its_own(
 def test_a_learning_rate_that_is_much_too_high_ends_no_evaluation(evaluator: type) -> None:
     how = small(iterations=4)
     how.ppo.learning_rate, how.ppo.schedule = 1e30, "fixed"
-    results = evaluator(arena(), how, 0).evaluate(candidates(2), {})
+    results = evaluator(factory(), how, 0).evaluate(candidates(2), {})
     assert [(outcome.diverged, outcome.stopped, outcome.steps) for outcome in results] == [(True, True, 16)] * 2
 
 
 def test_episodes_are_as_long_as_the_arena_says() -> None:
-    env = arena().make([candidates(1)[0].body], 2, [0], auto_reset=False)
+    env = factory().make([candidates(1)[0].body], 2, [0], auto_reset=False)
     assert env.max_episode_steps == LIMIT

@@ -155,7 +155,7 @@ def test_no_cluster_and_no_ray_are_clear_errors(monkeypatch: pytest.MonkeyPatch)
 def test_when_the_last_node_is_lost_the_wait_for_another_has_an_end(
     cluster: tuple, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ray_executor, "PATIENCE_SECONDS", 5.0)
+    monkeypatch.setattr(ray_executor, "WORKER_TIMEOUT", 5.0)
     where, nodes = cluster
     executor = ray_executor.RayExecutor(functools.partial(ToyEvaluator, 0.2), address=where.address)
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 import torch
-from population_cases import arena, bodies
+from population_cases import bodies, factory
 
 from warpvox.algos.population.training import PopulationTraining
 from warpvox.algos.settings import TrainingConfig
@@ -29,7 +29,7 @@ class Stock:
         body, seed = bodies(len(SEEDS))[design], SEEDS[design]
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            env = adapt(arena(task, dtype).make([body], how.envs, [seed], auto_reset=True), how.ppo)
+            env = adapt(factory(task, dtype).make([body], how.envs, [seed], auto_reset=True), how.ppo)
             self.runner = Runner(env, how.ppo, Schedule(how.iterations, evaluate=10**6))
             self.random = torch.get_rng_state()
         self.random_start = how.ppo.random_start
@@ -97,11 +97,11 @@ def transitions_of(training: PopulationTraining, design: int) -> dict[str, torch
 
 def make(task: str, dtype: str, how: TrainingConfig) -> tuple[PopulationTraining, list[Stock]]:
     stocks = [Stock(task, dtype, design, how) for design in range(len(SEEDS))]
-    return PopulationTraining(arena(task, dtype), bodies(len(SEEDS)), SEEDS, how), stocks
+    return PopulationTraining(factory(task, dtype), bodies(len(SEEDS)), SEEDS, how), stocks
 
 
 def test_sizes_differ_so_that_padding_is_tested() -> None:
-    training = PopulationTraining(arena(), bodies(len(SEEDS)), SEEDS, training_preset("paper"))
+    training = PopulationTraining(factory(), bodies(len(SEEDS)), SEEDS, training_preset("paper"))
     assert len(set(training.algorithm.actor.inputs)) > 1
     assert len(set(training.algorithm.actor.outputs)) > 1
 
@@ -141,7 +141,7 @@ def test_updates_with_the_papers_settings_equal_stock_ones_in_float32(envs: int)
 
 def test_a_design_that_diverges_leaves_the_others_alone() -> None:
     spoilt, sound = (
-        PopulationTraining(arena(), bodies(3), SEEDS[:3], training_preset("paper", envs=4)) for _ in range(2)
+        PopulationTraining(factory(), bodies(3), SEEDS[:3], training_preset("paper", envs=4)) for _ in range(2)
     )
     for training in (spoilt, sound):
         training._collect()
@@ -159,7 +159,7 @@ def test_learning_is_the_same_bit_for_bit_with_any_number_of_threads(threads: in
     how = training_preset("fast", {"steps": 4, "epochs": 2}, envs=8)
     designs = 9  # in two blocks
     one, many = (
-        PopulationTraining(dataclasses.replace(arena(), threads=count), bodies(designs), list(range(designs)), how)
+        PopulationTraining(dataclasses.replace(factory(), threads=count), bodies(designs), list(range(designs)), how)
         for count in (1, threads)
     )
     for training in (one, many):

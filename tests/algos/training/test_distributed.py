@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from warpvox.algos.checkpoints.files import load_checkpoint
-from warpvox.algos.training.distributed import ALONE, Team, join_team
+from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup, join_process_group
 from warpvox.errors import ConfigError
 
 SMALL = (
@@ -39,17 +39,22 @@ def torchrun(folder: Path, *words: str) -> subprocess.CompletedProcess:
 
 def test_alone_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("WORLD_SIZE", raising=False)
-    assert join_team("cpu") is ALONE
-    assert (ALONE.sums([1.5, 2]), ALONE.any(True), ALONE.any(False), ALONE.leaders("x")) == ([1.5, 2], True, False, "x")
-    assert ALONE.seed(7) == 7
-    assert len({Team(rank, 4).seed(7) for rank in range(4)}) == 4
+    assert join_process_group("cpu") is SINGLE_PROCESS
+    assert (
+        SINGLE_PROCESS.sum([1.5, 2]),
+        SINGLE_PROCESS.any(True),
+        SINGLE_PROCESS.any(False),
+        SINGLE_PROCESS.broadcast("x"),
+    ) == ([1.5, 2], True, False, "x")
+    assert SINGLE_PROCESS.seed(7) == 7
+    assert len({ProcessGroup(rank, 4).seed(7) for rank in range(4)}) == 4
 
 
 def test_one_gpu_for_all_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {"WORLD_SIZE": 2, "RANK": 1, "LOCAL_RANK": 1, "LOCAL_WORLD_SIZE": 2}.items():
         monkeypatch.setenv(name, str(value))
     with pytest.raises(ConfigError, match="device=cuda, not cuda:0"):
-        join_team("cuda:0")
+        join_process_group("cuda:0")
 
 
 @pytest.mark.slow

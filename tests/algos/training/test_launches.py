@@ -11,7 +11,7 @@ from launches import Launches
 from rsl_rl.algorithms import PPO as StockPPO
 from rsl_rl.runners import OnPolicyRunner
 
-from warpvox.algos.env_factory import Arena
+from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import Runner, Schedule, adapt
@@ -23,7 +23,7 @@ from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ActionError
 
 STEPS = 5
-LOOKS = {("warpvox.simulation", "take"), ("warpvox.algos.training.ppo", "_beyond_the_limit")}
+LOOKS = {("warpvox.simulation", "take"), ("warpvox.algos.training.ppo", "_bootstrap_time_limit")}
 """Functions that look at tensors on the CPU and at no others (see the last tests)."""
 
 
@@ -106,7 +106,7 @@ def test_no_step_of_a_population_waits() -> None:
     for steps in (4, 8):
         bodies = [example_design("mini")] * 2
         made = PopulationTraining(
-            Arena("Walker-v0", threads=1), bodies, [0, 1], training_preset("fast", {"steps": steps})
+            EnvFactory("Walker-v0", threads=1), bodies, [0, 1], training_preset("fast", {"steps": steps})
         )
         made.env.env._on_cpu = False
         found.append(counted(made.iterate))
@@ -147,5 +147,5 @@ def test_time_limits_are_looked_at_on_the_cpu_alone() -> None:
     rewards, outs = torch.zeros(4, device="meta"), torch.zeros(4, dtype=torch.bool, device="meta")
     with pytest.raises(Exception, match="meta"):
         bool(outs.any())
-    found = PPO._beyond_the_limit(Model, rewards, outs, torch.zeros((4, 7), device="meta"))
+    found = PPO._bootstrap_time_limit(Model, rewards, outs, torch.zeros((4, 7), device="meta"))
     assert found.shape == (4,)

@@ -164,7 +164,7 @@ def codesign(job: Job, console: Console) -> Path:
         return write_again(job.config, console)
     with console.status("loading"):
         from warpvox.algos.codesign.loop import Loop
-        from warpvox.algos.codesign.stored_policies import Policies
+        from warpvox.algos.codesign.stored_policies import StoredPolicies
         from warpvox.cli.build import prepare, shown
         from warpvox.cli.codesign_progress import Results, SearchProgress
 
@@ -184,7 +184,7 @@ def codesign(job: Job, console: Console) -> Path:
                 executor,
                 archive,
                 seed=config.seed,
-                policies=Policies(folder, config.training.ppo, functools.partial(design_config, written)),
+                policies=StoredPolicies(folder, config.training.ppo, functools.partial(design_config, written)),
                 checkpoints=folder / "training",
                 batch=config.batch,
                 reuse=config.reuse,
@@ -290,13 +290,13 @@ def make_evaluator(config: CodesignConfig) -> DesignEvaluator:
     """The evaluator of a configuration; called in the process that evaluates."""
     from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
     from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
-    from warpvox.algos.env_factory import Arena
+    from warpvox.algos.env_factory import EnvFactory
     from warpvox.cli.build import physics_of, prepare
     from warpvox.devices.names import resolve_device
 
     prepare(config.torch_threads, config.seed)
     device = resolve_device(config.device, _together(config) * config.training.envs)
-    arena = Arena(
+    factory = EnvFactory(
         config.task,
         config.rules,
         physics_of(config),
@@ -306,7 +306,7 @@ def make_evaluator(config: CodesignConfig) -> DesignEvaluator:
         arithmetic=config.arithmetic,
     )
     kinds = {"population": PopulationEvaluator, "sequential": SequentialEvaluator}
-    return kinds[config.training.method](arena, config.training, config.seed)
+    return kinds[config.training.method](factory, config.training, config.seed)
 
 
 def make_executor(config: CodesignConfig) -> Executor:

@@ -34,7 +34,7 @@ from warpvox.io.writing import check_writable
 from warpvox.system import usable_cores
 
 if TYPE_CHECKING:
-    from warpvox.algos.training.distributed import Team
+    from warpvox.algos.training.distributed import ProcessGroup
 
 __all__ = ["Job", "check_unchanged", "make_job", "run", "train"]
 
@@ -163,39 +163,39 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
     """
     with console.status("loading"):
         from warpvox.algos.evaluate import evaluator
-        from warpvox.algos.training.distributed import join_team
+        from warpvox.algos.training.distributed import join_process_group
         from warpvox.algos.training.runner import Runner, Schedule, adapt
         from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes, voxels_of
         from warpvox.cli.memory_check import check_training
 
-        team = join_team(job.config.device)
-        console.quiet = console.quiet or not team.leads
-        prepare(job.config.torch_threads, team.seed(job.config.seed))
-        config = resolve(share(job.config, team))
+        group = join_process_group(job.config.device)
+        console.quiet = console.quiet or not group.is_main_process
+        prepare(job.config.torch_threads, group.seed(job.config.seed))
+        config = resolve(share(job.config, group))
         designs = load_bodies(config.design, config.seed)
         check_training(config, designs)
     advice = f"Train with fewer environments: num_envs={max(1, config.num_envs // 2)} instead of {config.num_envs}."
     preparing = console.status("preparing the simulation (the first time on a machine its kernels are compiled)")
     with preparing, enough_memory(advice):
         schedule = Schedule(config.max_iterations, config.save_interval, config.eval_interval, config.stop_return)
-        seed, guard = team.seed(config.seed), config.nan_guard
+        seed, guard = group.seed(config.seed), config.nan_guard
         env = adapt(make_env(config, config.num_envs, auto_reset=True, seed=seed, nan_guard=guard), config.ppo)
         lanes = training_lanes(config, config.device)
         judge = None
-        if team.leads:
+        if group.is_main_process:
             judge = evaluator(make_env(config, config.eval_envs * len(designs), auto_reset=False, lanes=lanes))
-        runner = Runner(env, config.ppo, schedule, evaluator=judge, team=team, voxels=voxels_of(config, env.env))
+        runner = Runner(env, config.ppo, schedule, evaluator=judge, group=group, voxels=voxels_of(config, env.env))
         if job.checkpoint is not None:
             runner.resume(job.checkpoint)
             _check_left(job.folder, runner)
-    if team.size > 1:
+    if group.size > 1:
         config = dataclasses.replace(config, num_envs=job.config.num_envs, device=config.device.split(":")[0])
-    with _folder(job, config, command, team) as folder:
+    with _folder(job, config, command, group) as folder:
         runner.folder = folder
         if env.env.dump is not None:
-            env.env.dump.folder = folder / ("dumps" if team.leads else f"dumps_{team.rank}")
+            env.env.dump.folder = folder / ("dumps" if group.is_main_process else f"dumps_{group.rank}")
         _announce(console, as_stored(config, job.stored), runner, folder)
-        if team.leads:
+        if group.is_main_process:
             keep_code(config, folder, console)
         _learn(runner, console, folder, command, config)
     return folder
@@ -221,32 +221,32 @@ def _check_left(folder: Path, runner: Any) -> None:
         )
 
 
-def share(config: TrainConfig, team: Team) -> TrainConfig:
-    """What a process of a team has to do of a training: its share of the environments, its own device and threads.
+def share(config: TrainConfig, group: ProcessGroup) -> TrainConfig:
+    """What a process of a group has to do of a training: its share of the environments, its own device and threads.
 
     Raises:
         ConfigError: the environments cannot be shared out evenly.
     """
-    if team.size == 1:
+    if group.size == 1:
         return config
-    if config.num_envs % team.size:
-        raise ConfigError(f"num_envs={config.num_envs} cannot be shared out evenly to {team.size} processes.")
-    threads = config.threads or max(1, usable_cores() // team.local_size)
-    return dataclasses.replace(config, num_envs=config.num_envs // team.size, device=team.device, threads=threads)
+    if config.num_envs % group.size:
+        raise ConfigError(f"num_envs={config.num_envs} cannot be shared out evenly to {group.size} processes.")
+    threads = config.threads or max(1, usable_cores() // group.local_size)
+    return dataclasses.replace(config, num_envs=config.num_envs // group.size, device=group.device, threads=threads)
 
 
 @contextmanager
-def _folder(job: Job, config: TrainConfig, command: str, team: Team) -> Iterator[Path]:
+def _folder(job: Job, config: TrainConfig, command: str, group: ProcessGroup) -> Iterator[Path]:
     """The folder of a new run, or that of the one which is resumed; made by the first process."""
-    if not team.leads:
-        yield Path(team.leaders(None))
+    if not group.is_main_process:
+        yield Path(group.broadcast(None))
     elif job.folder is None:
         with new_folder(config.output_dir, command, config.task, config.name, to_yaml(config)) as folder:
-            team.leaders(str(folder))
+            group.broadcast(str(folder))
             yield folder
     else:
         with going_on(job.folder, to_yaml(as_stored(config, job.stored))) as folder:
-            team.leaders(str(folder))
+            group.broadcast(str(folder))
             yield folder
 
 
@@ -255,7 +255,7 @@ def _announce(console: Console, config: TrainConfig, runner: Any, folder: Path) 
 
     done = runner.current_learning_iteration
     verb = f"resuming after iteration {done}" if done else "training"
-    where = config.device if runner.team.size == 1 else f"{runner.team.size} processes, {config.device}"
+    where = config.device if runner.group.size == 1 else f"{runner.group.size} processes, {config.device}"
     text = f"{verb}: {config.task}, {config.num_envs} environments on {where}, rules {config.rules}"
     echo(console, f"{text}\nrun folder: {shown(folder)}")
     if done and done == runner.schedule.total:
@@ -284,7 +284,7 @@ def _learn(runner: Any, console: Console, folder: Path, command: str, config: Tr
         raise
     finally:
         seconds = time.perf_counter() - began
-        if runner.current_learning_iteration and runner.team.leads:
+        if runner.current_learning_iteration and runner.group.is_main_process:
             summary = {
                 "command": command,
                 "task": runner.env.cfg["task"],
