@@ -54,8 +54,8 @@ class Outcome:
 
     ``fitness`` is the best deterministic return (paper section C.1), -inf if learning diverged before the first
     evaluation; ``curve`` the evaluations behind it as (control steps, return); ``steps`` the control steps spent;
-    ``policy`` the state of a stock rsl-rl actor, on the CPU; ``stopped``: training ended early, by successive halving or
-    because learning diverged.
+    ``policy`` the state of a stock rsl-rl actor, on the CPU; ``stopped``: training ended early, by successive halving
+    or because learning diverged.
     """
 
     fitness: float

@@ -63,7 +63,7 @@ class TrainingConfig:
     inherit: bool = key(False, "a child's training starts from the policy of its best parent")
     rungs: list[float] = key(
         [],
-        "successive halving: shares of the iterations after which the worst designs are stopped, [0.2,0.5]",
+        "successive halving: shares of the iterations after which the worst designs stop: [0.2,0.5]",
         above=0,
         high=1,
     )

