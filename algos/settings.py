@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 from warpvox.keys import MISSING, key
 
-__all__ = ["ACTIVATIONS", "PpoConfig", "TrainingConfig"]
+__all__ = ["ACTIVATIONS", "LOGGERS", "PpoConfig", "TrainingConfig"]
 
 ACTIVATIONS = ("tanh", "elu", "relu", "selu", "gelu", "swish")
+LOGGERS = ("tensorboard", "wandb", "neptune", "none")
 
 
 @dataclass

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, make_dataclass
 from typing import Any, get_origin, get_type_hints
 
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
-from warpvox.algos.settings import PpoConfig, TrainingConfig
+from warpvox.algos.settings import LOGGERS, PpoConfig, TrainingConfig
 from warpvox.keys import MISSING, key
 from warpvox.types import Physics
 
@@ -149,6 +149,11 @@ class _TrainingRunConfig:
     threads: int | None = key(None, "threads of the simulation on the CPU; null: all cores", low=1, high=MOST_THREADS)
     lanes: int | None = key(None, "environments that a thread advances at once; null: chosen by size")
     cuda_graph: bool = key(False, "on CUDA launch each control step, rewards and resets included, as one graph")
+    logger: str = key(
+        "tensorboard",
+        "where metrics go besides metrics.csv: tensorboard; wandb or neptune, by rsl-rl's writers; or none",
+        choices=LOGGERS,
+    )
     nan_guard: str = key(
         "on",
         "divergence ends an environment (on), and its last 64 steps are written to the run's folder dumps (dump)",

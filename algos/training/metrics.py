@@ -1,4 +1,4 @@
-"""What a training run leaves behind for plots: ``metrics.csv`` and TensorBoard events."""
+"""Metrics of a training run: ``metrics.csv``, TensorBoard events, Weights & Biases, Neptune."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ import os
 import socket
 import time
 from collections.abc import Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from warpvox.errors import RunError, listing
+from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.writing import write_text, writing
 
-__all__ = ["COLUMNS", "Events", "Metrics", "read_metrics"]
+__all__ = ["COLUMNS", "Events", "Metrics", "check_logger", "read_metrics"]
 
 COLUMNS = (
     "iteration",  # iterations complete
@@ -39,6 +40,10 @@ COLUMNS = (
 NEEDED = ("iteration", "steps", "eval_return", "elapsed")
 """Columns that something is made of; others may be missing from a file that an earlier version has written."""
 FILE = "metrics.csv"
+WRITERS = {"wandb": "WandbLogWriter", "neptune": "NeptuneLogWriter"}
+"""rsl-rl's writers, which write TensorBoard events, too."""
+PROJECT = "warpvox"
+"""Name of the project in Weights & Biases and Neptune."""
 
 TAGS = {
     "return_mean": "Train/return",
@@ -62,28 +67,49 @@ class Metrics:
     Args:
         folder: of the run; must exist.
         iteration: iterations complete when writing begins.
+        logger: one of :data:`warpvox.algos.settings.LOGGERS`, checked by :func:`check_logger`.
 
     Raises:
         StorageError: the folder cannot be written; so do all methods.
     """
 
-    def __init__(self, folder: Path, iteration: int = 0) -> None:
+    def __init__(self, folder: Path, iteration: int = 0, logger: str = "tensorboard") -> None:
         self.path = folder / FILE
         kept = [row for row in read_metrics(folder) if row["iteration"] <= iteration]
         text = "".join([_line(COLUMNS), *(_line(_cells(row)) for row in kept)])
         write_text(self.path, text, make_folders=False)
-        self._events = Events(folder, purge_step=iteration + 1)
+        self._events = self._writer = None
+        if logger == "tensorboard":
+            self._events = Events(folder, purge_step=iteration + 1)
+        elif logger in WRITERS:
+            from rsl_rl.utils import resolve_callable
+
+            self._writer = resolve_callable(WRITERS[logger])(log_dir=str(folder), project_name=PROJECT)
 
     def write(self, row: Mapping[str, float], log: Mapping[str, float] | None = None) -> None:
-        """Append a row (keys of :data:`COLUMNS`); ``log`` goes to TensorBoard only, under its own tags."""
+        """Append a row (keys of :data:`COLUMNS`); ``log`` goes to the logger only, under its own tags."""
         with writing(self.path), self.path.open("a", encoding="utf-8", newline="") as file:
             file.write(_line(_cells(row)))
         known = {tag: row[name] for name, tag in TAGS.items() if _known(row.get(name))}
-        self._events.write(known | dict(log or {}), int(row["iteration"]))
+        scalars, step = known | dict(log or {}), int(row["iteration"])
+        if self._events is not None:
+            self._events.write(scalars, step)
+        if self._writer is not None:
+            for tag, value in scalars.items():
+                self._writer.add_scalar(tag, value, step)
 
     def close(self) -> None:
-        """Close the files."""
-        self._events.close()
+        """Close the files and the run of the logger."""
+        if self._events is not None:
+            self._events.close()
+        if self._writer is not None:
+            self._writer.stop()
+
+
+def check_logger(name: str) -> None:
+    """Raise ConfigError if a logger needs a package that is not installed."""
+    if name in WRITERS and find_spec(name) is None:
+        raise ConfigError(f"logger={name} needs the package {name}, which is not installed: pip install {name}")
 
 
 class Events:

@@ -72,6 +72,7 @@ class Runner:
         report: called after every iteration with its row of ``metrics.csv``.
         on_save: called where ``state.pt`` would be written, instead; :meth:`state` is what there is to save.
         memory_hint: what to do if learning takes too much memory.
+        logger: where metrics go besides ``metrics.csv``, :data:`warpvox.algos.settings.LOGGERS`.
         group: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
             and reports; its ``evaluator`` and ``report`` are the only ones that are used.
         voxels: of a policy for voxels, see :func:`warpvox.algos.training.ppo.rsl_rl_config`.
@@ -89,10 +90,11 @@ class Runner:
         on_save: Callable[[], None] | None = None,
         memory_hint: str | None = None,
         voxels: Mapping[str, Any] | None = None,
+        logger: str = "tensorboard",
     ) -> None:
         self.env, self.ppo, self.schedule, self.folder = env, ppo, schedule, folder
         self.evaluator, self.report, self.group, self.on_save = evaluator, report, group, on_save
-        self.device = str(env.device)
+        self.device, self.logger = str(env.device), logger
         config = rsl_rl_config(ppo, schedule.total, voxels)
         ranks = {"global_rank": group.rank, "local_rank": group.local_rank, "world_size": group.size}
         config["multi_gpu"] = ranks if group.size > 1 else None
@@ -161,7 +163,7 @@ class Runner:
             lengths = torch.randint(int(self.env.max_episode_length), (self.env.num_envs,))
             self.env.episode_length_buf = lengths.to(self.env.device)
         if self.folder is not None and self.group.is_main_process:
-            self._metrics = Metrics(self.folder, self.current_learning_iteration)
+            self._metrics = Metrics(self.folder, self.current_learning_iteration, self.logger)
         self.alg.train_mode()
         if self.group.size > 1:
             self.alg.broadcast_parameters()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from warpvox.algos.training.metrics import check_logger
 from warpvox.cli.application import prepared, run_command
 from warpvox.cli.config import load, to_yaml
 from warpvox.cli.console import echo, shell_argument
@@ -48,6 +49,7 @@ CHANGEABLE = (
     "threads",
     "torch_threads",
     "cuda_graph",
+    "logger",
     "nan_guard",
     "memory_check",
     "resume",
@@ -92,6 +94,7 @@ def _prepare(config: TrainConfig, overrides: list[str], config_dir: Path | None)
     Raises:
         ConfigError, RunError: what is wrong with it.
     """
+    check_logger(config.logger)
     if config.resume is None:
         return Job(config)
     source = find_run(config.resume, config.output_dir, TRAINING, resume=True)
@@ -184,7 +187,9 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         judge = None
         if group.is_main_process:
             judge = evaluator(make_env(config, config.eval_envs * len(designs), auto_reset=False, lanes=lanes))
-        runner = Runner(env, config.ppo, schedule, evaluator=judge, group=group, voxels=voxels_of(config, env.env))
+        voxels = voxels_of(config, env.env)
+        options = dict(evaluator=judge, group=group, logger=config.logger)
+        runner = Runner(env, config.ppo, schedule, voxels=voxels, **options)
         if job.checkpoint is not None:
             runner.resume(job.checkpoint)
             _check_left(job.folder, runner)
