@@ -9,22 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fault_cases import CODESIGN, TRAIN, check_search, digest, only, same
+from fault_cases import CODESIGN, TRAIN, check_complaint, check_search, digest, only, same
 
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
 from warpvox.errors import RunError
-
-PLACES = 60
-"""At which an archive is garbled."""
-
-
-def assert_refused(outcome: Any, *phrases: str) -> None:
-    assert outcome.code == 2, outcome
-    assert outcome.err.count("\n") == 1
-    assert "Traceback" not in outcome.out + outcome.err
-    for phrase in phrases:
-        assert phrase in outcome.err, outcome.err
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +52,7 @@ def test_a_damaged_state_names_the_newest_checkpoint_that_is_whole(
     cut(run / "state.pt", share)
     cut(run / "model_3.pt", share)
     outcome = warpvox("train", "resume=latest", "max_iterations=4")
-    assert_refused(outcome, "state.pt is not a readable checkpoint", "that of iteration 2", "model_2.pt")
+    check_complaint(outcome, "state.pt is not a readable checkpoint", "that of iteration 2", "model_2.pt")
     advised = outcome.err.split("resume=")[-1].strip()
     assert warpvox("train", f"resume={advised}", "max_iterations=3").code == 0
     assert load_checkpoint(run / "model_3.pt")["iter"] == 3
@@ -73,7 +62,7 @@ def test_where_nothing_is_whole_the_run_is_to_be_started_again(copied: Callable,
     run = copied("train")
     for file in run.glob("*.pt"):
         cut(file, 0.5)
-    assert_refused(warpvox("train", f"resume={run}", "max_iterations=4"), "start the run again")
+    check_complaint(warpvox("train", f"resume={run}", "max_iterations=4"), "start the run again")
 
 
 def test_garbled_weights_are_noticed(copied: Callable, warpvox: Callable) -> None:
@@ -82,7 +71,7 @@ def test_garbled_weights_are_noticed(copied: Callable, warpvox: Callable) -> Non
     path, rng = run / "model_3.pt", random.Random(0)
     before = path.read_bytes()
     whole = load_checkpoint(path)
-    for _ in range(PLACES):
+    for _ in range(60):
         garbled = bytearray(before)
         garbled[rng.randrange(len(garbled))] ^= 1 << rng.randrange(8)
         path.write_bytes(garbled)
@@ -104,13 +93,13 @@ def test_a_configuration_that_was_cut_short_makes_no_other_run(
     for count in range(0, len(lines) - 2, 25):
         (run / "config.yaml").write_text("".join(lines[:count]))
         outcome = warpvox(command, f"resume={run}")
-        assert_refused(outcome)
+        check_complaint(outcome)
     (run / "config.yaml").write_text("".join(lines[:-1]))  # as written by an older version, and whole
     assert "cut short" not in warpvox(command, f"resume={run}").err
     (run / "config.yaml").write_text("".join(lines[:-4]))
-    assert_refused(warpvox(command, f"resume={run}"), "has been cut short", "...")
+    check_complaint(warpvox(command, f"resume={run}"), "has been cut short", "...")
     if command == "train":
-        assert_refused(warpvox("play", f"run={run}", "window=off"), "has been cut short")
+        check_complaint(warpvox("play", f"run={run}", "window=off"), "has been cut short")
 
 
 def test_damaged_curves_say_what_to_do(copied: Callable, warpvox: Callable) -> None:
@@ -118,7 +107,7 @@ def test_damaged_curves_say_what_to_do(copied: Callable, warpvox: Callable) -> N
     metrics = run / "metrics.csv"
     metrics.write_text(metrics.read_text().replace("\n2,", "\n2x,"))
     for words in (("curves", f"runs=[{run}]"), ("train", f"resume={run}", "max_iterations=4")):
-        assert_refused(warpvox(*words), "metrics.csv is damaged", "move it away")
+        check_complaint(warpvox(*words), "metrics.csv is damaged", "move it away")
     metrics.unlink()
     assert warpvox("train", f"resume={run}", "max_iterations=4").code == 0
 
@@ -129,7 +118,7 @@ def test_a_rollout_that_was_cut_short_is_refused(share: float, warpvox: Callable
     (rollout,) = tmp_path.glob("outputs/play/*/*/rollout.npz")
     cut(rollout, share)
     before = sorted(tmp_path.rglob("*"))
-    assert_refused(warpvox("export", f"rollout={rollout}", "format=html"), "rollout.npz")
+    check_complaint(warpvox("export", f"rollout={rollout}", "format=html"), "rollout.npz")
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -143,7 +132,7 @@ def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(
     run = copied("codesign")
     cut(run / FILE, share)
     for words in (("codesign", "resume=latest"), ("codesign", "report=latest"), ("play", "window=off")):
-        assert_refused(warpvox(*words), "damaged", f"{BACKUP} beside it", "copy it over")
+        check_complaint(warpvox(*words), "damaged", f"{BACKUP} beside it", "copy it over")
     shutil.copy(run / BACKUP, run / FILE)
     assert warpvox("codesign", f"resume={run}").code == 0
     check_search(run, runs["codesign"])
@@ -152,28 +141,6 @@ def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(
 def test_the_copy_is_the_archive_after_the_last_whole_generation(runs: dict[str, Path]) -> None:
     with Archive.read(runs["codesign"] / BACKUP) as copy, Archive.read(runs["codesign"] / FILE) as archive:
         assert copy.digest() == archive.digest()
-
-
-def test_a_garbled_archive_is_refused_or_read_never_a_crash(runs: dict[str, Path], tmp_path: Path) -> None:
-    path, rng = tmp_path / FILE, random.Random(1)
-    before = (runs["codesign"] / FILE).read_bytes()
-    refused = 0
-    for _ in range(PLACES):
-        garbled = bytearray(before)
-        start = rng.randrange(len(garbled))
-        for place in range(start, min(start + rng.choice([1, 16, 600]), len(garbled))):
-            garbled[place] = rng.randrange(256)
-        path.write_bytes(garbled)
-        try:
-            with Archive.open(path) as archive:
-                archive.records()
-                archive.best(3)
-                archive.lineage(1)
-                archive.generations()
-                archive.digest()
-        except RunError:
-            refused += 1
-    assert refused
 
 
 @pytest.mark.parametrize("name", ["-journal", "-wal", "-shm"])
@@ -202,7 +169,7 @@ def test_a_damaged_training_of_designs_is_to_be_removed_and_made_again(
     run = only(tmp_path, "codesign")
     (saved,) = (run / "training").iterdir()
     cut(saved, 0.5)
-    assert_refused(warpvox("codesign", f"resume={run}"), saved.name, "Remove it", "to the same end")
+    check_complaint(warpvox("codesign", f"resume={run}"), saved.name, "Remove it", "to the same end")
     saved.unlink()
     assert warpvox("codesign", f"resume={run}").code == 0
     check_search(run, runs["codesign"])

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fault_cases import CODESIGN, TRAIN, check_training, only, same
+from fault_cases import CODESIGN, TRAIN, check_complaint, check_training, only, same
 
 from warpvox import system
 from warpvox.algos.checkpoints.files import load_checkpoint, save_checkpoint
@@ -31,14 +31,6 @@ OURS = {files.__file__, pathlib.__file__, system.__file__}
 """The modules whose code writes a file."""
 PAGE = 4096
 """Of a file system in memory: what every file takes at least."""
-
-
-def assert_refused(outcome: Any, phrase: str) -> None:
-    assert outcome.code == 2, outcome
-    assert outcome.err.startswith("warpvox: ")
-    assert outcome.err.count("\n") == 1
-    assert phrase in outcome.err
-    assert "Traceback" not in outcome.out + outcome.err
 
 
 # ------------------------------------------------------------------------------------------------- one file
@@ -257,7 +249,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(
         access = os.access
         monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.W_OK and access(path, mode))
         phrase = "is read-only; choose another folder"
-    assert_refused(warpvox(*COMMANDS[command], "output_dir=place/runs"), phrase)
+    check_complaint(warpvox(*COMMANDS[command], "output_dir=place/runs"), phrase)
     assert [file.name for file in tmp_path.iterdir()] == (["place"] if how == "a file" else [])
 
 
@@ -274,7 +266,7 @@ def test_a_folder_that_vanishes_is_told_of_and_not_made_anew(
     monkeypatch.setattr(TrainingProgress, "__call__", remove)
     monkeypatch.setattr(SearchProgress, "progress", remove)
     outcome = warpvox(*COMMANDS[command])
-    assert_refused(outcome, "outputs")
+    check_complaint(outcome, "outputs")
     assert "vanished" in outcome.err or "folder is gone" in outcome.err
     assert list(tmp_path.iterdir()) == []
     assert "go on:" not in outcome.out
@@ -293,7 +285,7 @@ def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refus
         file.write_text("half")
     resume = [command, f"resume={run}", *(["max_iterations=3"] if command == "train" else [])]
     with claimed(run):
-        assert_refused(warpvox(*resume), "Another process is writing to")
+        check_complaint(warpvox(*resume), "Another process is writing to")
     assert all(file.is_file() for file in litter)  # they may be the other's
     outcome = warpvox(*resume)
     assert outcome.code == 0, outcome.err
@@ -360,7 +352,7 @@ def test_on_a_real_disk_that_fills_up_a_training_goes_on_once_there_is_room(
     pages = sum(-(-file.stat().st_size // PAGE) for file in whole.iterdir())
     disk = tiny_disk(pages * PAGE // 1024)  # room for the files, not for the old and the new state at once
     outcome = warpvox(*TRAIN, f"output_dir={disk / 'outputs'}")
-    assert_refused(outcome, "no space is left on its disk")
+    check_complaint(outcome, "no space is left on its disk")
     assert "go on: warpvox train resume=" in outcome.out
     run = only(disk, "train")
     assert not list(run.glob(f"{MARK}*"))

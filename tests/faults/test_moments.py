@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -26,10 +26,8 @@ from fault_cases import (
 from warpvox.io.writing import MARK
 
 MODES = pytest.mark.parametrize("mode", [KILL, TORN, FULL, BROKEN], ids=["killed", "torn", "full", "broken"])
-FEW = 1
-MANY = {"train": 24, "codesign": 12}
-"""Moments of the default run and of the slow one; a training is killed at all of them."""
-ALL = 10_000
+FEW, MANY = {"train": 1, "codesign": 1}, {"train": 24, "codesign": 12}
+"""Moments of the default run and of the slow one, in which a training is killed at all of them."""
 
 
 @pytest.fixture(scope="session")
@@ -49,10 +47,8 @@ def undisturbed(victim: Victim, tmp_path_factory: pytest.TempPathFactory) -> Cal
 
 
 def spread(count: int, number: int, seed: int) -> list[int]:
-    """``number`` of the moments 1 to ``count``, one at random of each of as many equal parts, or all."""
+    """``number`` of the moments 1 to ``count``, one at random of each of as many equal parts."""
     rng = random.Random(seed)
-    if number >= count:
-        return list(range(1, count + 1))
     return [1 + int((k + rng.random()) * count / number) for k in range(number)]
 
 
@@ -75,33 +71,18 @@ def strike(victim: Victim, folder: Path, command: str, at: int, mode: int, whole
     resume(victim, folder, command, whole)
 
 
-def strike_all(
-    victim: Victim, tmp_path: Path, undisturbed: Callable, command: str, mode: int, number: int
-) -> Sequence[int]:
+@MODES
+@pytest.mark.parametrize("command", ["train", "codesign"])
+@pytest.mark.parametrize("number", [FEW, pytest.param(MANY, marks=pytest.mark.slow)], ids=["some", "many"])
+def test_at_moments(
+    victim: Victim, tmp_path: Path, undisturbed: Callable, command: str, mode: int, number: dict[str, int]
+) -> None:
     whole, count = undisturbed(command)
-    moments = spread(count, number, seed=mode)
+    all_kills = number is MANY and (command, mode) == ("train", KILL)
+    moments = spread(count, count if all_kills else number[command], seed=mode)
     for at in moments:
         strike(victim, tmp_path / str(at), command, at, mode, whole)
-    return moments
-
-
-@MODES
-@pytest.mark.parametrize("command", ["train", "codesign"])
-def test_at_some_moments(victim: Victim, tmp_path: Path, undisturbed: Callable, command: str, mode: int) -> None:
-    strike_all(victim, tmp_path, undisturbed, command, mode, FEW)
-
-
-@pytest.mark.slow
-@MODES
-@pytest.mark.parametrize("command", ["train", "codesign"])
-def test_at_many_moments(
-    victim: Victim, tmp_path: Path, undisturbed: Callable, command: str, mode: int, capsys: pytest.CaptureFixture
-) -> None:
-    moments = strike_all(
-        victim, tmp_path, undisturbed, command, mode, ALL if (command, mode) == ("train", KILL) else MANY[command]
-    )
-    with capsys.disabled():
-        print(f"\n{len(moments)} of {undisturbed(command)[1]} moments of {command}: nothing lost")
+    print(f"{len(moments)} of {count} moments of {command}: nothing lost")
 
 
 def killed_again_and_again(
@@ -131,18 +112,16 @@ def killed_again_and_again(
     resume(victim, folder / str(place), command, whole)
 
 
-SIGNALS = pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-
-
-@SIGNALS
-def test_at_random_times(victim: Victim, tmp_path: Path, undisturbed: Callable, number: int) -> None:
-    killed_again_and_again(victim, tmp_path, "train", undisturbed("train")[0], 1, number, 1.0, seed=number)
-
-
-@pytest.mark.slow
-@SIGNALS
-@pytest.mark.parametrize(("command", "longest"), [("train", 1.5), ("codesign", 3.0)])
-def test_at_many_random_times(
-    victim: Victim, tmp_path: Path, undisturbed: Callable, command: str, longest: float, number: int
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    ("command", "kills", "longest"),
+    [
+        ("train", 1, 1.0),
+        pytest.param("train", 20, 1.5, marks=pytest.mark.slow),
+        pytest.param("codesign", 20, 3.0, marks=pytest.mark.slow),
+    ],
+)
+def test_at_random_times(
+    victim: Victim, tmp_path: Path, undisturbed: Callable, command: str, kills: int, longest: float, number: int
 ) -> None:
-    killed_again_and_again(victim, tmp_path, command, undisturbed(command)[0], 20, number, longest, seed=number)
+    killed_again_and_again(victim, tmp_path, command, undisturbed(command)[0], kills, number, longest, seed=number)

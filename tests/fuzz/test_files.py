@@ -106,6 +106,7 @@ def use_checkpoint(path: Path) -> None:
 def use_archive(path: Path) -> None:
     """All that can be asked of an archive is answered."""
     path.with_name(f"{path.name}-journal").unlink(missing_ok=True)
+    Archive.open(path).close()
     with Archive.read(path) as archive:
         assert isinstance(archive.settings, dict)
         json.dumps([archive.created_at, archive.trained(), archive.generations(), archive.digest()])

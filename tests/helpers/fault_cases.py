@@ -172,12 +172,14 @@ WHEN_DONE = {"train": check_training, "codesign": check_search}
 COMMANDS = {"train": TRAIN, "codesign": CODESIGN}
 
 
-def check_complaint(result: Result) -> None:
-    """One line says what is wrong; nobody is shown a traceback."""
+def check_complaint(result: Any, *phrases: str) -> None:
+    """One line says what is wrong, with these phrases; nobody is shown a traceback."""
     assert result.code == 2, result
     assert result.err.startswith("warpvox: "), result.err
     assert result.err.count("\n") == 1, result.err
     assert "Traceback" not in result.out + result.err
+    for phrase in phrases:
+        assert phrase in result.err, result.err
 
 
 def has_begun(run: Path) -> bool:

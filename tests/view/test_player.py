@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import re
+import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +19,7 @@ from PIL import Image
 
 from warpvox.errors import RolloutError
 from warpvox.view.painter import Canvas
-from warpvox.view.player import write_html
+from warpvox.view.player import page_of, write_html
 from warpvox.view.rollout import Rollout
 
 SAME = 16  # mean difference of two painters' pictures of one robot, of 255: their edges differ, nothing else
@@ -56,6 +57,33 @@ def test_page_holds_the_positions(rollouts, tmp_path_factory, frames, envs, desi
         assert np.abs(track - exact).max() <= 0.5 / meta["scale"] + 1e-7
     np.testing.assert_allclose(rewards, rollout.rewards.T, rtol=1e-6)
     assert meta["scale"] == 4096
+
+
+@pytest.mark.parametrize("every", [1, 3, 10])
+def test_a_page_shows_every_nth_frame(rollouts: Callable[..., Rollout], tmp_path: Path, every: int) -> None:
+    rollout, steps = rollouts(101, 2), 100 // every
+    meta, tracks, rewards = decode(write_html(rollout, tmp_path / "page.html", every=every))
+    assert (meta["frames"], meta["dt"]) == (steps + 1, pytest.approx(0.02 * every))
+    np.testing.assert_allclose(tracks[1], rollout.positions[::every, 1, : rollout.scene(1).num_points], atol=2e-4)
+    wanted = rollout.rewards[: steps * every].reshape(steps, every, 2).sum(1).T
+    np.testing.assert_allclose(rewards, wanted, atol=1e-6)
+
+
+def test_a_page_takes_little_more_memory_than_it_holds(rollouts: Callable[..., Rollout]) -> None:
+    rollout = rollouts(2000, 8)
+    tracemalloc.start()
+    page_of(rollout)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2.5 * rollout.positions.nbytes
+
+
+def test_a_page_that_no_browser_can_hold_is_refused(rollouts, monkeypatch: pytest.MonkeyPatch) -> None:
+    rollout = rollouts(1000, 1)
+    monkeypatch.setattr("warpvox.view.player.MOST_NUMBERS", 2 * rollout.scene(0).num_points * 200)
+    with pytest.raises(RolloutError, match=r"1,000 frames is more than a browser can hold; .*every=5"):
+        page_of(rollout)
+    page_of(rollout, every=5)
 
 
 def test_precision_gives_way_to_leaps(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:

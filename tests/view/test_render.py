@@ -118,6 +118,20 @@ def test_gif(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
     assert any((a != b).any() for a, b in pairwise(pictures))
 
 
+def test_more_pictures_than_viewers_hold_are_refused_with_what_to_do(rollouts, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(render, "MOST_OF_GIF", 10)
+    with pytest.raises(RolloutError, match=r"50 pictures .*\(10\).*every=5\), or write an MP4"):
+        render.write_gif(rollouts(100, 1), tmp_path / "film.gif")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("every", "count"), [(1, 100), (5, 20), (10**6, 1)])
+def test_time_runs_as_fast_as_asked_for(rollouts, tmp_path: Path, every: int, count: int) -> None:
+    path = render.write_gif(rollouts(200, 1), tmp_path / "film.gif", size=(64, 36), every=every)
+    with Image.open(path) as film:
+        assert film.n_frames == count
+
+
 def test_gif_keeps_the_colours(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
     rollout = rollouts(6, 1)
     path = render.write_gif(rollout, tmp_path / "film.gif")
@@ -176,6 +190,8 @@ def test_nothing_half_written_stays(rollouts: Callable[..., Rollout], tmp_path: 
         (lambda r, p: render.draw_frame(r, 0, size=(640, 360, 3)), "width, height"),
         (lambda r, p: render.draw_frame(r, 0, voxels=0), "voxels"),
         (lambda r, p: render.write_gif(r, p, fps=0), "fps"),
+        (lambda r, p: render.write_gif(r, p, every=0), "every must be a whole number"),
+        (lambda r, p: render.write_mp4(r, p, every=0), "every must be a whole number"),
         (lambda r, p: render.write_gif(r, p, start=4, stop=4), "no frames from 4 to 4"),
         (lambda r, p: render.filmstrip(r, 0), "1 to 64 frames"),
         (lambda r, p: render.filmstrip(r, []), "1 to 64 frames"),

@@ -142,3 +142,12 @@ def test_many_environments_stay_small(rollouts: Callable[..., Rollout], tmp_path
     rollout = rollouts(500, 64, designs=3)
     path = write_usd(rollout, tmp_path / "rollout.usdc")
     assert os.path.getsize(path) < MEGABYTES * 1e6
+
+
+def test_a_stage_that_does_not_fit_is_refused(rollouts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rollout = rollouts(2000, 1)
+    monkeypatch.setattr("warpvox.view.usd.free_memory", lambda device: 1_000_000)
+    with pytest.raises(RolloutError, match=r"2,000 frames needs about .* GiB are free; .*\(every=\d\)"):
+        write_usd(rollout, tmp_path / "long.usd")
+    assert not list(tmp_path.iterdir())
+    write_usd(rollout, tmp_path / "long.usd", stride=2)
