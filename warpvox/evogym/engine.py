@@ -11,7 +11,7 @@ import numpy as np
 
 from warpvox.envs.single import Sensors
 from warpvox.errors import listing
-from warpvox.evogym.errors import ArgumentError
+from warpvox.evogym.errors import ArgumentError, ArgumentTypeError
 from warpvox.kernels.state import DIVERGED, UNSTABLE
 from warpvox.simulation import Simulation
 from warpvox.types import Cell
@@ -137,14 +137,16 @@ class Engine:
     # -------------------------------------------------------------------------------------------- looking
 
     def _at(self, time: int) -> tuple[np.ndarray, np.ndarray]:
+        if not isinstance(time, int | np.integer):
+            raise ArgumentTypeError(f"time must be an integer, got {time!r} of type {type(time).__name__}.")
         if time not in self._past:
-            raise ArgumentError(f"There is no record of the time {time!r}; it must be an integer, 0 to {self.time}.")
+            raise ArgumentError(f"time must lie between 0 and {self.time}, got {time}.")
         return self._past[time]
 
     def check(self, name: str) -> None:
         """Raise ArgumentError unless there is an object of that name."""
         if name not in self._bodies:
-            raise ArgumentError(f"{name} is not a valid object name; there are {listing(self.names)}.")
+            raise ArgumentError(f"{name} is not a valid object name; objects are {listing(sorted(self.names))}.")
 
     def positions(self, time: int, name: str) -> np.ndarray:
         """``[points, 2]``, not to be written into."""

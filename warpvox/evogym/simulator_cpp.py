@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpvox.errors import DisplayError, SimulationError, WorldError
+from warpvox.errors import DisplayError, SimulationError, WorldError, listing
 from warpvox.evogym.errors import ArgumentError
 from warpvox.evogym.picture import paint
 from warpvox.io.reading import Missing, Unreadable, read_text
@@ -182,10 +182,10 @@ class Sim:
         self._engine.check(object_name)
         return _rows(self._engine.velocities(sim_time, object_name))
 
-    def object_orientation_at_time(self, sim_time: int, object_name: str) -> float:
-        """How far an object has turned since time 0, counter-clockwise, radians in [0, 2 pi]."""
+    def object_orientation_at_time(self, time: int, object_name: str) -> float:
+        """The turn of an object since time 0, counter-clockwise, radians in [0, 2 pi]."""
         self._engine.check(object_name)
-        return self._engine.orientation(sim_time, object_name)
+        return self._engine.orientation(time, object_name)
 
     def get_indices_of_actuators(self, robot_name: str) -> np.ndarray:
         """int32 ``[1, actuators]``: flat indices of their cells, row by row from the top."""
@@ -194,7 +194,7 @@ class Sim:
 
     def _check_robot(self, name: str) -> None:
         if name not in self._engine.robots:
-            raise ArgumentError(f"{name} is not a valid robot name; robots are {self._engine.robots}.")
+            raise ArgumentError(f"{name} is not a valid robot name; robots are {listing(self._engine.robots)}.")
 
 
 def _quiet_warp() -> None:
