@@ -14,21 +14,26 @@ CASES = {"float64": (8, 1e-9), "float32": (32, 2e-5)}
 """Lanes (those of other tests, whose kernels these tests share) and tolerance, relative to the largest number."""
 
 
+def crowded_world(seed):
+    """A robot between boxes on a bumpy ground."""
+    ground = np.full((2, 24), 5)
+    ground[0, ::3] = 0
+    world = World(24, 16)
+    world.add_from_array("ground", ground, 0, 0)
+    for n, (x, y) in enumerate([(1, 2), (8, 2), (2, 8), (5, 8)]):
+        world.add_from_array(f"box{n}", np.full((1 + n % 2, 2), 1 + n % 2), x, y)
+    world.add_from_array("bridge", np.array([[5, 2, 2, 5]]), 14, 4)
+    world.add_from_array("robot", sample_design((5, 5), seed=seed), 3, 2)
+    return world
+
+
 class Scene:
-    """Copies of a robot between boxes on a bumpy ground, one a lane; ``check`` compares with an oracle."""
+    """Copies of a crowded world, one a lane; ``close`` compares with an oracle."""
 
     def __init__(self, dtype, physics="evogym"):
         lanes, self.tolerance = CASES[dtype]
-        ground = np.full((2, 24), 5)
-        ground[0, ::3] = 0
-        world = World(24, 16)
-        world.add_from_array("ground", ground, 0, 0)
-        for n, (x, y) in enumerate([(1, 2), (8, 2), (2, 8), (5, 8)]):
-            world.add_from_array(f"box{n}", np.full((1 + n % 2, 2), 1 + n % 2), x, y)
-        world.add_from_array("bridge", np.array([[5, 2, 2, 5]]), 14, 4)
-        world.add_from_array("robot", sample_design((5, 5), seed=1), 3, 2)
         options = dict(device="cpu", dtype=dtype, arithmetic="fast", lanes=lanes, threads=1, physics=physics)
-        self.sim = Simulation([world] * lanes, **options)
+        self.sim = Simulation([crowded_world(1)] * lanes, **options)
         self.lanes, self.design = range(lanes), self.sim.designs[0]
         arrays = self.sim._state.arrays
         self.model = SimpleNamespace(**{n: a.numpy()[0] for n, a in arrays.items() if a.shape[0] == 1 and a.ndim < 4})
@@ -67,6 +72,12 @@ class Scene:
 
     def close(self, found, expected):
         np.testing.assert_allclose(found, expected, rtol=0, atol=self.tolerance * np.abs(expected).max())
+
+
+@pytest.fixture(name="crowded_world", scope="session")
+def fixture_of_crowded_world():
+    """``crowded_world(seed)``: a world with the robot of that seed."""
+    return crowded_world
 
 
 @pytest.fixture(scope="session")

@@ -7,29 +7,25 @@ import pytest
 import torch
 
 from warpvox.contact_order import order_arrays, tree_of
-from warpvox.design import sample_design
 from warpvox.kernels import step
 from warpvox.simulation import Simulation
-from warpvox.world import World
 
 SQUEEZE, NOISE = 0.7, 0.06
 
 
-def crowd(seed, lanes):
-    """Contacts of a robot pressed together with boxes and a bumpy ground, in ``lanes`` copies; what was noted."""
-    ground = np.full((2, 24), 5)
-    ground[0, ::3] = 0
-    world = World(24, 16)
-    world.add_from_array("ground", ground, 0, 0)
-    for n, (x, y) in enumerate([(1, 2), (8, 2), (2, 8), (5, 8)]):
-        world.add_from_array(f"box{n}", np.full((1 + n % 2, 2), 1 + n % 2), x, y)
-    world.add_from_array("robot", sample_design((5, 5), seed=seed), 3, 2)
-    sim = Simulation([world] * lanes, device="cpu", dtype="float64", lanes=lanes)
-    state, rng = sim.state(), np.random.default_rng(seed)
-    state["pos"] = state["pos"] * SQUEEZE + torch.tensor(rng.normal(0.0, NOISE, state["pos"].shape))
-    sim.set_state(state)
-    step.launch(sim._state, "boxes", "collect", "contacts")
-    return sim, {name: sim._state.arrays[name].numpy()[0] for name in ("hits", "hit", "hit_rank", "pos", "node")}
+@pytest.fixture
+def crowd(crowded_world):
+    """``crowd(seed, lanes)``: contacts of a robot pressed together with its world, in copies; what was noted."""
+
+    def contacts(seed, lanes):
+        sim = Simulation([crowded_world(seed)] * lanes, device="cpu", dtype="float64", lanes=lanes)
+        state, rng = sim.state(), np.random.default_rng(seed)
+        state["pos"] = state["pos"] * SQUEEZE + torch.tensor(rng.normal(0.0, NOISE, state["pos"].shape))
+        sim.set_state(state)
+        step.launch(sim._state, "boxes", "collect", "contacts")
+        return sim, {name: sim._state.arrays[name].numpy()[0] for name in ("hits", "hit", "hit_rank", "pos", "node")}
+
+    return contacts
 
 
 class Descent:
@@ -77,7 +73,7 @@ class Descent:
 
 @pytest.mark.parametrize("lanes", [1, 8])
 @pytest.mark.parametrize("seed", range(4))
-def test_contacts_are_taken_in_the_order_of_the_descent(seed, lanes):
+def test_contacts_are_taken_in_the_order_of_the_descent(crowd, seed, lanes):
     sim, arrays = crowd(seed, lanes)
     assert not sim.overflow.any()
     for k, count in enumerate(arrays["hits"]):
@@ -89,7 +85,7 @@ def test_contacts_are_taken_in_the_order_of_the_descent(seed, lanes):
         assert taken == sorted(taken, key=lambda hit, place=place: (place[hit[:2]], hit[2]))
 
 
-def test_a_contact_inside_one_object_is_met_from_both_sides():
+def test_a_contact_inside_one_object_is_met_from_both_sides(crowd):
     _, arrays = crowd(0, 1)
     owner = arrays["node"][:, 2]
     hits = [tuple(hit) for hit in arrays["hit"][: arrays["hits"][0], 0]]

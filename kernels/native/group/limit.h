@@ -1,4 +1,4 @@
-// Strain limits on displacements, as in strain.h. Corrections are rare: all springs are tested side by side, those beyond
+// Strain limits on displacements, as in limit.h of the lanes. Corrections are rare: all springs are tested side by side, those beyond
 // their limit are corrected one after another in the order of springs.
 
 auto own_points = [&](auto&& act) {
