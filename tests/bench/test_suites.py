@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from warpvox.bench import check, reference, scaling
+from warpvox.bench import check, kernels, memory, reference, scaling
 from warpvox.bench.case import Case, full_body, sampled_or_full
 from warpvox.bench.ptxas import find_program
 from warpvox.bench.report import number
@@ -20,6 +20,7 @@ from warpvox.bench.runner import Runner
 from warpvox.configs.schema import BenchConfig, ScalingConfig
 from warpvox.design import check_design
 from warpvox.errors import ConfigError, SimulationError, WarpvoxError
+from warpvox.kernels.state import DATA
 from warpvox.kernels.step import STAGES
 
 TINY = "design=mini num_envs=8 steps=2 repeats=1 columns=[step]".split()
@@ -176,7 +177,7 @@ def test_a_quick_figure_2_has_fewer_sizes_robots_and_seconds(monkeypatch: pytest
 def test_scaling_leaves_out_what_does_not_fit(
     envs: list[int], limit: float, left_out: str, bench: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scaling, "available_memory", lambda device: 5e4)
+    monkeypatch.setattr(scaling, "available_memory", lambda _: 5e4)
     said, figures = bench("scaling", *FIGURE_2, "scaling.sizes=[2]", f"scaling.envs={envs}", f"limit={limit}")
     assert left_out in said
     assert [row["num_envs"] for row in figures["envs"]] == envs[:-1]
@@ -193,9 +194,10 @@ def test_learning_has_a_curve(bench: Callable) -> None:
 @pytest.mark.parametrize("anew", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_kernels_names_every_stage(anew: bool, bench: Callable) -> None:
     _, figures = bench("kernels", f"compile={anew}", "num_envs=256", "design=walker")
-    assert list(figures["stages"]) == [build.__name__ for build in STAGES["fast"]]
+    assert list(figures["stages"]) == [build.__name__ for build in STAGES["fast"]] == list(kernels.STAGES)
     assert sum(figures["stages"].values()) > 0
     assert sum(figures["bytes"].values()) > 1000
+    assert {name for names in memory.GROUPS.values() for name in names} <= set(DATA)
     assert list(figures["parts"]) == ["physics alone", "step only"]
     assert ("compile" in figures) is anew
 
