@@ -202,7 +202,9 @@ class CodesignConfig(PresetConfig):
     """Keys of ``warpvox codesign``."""
 
     task: str = key("Walker-v0", "task id; `warpvox tasks` lists them", path="read")
-    shape: list[int] = key([5, 5], "rows and columns of the bodies; the paper: [5,5], for Lifter-v0 [5,7]", low=1)
+    shape: list[int] = key(
+        [5, 5], "rows and columns of the bodies; the paper: [5,5], for Lifter-v0 [5,7]", low=1, form="[rows,columns]"
+    )
     rules: str = key("evogym", "the benchmark as released (evogym) or as printed (paper)", choices=("evogym", "paper"))
     reuse: bool = key(True, "a body that was evaluated before is not trained again")
     batch: int | None = key(
@@ -254,7 +256,10 @@ class _RolloutConfig:
     run: str = key("latest", "latest, the folder of a run, or a checkpoint file", path="read")
     checkpoint: str = key("best", "of that run: best, last, or an iteration")
     size: list[int] | None = key(
-        None, "width and height of pictures in pixels, [640,360] for instance; null: what suits the format", low=16
+        None,
+        "width and height of pictures in pixels, [640,360] for instance; null: what suits the format",
+        low=16,
+        form="[width,height]",
     )
     every: int = key(1, "show every n-th control step only; films run n times as fast", low=1)
     steps: int | None = key(None, "control steps to record; null: until the episode ends", low=1)
@@ -306,8 +311,10 @@ class ExportConfig(_RolloutConfig):
     task: str | None = key(None, OWN_TASK, path="read")
     policy: str | None = _own_policy()
     num_envs: int = key(1, "environments; a multiple of the run's number of designs", low=1)
-    format: Any = key(
-        "usd", "usd, gif, mp4, html, png, strip; of the policy itself onnx, jit; or a list of them: [usd,gif]"
+    format: list[str] = key(
+        ["usd"],
+        "of the episode usd, gif, mp4, html, png, strip; of the policy itself onnx, jit; or several: [usd,gif]",
+        choices=(*EXPORTS, *POLICY_EXPORTS),
     )
 
 
@@ -396,7 +403,7 @@ class CurvesConfig:
         ["latest"], "runs of `warpvox train`: latest, folders, patterns such as 'outputs/train/*/*'", path="read"
     )
     x: str = key("steps", "what is to the right", choices=("steps", "elapsed", "iteration"))
-    size: list[int] = key([760, 340], "width and height in pixels", low=64, high=8192)
+    size: list[int] = key([760, 340], "width and height in pixels", low=64, high=8192, form="[width,height]")
     file: str = key("curves.png", "picture to write: .png, .svg or .pdf", path="written")
     output_dir: str = key("outputs", "folder that runs are looked up in", path="written")
 

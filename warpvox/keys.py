@@ -23,14 +23,16 @@ def key(
     low: float | None = None,
     above: float | None = None,
     high: float | None = None,
+    form: str | None = None,
     path: str | None = None,
 ) -> Any:
     """A field that knows its meaning and valid values: ``low <= value <= high`` and ``value > above``.
 
-    ``path``: the value names something that may lie on a disk, which is ``read`` (one path, or several of a sweep) or
-    ``written``; the command line takes it as it is typed.
+    ``form``: how a list of fixed length is written, such as ``[width,height]``. ``path``: the value names something
+    that may lie on a disk, which is ``read`` (one path, or several of a sweep) or ``written``; the command
+    line takes it as it is typed.
     """
-    limits = {"choices": choices, "low": low, "above": above, "high": high, "path": path}
+    limits = {"choices": choices, "low": low, "above": above, "high": high, "form": form, "path": path}
     metadata = {"help": meaning} | {name: limit for name, limit in limits.items() if limit is not None}
     if isinstance(default, list):
         return field(default_factory=lambda: list(default), metadata=metadata)
@@ -50,6 +52,9 @@ def check_values(config: Any, prefix: str = "") -> None:
         if dataclasses.is_dataclass(value):
             check_values(value, name + ".")
         elif value is not None:
+            form = item.metadata.get("form")
+            if form and len(value) != form.count(",") + 1:
+                raise ConfigError(f"{name} must be {form}, got {value}.")
             for entry in value if isinstance(value, (list, tuple)) and item.name != "design" else [value]:
                 _check_entry(name, entry, item.metadata)
 

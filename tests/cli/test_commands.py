@@ -103,8 +103,7 @@ def test_an_interrupt_saves_and_the_run_goes_on(
 
     with monkeypatch.context() as patch:
         patch.setattr(TrainingProgress, "__call__", interrupt)
-        words = whole_words(whole)
-        outcome = warpvox("train", *words)
+        outcome = warpvox("train", f"config={whole}")
     assert outcome.code == code
     assert "interrupted, state saved" in outcome.out
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -114,22 +113,6 @@ def test_an_interrupt_saves_and_the_run_goes_on(
     assert warpvox("train", f"resume={parts}").code == 0
     assert rows(parts) == rows(whole)
     assert summary(parts)["status"] == "done"
-
-
-def whole_words(folder: Path) -> list[str]:
-    """The words that make the same run again."""
-    config = yaml.safe_load((folder / "config.yaml").read_text())
-    keys = ("num_envs", "max_iterations", "eval_interval", "threads", "device")
-    words = [f"{key}={config[key]}" for key in keys] + ["design=mini"]
-    return words + [f"ppo.{key}={config['ppo'][key]}".replace(" ", "") for key in ("steps", "hidden", "epochs")]
-
-
-def test_sweeps_make_a_run_of_each(warpvox: Callable) -> None:
-    words = "design=mini num_envs=8 threads=1 ppo.steps=2 ppo.hidden=[4] max_iterations=1".split()
-    outcome = warpvox("train", "-m", "task=Walker-v0,UpStepper-v0", "seed=1,2", *words)
-    assert outcome.code == 0, outcome.err
-    assert len(list(Path("outputs/train/Walker-v0").iterdir())) == 2
-    assert len(list(Path("outputs/train/UpStepper-v0").iterdir())) == 2
 
 
 def test_several_designs_train_together_and_play(train: Callable, warpvox: Callable) -> None:

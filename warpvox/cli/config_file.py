@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from warpvox.cli.help import flat_keys
+from warpvox.cli.help import flat_keys, flat_values
 from warpvox.cli.plain_yaml import LARGEST_CONFIG, parse_yaml
 from warpvox.configs.schema import COMMANDS
 from warpvox.errors import ConfigError, did_you_mean, listing
@@ -36,20 +35,10 @@ def read_config_file(text: str, command: str) -> dict[str, Any]:
     if not isinstance(values, dict) or not values:
         raise ConfigError(f"{path} holds no KEY: VALUE.")
     known = [name for name, _ in flat_keys(COMMANDS[command])]
-    unknown = [name for name in _names(values, known) if name not in known]
+    unknown = [name for name in flat_values(values) if name not in known]
     if unknown:
         raise ConfigError(f"{path} has {_about(unknown, known)}{_other(values, command)}")
     return {name: value for name, value in values.items() if name not in NOT_TAKEN}
-
-
-def _names(values: dict[str, Any], known: list[str], prefix: str = "") -> Iterator[str]:
-    """The dotted keys of a file; a mapping that is the value of a key (``design``) is not looked into."""
-    for key, value in values.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, dict) and any(other.startswith(name + ".") for other in known):
-            yield from _names(value, known, name + ".")
-        else:
-            yield name
 
 
 def _about(unknown: list[str], known: list[str]) -> str:
@@ -61,6 +50,6 @@ def _other(values: dict[str, Any], command: str) -> str:
     """Which command the file is of, if it is another one."""
     for name, schema in COMMANDS.items():
         keys = {key for key, _ in flat_keys(schema)}
-        if name != command and "config" in keys and set(_names(values, list(keys))) <= keys:
+        if name != command and "config" in keys and flat_values(values).keys() <= keys:
             return f" It is a configuration of `warpvox {name}`: warpvox {name} config=FILE."
     return f" Remove it, or write it as this version has it (`warpvox {command} --help`)."

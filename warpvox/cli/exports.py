@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,8 +11,6 @@ from rich.console import Console
 
 from warpvox.cli.console import echo
 from warpvox.cli.runs import Run
-from warpvox.configs.schema import EXPORTS
-from warpvox.errors import ConfigError, did_you_mean, listing
 
 if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
@@ -21,8 +18,6 @@ if TYPE_CHECKING:
 __all__ = [
     "ROLLOUT",
     "TILES",
-    "check_formats",
-    "check_size",
     "draws_at_random",
     "load_run",
     "record_agent",
@@ -49,33 +44,6 @@ MEASURED, LONG = 2.0, 20.0
 """Seconds after which the rest of a film is estimated, and from which on that is worth a line."""
 TILES = 16
 """Environments that a picture shows at most."""
-
-
-def check_formats(formats: Any, key: str, valid: Sequence[str] = EXPORTS) -> list[str]:
-    """The formats as a list, each once; ``valid``: those that there are.
-
-    Raises:
-        ConfigError: something that cannot be written.
-    """
-    names = [formats] if isinstance(formats, str) else formats
-    if not isinstance(names, list) or not names:
-        raise ConfigError(f"{key} must be one of {listing(valid)} or a list of them, got {formats!r}.")
-    for name in names:
-        if name not in valid:
-            hint = did_you_mean(name, valid)
-            raise ConfigError(f"{key} must be one of {listing(valid)} or a list of them, got {name!r}.{hint}")
-    return list(dict.fromkeys(names))
-
-
-def check_size(size: list[int] | None) -> tuple[int, int] | None:
-    """The key ``size`` as width and height.
-
-    Raises:
-        ConfigError: not two numbers.
-    """
-    if size is not None and len(size) != 2:
-        raise ConfigError(f"size must be [width,height] in pixels, such as [640,360]; got {size}.")
-    return tuple(size) if size else None
 
 
 def load_run(run: Run, config: Any) -> tuple[Any, Any]:
@@ -166,7 +134,7 @@ def write_exports(
     folder: Path,
     formats: list[str],
     console: Console,
-    size: tuple[int, int] | None = None,
+    size: list[int] | None = None,
     every: int = 1,
 ) -> list[Path]:
     """Write each format, say what there is (the rollout itself, if it was written, first); returns the paths.
@@ -176,10 +144,10 @@ def write_exports(
     from warpvox.cli.build import shown
 
     written = [folder / ROLLOUT] if (folder / ROLLOUT).is_file() else []
-    for name in formats:
+    for name in dict.fromkeys(formats):
         file, module, function = WRITERS[name]
         with console.status(f"writing {file}"):
-            options: dict[str, Any] = {"size": size} if size and name in SIZED else {}
+            options: dict[str, Any] = {"size": tuple(size)} if size and name in SIZED else {}
             if name in TILED:
                 options["envs"] = list(range(min(rollout.num_envs, TILES)))
             if name in THINNED:

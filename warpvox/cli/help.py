@@ -75,7 +75,7 @@ def flat_values(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     found = {}
     for name, value in values.items():
         nested = isinstance(value, dict) and name != "design"
-        found |= flat_values(value, f"{prefix}{name}.") if nested else {prefix + name: value}
+        found |= flat_values(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": value}
     return found
 
 

@@ -8,9 +8,9 @@ import os
 import re
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -30,10 +30,10 @@ __all__ = [
     "find_codesign",
     "find_run",
     "find_runs",
-    "going_on",
     "label",
     "new_folder",
     "read_summary",
+    "run_folder",
     "write_config",
     "write_summary",
 ]
@@ -194,15 +194,13 @@ def _read_config(folder: Path, command: str) -> dict[str, Any]:
 
 def _missing(content: dict[str, Any], command: str) -> list[str]:
     """Keys of a command that a configuration lacks, those of another kind of run aside."""
-    from warpvox.cli.help import flat_keys
+    from warpvox.cli.help import flat_keys, flat_values
     from warpvox.configs.schema import COMMANDS
-
-    def known(values: Any, names: list[str]) -> bool:
-        return not names or (isinstance(values, dict) and names[0] in values and known(values[names[0]], names[1:]))
 
     if not {"task", "seed"} <= content.keys():
         return []
-    return [key for key, _ in flat_keys(COMMANDS[command]) if not known(content, key.split("."))]
+    present = flat_values(content)
+    return [name for name, key in flat_keys(COMMANDS[command]) if name not in present and not is_dataclass(key.default)]
 
 
 def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
@@ -300,6 +298,13 @@ def _has_result(folder: Path) -> bool:
     kept = (".pt", ".npz", ".json", ".sqlite")
     # the state before the first iteration holds nothing that the configuration does not
     return any(file.suffix in kept and not file.name.startswith((MARK, "state")) for file in folder.iterdir())
+
+
+def run_folder(folder: Path | None, config: Any, command: str, text: str) -> AbstractContextManager[Path]:
+    """The folder of a run that is resumed, or a new one if there is none, with ``text`` as its ``config.yaml``."""
+    if folder is not None:
+        return going_on(folder, text)
+    return new_folder(config.output_dir, command, config.task, config.name, text)
 
 
 @contextmanager

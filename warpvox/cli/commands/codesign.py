@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +23,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.console import echo, shell_argument
-from warpvox.cli.runs import CONFIG, find_codesign, going_on, new_folder, read_summary
+from warpvox.cli.runs import CONFIG, find_codesign, read_summary, run_folder
 from warpvox.cli.trust import STORED, again, as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
@@ -106,8 +105,6 @@ def check(config: CodesignConfig) -> None:
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
 
-    if len(config.shape) != 2:
-        raise ConfigError(f"shape must be [rows,columns], such as [5,5]; got {config.shape}.")
     task_world(get_task(config.task), np.full(config.shape, 3, np.int8))
     make_search(settings_from(config.search), tuple(config.shape), config.seed)
     physics_of(config)
@@ -174,7 +171,10 @@ def codesign(job: Job, console: Console) -> Path:
         config = dataclasses.replace(config, batch=_batch(config, executor))
         written = as_stored(config, job.stored)
     try:
-        with _folder(job, written) as folder, _archive(folder, written) as archive:
+        with (
+            run_folder(job.folder, written, "codesign", to_yaml(written)) as folder,
+            _archive(folder, written) as archive,
+        ):
             keep_code(config, folder, console)
             settings = settings_from(config.search)
             results = Results(folder, archive, written)
@@ -222,16 +222,6 @@ def _search(loop: Any, watch: Any, config: CodesignConfig, console: Console) -> 
     summary = watch.results.write("done")
     write_exports(watch.archive, watch.results.folder, config.export, console)
     conclude(console, summary, watch.results.folder, config)
-
-
-@contextmanager
-def _folder(job: Job, config: CodesignConfig) -> Iterator[Path]:
-    if job.folder is None:
-        with new_folder(config.output_dir, "codesign", config.task, config.name, to_yaml(config)) as folder:
-            yield folder
-    else:
-        with going_on(job.folder, to_yaml(config)) as folder:
-            yield folder
 
 
 def _archive(folder: Path, config: CodesignConfig) -> Archive:

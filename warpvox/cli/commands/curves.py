@@ -62,8 +62,6 @@ def run(words: list[str]) -> None:
 
 
 def _draw(config: CurvesConfig, console: Console) -> None:
-    if len(config.size) != 2:
-        raise ConfigError(f"size must be [width,height] in pixels, got {config.size}.")
     check_file(config.file)
     found = find_runs(config.runs, config.output_dir)
     judged = [each_run for each_run in found if _evaluations(each_run)]

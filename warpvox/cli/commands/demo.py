@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -11,7 +10,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.commands.play import print_returns
 from warpvox.cli.commands.train import Job, train
 from warpvox.cli.console import echo
-from warpvox.cli.exports import ROLLOUT, check_formats, load_run, record_run, write_exports
+from warpvox.cli.exports import ROLLOUT, load_run, record_run, write_exports
 from warpvox.cli.runs import find_run
 from warpvox.configs.schema import DemoConfig, PlayConfig
 from warpvox.envs.sources import is_code
@@ -33,13 +32,12 @@ def demo(config: DemoConfig, console: Console) -> Path:
     """
     if config.resume is not None:
         raise ConfigError("A demo starts anew; go on with it by `warpvox train resume=FOLDER`.")
-    formats = check_formats(config.export, "export") if config.export else []
     folder = train(Job(config), console, "demo")
-    _show(folder, config, formats, console)
+    _show(folder, config, console)
     return folder
 
 
-def _show(folder: Path, config: Any, formats: list[str], console: Console) -> None:
+def _show(folder: Path, config: DemoConfig, console: Console) -> None:
     """Record the best policy of a run and write it into the run's folder."""
     source = find_run(str(folder), config.output_dir)
     own = config.task if is_code(config.task) else None
@@ -48,7 +46,7 @@ def _show(folder: Path, config: Any, formats: list[str], console: Console) -> No
         rollout = record_run(source, env, controller, None)
     print_returns(rollout, console)
     rollout.save(folder / ROLLOUT)
-    write_exports(rollout, folder, formats, console)
+    write_exports(rollout, folder, config.export, console)
     page = folder / "rollout.html"
     if page.is_file():
         echo(console, f"open in a browser: {page.resolve().as_uri()}")

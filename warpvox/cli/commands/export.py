@@ -12,10 +12,9 @@ from warpvox.cli.application import run_command
 from warpvox.cli.commands.play import play_run, write_results
 from warpvox.cli.config import to_yaml
 from warpvox.cli.console import echo
-from warpvox.cli.exports import check_formats, check_size
 from warpvox.cli.runs import as_name, new_folder, write_summary
 from warpvox.configs.schema import EXPORTS, POLICY_EXPORTS
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, listing
 
 if TYPE_CHECKING:
     from warpvox.algos.checkpoints.policy import Policy
@@ -29,10 +28,10 @@ def run(words: list[str]) -> None:
 
 
 def _export(config: Any, console: Console) -> Path:
-    formats = check_formats(config.format, "format", (*EXPORTS, *POLICY_EXPORTS))
-    pictures = [name for name in formats if name in EXPORTS]
-    programs = [name for name in formats if name in POLICY_EXPORTS]
-    check_size(config.size)
+    if not config.format:
+        raise ConfigError(f"format must be some of {listing((*EXPORTS, *POLICY_EXPORTS))}; got [].")
+    pictures = [name for name in config.format if name in EXPORTS]
+    programs = [name for name in config.format if name in POLICY_EXPORTS]
     if config.rollout is not None:
         if programs:
             raise ConfigError(f"format={programs[0]} writes the policy of a run; a rollout holds none.")
@@ -75,7 +74,7 @@ def _write_policy(policy: Policy | None, folder: Path, formats: list[str], conso
     from warpvox.cli.build import shown
 
     checks = {}
-    for name in formats:
+    for name in dict.fromkeys(formats):
         file, write = POLICY_WRITERS[name]
         with console.status(f"writing {file}"):
             checks[name] = write(policy, folder / file)

@@ -16,8 +16,6 @@ from warpvox.cli.console import echo, literal
 from warpvox.cli.exports import (
     ROLLOUT,
     TILES,
-    check_formats,
-    check_size,
     load_run,
     record_agent,
     record_run,
@@ -54,8 +52,6 @@ def play(config: PlayConfig, console: Console) -> Path:
     """
     in_window = wants_window(config.window)
     formats = ([] if in_window else ["html"]) if config.export is None else config.export
-    formats = check_formats(formats, "export") if formats else []
-    size = check_size(config.size)
     if config.rollout is not None:
         rollout, source = stored_rollout(config)
         config = dataclasses.replace(config, run="", record=False)
@@ -67,7 +63,9 @@ def play(config: PlayConfig, console: Console) -> Path:
     folder = write_results(rollout, config, source, "play", formats, console, config.record)
     if in_window:
         echo(console, "close the window to go on")
-        play_in_window(rollout, list(range(min(rollout.num_envs, TILES))), **({"size": size} if size else {}))
+        play_in_window(
+            rollout, list(range(min(rollout.num_envs, TILES))), **({"size": tuple(config.size)} if config.size else {})
+        )
     return folder
 
 
@@ -137,7 +135,7 @@ def write_results(
         print_returns(rollout, console)
         if keep:
             rollout.save(folder / ROLLOUT)
-        write_exports(rollout, folder, formats, console, check_size(config.size), config.every)
+        write_exports(rollout, folder, formats, console, config.size, config.every)
         write_summary(folder, summary_of(rollout, command, source))
     page = folder / "rollout.html"
     if page.is_file():

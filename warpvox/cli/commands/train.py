@@ -22,9 +22,8 @@ from warpvox.cli.runs import (
     TRAINING,
     Run,
     find_run,
-    going_on,
-    new_folder,
     read_summary,
+    run_folder,
     write_summary,
 )
 from warpvox.cli.trust import again, as_stored, keep_code
@@ -245,12 +244,8 @@ def _folder(job: Job, config: TrainConfig, command: str, group: ProcessGroup) ->
     """The folder of a new run, or that of the one which is resumed; made by the first process."""
     if not group.is_main_process:
         yield Path(group.broadcast(None))
-    elif job.folder is None:
-        with new_folder(config.output_dir, command, config.task, config.name, to_yaml(config)) as folder:
-            group.broadcast(str(folder))
-            yield folder
     else:
-        with going_on(job.folder, to_yaml(as_stored(config, job.stored))) as folder:
+        with run_folder(job.folder, config, command, to_yaml(as_stored(config, job.stored))) as folder:
             group.broadcast(str(folder))
             yield folder
 

@@ -1,4 +1,4 @@
-"""Pictures that commands make: learning curves, the gallery of tasks."""
+"""``warpvox curves``; the gallery of all tasks."""
 
 from __future__ import annotations
 
