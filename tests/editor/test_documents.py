@@ -237,6 +237,6 @@ def test_trials_have_limits(document: dict, settings: dict, words: str) -> None:
 
 
 def test_a_trial_that_takes_too_long_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("warpvox.editor.trials.PATIENCE", -1.0)
+    monkeypatch.setattr("warpvox.editor.trials.TIME_LIMIT", -1.0)
     with pytest.raises(WarpvoxError, match="choose fewer seconds"):
         try_out(BODY, "sine", 0.1, 0, "Walker-v0")

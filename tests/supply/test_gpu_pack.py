@@ -14,19 +14,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-WITH_TORCH = {
-    "torch",
-    "numpy",
-    "sympy",
-    "mpmath",
-    "fsspec",
-    "typing-extensions",
-    "attrs",
-    "filelock",
-    "jinja2",
-    "networkx",
-}
-WITH_TORCH |= {"markupsafe", "setuptools"}
+WITH_TORCH = set(
+    "torch numpy sympy mpmath fsspec typing-extensions attrs filelock jinja2 networkx markupsafe setuptools".split()
+)
 WITH_TENSORBOARD = {"tensorboard", "absl-py", "protobuf", "grpcio", "markdown", "werkzeug", "tensorboard-data-server"}
 LOADED = """
 import importlib.metadata, json, sys
@@ -64,16 +54,7 @@ def made(tmp_path: Path) -> Path:
     wheel(
         tmp_path / "wheels", "warp", {"warp/__init__.py": b"", "warp/examples/big.bin": noise, "warp/tests/t.py": b""}
     )
-    words = [
-        "--wheels",
-        str(tmp_path / "wheels"),
-        "--out",
-        str(tmp_path / "pack"),
-        "--part",
-        "8000",
-        "--python",
-        "3.12",
-    ]
+    words = ["--wheels", tmp_path / "wheels", "--out", tmp_path / "pack", "--part", "8000", "--python", "3.12"]
     done = subprocess.run([sys.executable, ROOT / ".ci" / "gpu_pack.py", *words], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return tmp_path / "pack"

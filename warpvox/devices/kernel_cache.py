@@ -1,4 +1,4 @@
-"""Mends Warp's cache of compiled kernels.
+"""Repairs Warp's cache of compiled kernels.
 
 A full disk or a power cut may leave files there that are cut short or hold zeros. Warp takes a file that exists for
 whole: it would fail at every start until somebody removes the file. Here a module that cannot be loaded is removed and
@@ -16,10 +16,12 @@ from typing import Any
 from warpvox.errors import DeviceError
 from warpvox.io.writing import OF_DISKS, complaint
 
-__all__ = ["mended"]
+__all__ = ["repaired"]
 
 
-def mended(load: Callable[..., Any], concerns_us: Callable[[], bool], tell: Callable[..., None]) -> Callable[..., Any]:
+def repaired(
+    load: Callable[..., Any], concerns_us: Callable[[], bool], tell: Callable[..., None]
+) -> Callable[..., Any]:
     """Warp's ``Module.load``, with one more attempt without the files of the module if it fails.
 
     Args:

@@ -20,7 +20,7 @@ LONGEST = 20.0
 """Seconds that a rollout may last."""
 MOST_MOVING = 1000
 """Cells that may move in a world that is tried out."""
-PATIENCE = 60.0
+TIME_LIMIT = 60.0
 """Seconds of real time after which a rollout is given up."""
 
 
@@ -54,7 +54,7 @@ def try_out(
         raise ConfigError(f"seconds must be a number from {FRAME_SECONDS} to {LONGEST:g}, got {seconds!r:.80}.")
     check_integer("seed", seed, 0, 2**31 - 1)
     env = _task(document, task, tasks, seed) if document.get("kind") == "body" else _world(document, seed)
-    return record(_Hurried(env, time.monotonic() + PATIENCE), agent, round(seconds / FRAME_SECONDS))
+    return record(_TimeLimited(env, time.monotonic() + TIME_LIMIT), agent, round(seconds / FRAME_SECONDS))
 
 
 def _task(document: Mapping[str, Any], task: object, tasks: Mapping[str, TaskSpec] | None, seed: int) -> Any:
@@ -86,7 +86,7 @@ def _world(document: Mapping[str, Any], seed: int) -> OpenWorld:
 
 
 class OpenWorld:
-    """A bare simulation with the face of an environment, as far as recording needs it."""
+    """A simulation with the interface of an environment, as far as recording needs it."""
 
     def __init__(self, sim: Any, seed: int) -> None:
         self.sim, self.seed, self.auto_reset = sim, seed, False
@@ -117,8 +117,8 @@ class OpenWorld:
         return None, self._where - before, stopped, torch.zeros_like(stopped), {}
 
 
-class _Hurried:
-    """An environment that gives up after a while: somebody is waiting in front of the screen."""
+class _TimeLimited:
+    """An environment whose steps fail after a point in real time."""
 
     def __init__(self, env: Any, deadline: float) -> None:
         self._env, self._deadline, self.auto_reset = env, deadline, False
@@ -129,5 +129,7 @@ class _Hurried:
     def step(self, actions: Any) -> tuple[Any, ...]:
         """As the environment's; refuses to go on after the deadline."""
         if time.monotonic() > self._deadline:
-            raise ConfigError(f"This takes more than {PATIENCE:g} s to simulate: choose fewer seconds or fewer cells.")
+            raise ConfigError(
+                f"This takes more than {TIME_LIMIT:g} s to simulate: choose fewer seconds or fewer cells."
+            )
         return self._env.step(actions)

@@ -10,9 +10,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from warpvox.design import Design
-from warpvox.io.writing import atomic_path
 from warpvox.types import Cell
-from warpvox.view.painter import INK, font
+from warpvox.view.painter import INK, font, save_png
 from warpvox.view.palette import CELL_NAMES, RAMPS
 
 __all__ = ["body_svg", "draw_bodies", "write_bodies"]
@@ -92,6 +91,4 @@ def write_bodies(
     path: str | os.PathLike[str], bodies: Sequence[Design], captions: Sequence[Sequence[str]], title: str = ""
 ) -> Path:
     """Write what :func:`draw_bodies` draws as PNG, whole or not at all; returns the path."""
-    with atomic_path(path) as temporary:
-        draw_bodies(bodies, captions, title).save(temporary, "PNG")
-    return Path(path)
+    return save_png(draw_bodies(bodies, captions, title), path)

@@ -32,12 +32,7 @@ def write_pictures(file: BinaryIO, pictures: Iterable[Image.Image], pause: int) 
     rest = iter(pictures)
     for number, part in enumerate(_parts(rest)):
         head, blocks = _encoded(part, pause, loops=number == 0)
-        if number == 0:
-            first = head
-            file.write(head)
-        elif head[HEADER:] != first[HEADER:]:
-            raise ValueError("The pictures of a GIF must have one palette.")
-        file.write(blocks)
+        file.write(blocks if number else head + blocks)
     file.write(TRAILER)
 
 
@@ -50,18 +45,9 @@ def _parts(pictures: Iterator[Image.Image]) -> Iterator[list[Image.Image]]:
 
 def _encoded(part: list[Image.Image], pause: int, loops: bool) -> tuple[bytes, bytes]:
     """Header with palette, and blocks, of some pictures as a GIF of their own."""
-    buffer = BytesIO()
-    options = {"loop": 0} if loops else {}
-    part[0].save(
-        buffer,
-        "GIF",
-        save_all=True,
-        append_images=part[1:],
-        duration=pause,
-        optimize=False,
-        disposal=1,
-        **options,
-    )
+    buffer, options = BytesIO(), {"loop": 0} if loops else {}
+    options |= dict(save_all=True, append_images=part[1:], duration=pause, optimize=False, disposal=1)
+    part[0].save(buffer, "GIF", **options)
     data = buffer.getvalue()
     packed = data[10]
     end = HEADER + (3 << ((packed & 7) + 1) if packed & 0x80 else 0)

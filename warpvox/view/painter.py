@@ -8,18 +8,21 @@ edges smooth.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from warpvox.io.writing import atomic_path
 from warpvox.types import VOXEL, Cell
 from warpvox.view.palette import colour_index, palette
 from warpvox.view.rollout import Rollout
 from warpvox.view.scene import Scene, stretch
 
-__all__ = ["BELOW", "INK", "Canvas", "Painter", "camera_path", "fitting_scale", "font"]
+__all__ = ["BELOW", "INK", "Canvas", "Painter", "camera_path", "fitting_scale", "font", "save_png"]
 
 SKY, GRID, GRID_STRONG = (249, 250, 252), (233, 237, 242), (214, 220, 229)
 BEYOND, BEYOND_INK = (226, 230, 236), (120, 128, 140)
@@ -35,6 +38,13 @@ STEADY = (9.0, 22.0)  # frames over which the camera's motion is smoothed, along
 def font(size: int) -> ImageFont.FreeTypeFont:
     """The font that comes with Pillow: no files, no surprises."""
     return ImageFont.load_default(size)
+
+
+def save_png(image: Image.Image, path: str | os.PathLike[str]) -> Path:
+    """Write a picture as PNG, whole or not at all; returns the path."""
+    with atomic_path(path) as temporary:
+        image.save(temporary, "PNG")
+    return Path(path)
 
 
 def camera_path(scene: Scene, positions: np.ndarray, view: tuple[float, float]) -> np.ndarray:

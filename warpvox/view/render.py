@@ -16,7 +16,7 @@ from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path
 from warpvox.types import VOXEL
 from warpvox.view.gif import write_pictures
-from warpvox.view.painter import INK, Painter, font
+from warpvox.view.painter import INK, Painter, font, save_png
 from warpvox.view.rollout import FRAME_SECONDS, Rollout
 
 __all__ = ["Film", "draw_frame", "filmstrip", "write_filmstrip", "write_gif", "write_mp4", "write_png"]
@@ -203,7 +203,7 @@ def write_png(
     voxels: float | None = None,
 ) -> Path:
     """Write the picture of one frame; arguments as for :class:`Film`. Returns the path."""
-    return _save_png(Film(rollout, envs, size, hud, voxels).image(frame), path)
+    return save_png(Film(rollout, envs, size, hud, voxels).image(frame), path)
 
 
 def write_filmstrip(
@@ -215,7 +215,7 @@ def write_filmstrip(
     voxels: float | None = None,
 ) -> Path:
     """Write what :func:`filmstrip` draws as PNG. Returns the path."""
-    return _save_png(Image.fromarray(filmstrip(rollout, frames, env, size, voxels)), path)
+    return save_png(Image.fromarray(filmstrip(rollout, frames, env, size, voxels)), path)
 
 
 def write_gif(
@@ -388,9 +388,3 @@ def _check_size(size: tuple[int, int]) -> tuple[int, int]:
     if not (16 <= width <= MAX_PIXELS and 16 <= height <= MAX_PIXELS):
         raise RolloutError(f"Width and height must lie in 16 to {MAX_PIXELS} pixels, got {width} x {height}.")
     return width, height
-
-
-def _save_png(image: Image.Image, path: str | os.PathLike[str]) -> Path:
-    with atomic_path(path) as temporary:
-        image.save(temporary, "PNG")
-    return Path(path)

@@ -9,9 +9,8 @@ import numpy as np
 from PIL import Image
 
 from warpvox.compile import compile_world
-from warpvox.io.writing import atomic_path
 from warpvox.types import Physics
-from warpvox.view.painter import BELOW, Canvas
+from warpvox.view.painter import BELOW, Canvas, save_png
 from warpvox.view.scene import Scene, scene_of
 from warpvox.world import World
 
@@ -48,6 +47,4 @@ def draw_world(world: World) -> Image.Image:
 
 def write_world_png(world: World, path: str | os.PathLike[str]) -> Path:
     """Write what :func:`draw_world` draws. Returns the path."""
-    with atomic_path(path) as temporary:
-        draw_world(world).save(temporary, "PNG")
-    return Path(path)
+    return save_png(draw_world(world), path)
