@@ -25,7 +25,7 @@ settings.load_profile("repeatable")
 LONGEST = (
     *("test_ray_executor", "test_suites", "test_gpu_check", "test_processes", "test_codesign", "test_moments"),
     *("test_needs", "test_population_evaluator", "test_protocol", "test_cuda_build", "test_disk", "test_damage"),
-    *("test_signals", "test_trust", "test_divergence", "test_bodies", "test_ppo"),
+    *("test_signals", "test_files", "test_trust", "test_divergence", "test_bodies", "test_ppo"),
     *("test_group", "test_commands"),
 )
 """Files that take ten seconds or more. They go first, so that no process waits for another at the end."""

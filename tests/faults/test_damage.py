@@ -112,11 +112,10 @@ def test_damaged_curves_say_what_to_do(copied: Callable, warpvox: Callable) -> N
     assert warpvox("train", f"resume={run}", "max_iterations=4").code == 0
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
-def test_a_rollout_that_was_cut_short_is_refused(share: float, warpvox: Callable, tmp_path: Path) -> None:
+def test_a_rollout_that_was_cut_short_is_refused(warpvox: Callable, tmp_path: Path) -> None:
     assert warpvox("play", "agent=zero", "steps=3", "window=off", "export=[]", "num_envs=1").code == 0
     (rollout,) = tmp_path.glob("outputs/play/*/*/rollout.npz")
-    cut(rollout, share)
+    cut(rollout, 0.5)
     before = sorted(tmp_path.rglob("*"))
     check_complaint(warpvox("export", f"rollout={rollout}", "format=html"), "rollout.npz")
     assert sorted(tmp_path.rglob("*")) == before

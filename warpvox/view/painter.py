@@ -292,19 +292,17 @@ def _edge(pixels: np.ndarray, terrain: np.ndarray, scale: int) -> None:
     width = max(1, round(scale / 15))
     solid = terrain != Cell.EMPTY
     padded = np.pad(solid, 1, mode="edge")
-    bare = {
-        "top": solid & ~padded[:-2, 1:-1],
-        "bottom": solid & ~padded[2:, 1:-1],
-        "left": solid & ~padded[1:-1, :-2],
-        "right": solid & ~padded[1:-1, 2:],
-    }
-    for side, cells in bare.items():
-        for r, c in np.argwhere(cells) * scale:
-            rows = slice(r, r + width) if side == "top" else slice(r, r + scale)
-            rows = slice(r + scale - width, r + scale) if side == "bottom" else rows
-            cols = slice(c, c + width) if side == "left" else slice(c, c + scale)
-            cols = slice(c + scale - width, c + scale) if side == "right" else cols
-            pixels[rows, cols] = GROUND_EDGE
+    near, far, whole = slice(0, width), slice(scale - width, scale), slice(0, scale)
+    tiles = pixels.reshape(terrain.shape[0], scale, terrain.shape[1], scale, 3).swapaxes(1, 2)  # a view, cell by cell
+    for beside, rows, columns in (
+        (padded[:-2, 1:-1], near, whole),
+        (padded[2:, 1:-1], far, whole),
+        (padded[1:-1, :-2], whole, near),
+        (padded[1:-1, 2:], whole, far),
+    ):
+        bare = solid & ~beside
+        for r, c in np.argwhere(bare):
+            tiles[r, c, rows, columns] = GROUND_EDGE
 
 
 def _number(image: Image.Image, rows: np.ndarray, columns: np.ndarray, scale: int, width: int) -> None:
