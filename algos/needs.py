@@ -17,7 +17,7 @@ FLOAT = 4
 SCALARS = 6
 """Numbers of a transition besides observation, action, mean and deviation: reward, termination, value, ..."""
 COPIES, COPIES_TOGETHER = 3.1, 2.2
-"""Of a transition: the storage, and what learning makes of it; of one policy, and of a population's."""
+"""Copies of a transition in storage and learning; for one policy and for a population."""
 ACTIVATIONS, ACTIVATIONS_TOGETHER = 0.6, 2.4
 """Numbers that are kept for a unit of a network and a transition of a minibatch, gradients included; likewise."""
 ACTING = 2

@@ -49,7 +49,7 @@ class PpoConfig:
 
 @dataclass
 class TrainingConfig:
-    """Keys ``training.*``: how a design search finds out what a design is worth."""
+    """Keys ``training.*``: how a design search trains and evaluates a design."""
 
     method: str = key(
         "population",

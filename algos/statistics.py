@@ -11,7 +11,7 @@ import numpy as np
 __all__ = ["LEVEL", "Interval", "difference", "mean_interval"]
 
 LEVEL = 0.95
-"""Confidence of the intervals, unless told otherwise."""
+"""Default confidence level."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from warpvox.io.writing import atomic_path
 __all__ = ["POLICY_WRITERS", "read_exported", "write_onnx", "write_script"]
 
 CARD = "warpvox.json"
-"""Name under which the text of the policy stands in a file."""
+"""Name of the entry that holds the policy's text."""
 ROWS = (1, 64)
 """Random observations that a file is compared on, one batch each."""
 TOLERANCE = 1e-5

@@ -1,1 +1,1 @@
-"""The co-design loop: evaluation of designs, executors, the archive of what was tried."""
+"""The co-design loop: evaluation of designs, executors and the archive."""

@@ -1,7 +1,7 @@
-"""The archive of a design search: one SQLite file that holds all that was tried and what became of it.
+"""The archive of a design search: one SQLite file with all candidates and their results.
 
-Every change is a transaction, so that a process killed at any moment leaves a file that tells the truth, and other
-programs can read it while the search is running. The tables are described in ``docs/codesign.md``.
+Every change is a transaction, so that a process killed at any moment leaves a consistent file, and other programs
+can read it while the search is running. The tables are described in ``docs/codesign.md``.
 
 The journal is SQLite's default, not WAL: an experiment then is a single file between two transactions, may be copied,
 and may lie on the shared disk of a cluster, where WAL does not work. Writing happens once an evaluation, so that its
@@ -94,7 +94,7 @@ DIVERGED = 2
 
 @dataclass(frozen=True)
 class Record:
-    """A row of the archive: a candidate and, once it is evaluated, what became of it.
+    """A row of the archive: a candidate and, once it is evaluated, its result.
 
     ``fitness`` and what follows are None until then; ``reused`` is the id of the candidate with an equal body whose
     evaluation this is; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time of the batch
@@ -116,7 +116,7 @@ class Record:
 
     @property
     def finished(self) -> bool:
-        """It is not waiting any more."""
+        """It has a result."""
         return self.stopped is not None
 
     @property
@@ -127,7 +127,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Finished:
-    """An evaluation to be written down; ``policy`` and ``policy_sha256`` as in :class:`Record`."""
+    """A result to be stored; ``policy`` and ``policy_sha256`` as in :class:`Record`."""
 
     id: int
     outcome: Outcome
@@ -223,7 +223,7 @@ class Archive:
     # ------------------------------------------------------------------------------------------ writing
 
     def propose(self, candidates: Sequence[Candidate], seed: int) -> None:
-        """Write down candidates that are about to be evaluated, all or none.
+        """Store candidates before their evaluation, all or none.
 
         Args:
             seed: of the experiment; those of the candidates follow from it.
@@ -254,7 +254,7 @@ class Archive:
                 db.executemany("INSERT INTO parents VALUES (?,?,?)", pairs)
 
     def finish(self, results: Iterable[Finished], seconds: float = 0.0) -> None:
-        """Write down evaluations, all or none.
+        """Store results, all or none.
 
         Args:
             seconds: wall time of the batch.
@@ -304,7 +304,7 @@ class Archive:
             raise _write_error(self.path, error) from None
 
     def rank_diverged(self, generation: int) -> None:
-        """Give the diverged designs of a whole generation a fitness: the worst of all others until then.
+        """Set the fitness of a generation's diverged designs to the worst of all others until then.
 
         Searches need a finite number (a Gaussian process cannot learn from -inf), and one that follows from the
         archive alone, in whatever order the designs were trained.
@@ -357,7 +357,7 @@ class Archive:
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """What cannot be in an archive that we have written is damage, which SQLite's own check does not see."""
+        """Report values that we never write as damage, which SQLite's own check does not see."""
         try:
             yield
         except (sqlite3.Error, ValueError, TypeError) as error:
@@ -506,7 +506,7 @@ def _connect(path: Path, mode: str, wait: float = WAIT_SECONDS) -> sqlite3.Conne
 
 
 def _lock_for_writing(path: Path) -> sqlite3.Connection:
-    """The right to write: an exclusive transaction on a file of its own, which ends with the process that holds it."""
+    """Write lock: an exclusive transaction on a separate file, which ends with the process that holds it."""
     lock = path.with_name(path.name + ".lock")
     db = None
     try:
@@ -523,7 +523,7 @@ def _lock_for_writing(path: Path) -> sqlite3.Connection:
 
 
 def _write_error(path: Path, error: Exception) -> RunError:
-    """What to say when the archive cannot be written. What it held before it still holds."""
+    """Error for an archive that cannot be written; its content is unchanged."""
     reason = str(error).rstrip(".")
     if not path.parent.is_dir():
         reason = "its folder has vanished; was it removed or renamed, or its disk detached?"
@@ -561,7 +561,7 @@ def _checked(path: Path) -> sqlite3.Connection:
 
 
 def _access_problem(error: Exception) -> str | None:
-    """Why a whole archive cannot be read: what a killed process has left half written cannot be undone just now."""
+    """Why an intact archive cannot be read: an unfinished transaction cannot be rolled back at present."""
     text = str(error)
     if isinstance(error, sqlite3.OperationalError) and any(
         word in text for word in ("full", "I/O", "locked", "readonly")
@@ -571,7 +571,7 @@ def _access_problem(error: Exception) -> str | None:
 
 
 def _repair_hint(path: Path, reason: str) -> str:
-    """How to go on from the copy, if there is one and the archive is damaged."""
+    """How to restore a damaged archive from its backup, if there is one."""
     backup = path.with_name(BACKUP)
     if "damaged" not in reason or path == backup or not backup.is_file():
         return ""

@@ -1,7 +1,7 @@
-"""Whether an SQLite file is an archive of ours, before a query of ours runs what somebody else has put into it.
+"""Checks that an SQLite file is an archive of warpvox, before any query on it.
 
-A view, trigger, index or check of another's making is a program that SQLite runs when we ask for a number, possibly for
-ever. Tables with our names are therefore not enough: each part of the file's schema must be the one that we write.
+A foreign view, trigger, index or check is a program that SQLite runs during a query, possibly for ever. Therefore the
+whole schema of the file must be the one that we write.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _SCHEMA = "SELECT type, name, tbl_name, sql FROM sqlite_master"
 
 
 def restrict(db: sqlite3.Connection) -> None:
-    """Let SQLite trust nothing that lies in the file."""
+    """Let SQLite trust no part of the file's schema."""
     db.execute("PRAGMA trusted_schema = OFF")
     db.execute("PRAGMA cell_size_check = ON")
     if hasattr(db, "setlimit"):  # Python 3.11

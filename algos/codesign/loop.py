@@ -235,7 +235,7 @@ class Loop:
 
 
 def _check_same(asked: Sequence[Candidate], known: Sequence[Record]) -> None:
-    """Raise RunError unless the search proposes again what it has proposed before."""
+    """Raise RunError unless the search repeats its earlier proposals."""
     same = len(asked) == len(known) and all(
         candidate.id == record.id
         and np.array_equal(candidate.body, record.candidate.body)

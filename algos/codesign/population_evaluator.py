@@ -134,7 +134,7 @@ class _Generation:
         return bool(self.active) and self.iteration < self.settings.iterations
 
     def advance(self) -> None:
-        """One iteration and what is due after it."""
+        """One iteration, then evaluation and halving as scheduled."""
         self.training.iterate()
         for k in self.active:
             self.outcomes[k].steps = self.iteration * self.training.steps_per_iteration

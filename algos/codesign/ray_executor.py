@@ -1,4 +1,4 @@
-"""Evaluation on many processes and machines by Ray; a worker that is lost costs only what it was doing."""
+"""Evaluation on many processes and machines by Ray; the batch of a lost worker is evaluated again."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WORKER_TIMEOUT = 600.0
 
 
 class _Worker:
-    """Lives in a process of Ray's: evaluates in one thread, tells of progress in another."""
+    """Ray actor: evaluates in one thread and reports progress in another."""
 
     def __init__(self, make: Callable[[], DesignEvaluator]) -> None:
         self._make, self._evaluator = make, None
@@ -140,7 +140,7 @@ class RayExecutor:
                     yield place, outcomes
 
     def _assign(self, work: Sequence[Batch], parents: Mapping[int, Parent], waiting: deque[int]) -> None:
-        """Give batches to workers that are up and idle. One that is not up might wait for a node for ever."""
+        """Give batches to workers that are up and idle: one that is not up might never get a node."""
         for number, worker in enumerate(self._workers):
             if not waiting:
                 return
@@ -172,7 +172,7 @@ class RayExecutor:
             return None
 
     def _events(self, worker: _Handle) -> list[dict[str, Any]]:
-        """What a busy worker has reported; nothing if it does not answer, for its task will tell why."""
+        """Progress of a busy worker; nothing if it does not answer, in which case its task reports the error."""
         if worker.news is None:
             worker.news = worker.actor.events.options(concurrency_group="watch").remote()
         if not self._is_done(worker.news):
@@ -193,7 +193,7 @@ class RayExecutor:
 
 
 class _Handle:
-    """A worker as the driver knows it: the actor, the sign that it is up, the batch it works on."""
+    """The driver's view of a worker: the actor, the future of its start, the batch it works on."""
 
     def __init__(self, actor: Any, up: Any) -> None:
         self.actor, self.up = actor, up

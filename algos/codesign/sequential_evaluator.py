@@ -1,4 +1,4 @@
-"""Evaluation of designs one after another: a training with rsl-rl's runner for each, the oracle of the batched one."""
+"""Evaluation of designs one after another, each with a training of its own."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class SequentialEvaluator:
     Attributes as of :class:`warpvox.algos.codesign.population_evaluator.PopulationEvaluator`.
 
     Raises:
-        ConfigError: ``settings.rungs``: without the others there is no race to drop out of.
+        ConfigError: ``settings.rungs``: successive halving compares designs in training at the same time.
     """
 
     factory: EnvFactory
@@ -124,7 +124,7 @@ class SequentialEvaluator:
 
 
 class _Done:
-    """What has become of the candidates so far, and the training under way; in a file where one is named."""
+    """Outcomes so far and the state of the current training, kept in a checkpoint file if there is one."""
 
     def __init__(self, about: dict[str, Any], file: Path | None) -> None:
         self.about, self.file = about, file
@@ -144,7 +144,7 @@ class _Done:
         self.save(None, None)
 
     def save(self, outcome: Outcome | None, training: dict[str, Any] | None) -> None:
-        """Write the file: what is done, the training under way (:meth:`Runner.state`) and its outcome so far."""
+        """Write the checkpoint: outcomes, the current training (:meth:`Runner.state`) and its outcome so far."""
         if self.file is None:
             return
         outcomes = [dataclasses.asdict(one) for one in self.outcomes]

@@ -153,7 +153,7 @@ class PopulationModel(nn.Module):
         return part
 
     def keep(self, index: Sequence[int]) -> None:
-        """Only these designs go on, in this order; parameters remain the same objects."""
+        """Keep these designs, in this order; parameters remain the same objects."""
         self.inputs, self.outputs = [[sizes[d] for d in index] for sizes in (self.inputs, self.outputs)]
         inputs, outputs, rows = max(self.inputs), max(self.outputs), list(index)
         for parameter in self.parameters():

@@ -109,7 +109,7 @@ class PopulationPPO(PPO):
         return torch.isfinite(torch.stack(sums)).all(0)
 
     def keep(self, index: Sequence[int], obs: TensorDict) -> None:
-        """Only these designs go on, in this order, with observations like ``obs``; between updates only."""
+        """Keep these designs, in this order, with observations like ``obs``; between updates only."""
         envs, steps = self.storage.num_envs // self.num_designs, self.storage.num_transitions_per_env
         shapes = [parameter.shape for parameter in self.optimizer.parameters]
         self.critic.obs_normalizer = nn.Identity()  # it is the actor's
@@ -121,11 +121,11 @@ class PopulationPPO(PPO):
         self.storage = RolloutStorage("rl", envs * len(index), steps, obs, [max(self.actor.outputs)], self.device)
 
     def save(self) -> dict[str, Any]:
-        """Networks, optimiser, learning rates and random streams: what :meth:`load` takes back."""
+        """Networks, optimiser, learning rates and random streams, for :meth:`load`."""
         return super().save() | {"rates": self.rates, "streams": self.streams.state()}
 
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
-        """Go on from :meth:`save` of the same designs and settings."""
+        """Restore :meth:`save` of the same designs and settings."""
         result = super().load(loaded_dict, load_cfg, strict)
         self.rates = loaded_dict["rates"].to(self.device)
         self.streams.set_state(loaded_dict["streams"])

@@ -45,14 +45,14 @@ class Streams:
         return torch.stack([torch.randint(high, size, generator=g, device=self.device) for g in self._generators])
 
     def keep(self, index: Sequence[int]) -> None:
-        """Only these designs go on, in this order."""
+        """Keep these designs, in this order."""
         self._generators = [self._generators[d] for d in index]
 
     def state(self) -> list[torch.Tensor]:
-        """The state of every generator: what :meth:`set_state` takes back."""
+        """The state of every generator, for :meth:`set_state`."""
         return [generator.get_state() for generator in self._generators]
 
     def set_state(self, state: Sequence[torch.Tensor]) -> None:
-        """Go on from :meth:`state` of as many designs."""
+        """Restore :meth:`state` of as many designs."""
         for generator, value in zip(self._generators, state, strict=True):
             generator.set_state(value.cpu())

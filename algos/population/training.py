@@ -1,4 +1,4 @@
-"""Several designs trained side by side: environments, networks and the loop that joins them."""
+"""Training of several designs in one batch: environments, networks and the training loop."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class PopulationTraining:
     Args:
         factory: where they are trained.
         bodies: the designs.
-        seeds: from which all that a design's training draws follows.
+        seeds: of the random numbers of each design's training.
         settings: how they are trained.
         prepare: may change a design's networks before training; called with its number, the environments and the
             networks.
@@ -158,13 +158,13 @@ class PopulationTraining:
         return evaluate(self._judge, policy, seed=self.seeds).fitness.masked_fill(diverged.cpu(), math.nan)
 
     def policy(self, design: int) -> dict[str, torch.Tensor]:
-        """The state of a stock actor that does what the design's policy does now."""
+        """The design's policy as the state of a stock actor."""
         return self.algorithm.actor.member(design)
 
     # ------------------------------------------------------------ state, parts
 
     def keep(self, index: Sequence[int]) -> None:
-        """Only these designs go on, in this order, as they would have gone on with the others, up to rounding."""
+        """Keep these designs, in this order; their training continues as before, up to rounding."""
         state = self.env.pick(index)
         self.bodies, self.seeds = [self.bodies[d] for d in index], [self.seeds[d] for d in index]
         self._make_environments()
@@ -172,11 +172,11 @@ class PopulationTraining:
         self.algorithm.keep(index, self.env.get_observations())
 
     def state(self) -> dict[str, Any]:
-        """Everything that training depends on, as tensors and numbers: what :meth:`set_state` takes back."""
+        """The complete state of training, for :meth:`set_state`."""
         return {"iteration": self.iteration, "env": self.env.state(), "algorithm": self.algorithm.save()}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from :meth:`state` of a training of the same designs, seeds and settings."""
+        """Restore :meth:`state` of a training of the same designs, seeds and settings."""
         self.iteration = state["iteration"]
         self.env.set_state(state["env"])
         self.algorithm.load(state["algorithm"])

@@ -1,4 +1,4 @@
-"""What all searches share: turns, numbering, the budget, and that no body is proposed twice."""
+"""Base class of searches: ask and tell, numbering, the budget, no body proposed twice."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class BaseSearch(ABC):
         """At most ``count`` new bodies, at least one; make each sure by :meth:`claim`."""
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:  # noqa: B027  (a choice)
-        """Take in the generation that was told just now; ``bodies`` and ``fitness`` hold it already."""
+        """Update the model with the generation just told; ``bodies`` and ``fitness`` contain it already."""
 
     def claim(self, body: np.ndarray) -> bool:
         """Whether ``body`` was never proposed before; from now on it was."""
@@ -118,7 +118,7 @@ class BaseSearch(ABC):
         return Proposal(body)
 
     def mutant(self, rng: np.random.Generator, parents: Sequence[int], rate: float) -> Proposal:
-        """A new mutant of one of the parents, each as likely; should all their mutants be known, a random body."""
+        """A new mutant of a parent drawn uniformly; a random body if all their mutants are known."""
         for parent in rng.permutation(parents):
             copies = np.repeat(self.bodies[parent][None], MUTANTS_PER_DRAW, axis=0)
             body = self.new_body(lambda copies=copies: mutate(rng, copies, rate), MAX_MUTANT_VOXELS)
@@ -166,7 +166,7 @@ class BaseSearch(ABC):
         self._take_in(self._asked, fitness)
 
     def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
-        """Get to where asking and telling had got, and make sure that it is this search that was asked.
+        """Restore the state after these generations, and check that this search proposed them.
 
         Args:
             history: of each generation from the first: its candidates, as they were proposed, and their fitness.
@@ -181,11 +181,11 @@ class BaseSearch(ABC):
             self.tell(fitness)
 
     def recall(self, candidates: Sequence[Candidate]) -> None:
-        """Have these candidates asked for. Where proposing is costly, a subclass takes them as given."""
+        """Propose these candidates again. Where proposing is costly, a subclass calls :meth:`adopt`."""
         _check_same(candidates, self.ask())
 
     def adopt(self, candidates: Sequence[Candidate]) -> None:
-        """Have these candidates asked for without proposing them.
+        """Take these candidates as proposed.
 
         Raises:
             SearchError: they cannot have been the next generation of this search.
@@ -203,7 +203,7 @@ class BaseSearch(ABC):
         self._asked = list(candidates)
 
     def _check(self, proposals: Sequence[Proposal], wanted: int) -> None:
-        """What a subclass must keep to; a mistake would only show as a broken experiment much later."""
+        """Raise SearchError if a subclass proposed invalid, repeated or too many bodies."""
         who = f"{type(self).__name__} proposed"
         if not proposals:
             raise SearchError(f"{who} no body for generation {self.generation}: at least one of {wanted} is needed.")

@@ -18,7 +18,7 @@ from warpvox.design import are_valid, draw_bodies
 __all__ = ["BayesianSearch", "Pool"]
 
 TOP = 25
-"""Designs whose mutants are worth a look."""
+"""Best designs whose mutants enter the pool."""
 
 RATES = (0.04, 0.1)
 """Mutation rates of the pool: about one voxel of 25, or two to three; the first for two mutants of three."""
@@ -65,7 +65,7 @@ class BayesianSearch(BaseSearch):
     settings: BoSettings
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """Random bodies first, then what the process promises most of."""
+        """Random bodies first, then the maximisers of the acquisition."""
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
         propose = self._summits if self.settings.acquisition == "pathwise" else self._improved

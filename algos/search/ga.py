@@ -71,6 +71,6 @@ class GeneticSearch(BaseSearch):
         return [self.mutant(rng, survivors, self.settings.mutation_rate) for _ in range(count)]
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
-        """The next generation: survivors and what they brought forth."""
+        """The next population: survivors and their mutants."""
         kept = self.survivors() if self.generation else []
         self.population = kept + [candidate.id for candidate in candidates]

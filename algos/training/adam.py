@@ -90,7 +90,7 @@ class VectorAdam(torch.optim.Adam):
         raise NotImplementedError("VectorAdam takes gradients as an argument: descend(gradient, limit, rate, step).")
 
     def keep(self, index: Sequence[int], shapes: Sequence[torch.Size]) -> None:
-        """Only these designs go on; ``shapes`` were those of the parameters before they were cut alike."""
+        """Keep these designs; ``shapes`` are those of the parameters before the networks were cut."""
         sizes = [shape[1:].numel() for shape in shapes]
         for name in ("_means", "_squares"):
             parts = zip(getattr(self, name).split(sizes, dim=-1), shapes, self.parameters, strict=True)

@@ -39,7 +39,7 @@ class Samples(NamedTuple):
 
 
 class PPO(RslRlPPO):
-    """rsl-rl's PPO with what the paper's settings need (section D.3) and a better guess beyond a time limit.
+    """rsl-rl's PPO with the paper's settings (section D.3) and exact bootstrapping at time limits.
 
     From the same random numbers it learns the same as rsl-rl's, up to rounding, in fewer operations: values and
     log-probabilities are computed for the whole rollout at once, samples are put in order once for all epochs, and no
@@ -237,7 +237,7 @@ class PPO(RslRlPPO):
     def _surrogate(self, policy: Gaussian, part: Samples) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """PPO's clipped loss, and the gradients of it and of the entropy's part by mean and logarithmic deviation.
 
-        By hand: of what autograd would do, most is the overhead of small operations.
+        Derived by hand: autograd would spend most of its time on the overhead of small operations.
         """
         noise = (part.actions - policy.mean).div_(policy.row_std)
         squares = noise.square()

@@ -184,7 +184,7 @@ class Runner:
         return goal is not None and self.last_return >= goal
 
     def _iterate(self, end: int) -> None:
-        """One iteration: collect, learn, and what is due after it."""
+        """One iteration: collect, learn, then evaluate, log and save as scheduled."""
         started = time.perf_counter()
         logs = self._collect()
         losses = self.alg.update()
@@ -204,7 +204,7 @@ class Runner:
 
     @torch.no_grad()
     def _collect(self) -> list[dict[str, torch.Tensor]]:
-        """Fill the storage; returns what the environments have logged, a dictionary a step."""
+        """Fill the storage; returns the logs of the environments, a dictionary for each step."""
         logs = []
         obs = self.env.get_observations()
         for _ in range(self.ppo.steps):
@@ -218,7 +218,7 @@ class Runner:
         return logs
 
     def _check(self, losses: dict[str, float]) -> None:
-        """Refuse what must neither be evaluated nor saved over what is good."""
+        """Raise DivergenceError if losses, weights or moments are not finite."""
         for name, value in losses.items():
             if not math.isfinite(value):
                 raise self._diverged(f"the {name} loss is {value}")
@@ -334,7 +334,7 @@ class Runner:
         self.saved_iteration = self.current_learning_iteration
 
     def state(self) -> dict[str, Any]:
-        """Everything that learning depends on: what :meth:`set_state` takes back."""
+        """The complete state of training, for :meth:`set_state`."""
         random_state = {"cpu": torch.get_rng_state()}
         if torch.device(self.device).type == "cuda":
             random_state["cuda"] = torch.cuda.get_rng_state(self.device)
@@ -387,7 +387,7 @@ class Runner:
 
 
 def _means(logs: list[dict[str, torch.Tensor]]) -> dict[str, float]:
-    """Means over the steps of an iteration, brought from the device in one go."""
+    """Means over the steps of an iteration, copied from the device at once."""
     names = list(logs[0])
     columns = torch.stack([torch.stack([log[name].double() for log in logs]).mean() for name in names])
     return dict(zip(names, columns.tolist(), strict=True))
