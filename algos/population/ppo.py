@@ -19,7 +19,7 @@ from warpvox.algos.training.ppo import LOSSES, PPO, Samples
 
 __all__ = ["PopulationPPO"]
 
-BLOCK = 8
+BLOCK = 16
 """Most designs that learn in one go; fewer cost more overhead, more leave threads without work."""
 
 

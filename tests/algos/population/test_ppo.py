@@ -106,7 +106,7 @@ def test_a_design_that_diverges_leaves_the_others_alone() -> None:
 @pytest.mark.parametrize("threads", [2, 3])
 def test_learning_is_the_same_bit_for_bit_with_any_number_of_threads(threads: int) -> None:
     how = training_preset("fast", {"steps": 4, "epochs": 2}, envs=8)
-    designs = 9  # in two blocks
+    designs = 17  # in two blocks
     one, many = (
         PopulationTraining(dataclasses.replace(factory(), threads=count), bodies(designs), list(range(designs)), how)
         for count in (1, threads)
