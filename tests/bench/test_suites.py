@@ -58,7 +58,9 @@ def fake_reference(tmp_path: Path) -> Callable[..., Path]:
             "Metadata-Version: 2.1\nName: evogym\nVersion: 2.0.0\n"
         )
         python = home / "python"
-        python.write_text(f'#!/bin/sh\nshift\nPYTHONPATH={home} exec {sys.executable} "$@"\n')  # drops -I
+        # called as python -I worker.py: evogym must be found, but not what lies beside the worker
+        command = f'cp "$2" {home}/worker.py; PYTHONPATH={home} exec {sys.executable} {home}/worker.py'
+        python.write_text(f"#!/bin/sh\n{command}\n")
         python.chmod(0o755)
         return python
 
