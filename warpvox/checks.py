@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from numbers import Integral
 
 from warpvox.errors import ConfigError
@@ -33,7 +32,10 @@ def check_integer(
 
 def check_shape(name: str, value: object, error: type[Exception] = ConfigError) -> tuple[int, int]:
     """``value`` as (rows, columns), or an ``error``."""
-    sizes = list(value) if isinstance(value, Iterable) else []
+    try:
+        sizes = list(value)
+    except TypeError:
+        sizes = []
     if len(sizes) != 2 or not all(is_integer(size) and size >= 1 for size in sizes):
         raise error(f"{name} must be two integers >= 1, (rows, columns), got {value!r:.80}.")
     return int(sizes[0]), int(sizes[1])

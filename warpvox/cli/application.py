@@ -16,7 +16,7 @@ from warpvox.cli.config import Arguments, expand, load, parse_overrides, read_ar
 from warpvox.cli.help import command_help, flat_values
 from warpvox.cli.hydra_parts import multirun, show
 from warpvox.cli.runs import check_output
-from warpvox.cli.sweep import Sweep, attempt, member_of, members
+from warpvox.cli.sweep import Member, Sweep, attempt, member_of, members
 from warpvox.errors import RunError
 from warpvox.io.writing import write_text
 
@@ -54,12 +54,13 @@ def run_command(
         defaults = dataclasses.asdict(load(command, []))
         print(command_help(command, COMMANDS[command], flat_values(defaults)))
     elif arguments.info or arguments.cfg in ("hydra", "all"):
-        show(command, [*arguments.overrides, *arguments.plugins], arguments.config_dir, arguments.cfg, arguments.info)
+        overrides = [str(override.input_line) for override in parse_overrides(arguments, command)]
+        show(command, [*overrides, *arguments.plugins], arguments.config_dir, arguments.cfg, arguments.info)
     elif arguments.cfg:
         for overrides in expand(arguments, command):
             print(to_yaml(load(command, overrides, arguments.config_dir)), end="")
     elif arguments.plugins:
-        _launch(command, arguments, do, prepare)
+        _launch(command, arguments, do, prepare, check)
     else:
         _run_here(command, arguments, do, prepare, check)
 
@@ -73,13 +74,11 @@ def prepared(command: str, overrides: list[str], config_dir: Path | None, prepar
 
 def _run_here(command: str, arguments: Arguments, do: Do, prepare: Prepare, check: Callable | None) -> None:
     """Make the runs one after another in this process."""
-    runs, console = members(arguments, command), Console()
-    jobs = [prepared(command, run.overrides, arguments.config_dir, prepare) for run in runs]
+    runs, jobs = _jobs(command, arguments, prepare, check)
+    console = Console()
     if len(jobs) == 1:
         do(jobs[0], console)
         return
-    for job in jobs if check else []:  # a mistake in the last of a hundred runs should not show after a day
-        check(job)
     config = load(command, runs[0].overrides, arguments.config_dir)
     with Sweep(command, console, config.output_dir, len(jobs)) as sweep:
         for number, (run, job) in enumerate(zip(runs, jobs, strict=True), start=1):
@@ -88,12 +87,25 @@ def _run_here(command: str, arguments: Arguments, do: Do, prepare: Prepare, chec
             sweep.write()
 
 
-def _launch(command: str, arguments: Arguments, do: Do, prepare: Prepare) -> None:
+def _jobs(
+    command: str, arguments: Arguments, prepare: Prepare, check: Callable | None
+) -> tuple[list[Member], list[Any]]:
+    """The runs that are asked for, and what ``do`` gets for each."""
+    runs = members(arguments, command)
+    jobs = [prepared(command, run.overrides, arguments.config_dir, prepare) for run in runs]
+    for job in jobs if check and len(jobs) > 1 else []:  # a mistake in the last run should not show after a day
+        check(job)
+    return runs, jobs
+
+
+def _launch(command: str, arguments: Arguments, do: Do, prepare: Prepare, check: Callable | None) -> None:
     """Have Hydra's launcher and sweeper make the runs: in other processes, on a cluster, in an order of their own."""
     parsed = parse_overrides(arguments, command)
     fixed = [str(override.input_line) for override in parsed if not override.is_sweep_override()]
     swept = [str(override.input_line) for override in parsed if override.is_sweep_override()]
     config = load(command, fixed, arguments.config_dir)
+    if not any("sweeper" in word for word in arguments.plugins):  # which may have values of its own
+        _jobs(command, arguments, prepare, check)
     with Sweep(command, Console(), config.output_dir) as sweep:
         folder = sweep.file.with_suffix("")
         task = functools.partial(_run_there, command, fixed, arguments.config_dir, folder.absolute(), do, prepare)

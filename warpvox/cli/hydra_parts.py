@@ -7,7 +7,8 @@ ends with code 1 and several lines, begins a sweep before all of its runs are ch
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +40,20 @@ def one_line(error: Exception) -> str:
 
 def show(command: str, overrides: list[str], config_dir: Path | None, cfg: str | None, info: str | None) -> None:
     """Print what Hydra's own ``--cfg`` or ``--info`` prints."""
-    with opened(config_dir) as (hydra, search):
+    with _errors(), opened(config_dir) as (hydra, search):
         if info:
             hydra.show_info(info, command, [*overrides, *search])
         else:
             hydra.show_cfg(command, [*overrides, *search], cfg, package=None)
+
+
+@contextmanager
+def _errors() -> Iterator[None]:
+    """Hydra's errors as ours."""
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(one_line(error)) from None
 
 
 def complete(words: Sequence[str]) -> None:
@@ -90,8 +100,5 @@ def multirun(
         ConfigError: a plugin or a setting of it that does not exist.
     """
     words = [*QUIET, f"hydra.sweep.dir={quoted(str(folder.absolute()))}", *overrides]
-    with opened(config_dir) as (hydra, search):
-        try:
-            hydra.multirun(command, task, [*words, *search], with_log_configuration=False)
-        except (HydraException, OmegaConfBaseException) as error:
-            raise ConfigError(one_line(error)) from None
+    with _errors(), opened(config_dir) as (hydra, search):
+        hydra.multirun(command, task, [*words, *search], with_log_configuration=False)
