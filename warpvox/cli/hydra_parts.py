@@ -6,6 +6,7 @@ ends with code 1 and several lines, begins a sweep before all of its runs are ch
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -40,11 +41,17 @@ def one_line(error: Exception) -> str:
 
 def show(command: str, overrides: list[str], config_dir: Path | None, cfg: str | None, info: str | None) -> None:
     """Print what Hydra's own ``--cfg`` or ``--info`` prints."""
-    with _errors(), opened(config_dir) as (hydra, search):
-        if info:
-            hydra.show_info(info, command, [*overrides, *search])
-        else:
-            hydra.show_cfg(command, [*overrides, *search], cfg, package=None)
+    log = logging.getLogger()
+    handlers, level = list(log.handlers), log.level
+    try:
+        with _errors(), opened(config_dir) as (hydra, search):
+            if info:  # by messages of a log that it sends to the output
+                hydra.show_info(info, command, [*overrides, *search])
+            else:
+                hydra.show_cfg(command, [*overrides, *search], cfg, package=None)
+    finally:
+        log.handlers[:] = handlers
+        log.setLevel(level)
 
 
 @contextmanager
