@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 from warpvox.keys import MISSING, key
 
-__all__ = ["ACTIVATIONS", "LOGGERS", "PpoConfig", "TrainingConfig"]
+__all__ = ["ACTIVATIONS", "LOGGERS", "REFRESH", "PpoConfig", "TrainingConfig"]
 
+REFRESH = ("none", "new", "random", "performance")
+"""Ways in which bodies take the place of others while one policy learns to control them."""
 ACTIVATIONS = ("tanh", "elu", "relu", "selu", "gelu", "swish")
 LOGGERS = ("tensorboard", "wandb", "neptune", "none")
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, make_dataclass
 from typing import Any, get_origin, get_type_hints
 
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
-from warpvox.algos.settings import LOGGERS, PpoConfig, TrainingConfig
+from warpvox.algos.settings import LOGGERS, REFRESH, PpoConfig, TrainingConfig
 from warpvox.keys import MISSING, key
 from warpvox.types import Physics
 
@@ -116,6 +116,29 @@ class PresetConfig:
 
 
 @dataclass
+class DesignsConfig:
+    """Keys ``designs.*``: many bodies for one policy. ``designs=...`` is short for ``designs.bodies=...``."""
+
+    bodies: Any = key(
+        None,
+        "bodies to train one policy over, instead of design: random:64, random:64:5x7, a folder of designs or of a"
+        " design search, or a list as for design",
+        path="read",
+    )
+    refresh: str = key(
+        "none",
+        "bodies that take the place of those whose episode has ended: none, new random ones, any of the bodies"
+        " (random), or rather those on which the policy does worse (performance)",
+        choices=REFRESH,
+    )
+    held_out: Any = key(
+        None,
+        "bodies to evaluate on and never to train on, as designs; null: 32 random ones of the same size",
+        path="read",
+    )
+
+
+@dataclass
 class _TrainingRunConfig:
     """What train and demo share."""
 
@@ -174,6 +197,8 @@ class _TrainingRunConfig:
 @dataclass
 class TrainConfig(_TrainingRunConfig, PresetConfig):
     """Keys of ``warpvox train``."""
+
+    designs: DesignsConfig = key(DesignsConfig, "many bodies for one policy")
 
 
 def _search_fields() -> list[tuple[str, Any, Any]]:
@@ -288,7 +313,11 @@ class PlayConfig(_RolloutConfig):
     )
     task: str | None = key(None, f"with agent: task id; null: Walker-v0. {OWN_TASK}", path="read")
     policy: str | None = _own_policy()
-    design: Any = key(None, "with agent: body, as for train; null: walker", path="read")
+    design: Any = key(
+        None,
+        "with agent: body, as for train; null: walker. With a run over many bodies: the bodies to show",
+        path="read",
+    )
     rules: str | None = key(None, "with agent: evogym or paper; null: evogym", choices=("evogym", "paper"))
     num_envs: int = key(4, "environments; a multiple of the number of designs", low=1)
     rollout: str | None = key(
@@ -417,6 +446,11 @@ class EvaluateConfig:
     )
     checkpoint: str = key("best", "of each run: best, last, or an iteration")
     episodes: int = key(16, "of each run; a multiple of its number of designs", low=1)
+    designs: Any = key(
+        None,
+        "of runs over many bodies: bodies to evaluate on, as for train (random:100); null: those held out",
+        path="read",
+    )
     stochastic: bool = key(False, "sample the policy's actions as in training, instead of taking their mean")
     seed: int = key(
         1000,

@@ -19,6 +19,7 @@ ORDER = (
     "search",
     "evaluation",
     "policies",
+    "universal",
     "physics",
     "paper",
     "performance",

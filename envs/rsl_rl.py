@@ -31,10 +31,10 @@ REWARD_EPS = 1e-8
 class RslRlVecEnv(VecEnv):
     """Adapter: scales outputs of the policy to actions, scales rewards, and tells time limits from terminations.
 
-    ``extras`` of a step hold ``log`` (means of this step for TensorBoard) and, if time limits are to be
-    bootstrapped, ``time_outs`` (bool ``[num_envs]``: ended by the time limit alone) with ``final_obs``
-    (TensorDict: the last observations of what ended). Episodes that the task stopped, self-folding and divergence
-    included, have been reset by the environment. All tensors are fresh.
+    ``extras`` of a step hold ``log`` (means of this step for TensorBoard), ``returns`` (of the episodes so far,
+    ``[num_envs]``) and, if time limits are to be bootstrapped, ``time_outs`` (bool ``[num_envs]``: ended by the time
+    limit alone) with ``final_obs`` (TensorDict: the last observations of what ended). Episodes that the task stopped,
+    self-folding and divergence included, have been reset by the environment. All tensors are fresh.
 
     Args:
         env: made with ``auto_reset=True``.
@@ -90,6 +90,13 @@ class RslRlVecEnv(VecEnv):
         """The current observations, group ``policy``: ``[num_envs, num_obs]`` in torch's default precision."""
         return self._group(self._obs)
 
+    def set_designs(self, designs: Sequence[object], mask: torch.Tensor) -> None:
+        """Give environments other bodies (:meth:`VoxelVecEnv.set_designs`); their episodes begin anew."""
+        self._obs = self.env.set_designs(designs, mask)
+        self._shortened = self._shortened & ~mask
+        if self.reward_norm is not None:
+            self.reward_norm.forget(mask)
+
     def reset(self) -> TensorDict:
         """Begin new episodes everywhere."""
         self._obs, _ = self.env.reset()
@@ -102,7 +109,7 @@ class RslRlVecEnv(VecEnv):
         self._obs = obs
         done = terminated | truncated
         self._count(info, done)
-        extras: dict[str, Any] = {"log": self._log(info)}
+        extras: dict[str, Any] = {"log": self._log(info), "returns": info["episode"]["return"]}
         if self.bootstrap_time_limit:
             extras["time_outs"] = truncated & ~terminated
             extras["final_obs"] = self._group(info["final_obs"])
@@ -221,6 +228,10 @@ class _ReturnScale:
         self._return = self._return.masked_fill(done, 0.0)
         scale = torch.sqrt(self._moments[2] / self._moments[0] + REWARD_EPS).repeat_interleave(new)
         return (reward / scale).clamp(-REWARD_CLIP, REWARD_CLIP).to(reward.dtype)
+
+    def forget(self, mask: torch.Tensor) -> None:
+        """Episodes of these environments begin anew."""
+        self._return = self._return.masked_fill(mask, 0.0)
 
     def state(self) -> dict[str, torch.Tensor]:
         return {"return": self._return.clone(), "moments": self._moments.clone()}

@@ -29,6 +29,9 @@ COLUMNS = (
     "diverged",  # those of them that diverged
     "eval_return",  # deterministic; empty if there was no evaluation
     "best_return",  # the best evaluation so far
+    "eval_q10",  # quantiles of the evaluation's mean returns by body, where there are several bodies
+    "eval_q50",
+    "eval_q90",
     "value_loss",
     "surrogate_loss",
     "entropy",
@@ -50,6 +53,9 @@ TAGS = {
     "length_mean": "Train/length",
     "eval_return": "Eval/return",
     "best_return": "Eval/best",
+    "eval_q10": "Eval/q10",
+    "eval_q50": "Eval/q50",
+    "eval_q90": "Eval/q90",
     "value_loss": "Loss/value",
     "surrogate_loss": "Loss/surrogate",
     "entropy": "Loss/entropy",

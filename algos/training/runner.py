@@ -12,9 +12,10 @@ from typing import Any
 import torch
 
 from warpvox.algos.checkpoints.files import Controller, PolicySpec, load_checkpoint, save_checkpoint, spec_dict, spec_of
-from warpvox.algos.evaluate import Evaluator
+from warpvox.algos.evaluate import Evaluation, Evaluator
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.settings import PpoConfig
+from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
 from warpvox.algos.training.metrics import Metrics
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
@@ -76,6 +77,8 @@ class Runner:
         group: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
             and reports; its ``evaluator`` and ``report`` are the only ones that are used.
         voxels: of a policy for voxels, see :func:`warpvox.algos.training.ppo.rsl_rl_config`.
+        bodies: which bodies take the place of others; None: all stay.
+        trained_on: what checkpoints say of the training, by name.
     """
 
     def __init__(
@@ -91,9 +94,13 @@ class Runner:
         memory_hint: str | None = None,
         voxels: Mapping[str, Any] | None = None,
         logger: str = "tensorboard",
+        bodies: Bodies | None = None,
+        trained_on: Mapping[str, Any] | None = None,
     ) -> None:
         self.env, self.ppo, self.schedule, self.folder = env, ppo, schedule, folder
         self.evaluator, self.report, self.group, self.on_save = evaluator, report, group, on_save
+        self.bodies, self.trained_on = bodies, dict(trained_on or {})
+        self._judged: Evaluation | None = None
         self.device, self.logger = str(env.device), logger
         config = rsl_rl_config(ppo, schedule.total, voxels)
         ranks = {"global_rank": group.rank, "local_rank": group.local_rank, "world_size": group.size}
@@ -186,9 +193,11 @@ class Runner:
     def _iterate(self, end: int) -> None:
         """One iteration: collect, learn, then evaluate, log and save as scheduled."""
         started = time.perf_counter()
-        logs = self._collect()
+        logs, ended = self._collect()
         losses = self.alg.update()
         self._check(losses)
+        if self.bodies is not None:
+            self.bodies.exchange(self.env, ended)
         seconds = time.perf_counter() - started
         self.current_learning_iteration += 1
         done = self.current_learning_iteration
@@ -203,9 +212,9 @@ class Runner:
             self.save_all()
 
     @torch.no_grad()
-    def _collect(self) -> list[dict[str, torch.Tensor]]:
-        """Fill the storage; returns the logs of the environments, a dictionary for each step."""
-        logs = []
+    def _collect(self) -> tuple[list[dict[str, torch.Tensor]], torch.Tensor]:
+        """Fill the storage; returns logs of the environments, a dictionary for each step, and where episodes ended."""
+        logs, ended = [], torch.zeros(self.env.num_envs, dtype=torch.bool, device=self.device)
         obs = self.env.get_observations()
         for _ in range(self.ppo.steps):
             try:
@@ -214,8 +223,11 @@ class Runner:
                 raise self._diverged(str(error)) from error
             self.alg.process_env_step(obs, rewards, dones, extras)
             logs.append(extras["log"])
+            ended |= dones
+            if self.bodies is not None:
+                self.bodies.record(dones, extras["returns"])
         self.alg.compute_returns(obs)
-        return logs
+        return logs, ended
 
     def _check(self, losses: dict[str, float]) -> None:
         """Raise DivergenceError if losses, weights or moments are not finite."""
@@ -240,7 +252,8 @@ class Runner:
         if self.group.is_main_process and self.evaluator is not None:
             self.alg.eval_mode()
             try:
-                value = self.evaluator(self.controller).mean_return
+                self._judged = self.evaluator(self.controller)
+                value = self._judged.mean_return
             except ActionError as error:
                 self.current_learning_iteration -= 1  # it is not complete
                 raise self._diverged(str(error)) from error
@@ -267,6 +280,7 @@ class Runner:
             "diverged": episodes["diverged"],
             "eval_return": evaluated,
             "best_return": self.best_return,
+            **self._quantiles(evaluated),
             "value_loss": losses["value"],
             "surrogate_loss": losses["surrogate"],
             "entropy": losses["entropy"],
@@ -275,6 +289,15 @@ class Runner:
             "steps_per_second": self.steps_per_iteration / seconds,
             "elapsed": self.elapsed,
         }
+
+    def _quantiles(self, evaluated: float) -> dict[str, float]:
+        """Of the returns of the last evaluation, over its bodies where there are several."""
+        if math.isnan(evaluated) or self._judged is None:
+            return {}
+        fitness = self._judged.fitness
+        if len(fitness) < 2:
+            return {}
+        return {f"eval_q{share}": float(torch.quantile(fitness, share / 100)) for share in (10, 50, 90)}
 
     def _episodes(self) -> dict[str, float]:
         """Number, mean return and length of the episodes that have ended in all processes; how many were stopped."""
@@ -308,6 +331,7 @@ class Runner:
             "infos": None,
             "policy": spec_dict(self.spec),
             "eval_return": self.last_return,
+            "trained_on": self.trained_on,
         }
         return self.alg.save() | own
 
@@ -346,6 +370,8 @@ class Runner:
             "best_iteration": self.best_iteration,
             "processes": self.group.size,
         }
+        if self.bodies is not None:
+            own["bodies"] = self.bodies.state(self.env)
         return self._policy_content() | own
 
     def state_file(self, path: Path) -> Path:
@@ -378,6 +404,8 @@ class Runner:
         self.last_return = content["eval_return"]
         if "env" not in content:
             return
+        if self.bodies is not None and "bodies" in content:
+            self.bodies.set_state(content["bodies"], self.env)
         self.env.set_state(content["env"])
         torch.set_rng_state(content["random"]["cpu"].cpu())
         if "cuda" in content["random"] and torch.device(self.device).type == "cuda":

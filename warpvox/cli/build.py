@@ -91,8 +91,16 @@ def resolve(config: Any) -> Any:
     Raises:
         TaskError, DesignError, DeviceError, ConfigError: what does not exist or is not valid.
     """
+    from warpvox.cli.designs import resolved
+
     get_task(config.task)
     check_policy(config.policy)
+    designs = getattr(config, "designs", None)
+    changes = {}
+    if designs is not None:
+        kept = {"bodies": config.seed, "held_out": config.seed}
+        kept = {name: resolved(getattr(designs, name), seed, f"designs.{name}") for name, seed in kept.items()}
+        changes["designs"] = dataclasses.replace(designs, **kept)
     bodies = [_cells(body) for body in load_bodies(config.design, config.seed)]
     constants = dataclasses.asdict(physics_of(config))
     preset = constants.pop("name")
@@ -102,6 +110,7 @@ def resolve(config: Any) -> Any:
         obs=config.obs if config.policy == MLP else "voxel",
         physics=type(config.physics)(preset=preset, **constants),
         device=resolve_device(config.device, config.num_envs),
+        **changes,
     )
 
 

@@ -251,6 +251,8 @@ def parse_overrides(arguments: Arguments, command: str) -> list[Override]:
     parsed = []
     for word in arguments.overrides:
         name, given, _ = word.partition("=")
+        if name == "designs" and "designs.bodies" in keys:  # short for the bodies
+            name, word = "designs.bodies", f"designs.bodies{word[len(name) :]}"
         text = readable(word, keys[name], arguments.multirun) if given and name in keys else word
         override = parse(text)
         if override is None:

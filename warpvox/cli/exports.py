@@ -11,6 +11,7 @@ from rich.console import Console
 
 from warpvox.cli.console import echo
 from warpvox.cli.runs import Run
+from warpvox.errors import ConfigError
 
 if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
@@ -46,8 +47,14 @@ TILES = 16
 """Environments that a picture shows at most."""
 
 
-def load_run(run: Run, config: Any) -> tuple[Any, Any]:
+def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[Any, Any]:
     """Environments and policy of a run as play's configuration ``config`` wants them.
+
+    Args:
+        run: the run.
+        config: of play.
+        designs: bodies for a policy over many bodies; None: those held out, as many as there are environments.
+        every: of such a policy, all bodies, the same number of environments for each.
 
     Raises:
         RunError: no checkpoint, or one that does not fit. ConfigError, DeviceError: ``config`` asks too much, or the
@@ -56,6 +63,7 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
     from warpvox.algos.checkpoints.files import load_controller
     from warpvox.cli.build import make_env, training_lanes
     from warpvox.cli.config import load_values
+    from warpvox.cli.designs import grid_of, held_out_of, is_many, read_bodies
     from warpvox.cli.trust import allow_code
     from warpvox.devices.names import resolve_device
 
@@ -71,7 +79,19 @@ def load_run(run: Run, config: Any) -> tuple[Any, Any]:
         changes["arithmetic"] = config.arithmetic
     if config.seed is not None:
         changes["seed"] = config.seed
-    env = make_env(trained, config.num_envs, auto_reset=False, **changes)
+    count = config.num_envs
+    if is_many(trained):
+        bodies = held_out_of(trained) if designs is None else read_bodies(designs, config.seed or 0, "designs")
+        if every:
+            count = len(bodies) * max(1, count // len(bodies))
+        bodies = bodies[:count]
+        lanes = trained.lanes if device == "cpu" else None
+        changes |= {"lanes": lanes, "grid": grid_of(trained), "designs": bodies}
+    elif designs is not None:
+        raise ConfigError(
+            "Other bodies go with a run over many of them (warpvox train designs=...); this one has its own."
+        )
+    env = make_env(trained, count, auto_reset=False, **changes)
     controller = load_controller(path, device, trained.policy)
     controller.check(env)
     if config.stochastic:

@@ -101,8 +101,9 @@ def _evaluate(found: Run, config: EvaluateConfig) -> tuple[Evaluation, bool]:
     task = config.task if is_code(found.config["task"]) else None
     policy = config.policy if is_code(found.config.get("policy")) else None
     same = {name: getattr(config, name) for name in names} | {"policy": policy}
-    env, policy = load_run(found, PlayConfig(num_envs=config.episodes, task=task, **same))
-    return evaluate(env, policy), draws_at_random(env)
+    env, policy = load_run(found, PlayConfig(num_envs=config.episodes, task=task, **same), config.designs, every=True)
+    several = (found.config.get("designs") or {}).get("bodies") is not None
+    return evaluate(env, policy), several or draws_at_random(env)
 
 
 def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged, Interval]]:

@@ -75,16 +75,18 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     Raises:
         WarpvoxError: no such run, or one that does not do what ``config`` asks.
     """
+    source = find_run(config.run, config.output_dir)
+    many = (source.config.get("designs") or {}).get("bodies") is not None
     for name in OF_AGENTS:
         value = getattr(config, name, None)
-        if value is not None and not (name == "task" and (value == STORED or is_code(value))):
+        allowed = (name == "task" and (value == STORED or is_code(value))) or (name == "design" and many)
+        if value is not None and not allowed:
             raise ConfigError(f"{name} goes with agent=random|sine|zero; a trained run has its own {name}.")
-    source = find_run(config.run, config.output_dir)
     with console.status("loading"):
         from warpvox.cli.build import prepare, shown
 
         prepare(config.torch_threads, config.seed or 0)
-        env, controller = load_run(source, config)
+        env, controller = load_run(source, config, getattr(config, "design", None))
     with console.status("simulating"):
         rollout = record_run(source, env, controller, config.steps, config.stochastic)
     echo(console, f"run: {shown(source.folder)}")

@@ -168,27 +168,35 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         from warpvox.algos.training.distributed import join_process_group
         from warpvox.algos.training.runner import Runner, Schedule, adapt
         from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes, voxels_of
+        from warpvox.cli.designs import HeldOut, bodies_of, grid_of, held_out_of, is_many, trained_on
         from warpvox.cli.memory_check import check_training
 
         group = join_process_group(job.config.device)
         console.quiet = console.quiet or not group.is_main_process
         prepare(job.config.torch_threads, group.seed(job.config.seed))
         config = resolve(share(job.config, group))
-        designs = load_bodies(config.design, config.seed)
+        many = is_many(config)
+        bodies = bodies_of(config, group.seed(config.seed)) if many else None
+        designs = bodies.first(config.num_envs) if many else load_bodies(config.design, config.seed)
         check_training(config, designs)
     advice = f"Train with fewer environments: num_envs={max(1, config.num_envs // 2)} instead of {config.num_envs}."
     preparing = console.status("preparing the simulation (the first time on a machine its kernels are compiled)")
     with preparing, enough_memory(advice):
         schedule = Schedule(config.max_iterations, config.save_interval, config.eval_interval, config.stop_return)
         seed, guard = group.seed(config.seed), config.nan_guard
-        env = adapt(make_env(config, config.num_envs, auto_reset=True, seed=seed, nan_guard=guard), config.ppo)
-        lanes = training_lanes(config, config.device)
+        room = {"designs": designs, "grid": grid_of(config)} if many else {}
+        options = {"auto_reset": True, "seed": seed, "nan_guard": guard} | room
+        env = adapt(make_env(config, config.num_envs, **options), config.ppo)
         judge = None
         if group.is_main_process:
-            judge = evaluator(make_env(config, config.eval_envs * len(designs), auto_reset=False, lanes=lanes))
-        voxels = voxels_of(config, env.env)
-        options = dict(evaluator=judge, group=group, logger=config.logger)
-        runner = Runner(env, config.ppo, schedule, voxels=voxels, **options)
+            lanes = config.lanes if many else training_lanes(config, config.device)
+            if many:
+                room["designs"] = designs = held_out_of(config)
+            made = make_env(config, config.eval_envs * len(designs), auto_reset=False, lanes=lanes, **room)
+            judge = HeldOut(evaluator(made), designs) if many else evaluator(made)
+        parts = {"voxels": voxels_of(config, env.env), "bodies": bodies, "trained_on": trained_on(config)}
+        parts |= {"evaluator": judge, "group": group, "logger": config.logger}
+        runner = Runner(env, config.ppo, schedule, **parts)
         if job.checkpoint is not None:
             runner.resume(job.checkpoint)
             _check_left(job.folder, runner)
@@ -196,6 +204,8 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         config = dataclasses.replace(config, num_envs=job.config.num_envs, device=config.device.split(":")[0])
     with _folder(job, config, command, group) as folder:
         runner.folder = folder
+        if many and group.is_main_process:
+            judge.folder = folder
         if env.env.dump is not None:
             env.env.dump.folder = folder / ("dumps" if group.is_main_process else f"dumps_{group.rank}")
         _announce(console, as_stored(config, job.stored), runner, folder)

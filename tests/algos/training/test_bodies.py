@@ -1,0 +1,124 @@
+"""Training over many bodies: who takes whose place, nothing of a body in another's rollout, and exact resumption."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.evaluate import evaluator
+from warpvox.algos.policies.layout import layout_of
+from warpvox.algos.settings import PpoConfig
+from warpvox.algos.training.bodies import Bodies, draw_bodies
+from warpvox.algos.training.metrics import read_metrics
+from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
+from warpvox.cli.config import load
+from warpvox.envs.vec_env import make_vec
+from warpvox.errors import ConfigError
+
+ENVS, STEPS, LIMIT, SHAPE = 8, 6, 8, (3, 3)
+HELD_OUT = draw_bodies(3, SHAPE, np.random.default_rng(9))
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def settings() -> PpoConfig:
+    ppo = load("train", []).ppo
+    for name, value in {"steps": STEPS, "epochs": 1, "minibatches": 2, "normalize_reward": True}.items():
+        setattr(ppo, name, value)
+    return ppo
+
+
+def make_runner(refresh: str, total: int, folder: Path | None = None, seed: int = 0) -> Runner:
+    torch.manual_seed(seed)
+    pool = draw_bodies(12, SHAPE, np.random.default_rng(0), HELD_OUT)
+    bodies = Bodies(pool, refresh, np.random.default_rng(seed), HELD_OUT)
+    options = dict(device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8, obs="voxel", grid=SHAPE)
+    env = make_vec("Walker-v0", bodies.first(ENVS), ENVS, **options)
+    judge = evaluator(make_vec("Walker-v0", HELD_OUT, len(HELD_OUT), auto_reset=False, **options))
+    voxels = {"network": "grid", "settings": {"width": 4, "summary": 4, "heads": 2}, "layout": layout_of(env).dict()}
+    ppo, about = settings(), {"designs": "random:12"}
+    return Runner(
+        adapt(env, ppo), ppo, Schedule(total, 100, 2), folder, judge, voxels=voxels, bodies=bodies, trained_on=about
+    )
+
+
+def in_use(runner: Runner) -> list[bytes]:
+    """The body of each environment."""
+    env = runner.env.env
+    return [env.designs[design].tobytes() for design in env.design_index.tolist()]
+
+
+@pytest.mark.parametrize("refresh", ["new", "random", "performance"])
+def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path, refresh: str) -> None:
+    whole = make_runner(refresh, 4)
+    whole.run()
+    make_runner(refresh, 2, tmp_path).run()
+    second = make_runner(refresh, 4, seed=5)
+    second.resume(tmp_path / STATE)
+    second.run()
+    assert in_use(whole) == in_use(second)
+    for key, value in whole.alg.save()["actor_state_dict"].items():
+        assert torch.equal(value, second.alg.save()["actor_state_dict"][key]), key
+    assert whole.last_return == second.last_return
+    assert whole.bodies.seen == second.bodies.seen > ENVS
+
+
+def test_new_bodies_take_the_place_of_those_whose_episode_has_ended(tmp_path: Path) -> None:
+    runner = make_runner("new", 6, tmp_path)
+    before, pool = in_use(runner), {body.tobytes() for body in runner.bodies.bodies}
+    runner.run()
+    after = in_use(runner)
+    assert all(one != other for one, other in zip(before, after, strict=True))
+    assert not {body.tobytes() for body in HELD_OUT} & {*before, *after}
+    assert len(set(after) - pool) > ENVS // 2
+    assert load_checkpoint(tmp_path / "model_best.pt")["trained_on"] == {"designs": "random:12"}
+    rows = [row for row in read_metrics(tmp_path) if row["eval_return"] == row["eval_return"]]
+    assert len(rows) == 3
+    assert all(row["eval_q10"] <= row["eval_q50"] <= row["eval_q90"] for row in rows)
+
+
+def test_bodies_stay_where_nothing_is_to_take_their_place() -> None:
+    runner = make_runner("none", 3)
+    before = in_use(runner)
+    runner.run()
+    assert in_use(runner) == before
+
+
+def test_a_rollout_is_of_one_body_and_episodes_begin_with_it() -> None:
+    runner = make_runner("random", 9)
+    env = runner.env
+    for _ in range(3):
+        bodies = in_use(runner)
+        _, ended = runner._collect()
+        assert in_use(runner) == bodies
+        runner.alg.storage.clear()
+        runner.bodies.exchange(env, ended)
+        lengths = env.episode_length_buf
+        assert bool((lengths[ended] == 0).all())
+        assert bool((lengths[~ended] > 0).all())
+        assert torch.equal(env.get_observations()["policy"][ended], env.env.reset(mask=ended)[0][ended].float())
+
+
+def test_bodies_on_which_the_policy_does_worse_come_more_often() -> None:
+    pool = draw_bodies(4, SHAPE, np.random.default_rng(0))
+    bodies = Bodies(pool, "performance", np.random.default_rng(0))
+    bodies._which = np.arange(3)
+    bodies.record(torch.ones(3, dtype=torch.bool), torch.tensor([1.0, 2.0, 3.0]))
+    assert bodies._shares().tolist() == [0, 0, 0, 1]  # that which has had no episode
+    bodies._which = np.array([3])
+    bodies.record(torch.ones(1, dtype=torch.bool), torch.tensor([2.0]))
+    shares = bodies._shares()
+    assert shares[0] > shares[1] == shares[3] > shares[2]
+    assert shares.sum() == pytest.approx(1)
+
+
+def test_random_bodies_differ_and_are_refused_where_there_are_too_few() -> None:
+    rng = np.random.default_rng(0)
+    bodies = draw_bodies(50, SHAPE, rng, HELD_OUT)
+    assert len({body.tobytes() for body in [*bodies, *HELD_OUT]}) == 53
+    with pytest.raises(ConfigError, match="no 50 different bodies of 1x1"):
+        draw_bodies(50, (1, 1), rng)

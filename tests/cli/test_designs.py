@@ -1,0 +1,98 @@
+"""Many bodies for one policy on the command line: what can be named, and a run from training to evaluation."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import warpvox as wv
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.cli.commands.evaluate import evaluate_runs
+from warpvox.cli.commands.play import play
+from warpvox.cli.config import load
+from warpvox.cli.console import Console
+from warpvox.cli.designs import bodies_of, held_out_of, read_bodies
+from warpvox.design import save_design
+from warpvox.errors import ConfigError, DesignError
+
+SMALL = {"ppo.steps": 4, "ppo.minibatches": 1, "ppo.epochs": 1}
+
+
+def config(*words: str):
+    return load("train", [f"{word}" for word in words])
+
+
+def test_bodies_are_named_in_many_ways(tmp_path: Path) -> None:
+    drawn = read_bodies("random:5:3x4", 0, "designs")
+    assert [body.shape for body in drawn] == [(3, 4)] * 5
+    assert len({body.tobytes() for body in drawn}) == 5
+    assert np.array_equal(read_bodies("random:5:3x4", 0, "designs")[4], drawn[4])
+    assert read_bodies("random:2", 0, "designs")[0].shape == (5, 5)
+    for number, body in enumerate(drawn):
+        save_design(tmp_path / f"{number}.json", body)
+    assert all(np.array_equal(a, b) for a, b in zip(read_bodies(str(tmp_path), 0, "designs"), drawn, strict=True))
+    assert len(read_bodies(["walker", "worm"], 0, "designs")) == 2
+
+
+@pytest.mark.parametrize(
+    ("spec", "error", "says"),
+    [
+        ("random:0", ConfigError, "1 to 1,000,000 random bodies, got 0"),
+        ("random:4:5", ConfigError, "random:64 or random:64:5x7"),
+        ("walkr", DesignError, "Did you mean 'walker'"),
+        ([{"a": "walker", "b": "walker"}], ConfigError, "bodies of one robot"),
+    ],
+)
+def test_mistakes_are_explained(spec: object, error: type, says: str) -> None:
+    with pytest.raises(error, match=says):
+        read_bodies(spec, 0, "designs")
+
+
+def test_a_folder_without_designs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DesignError, match="neither a design search nor a folder of designs"):
+        read_bodies(str(tmp_path), 0, "designs")
+
+
+def test_training_never_meets_what_is_held_out() -> None:
+    given = config("designs=random:40:2x2", "designs.held_out=random:20:2x2")
+    assert given.designs.bodies == "random:40:2x2"
+    held_out = {body.tobytes() for body in held_out_of(given)}
+    assert len(held_out) == 20
+    assert not held_out & {body.tobytes() for body in bodies_of(given, 0).bodies}
+    # the same whatever the seed of the training
+    assert held_out == {body.tobytes() for body in held_out_of(config("designs=random:40:2x2", "seed=7",
+        "designs.held_out=random:20:2x2"))}  # fmt: skip
+
+
+def test_more_bodies_than_environments_have_to_be_exchanged() -> None:
+    given = config("designs=random:40:3x3", "num_envs=8")
+    with pytest.raises(ConfigError, match=r"num_envs=40, or designs\.refresh=random"):
+        bodies_of(given, 0)
+
+
+def test_a_run_over_many_bodies_is_trained_evaluated_and_played(tmp_path: Path) -> None:
+    designs = {"designs": "random:6:3x3", "designs.refresh": "random", "designs.held_out": "random:3:3x3"}
+    options = {"num_envs": 8, "max_iterations": 2, "eval_interval": 1, "device": "cpu", "lanes": 8, "threads": 1}
+    run = wv.train(designs | SMALL | options, policy="grid", output_dir=tmp_path, progress=False)
+    rows = list(csv.DictReader((run.folder / "held_out.csv").read_text(encoding="utf-8").splitlines()))
+    assert [len(row["cells"].replace("/", "")) for row in rows] == [9, 9, 9]
+    last = [float(row["last_return"]) for row in rows]
+    assert run.metrics()["eval_return"][-1] == pytest.approx(sum(last) / 3, rel=1e-4)
+    assert run.metrics()["eval_q50"][-1] == pytest.approx(sorted(last)[1], rel=1e-4)
+    about = load_checkpoint(run.folder / "model_best.pt")["trained_on"]
+    assert about["designs"] == {"bodies": "random:6:3x3", "refresh": "random", "held_out": "random:3:3x3"}
+    words = [f"output_dir={tmp_path}", "device=cpu", "threads=1"]
+    console = Console(quiet=True)
+    folder = evaluate_runs(load("evaluate", [*words, f"runs={run.folder}", "checkpoint=last"]), console)
+    found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert found["mean_return"] == pytest.approx(sum(last) / 3, rel=1e-4)
+    folder = evaluate_runs(load("evaluate", [*words, f"runs={run.folder}", "designs=random:5:3x3"]), console)
+    assert len(json.loads((folder / "summary.json").read_text(encoding="utf-8"))["runs"][0]["returns"]) == 15
+    played = play(load("play", [*words, f"run={run.folder}", "num_envs=2", "steps=3", "export=[]"]), console)
+    assert (played / "rollout.npz").is_file()
+    with_body = [*words, f"run={run.folder}", "design=[[3,3],[4,0]]", "num_envs=1", "steps=3", "export=[]"]
+    assert (play(load("play", with_body), console) / "rollout.npz").is_file()

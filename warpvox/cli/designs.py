@@ -1,0 +1,172 @@
+"""The keys ``designs.*``: many bodies for one policy, and bodies that it is judged on and never trained on."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpvox.algos.settings import REFRESH
+from warpvox.algos.training.bodies import Bodies, draw_bodies
+from warpvox.cli.build import load_bodies
+from warpvox.design import Design, load_design
+from warpvox.errors import ConfigError, DesignError
+from warpvox.io.writing import write_text
+
+if TYPE_CHECKING:
+    from warpvox.algos.evaluate import Evaluation, Evaluator
+
+__all__ = ["HeldOut", "bodies_of", "grid_of", "held_out_of", "is_many", "read_bodies", "resolved", "trained_on"]
+
+RANDOM = re.compile(r"random:(\d+)(?::(\d+)x(\d+))?")
+SHAPE = (5, 5)
+"""Rows and columns of random bodies that none are given for."""
+HELD_OUT_SEED = 1_000_003
+"""Held-out random bodies do not depend on the seed of a training, so that trainings can be compared."""
+HELD_OUT = 32
+"""Random bodies that are held out where none are named."""
+FILES = (".json", ".npz", ".npy")
+MOST = 1_000_000
+
+
+def is_many(config: Any) -> bool:
+    """Whether a configuration trains over many bodies."""
+    designs = getattr(config, "designs", None)
+    return designs is not None and designs.bodies is not None
+
+
+def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) -> list[Design]:
+    """Bodies that a key names.
+
+    Args:
+        spec: ``random:64`` or ``random:64:5x7`` (drawn with ``seed``), a folder with design files, the folder of a
+            design search (its bodies, the best first), or whatever the key ``design`` takes.
+        key: the name of the key, for errors.
+        without: bodies that random ones shall not be.
+
+    Raises:
+        DesignError, ConfigError: nothing of the kind.
+    """
+    if isinstance(spec, str):
+        found = RANDOM.fullmatch(spec.strip())
+        if found is not None:
+            count, shape = int(found[1]), tuple(map(int, found.groups()[1:])) if found[2] else SHAPE
+            if not 1 <= count <= MOST:
+                raise ConfigError(f"{key} can be 1 to {MOST:,} random bodies, got {count:,}.")
+            return draw_bodies(count, shape, np.random.default_rng(seed), without)
+        if spec.startswith("random:") and spec.count(":") > 1:
+            raise ConfigError(f"{key}: random bodies are random:64 or random:64:5x7, got {spec!r:.80}.")
+        folder = Path(spec).expanduser()
+        if folder.is_dir():
+            return _of_folder(folder, key)
+    bodies = load_bodies(spec, seed)
+    if any(isinstance(body, dict) for body in bodies):
+        raise ConfigError(f"{key} are bodies of one robot; for several robots use design.")
+    return bodies
+
+
+def _of_folder(folder: Path, key: str) -> list[Design]:
+    from warpvox.algos.codesign.archive import FILE, Archive
+
+    if (folder / FILE).is_file():
+        with Archive.read(folder / FILE) as archive:
+            best = [record.candidate.body for record in archive.best(MOST)]
+        if not best:
+            raise DesignError(f"{key}: the search in {folder} has evaluated no body yet.")
+        return best
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in FILES)
+    if not files:
+        raise DesignError(f"{key}: {folder} is neither a design search nor a folder of designs ({', '.join(FILES)}).")
+    return [load_design(path) for path in files]
+
+
+def held_out_of(config: Any) -> list[Design]:
+    """Bodies that a policy over many bodies is judged on."""
+    spec = config.designs.held_out
+    if spec is None:
+        rows, columns = _shape(read_bodies(config.designs.bodies, config.seed, "designs"))
+        spec = f"random:{HELD_OUT}:{rows}x{columns}"
+    return read_bodies(spec, HELD_OUT_SEED, "designs.held_out")
+
+
+def grid_of(config: Any) -> tuple[int, int]:
+    """Rows and columns that there is room for: those of the largest of all bodies."""
+    return _shape([*read_bodies(config.designs.bodies, config.seed, "designs"), *held_out_of(config)])
+
+
+def resolved(spec: Any, seed: int, key: str) -> Any:
+    """Bodies as a configuration keeps them: random ones by name, others cell by cell, whatever becomes of files."""
+    if spec is None or (isinstance(spec, str) and spec.startswith("random:")):
+        return spec
+    return [body.tolist() for body in read_bodies(spec, seed, key)]
+
+
+def bodies_of(config: Any, seed: int) -> Bodies:
+    """The bodies of a training; ``seed``: of the order in which they come, which differs between processes.
+
+    Raises:
+        ConfigError: keys that do not go together.
+    """
+    designs, held_out = config.designs, held_out_of(config)
+    bodies = read_bodies(designs.bodies, config.seed, "designs", held_out)
+    if designs.refresh not in REFRESH[:2] and len(bodies) < 2:
+        raise ConfigError(f"designs.refresh={designs.refresh} chooses among bodies, and there is only one.")
+    if designs.refresh == "none" and len(bodies) > config.num_envs:
+        raise ConfigError(
+            f"{len(bodies)} bodies need as many environments, or others take their place while the policy learns:"
+            f" num_envs={len(bodies)}, or designs.refresh=random."
+        )
+    return Bodies(bodies, designs.refresh, np.random.default_rng([seed, 1]), held_out)
+
+
+def _shape(bodies: Sequence[Design]) -> tuple[int, int]:
+    return max(body.shape[0] for body in bodies), max(body.shape[1] for body in bodies)
+
+
+def trained_on(config: Any) -> dict[str, Any]:
+    """What a checkpoint says of its training."""
+    known = {"task": config.task, "rules": config.rules, "seed": config.seed, "design": config.design}
+    if is_many(config):
+        spec = config.designs
+        known["design"] = None
+        known["designs"] = {"bodies": spec.bodies, "refresh": spec.refresh, "held_out": spec.held_out}
+    return known
+
+
+class HeldOut:
+    """An evaluator on held-out bodies, which keeps what became of each in ``held_out.csv``.
+
+    Args:
+        judge: evaluates a policy on the bodies.
+        bodies: these.
+
+    Attributes:
+        folder: of the run; None: nothing is written.
+    """
+
+    def __init__(self, judge: Evaluator, bodies: Sequence[Design]) -> None:
+        self.judge, self.bodies, self.folder = judge, list(bodies), None
+        self.best = np.full(len(self.bodies), -np.inf)
+
+    def __call__(self, policy: Any) -> Evaluation:
+        """Evaluate ``policy``."""
+        result = self.judge(policy)
+        last = result.fitness.numpy()
+        self.best = np.maximum(self.best, last)
+        if self.folder is not None:
+            write_text(self.folder / "held_out.csv", self._table(last))
+        return result
+
+    def _table(self, last: np.ndarray) -> str:
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(["body", "last_return", "best_return", "cells"])
+        for number, body in enumerate(self.bodies):
+            cells = "/".join("".join(map(str, row)) for row in body.tolist())
+            writer.writerow([number, f"{last[number]:.6g}", f"{self.best[number]:.6g}", cells])
+        return text.getvalue()
