@@ -20,6 +20,7 @@ SMALL = {
     "train": "num_envs=8 max_iterations=1 eval_interval=1 ppo.steps=4 ppo.epochs=1 ppo.hidden=[8] threads=1 device=cpu",
     "play": "num_envs=1 steps=5 threads=1 device=cpu",
     "export": "threads=1 device=cpu",
+    "evaluate": "episodes=1 threads=1 device=cpu",
     "tasks": "",
 }
 
