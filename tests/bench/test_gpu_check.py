@@ -41,6 +41,7 @@ def test_every_part_runs(warpvox: Callable) -> None:
     assert figures["bodies"][0]["different"] > 0
     assert figures["training"][0]["training"] > 0 < figures["training"][-1]["rate"]
     assert "equal bit for bit" in outcome.out
+    assert outcome.out.count("designs of 16 environments side by side") == 1
 
 
 def test_what_was_found_is_kept_when_the_call_is_cut_off(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -120,10 +120,8 @@ def bodies(config: Any, progress: Progress, count: int, sides: tuple[int, ...]) 
     found = measure(runners, ["step"], config.repeats)
     different, same, built = middle(found["different"]["step"]), middle(found["same"]["step"]), mixed.built
     text = f"{count:,} different bodies: {number(different)} steps/s, {different / same:.0%} of one in all"
-    progress.row(
-        "bodies", f"{text}; built in {built:.2f} s", num_envs=count, different=different, same=same, built=built
-    )
-    progress.report.note(f"{text}; built in {built:.2f} s.")
+    values = {"num_envs": count, "different": different, "same": same, "built": built}
+    progress.row("bodies", f"{text}; built in {built:.2f} s", noted=True, **values)
     rows = []
     for side in sides:
         if not progress.time_for(f"bodies: {side} x {side}"):
@@ -159,8 +157,7 @@ def training(config: Any, progress: Progress, counts: tuple[int, ...], designs: 
     population.iterate()
     rate = designs * settings.envs * POPULATION_STEPS / (clock(config.device) - began)
     text = f"{designs} designs of {settings.envs} environments side by side: {number(rate)} steps/s with training"
-    progress.row("training", text, designs=designs, envs=settings.envs, rate=rate)
-    progress.report.note(f"{text}.")
+    progress.row("training", text, noted=True, designs=designs, envs=settings.envs, rate=rate)
 
 
 def learning(config: Any, progress: Progress) -> None:
@@ -173,8 +170,7 @@ def learning(config: Any, progress: Progress) -> None:
         f"ppo={config.learning.ppo[0]}, {found['num_envs']} environments: return {config.learning.stop_return:g}"
         f" {took}, {found['steps']:,} control steps"
     )
-    progress.row("learning", text, **found)
-    progress.report.note(f"{text}.")
+    progress.row("learning", text, noted=True, **found)
 
 
 def tasks(config: Any, progress: Progress, names: list[str], count: int) -> None:

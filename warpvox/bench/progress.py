@@ -46,9 +46,12 @@ class Progress:
         self.figures["left_out"].append(what)
         return False
 
-    def row(self, part: str, text: str, **values: Any) -> None:
-        """Show a line and keep its values."""
-        echo(self.report.console, f"  {text}")
+    def row(self, part: str, text: str, noted: bool = False, **values: Any) -> None:
+        """Show a line and keep its values; ``noted``: the line stands among the tables, too."""
+        if noted:
+            self.report.note(f"{text}.")
+        else:
+            echo(self.report.console, f"  {text}")
         self.figures.setdefault(part, []).append(values)
         self.save()
 
