@@ -169,6 +169,7 @@ def test_probabilities_are_relative_weights() -> None:
     [
         ({"shape": (0, 5)}, "shape"),
         ({"shape": 5}, "shape"),
+        ({"shape": np.array(5)}, "shape"),
         ({"shape": (2.5, 3)}, "shape"),
         ({"shape": (5, 5, 5)}, "shape"),
         ({"seed": -1}, "seed"),
