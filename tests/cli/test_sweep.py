@@ -15,6 +15,7 @@ from warpvox.algos.training.metrics import read_metrics
 from warpvox.cli.config import Arguments
 from warpvox.cli.sweep import LONGEST_LABEL, Member, members
 from warpvox.design import example_design
+from warpvox.devices.startup import LOGGER
 from warpvox.errors import DivergenceError
 
 TINY = "design=mini num_envs=8 threads=1 device=cpu ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 max_iterations=1".split()
@@ -93,6 +94,7 @@ def test_a_launcher_of_hydra_makes_the_runs(warpvox: Callable, monkeypatch: pyte
     run, values = Runner.run, []
     outcome = warpvox("train", "-m", "hydra/launcher=basic", "seed=1,2", "name=x", *TINY)
     assert outcome.code == 0, outcome.err
+    assert not LOGGER.disabled  # Hydra's configuration of logs can switch off those that there are
     assert sorted(path.name.partition("_x")[2] for path in Path("outputs/train/Walker-v0").iterdir()) == [
         "_seed-1", "_seed-2",
     ]  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,13 +76,13 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     Raises:
         WarpvoxError: no such run, or one that does not do what ``config`` asks.
     """
+    given = [name for name in OF_AGENTS if getattr(config, name, None) is not None]
+    if "task" in given and (config.task == STORED or is_code(config.task)):
+        given.remove("task")  # who names a task's code, trusts it
+    _refuse(name for name in given if name != "design")
     source = find_run(config.run, config.output_dir)
-    many = (source.config.get("designs") or {}).get("bodies") is not None
-    for name in OF_AGENTS:
-        value = getattr(config, name, None)
-        allowed = (name == "task" and (value == STORED or is_code(value))) or (name == "design" and many)
-        if value is not None and not allowed:
-            raise ConfigError(f"{name} goes with agent=random|sine|zero; a trained run has its own {name}.")
+    if (source.config.get("designs") or {}).get("bodies") is None:
+        _refuse(given)
     with console.status("loading"):
         from warpvox.cli.build import prepare, shown
 
@@ -91,6 +92,12 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
         rollout = record_run(source, env, controller, config.steps, config.stochastic)
     echo(console, f"run: {shown(source.folder)}")
     return rollout, str(source.checkpoint or source.folder)
+
+
+def _refuse(names: Iterable[str]) -> None:
+    """Raise ConfigError for keys that a trained run has values of its own for."""
+    for name in names:
+        raise ConfigError(f"{name} goes with agent=random|sine|zero; a trained run has its own {name}.")
 
 
 def stored_rollout(config: PlayConfig) -> tuple[Rollout, str]:
