@@ -303,6 +303,7 @@ def test_killed_three_times_the_real_search_is_the_undisturbed_one(tmp_path: Pat
     assert digest(folder) == digest(whole)
 
 
+@pytest.mark.slow  # tests/algos/codesign/test_ray_executor.py compares in the default run
 def test_ray_finds_what_one_process_finds(search: Callable) -> None:
     pytest.importorskip("ray", reason="Ray is not installed")
     local = search("batch=2")
