@@ -31,6 +31,7 @@ from warpvox.cli.cell_text import body_rows
 from warpvox.cli.codesign_progress import Results, SearchProgress
 from warpvox.cli.commands.codesign import _archive, resolve
 from warpvox.cli.config import load
+from warpvox.cli.runs import ADDED, END
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.errors import RunError
 from warpvox.view.body_picture import cell_colour
@@ -116,6 +117,14 @@ def test_playing_finds_the_fitness_again(search: Callable, warpvox: Callable) ->
         assert warpvox("play", f"run={folder}/designs/{record.id}", *words).code == 0
         (played,) = Path("outputs/play/Walker-v0").glob(f"*_n{record.id}")
         assert summary(played)["returns"] == pytest.approx([record.fitness] * 3, abs=ROUNDING)
+    config = folder / "designs" / str(records[0].id) / "config.yaml"
+    lines = config.read_text().splitlines(keepends=True)
+    assert lines[-1] == END
+    older = [line for line in lines[:-1] if line.split(":")[0].strip() not in {name.split(".")[-1] for name in ADDED}]
+    config.write_text("".join(line for line in older if line != "designs:\n"))  # as the version before wrote it
+    assert warpvox("play", f"run={config.parent}", "num_envs=1", "export=[]", "device=cpu").code == 0
+    config.write_text("".join(older[:-8]))
+    assert "cut short" in warpvox("play", f"run={config.parent}", "num_envs=1", "export=[]", "device=cpu").err
 
 
 def test_the_same_seed_gives_the_same_search_and_a_sweep_makes_several(search: Callable, warpvox: Callable) -> None:

@@ -24,6 +24,8 @@ from warpvox.io.reading import Unreadable, read_text
 from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
 
 __all__ = [
+    "ADDED",
+    "END",
     "Run",
     "as_name",
     "check_output",
@@ -51,6 +53,8 @@ LONGEST_NAME, LONGEST_BYTES = 100, 150
 """What a name may add to that of a folder: date and a sweep's values need room as well, and 255 bytes are the end."""
 END = "...\n"
 """The last line of a run's configuration, YAML's own mark of an end: what lacks it has been cut short."""
+ADDED = {"policy", "network", "logger", "designs.bodies", "designs.refresh", "designs.held_out"}
+"""Keys that the version before had not, which wrote the configurations of designs without such a last line."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +187,7 @@ def _read_config(folder: Path, command: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         return {}
     missing = [] if text.endswith(END) else _missing(content, command)
-    if missing:
+    if missing and set(missing) != ADDED:
         # it would be taken for the default, and the run for another one
         raise RunError(
             f"{config} has been cut short: it lacks {listing(missing, 3)} and its last line, {END.strip()}. Restore it"

@@ -23,7 +23,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.console import echo, shell_argument
-from warpvox.cli.runs import CONFIG, find_codesign, read_summary, run_folder
+from warpvox.cli.runs import CONFIG, END, find_codesign, read_summary, run_folder
 from warpvox.cli.trust import STORED, again, as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
@@ -270,7 +270,7 @@ def design_config(config: CodesignConfig, candidate: Candidate) -> str:
         "physics": dataclasses.asdict(config.physics),
         "ppo": dataclasses.asdict(training.ppo),
     }
-    return to_yaml(load_values("train", values))
+    return to_yaml(load_values("train", values)) + END
 
 
 # -------------------------------------------------------------------------------------------------- evaluation
