@@ -1,6 +1,6 @@
 """Writes the tables of keys into the pages: ``python docs/key_tables.py`` (``make tables``).
 
-Not part of the library. What stands between ``<!-- help COMMAND -->`` and ``<!-- end of help -->`` is made anew from
+Not part of the library. What stands between ``<!-- help COMMAND -->`` and ``<!-- end of help -->`` is rewritten from
 what ``warpvox COMMAND --help`` prints; between ``<!-- help of all others -->`` and that mark is a section for every
 command that the page does not mention. ``tests/docs`` says when a page is not up to date.
 """

@@ -1,4 +1,4 @@
-"""Makes the pictures of the documentation anew; ``make pictures`` runs it. Not part of the library.
+"""Redraws the pictures of the documentation; ``make pictures`` runs it. Not part of the library.
 
 Trains a walker from three seeds, then draws with the commands that users have. The two screenshots need Playwright and
 a Chromium of the system.

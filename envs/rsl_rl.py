@@ -91,7 +91,7 @@ class RslRlVecEnv(VecEnv):
         return self._group(self._obs)
 
     def set_designs(self, designs: Sequence[object], mask: torch.Tensor) -> None:
-        """Give environments other bodies (:meth:`VoxelVecEnv.set_designs`); their episodes begin anew."""
+        """Give environments other bodies (:meth:`VoxelVecEnv.set_designs`); they begin new episodes."""
         self._obs = self.env.set_designs(designs, mask)
         self._shortened = self._shortened & ~mask
         if self.reward_norm is not None:
@@ -230,7 +230,7 @@ class _ReturnScale:
         return (reward / scale).clamp(-REWARD_CLIP, REWARD_CLIP).to(reward.dtype)
 
     def forget(self, mask: torch.Tensor) -> None:
-        """Episodes of these environments begin anew."""
+        """These environments begin new episodes."""
         self._return = self._return.masked_fill(mask, 0.0)
 
     def state(self) -> dict[str, torch.Tensor]:

@@ -303,7 +303,7 @@ def collect_near(kit: Kit):
 
 @builder
 def collect_pairs(kit: Kit):
-    """Stage: the candidate pairs anew."""
+    """Stage: rebuild the candidate pairs."""
     grid_from = GRID_FROM if kit.width == 1 else WIDE_GRID_FROM
     all_boxes, around = kit.stage("native/voxel_boxes.h", precision="float64", movable=0), hulls(kit)
     by_grid, by_all, by_lattice, listed = mark_grid(kit), mark_all(kit), mark_fixed(kit), list_pairs(kit)
@@ -325,7 +325,7 @@ def collect_pairs(kit: Kit):
 
 @builder
 def collect(kit: Kit):
-    """Stage: all candidates anew, once the accumulated motion exceeds half the margin."""
+    """Stage: rebuild all candidates, once the accumulated motion exceeds half the margin."""
     pairs, near = collect_pairs(kit), collect_near(kit)
 
     @kit.func

@@ -31,7 +31,7 @@ TOP, RIGHT, BOTTOM, LEFT = (wp.constant(1 << k) for k in range(4))
 # How a control step of an environment ended (bits).
 UNSTABLE, DIVERGED, OVERFLOW = wp.constant(1), wp.constant(2), wp.constant(4)
 DISTANT = wp.constant(16)  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
-STALE = 1.0e9  # a drift that makes the next sub-step collect its candidates anew
+STALE = 1.0e9  # a drift that makes the next sub-step rebuild its candidates
 FASTEST = 1.0e4
 """Speed of a point, in units of inner time, beyond which a simulation has diverged.
 

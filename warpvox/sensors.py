@@ -50,7 +50,7 @@ class Sensing:
         return [buffer for _, buffers in self._sensors.values() for buffer in buffers]
 
     def forget_sensed(self) -> None:
-        """Sense anew what is kept from an earlier sensing: for code that has moved the points in another way."""
+        """Sense again what is cached: for code that has moved the points itself."""
         self._centres_are_new = False
 
     def object_positions(self, name: str) -> torch.Tensor:

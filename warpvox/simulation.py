@@ -342,11 +342,6 @@ class Simulation(Sensing):
             found.append(columns[sizes])
         return found
 
-    @property
-    def mobile_names(self) -> set[str]:
-        """Names of the objects that can move in some world."""
-        return set(self._objects.mobile)
-
     def num_points(self, name: str) -> int:
         """Points of an object, the most over the designs."""
         self._objects.index(name)

@@ -246,7 +246,7 @@ def read_evaluation(path: Path, about: dict[str, Any]) -> dict[str, Any]:
     if content.get("about") != about:
         raise RunError(
             f"{path} is the checkpoint of other candidates or settings, or of another version of warpvox; remove it to"
-            " begin anew."
+            " begin again."
         )
     return content
 

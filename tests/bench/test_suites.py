@@ -193,15 +193,15 @@ def test_learning_has_a_curve(bench: Callable) -> None:
     assert run["best_return"] >= run["curve"][-1]["return"] > -100
 
 
-@pytest.mark.parametrize("anew", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_kernels_names_every_stage(anew: bool, bench: Callable) -> None:
-    _, figures = bench("kernels", f"compile={anew}", "num_envs=256", "design=walker")
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_kernels_names_every_stage(compiled: bool, bench: Callable) -> None:
+    _, figures = bench("kernels", f"compile={compiled}", "num_envs=256", "design=walker")
     assert list(figures["stages"]) == [build.__name__ for build in STAGES["fast"]] == list(kernels.STAGES)
     assert sum(figures["stages"].values()) > 0
     assert sum(figures["bytes"].values()) > 1000
     assert {name for names in memory.GROUPS.values() for name in names} <= set(DATA)
     assert list(figures["parts"]) == ["physics alone", "step only"]
-    assert ("compile" in figures) is anew
+    assert ("compile" in figures) is compiled
 
 
 @pytest.mark.slow  # tests/kernels/test_limits.py holds the figures

@@ -66,7 +66,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     )
     figures = {"task": config.task, "check_error": runner.error, "stages": stages, "parts": parts, "bytes": memory}
     if config.compile:
-        with report.status("compiling all kernels of a control step anew"):
+        with report.status("compiling all kernels of a control step"):
             figures["compile"] = compile_seconds(config, report)
     return figures
 

@@ -120,7 +120,7 @@ class Runner:
         if not bool(torch.isfinite(sim.object_positions("robot")).all()):
             raise SimulationError("The state is not finite: its speed means nothing.")
         if bool(sim.overflow.any()):
-            raise SimulationError("Contacts were left out for want of room: the speed means nothing.")
+            raise SimulationError("There was no room for all contacts: the speed means nothing.")
 
     def _trainer(self) -> Any:
         if self._training is None:

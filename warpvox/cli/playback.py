@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["play_in_window", "wants_window"]
 
 SIZE = (960, 540)
-REST = 1.0  # seconds that the last picture stands before the episode begins anew
+REST = 1.0  # seconds that the last picture stands before the episode is shown again
 
 
 def wants_window(choice: str) -> bool:

@@ -1,6 +1,6 @@
 """The server of the design editor: this machine only, for whoever holds the token.
 
-It listens on the loopback address. Every address begins with a token that is drawn anew at each start, so that
+It listens on the loopback address. Every address begins with a token that is drawn at each start, so that
 other users of the machine and pages of other sites cannot guess it. A request whose Host is not this server's is
 refused (a page cannot reach the editor under a name of its own that leads to 127.0.0.1), and so is one whose
 Origin is another's. Requests have a size limit, a client that stays silent is disconnected; files are read and written

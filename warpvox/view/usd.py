@@ -90,7 +90,7 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     materials = _define_materials(stage)
     places = _places(rollout, chosen)
     for env, place in zip(chosen, places, strict=True):
-        # Values go straight to the layer: composing the stage anew after each of 64,000 would take minutes.
+        # Values go straight to the layer: recomposing the stage after each of 64,000 would take minutes.
         _define_env(stage, rollout, env, place, materials)
         with Sdf.ChangeBlock():
             _animate(layer, rollout, env, frames)
