@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from warpvox.system import HANGUP, stop_signals
 
-__all__ = ["Interrupt", "Terminated", "deferred_interrupts", "terminable"]
+__all__ = ["Interrupt", "Terminated", "deferred_interrupts", "terminable", "uninterrupted"]
 
 
 class Terminated(KeyboardInterrupt):
@@ -65,6 +65,20 @@ def deferred_interrupts() -> Iterator[Interrupt]:
 
     with _handling((signal.SIGINT, *stop_signals()), on_signal):
         yield interrupt
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Within the block, or the decorated function, interrupts wait; the first is raised at its end.
+
+    For code of libraries whose own clean-up fails when it is interrupted, and which is done within a second.
+    """
+    with deferred_interrupts() as interrupt:
+        try:
+            yield
+        finally:
+            if interrupt:
+                interrupt.stop()
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from warpvox.algos.interrupt import Terminated, deferred_interrupts, terminable
+from warpvox.algos.interrupt import Terminated, deferred_interrupts, terminable, uninterrupted
 from warpvox.system import stop_signals
 
 SIGNALS = (signal.SIGINT, *stop_signals())
@@ -36,6 +36,15 @@ def test_the_first_one_waits_and_the_second_does_not(number: int) -> None:
             signal.raise_signal(number)
     assert isinstance(raised.value, Terminated) == (number == signal.SIGTERM)
     assert signal.getsignal(number) is before
+
+
+def test_a_block_that_cannot_be_interrupted_ends_first() -> None:
+    ended = []
+    with pytest.raises(Terminated), terminable(), uninterrupted():
+        signal.raise_signal(signal.SIGTERM)
+        ended.append(True)
+        raise ValueError("comes second to the request to end")
+    assert ended
 
 
 @pytest.mark.usefixtures("ignored")

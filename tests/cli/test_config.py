@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.cli import COMMANDS, main
 from warpvox.cli.build import physics_of
@@ -235,3 +237,19 @@ def test_the_code_for_a_shell_calls_what_is_tested(
     text = capsys.readouterr().out
     assert "-sc query=bash" in text
     assert text.split()[-1] == "warpvox"
+
+
+def test_a_request_to_end_while_hydra_composes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, tmp_path: Path
+) -> None:
+    def compose(*arguments: object) -> None:
+        """As OmegaConf does where an interrupt leaves a configuration half built."""
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            raise OmegaConfBaseException("half built")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("warpvox.cli.config.compose", compose)
+    assert main(["train", "task=Walker-v0"]) == 128 + signal.SIGTERM
+    assert capsys.readouterr().err == "warpvox: asked to end (SIGTERM)\n"

@@ -16,6 +16,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from warpvox.algos.interrupt import uninterrupted
 from warpvox.cli.config_file import read_config_file
 from warpvox.cli.help import flat_keys, options_of, presets_of
 from warpvox.cli.hydra_parts import CFG, INFO, is_plugin_key, one_line
@@ -133,6 +134,22 @@ def load(
     Raises:
         ConfigError: anything wrong with keys, values or YAML files; code that the user has not named.
     """
+    result, stored, named = _composed(command, overrides, config_dir, base)
+    file = named.get("config")
+    check_values(result)
+    result = dataclasses.replace(result, config=None) if file else result
+    if file is not None:
+        home = Path(file) if Path(file).is_dir() else Path(file).parent
+    if stored is None:
+        return result
+    return allow_code(result, stored, named, home or Path.cwd())
+
+
+@uninterrupted()  # OmegaConf's clean-up turns an interrupt into errors of its own
+def _composed(
+    command: str, overrides: list[str], config_dir: Path | None, base: dict | None
+) -> tuple[Any, dict | None, dict[str, Any]]:
+    """The dataclass of a command, unchecked; the stored values that lie below it; the values of the overrides."""
     parsed = parse_overrides(Arguments(overrides), command)
     scratch = OmegaConf.structured(COMMANDS[command])
     for override in parsed:
@@ -160,15 +177,10 @@ def load(
         result = OmegaConf.to_object(config)
     except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
         raise ConfigError(f"{file}: {one_line(error)}" if file else one_line(error)) from None
-    check_values(result)
-    result = dataclasses.replace(result, config=None) if file else result
-    if file is not None:
-        home = Path(file) if Path(file).is_dir() else Path(file).parent
-    if stored is None:
-        return result
-    return allow_code(result, stored, named, home or Path.cwd())
+    return result, stored, named
 
 
+@uninterrupted()
 def load_values(command: str, values: dict[str, Any]) -> Any:
     """The dataclass of a command from the values of a stored ``config.yaml``; unknown ones are left out.
 
@@ -244,6 +256,7 @@ def _preset_config(preset: str, command: str, config_dir: Path | None) -> str:
     return f"{command}_{PRESET}"
 
 
+@uninterrupted()
 def parse_overrides(arguments: Arguments, command: str) -> list[Override]:
     """Read overrides and check their keys."""
     keys = dict(flat_keys(COMMANDS[command]))
