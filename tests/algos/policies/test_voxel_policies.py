@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from learning import ENVS, assert_same_weights, ppo_settings, small_env
 from rsl_rl.algorithms import PPO as StockPPO
 from tensordict import TensorDict
 
@@ -18,16 +19,14 @@ from warpvox.algos.checkpoints.sampling import SampledController
 from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.policies.layout import INPUTS, VoxelLayout, layout_of, voxel_inputs
 from warpvox.algos.policies.registry import check_policy, make_network
-from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
-from warpvox.cli.config import load
-from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.envs.voxels import NUM_FEATURES
 from warpvox.errors import ConfigError, RunError
 
 BODIES = ([[3, 3, 3], [4, 1, 4]], [[2, 3], [4, 0]])
-ENVS, STEPS, LIMIT = 8, 5, 12
+STEPS, LIMIT = 6, 12
 ROUNDING = 1e-9
 """What rounding in float64 can grow to in two updates."""
 NETWORKS = {"grid": {"width": 6, "summary": 8, "heads": 4}, "transformer": {"width": 8}}
@@ -50,16 +49,8 @@ pytestmark = [
 ]
 
 
-def settings(**changes: object) -> PpoConfig:
-    ppo = load("train", []).ppo
-    for name, value in {"steps": STEPS, "epochs": 2, "minibatches": 2, **changes}.items():
-        setattr(ppo, name, value)
-    return ppo
-
-
 def make_env(num_envs: int = ENVS, auto_reset: bool = True) -> VoxelVecEnv:
-    options = dict(device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8, obs="voxel", auto_reset=auto_reset)
-    return make_vec("Walker-v0", BODIES, num_envs, **options)
+    return small_env(num_envs, designs=BODIES, max_episode_steps=LIMIT, obs="voxel", auto_reset=auto_reset)
 
 
 def voxels(env: VoxelVecEnv, name: str) -> dict:
@@ -69,7 +60,7 @@ def voxels(env: VoxelVecEnv, name: str) -> dict:
 def make_runner(name: str, folder: Path | None = None, total: int = 2, seed: int = 0) -> Runner:
     torch.manual_seed(seed)
     env, judge = make_env(), evaluator(make_env(2, auto_reset=False))
-    ppo = settings()
+    ppo = ppo_settings()
     return Runner(adapt(env, ppo), ppo, Schedule(total, 100, 1), folder, judge, voxels=voxels(env, name))
 
 
@@ -94,7 +85,7 @@ def test_a_voxel_looks_the_same_in_every_grid() -> None:
     body = BODIES[0]
     features = []
     for grid in (None, (4, 4)):
-        alone = make_vec("Walker-v0", [body], 1, device="cpu", threads=1, lanes=8, obs="voxel", grid=grid)
+        alone = small_env(1, designs=[body], obs="voxel", grid=grid)
         layout = layout_of(alone)
         found, present, _, _ = voxel_inputs(some_obs(alone), layout)
         features.append(found[0, present[0, :, 0] > 0])
@@ -127,7 +118,7 @@ def learned(name: str, obs: torch.Tensor, actions: torch.Tensor, env: VoxelVecEn
     """All that learning makes of observations and actions: means, likelihood, entropy, values and gradients."""
     torch.manual_seed(0)
     groups = TensorDict({"policy": obs}, batch_size=[len(obs)])
-    alg = PPO.construct_algorithm(groups, adapt(env, settings()), config(env, name), "cpu")
+    alg = PPO.construct_algorithm(groups, adapt(env, ppo_settings()), config(env, name), "cpu")
     for model in (alg.actor, alg.critic):
         model.update_normalization(groups)
     mean = alg.actor(groups)
@@ -140,7 +131,7 @@ def learned(name: str, obs: torch.Tensor, actions: torch.Tensor, env: VoxelVecEn
 
 
 def config(env: VoxelVecEnv, name: str) -> dict:
-    return rsl_rl_config(settings(), 10, voxels(env, name)) | {"multi_gpu": None}
+    return rsl_rl_config(ppo_settings(), 10, voxels(env, name)) | {"multi_gpu": None}
 
 
 @pytest.mark.parametrize("name", NETWORKS)
@@ -191,7 +182,7 @@ def test_environments_may_change_places(env: VoxelVecEnv, name: str) -> None:
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("name", NETWORKS)
 def test_rsl_rls_own_ppo_learns_the_same(name: str) -> None:
-    env = adapt(make_env(), settings(schedule="adaptive"))
+    env = adapt(make_env(), ppo_settings(schedule="adaptive"))
     ours_config, stock_config = config(env.env, name), config(env.env, name)
     for drop in ("total_iterations", "adam_eps", "class_name"):
         del stock_config["algorithm"][drop]
@@ -237,8 +228,7 @@ def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path) -> No
     second = make_runner("grid", total=4, seed=5)
     second.resume(tmp_path / STATE)
     second.run()
-    for key, value in whole.alg.save()["actor_state_dict"].items():
-        assert torch.equal(value, second.alg.save()["actor_state_dict"][key]), key
+    assert_same_weights(whole, second)
     assert whole.last_return == second.last_return
 
 
@@ -287,4 +277,4 @@ def test_mistakes_are_explained(env: VoxelVecEnv) -> None:
     with pytest.raises(ConfigError, match="multiple of its heads"):
         make_network("transformer", layout_of(env), False, {"width": 7})
     with pytest.raises(ConfigError, match="obs=voxel"):
-        layout_of(make_vec("Walker-v0", ["mini"], 1, device="cpu", threads=1, lanes=8))
+        layout_of(small_env())

@@ -7,40 +7,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from learning import ENVS, assert_same_weights, ppo_settings, small_env
 
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.policies.layout import layout_of
-from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.bodies import Bodies, draw_bodies
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
-from warpvox.cli.config import load
-from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ConfigError
 
-ENVS, STEPS, LIMIT, SHAPE = 8, 6, 8, (3, 3)
+LIMIT, SHAPE = 8, (3, 3)
 HELD_OUT = draw_bodies(3, SHAPE, np.random.default_rng(9))
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-
-
-def settings() -> PpoConfig:
-    ppo = load("train", []).ppo
-    for name, value in {"steps": STEPS, "epochs": 1, "minibatches": 2, "normalize_reward": True}.items():
-        setattr(ppo, name, value)
-    return ppo
 
 
 def make_runner(refresh: str, total: int, folder: Path | None = None, seed: int = 0) -> Runner:
     torch.manual_seed(seed)
     pool = draw_bodies(12, SHAPE, np.random.default_rng(0), HELD_OUT)
     bodies = Bodies(pool, refresh, np.random.default_rng(seed), HELD_OUT)
-    options = dict(device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8, obs="voxel", grid=SHAPE)
-    env = make_vec("Walker-v0", bodies.first(ENVS), ENVS, **options)
-    judge = evaluator(make_vec("Walker-v0", HELD_OUT, len(HELD_OUT), auto_reset=False, **options))
+    options = dict(max_episode_steps=LIMIT, obs="voxel", grid=SHAPE)
+    env = small_env(designs=bodies.first(ENVS), **options)
+    judge = evaluator(small_env(len(HELD_OUT), designs=HELD_OUT, auto_reset=False, **options))
     voxels = {"network": "grid", "settings": {"width": 4, "summary": 4, "heads": 2}, "layout": layout_of(env).dict()}
-    ppo, about = settings(), {"designs": "random:12"}
+    ppo, about = ppo_settings(epochs=1, normalize_reward=True), {"designs": "random:12"}
     return Runner(
         adapt(env, ppo), ppo, Schedule(total, 100, 2), folder, judge, voxels=voxels, bodies=bodies, trained_on=about
     )
@@ -61,8 +52,7 @@ def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path, refre
     second.resume(tmp_path / STATE)
     second.run()
     assert in_use(whole) == in_use(second)
-    for key, value in whole.alg.save()["actor_state_dict"].items():
-        assert torch.equal(value, second.alg.save()["actor_state_dict"][key]), key
+    assert_same_weights(whole, second)
     assert whole.last_return == second.last_return
     assert whole.bodies.seen == second.bodies.seen > ENVS
 

@@ -6,79 +6,47 @@ from pathlib import Path
 
 import pytest
 import torch
+from learning import ENVS, assert_same_weights, ppo_settings, rows, small_env, weights
 
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
-from warpvox.cli.config import load
 from warpvox.envs.rsl_rl import RslRlVecEnv
-from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ConfigError, RunError
 
-ENVS, STEPS, LIMIT = 8, 6, 14
-TIMING = {"steps_per_second", "elapsed"}
+STEPS, LIMIT = 6, 14
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
-def small(**changes: object) -> PpoConfig:
-    """The settings of ``ppo=parallel`` with a short rollout and small networks."""
-    ppo = load("train", []).ppo
-    for name, value in {"steps": STEPS, "hidden": [8], "epochs": 2, "minibatches": 2, **changes}.items():
-        assert hasattr(ppo, name)
-        setattr(ppo, name, value)
-    return ppo
+def make_env(num_envs: int = ENVS, **changes: object):
+    return small_env(num_envs, **{"max_episode_steps": LIMIT, **changes})
 
 
-def make_env(**changes: object):
-    options = dict(num_envs=ENVS, device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8)
-    return make_vec("Walker-v0", ["mini"], **(options | changes))
-
-
-def make_runner(total: int, ppo: PpoConfig | None = None, folder: Path | None = None, **schedule: int) -> Runner:
-    ppo = ppo or small()
+def make_runner(
+    total: int, ppo: PpoConfig | None = None, folder: Path | None = None, task: str = "Walker-v0", **schedule: int
+) -> Runner:
+    ppo = ppo or ppo_settings()
     torch.manual_seed(0)
-    judge = evaluator(make_env(num_envs=2, auto_reset=False))
+    judge = evaluator(make_env(2, task=task, auto_reset=False), seed=0)
     timing = {"evaluate": 2, "save": 100} | schedule
-    return Runner(adapt(make_env(), ppo), ppo, Schedule(total, **timing), folder, judge)
-
-
-def weights(runner: Runner) -> dict[str, torch.Tensor]:
-    state = runner.alg.save()
-    return {**state["actor_state_dict"], **{f"critic {k}": v for k, v in state["critic_state_dict"].items()}}
-
-
-def assert_same_weights(one: Runner, other: Runner) -> None:
-    for name, value in weights(one).items():
-        assert torch.equal(value, weights(other)[name]), name
+    return Runner(adapt(make_env(task=task), ppo), ppo, Schedule(total, **timing), folder, judge)
 
 
 # ------------------------------------------------------------------------------------------------- schedules
 
 
-def test_linear_decay_ends_one_step_above_zero() -> None:
+@pytest.mark.parametrize(("schedule", "expected"), [("linear", [0.004, 0.003, 0.002, 0.001]), ("fixed", [0.004] * 4)])
+def test_the_rate_is_fixed_or_ends_one_step_above_zero(schedule: str, expected: list[float]) -> None:
     rates = []
-    runner = make_runner(4, small(schedule="linear", learning_rate=0.004))
+    runner = make_runner(4, ppo_settings(schedule=schedule, learning_rate=0.004, adam_eps=1e-5))
     runner.report = lambda row: rates.append(row["learning_rate"])
     runner.run()
-    assert rates == pytest.approx([0.004, 0.003, 0.002, 0.001])
-    assert {group["lr"] for group in runner.alg.optimizer.param_groups} == {rates[-1]}
-
-
-def test_a_fixed_rate_stays() -> None:
-    rates = []
-    runner = make_runner(3, small(schedule="fixed", learning_rate=0.004))
-    runner.report = lambda row: rates.append(row["learning_rate"])
-    runner.run()
-    assert rates == [0.004] * 3
-
-
-def test_adam_has_the_epsilon_asked_for() -> None:
-    runner = make_runner(1, small(adam_eps=1e-5))
-    assert {group["eps"] for group in runner.alg.optimizer.param_groups} == {1e-5}
+    assert rates == pytest.approx(expected)
+    assert {(group["lr"], group["eps"]) for group in runner.alg.optimizer.param_groups} == {(rates[-1], 1e-5)}
 
 
 def test_learning_changes_the_policy_and_prints_nothing(capfd: pytest.CaptureFixture) -> None:
@@ -123,12 +91,7 @@ def test_weights_that_are_not_finite_are_never_saved(
     monkeypatch.setattr(runner.alg, "update", update)
     with pytest.raises(RunError, match=r"diverged in iteration 4 .*checkpoints hold what was before.*learning_rate"):
         runner.run()
-    assert {path.name for path in tmp_path.glob("*.pt")} == {
-        "state.pt",
-        "model_1.pt",
-        "model_2.pt",
-        "model_3.pt",
-    }
+    assert {path.name for path in tmp_path.glob("*.pt")} == {"state.pt", "model_1.pt", "model_2.pt", "model_3.pt"}
     again = make_runner(6)
     again.resume(tmp_path / "state.pt")
     assert again.current_learning_iteration == 3
@@ -139,50 +102,31 @@ def test_weights_that_are_not_finite_are_never_saved(
 
 
 @pytest.mark.parametrize(
-    "changes",
-    [{}, {"schedule": "linear", "random_start": False}, {"normalize_reward": True, "bootstrap_time_limit": False}],
-    ids=["parallel", "linear", "normalised"],
+    ("task", "changes"),
+    [
+        ("Walker-v0", {}),
+        ("Walker-v0", {"schedule": "linear", "random_start": False}),
+        ("Walker-v0", {"normalize_reward": True, "bootstrap_time_limit": False}),
+        ("Catcher-v0", {}),  # which draws something in every episode
+    ],
 )
-def test_resumed_learning_is_the_same_bit_for_bit(tmp_path: Path, changes: dict) -> None:
-    whole = make_runner(4, small(**changes), tmp_path_of(tmp_path, "whole"))
+def test_resumed_learning_is_the_same_bit_for_bit(tmp_path: Path, task: str, changes: dict) -> None:
+    def runner(name: str) -> Runner:
+        (tmp_path / name).mkdir(exist_ok=True)
+        return make_runner(4, ppo_settings(**changes), tmp_path / name, task)
+
+    whole = runner("whole")
     whole.run()
-    folder = tmp_path_of(tmp_path, "parts")
-    first = make_runner(4, small(**changes), folder)
+    first = runner("parts")
     first.learn(2, init_at_random_ep_len=first.ppo.random_start)
     torch.manual_seed(99)  # whatever happens between
-    second = make_runner(4, small(**changes), folder)
-    second.resume(folder / STATE)
+    second = runner("parts")
+    second.resume(first.folder / STATE)
     assert second.current_learning_iteration == 2
     second.run()
     assert_same_weights(whole, second)
-    rows = [
-        [{k: v for k, v in row.items() if k not in TIMING} for row in read_metrics(r.folder)] for r in (whole, second)
-    ]
-    assert str(rows[0]) == str(rows[1])  # as text, because NaN is not equal to itself
-    assert [row["iteration"] for row in rows[0]] == [1, 2, 3, 4]
-
-
-def test_resumed_learning_goes_on_with_the_episodes_of_a_random_task(tmp_path: Path) -> None:
-    def runner(total: int, folder: Path) -> Runner:
-        torch.manual_seed(0)
-        env = make_vec("Catcher-v0", ["mini"], ENVS, device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8)
-        return Runner(adapt(env, small()), small(), Schedule(total, save=100), folder)
-
-    whole = runner(4, tmp_path_of(tmp_path, "whole"))
-    whole.run()
-    folder = tmp_path_of(tmp_path, "parts")
-    first = runner(4, folder)
-    first.learn(2, init_at_random_ep_len=first.ppo.random_start)
-    second = runner(4, folder)
-    second.resume(folder / STATE)
-    second.run()
-    assert_same_weights(whole, second)
-
-
-def tmp_path_of(root: Path, name: str) -> Path:
-    folder = root / name
-    folder.mkdir()
-    return folder
+    assert rows(whole.folder) == rows(second.folder)
+    assert [row["iteration"] for row in read_metrics(whole.folder)] == [1, 2, 3, 4]
 
 
 def test_rows_beyond_the_checkpoint_are_written_again(tmp_path: Path) -> None:
@@ -207,17 +151,14 @@ def test_nothing_left_to_do_is_an_error(tmp_path: Path) -> None:
 def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
     make_runner(1, folder=tmp_path).run()
     with pytest.raises(RunError, match="another kind of policy"):
-        make_runner(2, small(hidden=[4, 4])).resume(tmp_path / STATE)
+        make_runner(2, ppo_settings(hidden=[4, 4])).resume(tmp_path / STATE)
 
 
 def test_the_best_evaluation_is_kept(tmp_path: Path) -> None:
     runner = make_runner(6, folder=tmp_path)
     runner.run()
-    returns = {
-        row["iteration"]: row["eval_return"]
-        for row in read_metrics(tmp_path)
-        if row["eval_return"] == row["eval_return"]
-    }
+    found = {row["iteration"]: row["eval_return"] for row in read_metrics(tmp_path)}
+    returns = {iteration: value for iteration, value in found.items() if value == value}
     assert sorted(returns) == [2, 4, 6]
     best = max(returns, key=returns.get)
     content = load_checkpoint(tmp_path / "model_best.pt")
@@ -229,7 +170,7 @@ def test_the_best_evaluation_is_kept(tmp_path: Path) -> None:
 
 
 def test_actions_are_centred_and_scaled() -> None:
-    env = adapt(make_env(), small(action_scale=0.25))
+    env = adapt(make_env(), ppo_settings(action_scale=0.25))
     seen = []
     inner = env.env.step
     env.env.step = lambda actions: seen.append(actions) or inner(actions)
@@ -240,7 +181,7 @@ def test_actions_are_centred_and_scaled() -> None:
 
 
 def test_time_limits_are_told_from_ends_and_rewards_are_scaled() -> None:
-    plain, scaled = adapt(make_env(), small(reward_scale=1.0)), adapt(make_env(), small(reward_scale=10.0))
+    plain, scaled = (adapt(make_env(), ppo_settings(reward_scale=scale)) for scale in (1.0, 10.0))
     for step in range(LIMIT):
         actions = torch.full((ENVS, plain.num_actions), 0.3 if step % 2 else -0.3)
         _, reward, done, extras = plain.step(actions)
@@ -256,7 +197,7 @@ def test_time_limits_are_told_from_ends_and_rewards_are_scaled() -> None:
 
 
 def test_final_observations_belong_to_what_ended() -> None:
-    env = adapt(make_env(), small())
+    env = adapt(make_env(), ppo_settings())
     for _ in range(LIMIT):
         obs, _, _, extras = env.step(torch.zeros(ENVS, env.num_actions))
     assert not torch.equal(extras["final_obs"]["policy"], obs["policy"])
@@ -264,7 +205,7 @@ def test_final_observations_belong_to_what_ended() -> None:
 
 
 def test_without_bootstrapping_time_limits_are_not_reported() -> None:
-    env = adapt(make_env(), small(bootstrap_time_limit=False))
+    env = adapt(make_env(), ppo_settings(bootstrap_time_limit=False))
     assert "time_outs" not in env.step(torch.zeros(ENVS, env.num_actions))[3]
 
 
@@ -284,7 +225,7 @@ def test_values_beyond_a_time_limit_are_those_of_the_final_state() -> None:
 
 
 def test_episodes_of_a_random_start_do_not_count() -> None:
-    env = adapt(make_env(), small())
+    env = adapt(make_env(), ppo_settings())
     env.episode_length_buf = torch.arange(ENVS)
     ended = 0
     for _ in range(LIMIT):
@@ -314,7 +255,7 @@ def test_normalised_rewards_follow_the_spread_of_discounted_returns() -> None:
 
 def test_training_wants_environments_that_reset_themselves() -> None:
     with pytest.raises(ConfigError, match="auto_reset=True"):
-        adapt(make_env(auto_reset=False), small())
+        adapt(make_env(auto_reset=False), ppo_settings())
 
 
 # ------------------------------------------------------------------------------------------------ evaluation
@@ -336,9 +277,7 @@ def test_an_evaluation_is_the_sum_of_rewards_of_one_episode() -> None:
 
 
 def test_fitness_is_per_design() -> None:
-    env = make_vec(
-        "Walker-v0", ["mini", "worm"], 4, device="cpu", max_episode_steps=6, threads=1, lanes=8, auto_reset=False
-    )
+    env = make_env(4, designs=["mini", "worm"], max_episode_steps=6, auto_reset=False)
     policy = lambda obs: torch.full((4, env.num_actions), 0.8)  # noqa: E731
     result = evaluate(env, policy)
     assert result.fitness.tolist() == pytest.approx(

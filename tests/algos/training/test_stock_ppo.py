@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import pytest
 import torch
+from learning import ENVS, ppo_settings, small_env
 from rsl_rl.algorithms import PPO as StockPPO
 from rsl_rl.models import MLPModel
 
 from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import adapt
-from warpvox.cli.config import load
 from warpvox.envs.rsl_rl import RslRlVecEnv
-from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ConfigError
 
-ENVS, STEPS, LIMIT, UPDATES = 8, 6, 10, 3
+STEPS, LIMIT, UPDATES = 6, 10, 3
 ROUNDING = 1e-9
 """What rounding in float64 can grow to in three updates."""
 CASES = {
@@ -25,15 +24,13 @@ CASES = {
     "elu": {"activation": "elu"},
 }
 
+SIZES = {"hidden": [8, 8], "minibatches": 3}
+
 pytestmark = pytest.mark.usefixtures("double", "one_thread")
 
 
-def settings(changes: dict) -> PpoConfig:
-    ppo = load("train", []).ppo
-    for name, value in {"steps": STEPS, "hidden": [8, 8], "epochs": 2, "minibatches": 3, **changes}.items():
-        assert hasattr(ppo, name)
-        setattr(ppo, name, value)
-    return ppo
+def adapted(ppo: PpoConfig) -> RslRlVecEnv:
+    return adapt(small_env(max_episode_steps=LIMIT), ppo)
 
 
 def algorithms(env: RslRlVecEnv, ppo: PpoConfig) -> tuple[PPO, StockPPO]:
@@ -78,8 +75,8 @@ def roll_out(env: RslRlVecEnv, ours: PPO, stock: StockPPO, seed: int) -> None:
 
 @pytest.mark.parametrize("case", CASES)
 def test_rollouts_and_updates_are_rsl_rls(case: str) -> None:
-    ppo = settings(CASES[case])
-    env = adapt(make_vec("Walker-v0", ["mini"], ENVS, device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8), ppo)
+    ppo = ppo_settings(**SIZES, **CASES[case])
+    env = adapted(ppo)
     env.episode_length_buf = torch.arange(ENVS)  # so that episodes end in every rollout
     ours, stock = algorithms(env, ppo)
     rates = set()
@@ -101,8 +98,8 @@ def test_rollouts_and_updates_are_rsl_rls(case: str) -> None:
 
 
 def test_checkpoints_are_exchanged_with_rsl_rls_ppo() -> None:
-    ppo = settings({})
-    env = adapt(make_vec("Walker-v0", ["mini"], ENVS, device="cpu", max_episode_steps=LIMIT, threads=1, lanes=8), ppo)
+    ppo = ppo_settings(**SIZES)
+    env = adapted(ppo)
     ours, stock = algorithms(env, ppo)
     roll_out(env, ours, stock, 0)
     for algorithm in (ours, stock):
@@ -121,8 +118,8 @@ def test_checkpoints_are_exchanged_with_rsl_rls_ppo() -> None:
 
 
 def test_other_networks_are_refused() -> None:
-    ppo = settings({})
-    env = adapt(make_vec("Walker-v0", ["mini"], ENVS, device="cpu", threads=1, lanes=8), ppo)
+    ppo = ppo_settings(**SIZES)
+    env = adapted(ppo)
     config = rsl_rl_config(ppo, 100) | {"multi_gpu": None}
     config["critic"]["class_name"] = "MLPModel"
     with pytest.raises(ConfigError, match="use rsl-rl's own"):
@@ -130,8 +127,8 @@ def test_other_networks_are_refused() -> None:
 
 
 def test_a_full_storage_refuses_another_step() -> None:
-    ppo = settings({})
-    env = adapt(make_vec("Walker-v0", ["mini"], ENVS, device="cpu", threads=1, lanes=8), ppo)
+    ppo = ppo_settings(**SIZES)
+    env = adapted(ppo)
     ours, _ = algorithms(env, ppo)
     obs = env.get_observations()
     for _ in range(STEPS):

@@ -193,7 +193,8 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
             if many:
                 room["designs"] = designs = held_out_of(config)
             made = make_env(config, config.eval_envs * len(designs), auto_reset=False, lanes=lanes, **room)
-            judge = HeldOut(evaluator(made), designs) if many else evaluator(made)
+            judge = evaluator(made, config.seed)  # the same episodes every time, also after a resumption
+            judge = HeldOut(judge, designs) if many else judge
         parts = {"voxels": voxels_of(config, env.env), "bodies": bodies, "trained_on": trained_on(config)}
         parts |= {"evaluator": judge, "group": group, "logger": config.logger}
         runner = Runner(env, config.ppo, schedule, **parts)

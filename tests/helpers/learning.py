@@ -1,0 +1,48 @@
+"""What the tests of trainings share: quick settings, a small environment, and how two trainings are compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from warpvox.algos.settings import PpoConfig
+from warpvox.algos.training.metrics import read_metrics
+from warpvox.algos.training.runner import Runner
+from warpvox.cli.config import load
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+
+ENVS = 8
+TIMING = {"steps_per_second", "elapsed"}
+
+
+def ppo_settings(**changes: object) -> PpoConfig:
+    """The settings of ``ppo=parallel`` with a short rollout, small networks and these changes."""
+    ppo = load("train", []).ppo
+    for name, value in {"steps": 6, "hidden": [8], "epochs": 2, "minibatches": 2, **changes}.items():
+        assert hasattr(ppo, name)
+        setattr(ppo, name, value)
+    return ppo
+
+
+def small_env(num_envs: int = ENVS, **changes: Any) -> VoxelVecEnv:
+    """Walkers that share a vector of lanes."""
+    options = {"task": "Walker-v0", "designs": ["mini"], "device": "cpu", "threads": 1, "lanes": 8} | changes
+    return make_vec(num_envs=num_envs, **options)
+
+
+def weights(runner: Runner) -> dict[str, torch.Tensor]:
+    state = runner.alg.save()
+    return {**state["actor_state_dict"], **{f"critic {k}": v for k, v in state["critic_state_dict"].items()}}
+
+
+def assert_same_weights(one: Runner, other: Runner) -> None:
+    """Bit for bit."""
+    for name, value in weights(one).items():
+        assert torch.equal(value, weights(other)[name]), name
+
+
+def rows(folder: Path) -> str:
+    """The metrics of a run but for the timing, as text, because NaN is not equal to itself."""
+    return str([{name: value for name, value in row.items() if name not in TIMING} for row in read_metrics(folder)])
