@@ -30,6 +30,7 @@ __all__ = [
     "PlayConfig",
     "SearchConfig",
     "TrainConfig",
+    "ZooConfig",
 ]
 
 EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
@@ -147,7 +148,7 @@ class _TrainingRunConfig:
     )
     design: Any = key(
         "walker",
-        "body: name of an example, random, random:5x7, a .json/.npz/.npy file, or rows of cells;"
+        "body: name of an example, random, random:5x7, zoo:TASK, a .json/.npz/.npy file, or rows of cells;"
         " for a task with several robots {name:body}",
         path="read",
     )
@@ -279,6 +280,9 @@ class _RolloutConfig:
     """What play and export share."""
 
     run: str = key("latest", "latest, the folder of a run, or a checkpoint file", path="read")
+    zoo: str | None = key(
+        None, "instead of a run a stored robot: a task's id, or a file; as recorded, arithmetic=exact", path="read"
+    )
     checkpoint: str = key("best", "of that run: best, last, or an iteration")
     size: list[int] | None = key(
         None,
@@ -444,6 +448,7 @@ class EvaluateConfig:
     runs: list[str] = key(
         ["latest"], "trained runs: latest, folders, checkpoints, patterns such as 'outputs/train/*/*'", path="read"
     )
+    zoo: list[str] = key([], "stored robots, instead of runs or beside them: tasks' ids, or files", path="read")
     checkpoint: str = key("best", "of each run: best, last, or an iteration")
     episodes: int = key(16, "of each run; a multiple of its number of designs", low=1)
     designs: Any = key(
@@ -467,6 +472,21 @@ class EvaluateConfig:
     torch_threads: int = key(1, "threads of PyTorch", low=1)
     name: str | None = key(None, "appended to the name of the result's folder")
     output_dir: str = key("outputs", "folder that runs are written to and looked up in", path="written")
+
+
+@dataclass
+class ZooConfig:
+    """Keys of ``warpvox zoo``."""
+
+    task: str | None = key(None, "show the robot of this task in detail")
+    add: list[str] = key(
+        [],
+        "make entries of these: folders of design searches or runs, checkpoints, or patterns; an entry is replaced only"
+        " by one of a higher return",
+        path="read",
+    )
+    top: int = key(10, "best designs of a search of which add evaluates the policies", low=1)
+    folder: str | None = key(None, "folder of entries; null: the one of the package", path="written")
 
 
 @dataclass
@@ -494,6 +514,7 @@ COMMANDS: dict[str, type] = {
     "curves": CurvesConfig,
     "evaluate": EvaluateConfig,
     "design": DesignConfig,
+    "zoo": ZooConfig,
 }
 """Commands that take keys, and the dataclass of each."""
 

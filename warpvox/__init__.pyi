@@ -68,6 +68,7 @@ from .errors import (
 from .errors import (
     WorldError as WorldError,
 )
+from .robots.entry import zoo as zoo
 from .simulation import Simulation as Simulation
 from .types import Cell as Cell
 from .types import Physics as Physics

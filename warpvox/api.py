@@ -95,8 +95,8 @@ def load_policy(
     unpickled and none brings code: a run's task is not imported.
 
     Args:
-        source: ``latest``, the folder of a run or of a design search (its best design), a checkpoint file, or a file
-            that ``warpvox export format=[onnx,jit]`` has written.
+        source: ``latest``, the folder of a run or of a design search (its best design), a checkpoint file, a file
+            that ``warpvox export format=[onnx,jit]`` has written, or a robot of the zoo, ``zoo:Walker-v0``.
         checkpoint: of a run: ``best``, ``last`` or an iteration.
         output_dir: where ``latest`` is looked for.
         device: where the module shall be.
@@ -122,6 +122,10 @@ def load_policy(
         if not (path.parent / "config.yaml").is_file():  # a checkpoint by itself
             return read_policy(path, device=device, network=policy)
     run = find_run(str(source), str(output_dir))
+    if run.robot is not None:
+        from warpvox.robots.replay import torch_policy
+
+        return torch_policy(run.robot, device)
     known = {name: run.config.get(name) for name in ("task", "rules", "obs", "design")}
     file = run.find_checkpoint(str(checkpoint))
     if policy is not None or is_code(run.config.get("policy")):

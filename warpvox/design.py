@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from warpvox.checks import check_shape
-from warpvox.errors import DesignError, did_you_mean, listing
+from warpvox.errors import DesignError, RunError, did_you_mean, listing
 from warpvox.examples import EXAMPLES
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_npy, read_text
 from warpvox.io.writing import atomic_path, write_text
@@ -257,8 +257,8 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
     """Return the valid body that ``spec`` stands for.
 
     ``spec`` is one of: the name of an example (``walker``); ``random`` or ``random:ROWSxCOLUMNS`` (drawn with
-    ``seed``); a path ending in .json, .npz or .npy; the text of a nested list (``[[3,3],[4,4]]``); a nested
-    list or an array.
+    ``seed``); ``zoo:TASK``, the body of a stored robot; a path ending in .json, .npz or .npy; the text of a nested
+    list (``[[3,3],[4,4]]``); a nested list or an array.
 
     Raises:
         DesignError: nothing of the kind, an unreadable file, or a body that is not valid.
@@ -270,6 +270,8 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
     text = spec.strip()
     if text.startswith("["):
         return check_design(_parse_list(text, source=f"The text '{_shorten(text)}'"))
+    if text.startswith("zoo:"):
+        return _stored_body(text.removeprefix("zoo:"))
     if text.lower().endswith(_FILE_SUFFIXES):
         return _read_file(Path(text))
     if text == "random" or text.startswith("random:"):
@@ -278,9 +280,22 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
         return example_design(text)
     raise DesignError(
         f"Unknown design '{_shorten(text)}'.{did_you_mean(text, [*EXAMPLES, 'random'])} Expected an example"
-        f" ({listing(EXAMPLES)}), random, random:5x7, a file ({', '.join(_FILE_SUFFIXES)}) or a nested list"
+        f" ({listing(EXAMPLES)}), random, random:5x7, zoo:TASK, a file ({', '.join(_FILE_SUFFIXES)}) or a nested list"
         " such as [[3,3],[4,4]]."
     )
+
+
+def _stored_body(text: str) -> Design:
+    """The body of a stored robot."""
+    from warpvox.robots.entry import find_robot
+
+    try:
+        robot = find_robot(text)
+    except RunError as error:
+        raise DesignError(str(error)) from None
+    if not robot.fully_connected:
+        raise DesignError(f"Some neighbouring cells of the robot {text} are not connected, which a design cannot say.")
+    return robot.body
 
 
 def save_design(path: str | os.PathLike[str], body: object) -> Path:

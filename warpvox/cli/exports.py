@@ -14,6 +14,7 @@ from warpvox.cli.runs import Run
 from warpvox.errors import ConfigError
 
 if TYPE_CHECKING:
+    from warpvox.robots.entry import Robot
     from warpvox.view.rollout import Rollout
 
 __all__ = [
@@ -60,6 +61,8 @@ def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) ->
         RunError: no checkpoint, or one that does not fit. ConfigError, DeviceError: ``config`` asks too much, or the
             run has a task of somebody's own that the user has not named.
     """
+    if run.robot is not None:
+        return _load_robot(run.robot, config)
     from warpvox.algos.checkpoints.files import load_controller
     from warpvox.cli.build import make_env, training_lanes
     from warpvox.cli.config import load_values
@@ -99,6 +102,27 @@ def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) ->
 
         controller = SampledController(controller, trained.seed if config.seed is None else config.seed)
     return env, controller
+
+
+def _load_robot(robot: Robot, config: Any) -> tuple[Any, Any]:
+    """Environments and policy of a stored robot; exact, with the recorded seeds, unless asked otherwise."""
+    from warpvox.devices.names import resolve_device
+    from warpvox.robots.replay import SEEDS, draws_at_random, robot_env
+
+    if config.stochastic:
+        raise ConfigError("stochastic=true goes with a run; a stored robot has no exploration to sample from.")
+    if robot.policy is None:
+        raise ConfigError(f"This robot has no policy: play agent=sine task={robot.task} design=zoo:... shows its body.")
+    count = config.num_envs if draws_at_random(robot.task) else 1  # all episodes would be the same
+    options = {
+        name: getattr(config, name) for name in ("dtype", "arithmetic", "seed") if getattr(config, name) is not None
+    }
+    if config.arithmetic == "fast":
+        options.setdefault("dtype", "float32")
+    options |= {"threads": config.threads, "memory_check": config.memory_check}
+    options |= {"device": resolve_device(config.device, count), "num_envs": count}
+    seeds = [*SEEDS[:count], *range(SEEDS[-1] + 1, SEEDS[-1] + 1 + count - len(SEEDS))]
+    return robot_env(robot, seeds, **options), robot.policy
 
 
 def record_run(run: Run, env: Any, controller: Any, steps: int | None, stochastic: bool = False) -> Rollout:

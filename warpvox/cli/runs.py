@@ -22,10 +22,12 @@ from warpvox.cli.provenance import provenance
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.reading import Unreadable, read_text
 from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
+from warpvox.robots.entry import Robot, find_robot
 
 __all__ = [
     "ADDED",
     "END",
+    "ZOO",
     "Run",
     "as_name",
     "check_output",
@@ -41,6 +43,8 @@ __all__ = [
 ]
 
 CONFIG, SUMMARY = "config.yaml", "summary.json"
+ZOO = "zoo:"
+"""How the name of a stored robot begins where a run or a design is expected."""
 STATE, BEST = "state.pt", "model_best.pt"
 TRAINING = ("train", "demo")
 CODESIGN = "codesign"
@@ -59,11 +63,15 @@ ADDED = {"policy", "network", "logger", "designs.bodies", "designs.refresh", "de
 
 @dataclass(frozen=True)
 class Run:
-    """A folder that training has left; ``checkpoint`` is set if a single file was named."""
+    """A folder that training has left; ``checkpoint`` is set if a single file was named.
+
+    ``robot``: instead of a folder, a stored robot (``zoo:Walker-v0``).
+    """
 
     folder: Path
     config: dict[str, Any]
     checkpoint: Path | None = None
+    robot: Robot | None = None
 
     @property
     def iterations(self) -> list[int]:
@@ -92,7 +100,7 @@ class Run:
 
 
 def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, CODESIGN), resume: bool = False) -> Run:
-    """The run that ``text`` names: ``latest``, a folder, or a checkpoint file in one.
+    """The run that ``text`` names: ``latest``, a folder, a checkpoint file in one, or a robot, ``zoo:Walker-v0``.
 
     A design search stands for its best design; the folders ``designs/<id>`` in it are runs of their own.
 
@@ -103,6 +111,8 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
     Raises:
         RunError: no such folder, or one that is no run.
     """
+    if text.startswith(ZOO) and not resume:
+        return _stored_robot(text)
     path = _latest(Path(output_dir), commands, resume) if text == "latest" else Path(text).expanduser()
     if not path.exists():
         raise RunError(f"There is no run at {path}: expected latest, the folder of a run or a checkpoint in it.")
@@ -113,6 +123,13 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
     if not {"task", "design", "ppo"} <= content.keys():
         raise RunError(f"{folder} is not a run of `warpvox train`: its {CONFIG} names no task, design and ppo.")
     return Run(folder, content, path if path.is_file() else None)
+
+
+def _stored_robot(text: str) -> Run:
+    """A stored robot as a run: its configuration says what it is a policy for."""
+    robot = find_robot(text.removeprefix(ZOO))
+    config = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "policy": "mlp", "obs": "task"}
+    return Run(Path(text), config, robot=robot)
 
 
 def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:

@@ -20,7 +20,7 @@ from warpvox.cli.config import to_yaml
 from warpvox.cli.console import echo, literal
 from warpvox.cli.exports import draws_at_random, load_run
 from warpvox.cli.run_groups import Group, group_runs
-from warpvox.cli.runs import Run, as_name, find_runs, new_folder, write_summary
+from warpvox.cli.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
 from warpvox.cli.trust import STORED
 from warpvox.configs.schema import EvaluateConfig, PlayConfig
 from warpvox.envs.sources import is_code
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Judged", "compare", "evaluate_runs", "run"]
 
+LATEST = "latest"
 SEVERAL = "several"
 """Name of the folder where the runs are of more than one task."""
 
@@ -67,7 +68,9 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     """
     if config.task is not None and not (config.task == STORED or is_code(config.task)):
         raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
-    found = find_runs(config.runs, config.output_dir)
+    robots = [f"{ZOO}{name}" for name in config.zoo]
+    runs = [] if robots and config.runs == [LATEST] else config.runs
+    found = find_runs([*runs, *robots], config.output_dir)
     every, returns, alike = {}, {}, []
     for number, each_run in enumerate(found):
         with console.status(f"evaluating run {number + 1} of {len(found)}"):

@@ -12,7 +12,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.commands.play import play_run, write_results
 from warpvox.cli.config import to_yaml
 from warpvox.cli.console import echo
-from warpvox.cli.runs import as_name, new_folder, write_summary
+from warpvox.cli.runs import ZOO, as_name, new_folder, write_summary
 from warpvox.configs.schema import EXPORTS, POLICY_EXPORTS
 from warpvox.errors import ConfigError, listing
 
@@ -33,6 +33,8 @@ def _export(config: Any, console: Console) -> Path:
     pictures = [name for name in config.format if name in EXPORTS]
     programs = [name for name in config.format if name in POLICY_EXPORTS]
     if config.rollout is not None:
+        if config.zoo is not None:
+            raise ConfigError("rollout exports what was recorded: zoo cannot be given with it.")
         if programs:
             raise ConfigError(f"format={programs[0]} writes the policy of a run; a rollout holds none.")
         from warpvox.view.rollout import Rollout
@@ -54,7 +56,7 @@ def _load_policy(config: Any, console: Console) -> Policy:
         from warpvox.api import load_policy
 
         places = {"checkpoint": config.checkpoint, "output_dir": config.output_dir, "policy": config.policy}
-        return load_policy(config.run, **places)
+        return load_policy(config.run if config.zoo is None else f"{ZOO}{config.zoo}", **places)
 
 
 def _export_policy(policy: Policy, config: Any, formats: list[str], console: Console) -> Path:

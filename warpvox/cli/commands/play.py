@@ -23,7 +23,7 @@ from warpvox.cli.exports import (
     write_exports,
 )
 from warpvox.cli.playback import play_in_window, wants_window
-from warpvox.cli.runs import as_name, find_run, new_folder, write_summary
+from warpvox.cli.runs import ZOO, as_name, find_run, new_folder, write_summary
 from warpvox.cli.trust import STORED
 from warpvox.configs.schema import PlayConfig
 from warpvox.envs.sources import is_code
@@ -59,6 +59,10 @@ def play(config: PlayConfig, console: Console) -> Path:
     elif config.agent is None:
         rollout, source = play_run(config, console)
     else:
+        if config.zoo is not None:
+            raise ConfigError(
+                "agent acts in place of a policy, zoo names one: give one of them (design=zoo:TASK takes the body)."
+            )
         rollout, source = play_agent(config, console), f"agent {config.agent}"
         config = dataclasses.replace(config, run="")
     folder = write_results(rollout, config, source, "play", formats, console, config.record)
@@ -80,7 +84,7 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     if "task" in given and (config.task == STORED or is_code(config.task)):
         given.remove("task")  # who names a task's code, trusts it
     _refuse(name for name in given if name != "design")
-    source = find_run(config.run, config.output_dir)
+    source = find_run(config.run if config.zoo is None else f"{ZOO}{config.zoo}", config.output_dir)
     if (source.config.get("designs") or {}).get("bodies") is None:
         _refuse(given)
     with console.status("loading"):
@@ -108,7 +112,7 @@ def stored_rollout(config: PlayConfig) -> tuple[Rollout, str]:
     """
     from warpvox.view.rollout import Rollout
 
-    given = [name for name in ("agent", *OF_AGENTS) if getattr(config, name) is not None]
+    given = [name for name in ("agent", "zoo", *OF_AGENTS) if getattr(config, name) is not None]
     if given:
         raise ConfigError(f"rollout shows what was recorded: {listing(given)} cannot be given with it.")
     return Rollout.load(config.rollout), config.rollout
@@ -137,7 +141,7 @@ def write_results(
         source: what made the rollout; ``config.run`` is replaced by it where that names a run.
         keep: whether to write the rollout itself as well.
     """
-    resolved = dataclasses.replace(config, run=source) if config.run else config
+    resolved = dataclasses.replace(config, run=source, zoo=None) if config.run else config
     # The task's name may come from a file that somebody else has written: it must stay a name.
     place = as_name(rollout.title) or "rollout"
     with new_folder(config.output_dir, command, place, config.name, to_yaml(resolved)) as folder:

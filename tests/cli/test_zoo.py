@@ -1,0 +1,93 @@
+"""``warpvox zoo`` and what takes its robots."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from warpvox.cli.config import load
+from warpvox.cli.robot_entries import command_of
+from warpvox.robots.entry import read_robot, save_robot, zoo, zoo_tasks
+from warpvox.view.rollout import Rollout
+
+TASK = min(zoo_tasks(), key=lambda task: sum(zoo(task).about["lengths"]))
+
+
+def summary(pattern: str) -> dict:
+    (file,) = Path("outputs").glob(pattern)
+    return json.loads(file.read_text())
+
+
+def test_the_list_names_every_robot(warpvox: Callable) -> None:
+    outcome = warpvox("zoo")
+    assert outcome.code == 0, outcome.err
+    for task in zoo_tasks():
+        assert f"{zoo(task).mean_return:.3f}" in outcome.out
+        assert task in outcome.out
+
+
+def test_one_is_shown_with_its_command(warpvox: Callable) -> None:
+    outcome = warpvox("zoo", f"task={TASK}")
+    assert outcome.code == 0, outcome.err
+    words = "".join(outcome.out.split())
+    for told in (zoo(TASK).about["command"], zoo(TASK).sha256, str(zoo(TASK).mean_return)):
+        assert "".join(told.split()) in words
+    assert "Did you mean" in warpvox("zoo", f"task={TASK.lower()}x").err
+
+
+def test_it_is_played_with_the_recorded_return(warpvox: Callable) -> None:
+    outcome = warpvox("play", f"zoo={TASK}", "window=off", "export=[]")
+    assert outcome.code == 0, outcome.err
+    found = summary(f"play/{TASK}/*/summary.json")
+    assert round(found["mean_return"], 9) == zoo(TASK).mean_return
+    (file,) = Path("outputs").glob(f"play/{TASK}/*/rollout.npz")
+    assert Rollout.load(file).metadata["arithmetic"] == "exact"
+
+
+def test_keys_that_do_not_go_with_a_robot_are_refused(warpvox: Callable) -> None:
+    assert "design=zoo:TASK" in warpvox("play", f"zoo={TASK}", "agent=sine").err
+    assert "stochastic" in warpvox("play", f"zoo={TASK}", "stochastic=true", "window=off").err
+    assert "zoo cannot be given" in warpvox("export", f"zoo={TASK}", "rollout=x.npz").err
+    assert not Path("outputs").exists()
+
+
+def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Callable, train: Callable) -> None:
+    run = train("task=Walker-v0", "max_iterations=2", "seed=3")
+    first = warpvox("zoo", f"add={run}", "folder=mine")
+    assert first.code == 0, first.err
+    assert "no entry before; written to mine/Walker-v0.npz" in first.out
+    robot = read_robot("mine/Walker-v0.npz")
+    assert robot.about["command"].startswith("warpvox train ")
+    assert "ppo.steps=4" in robot.about["command"]
+    before = Path("mine/Walker-v0.npz").read_bytes()
+    again = warpvox("zoo", f"add={run}", "folder=mine")
+    assert f"{robot.mean_return:.6f}, the entry has {robot.mean_return:.6f}; kept as it is" in again.out
+    assert Path("mine/Walker-v0.npz").read_bytes() == before
+    save_robot("mine/Walker-v0.npz", type(robot)(**{**vars(robot), "about": {**robot.about, "return": -100.0}}))
+    assert "the entry has -100.000000; written" in warpvox("zoo", f"add=[{run}/model_best.pt]", "folder=mine").out
+    Path("empty").mkdir()
+    outcome = warpvox("zoo", f"add=[empty,{run}]", "folder=other")
+    assert outcome.code == 2
+    assert "1 of 2 could not be added" in outcome.err
+    assert Path("other/Walker-v0.npz").is_file()
+    assert "There is no design search" in warpvox("zoo", "add=nowhere", "folder=other").err
+    evaluated = warpvox("evaluate", "zoo=[mine/Walker-v0.npz]")
+    assert evaluated.code == 0, evaluated.err
+    assert summary("evaluate/*/*/summary.json")["mean_return"] == pytest.approx(robot.mean_return, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "warpvox codesign search=bo task=Hurdler-v0 seed=1 training.rungs=[0.2,0.5] training.keep=0.4",
+        "warpvox train ppo=evogym task=Thrower-v0 design=[[3,3],[4,4]] stop_return=2.5",
+    ],
+)
+def test_the_command_of_a_configuration_is_the_shortest(line: str) -> None:
+    command, *words = line.split()[1:]
+    told = command_of(command, dataclasses.asdict(load(command, words)))
+    assert sorted(told.split()) == sorted(line.split())

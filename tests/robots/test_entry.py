@@ -1,0 +1,110 @@
+"""Files of robots, and their policies in numpy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warpvox.algos.checkpoints.files import PolicySpec, build_actor, load_controller, save_checkpoint, spec_dict
+from warpvox.design import full_connections, load_design
+from warpvox.errors import RunError
+from warpvox.robots.entry import Robot, read_robot, save_robot
+from warpvox.robots.network import HIGH, LOW, STEP, Network
+from warpvox.robots.replay import network_of
+
+SIZES = (7, 5, 4, 3)
+
+
+def random_network(activation: str = "tanh", seed: int = 0) -> Network:
+    rng = np.random.default_rng(seed)
+    weights = tuple(rng.normal(size=(b, a)).astype(np.float32) for a, b in pairwise(SIZES))
+    biases = tuple(rng.normal(size=b).astype(np.float32) for b in SIZES[1:])
+    mean, deviation = rng.normal(size=7).astype(np.float32), rng.uniform(0.5, 2, 7).astype(np.float32)
+    return Network(weights, biases, mean, deviation, activation, 0.5, 1.1)
+
+
+def some_robot() -> Robot:
+    body = load_design("mini")
+    return Robot("Walker-v0", body, full_connections(body).T, random_network(), {"return": 1.5, "command": "warpvox"})
+
+
+def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:
+    robot = some_robot()
+    again = read_robot(save_robot(tmp_path / "robot.npz", robot))
+    assert (again.task, again.about, again.sha256) == (robot.task, robot.about, robot.sha256)
+    obs = np.random.default_rng(1).normal(size=(9, 7))
+    np.testing.assert_array_equal(again.policy(obs), robot.policy(obs))
+    bare = read_robot(save_robot(tmp_path / "bare.npz", replace(robot, policy=None)))
+    assert bare.policy is None
+    np.testing.assert_array_equal(bare.connections, robot.connections)
+
+
+def test_a_change_of_any_array_is_found(tmp_path: Path) -> None:
+    path = save_robot(tmp_path / "robot.npz", some_robot())
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    for name in set(arrays) - {"header", "body"}:
+        changed = arrays | {name: arrays[name] + arrays[name].dtype.type(1)}
+        np.savez(path, **changed)
+        with pytest.raises(RunError, match="checksum"):
+            read_robot(path)
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda arrays: arrays.pop("header"), "no header"),
+        (lambda arrays: arrays.pop("bias_1"), "bias_1"),
+        (lambda arrays: arrays.update(body=arrays["body"] * 0), "empty"),
+        (lambda arrays: arrays.update(weight_1=arrays["weight_0"]), "do not fit together"),
+        (lambda arrays: arrays.update(deviation=arrays["deviation"] * 0), "not positive"),
+        (lambda arrays: arrays.update(mean=arrays["mean"] * np.float32("nan")), "not finite"),
+        (lambda arrays: arrays.update(header=np.frombuffer(b'{"format": "x"}', np.uint8)), "not one of warpvox robot"),
+    ],
+)
+def test_a_file_that_is_no_robot_is_refused(damage, words: str, tmp_path: Path) -> None:
+    path = save_robot(tmp_path / "robot.npz", some_robot())
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    damage(arrays)
+    np.savez(path, **arrays)
+    with pytest.raises(RunError, match=words):
+        read_robot(path)
+
+
+@given(st.integers(0, 10**6), st.sampled_from(["tanh", "relu", "elu", "sigmoid", "identity"]))
+def test_actions_are_multiples_of_a_step_that_rounding_does_not_change(seed: int, activation: str) -> None:
+    network = random_network(activation, seed)
+    obs = np.random.default_rng(seed).normal(scale=3, size=(20, 7))
+    actions = network(obs)
+    assert ((actions >= LOW) & (actions <= HIGH)).all()
+    np.testing.assert_array_equal(actions, np.round(actions / STEP) * STEP)
+    np.testing.assert_array_equal(actions, actions.astype(np.float32))
+    # one at a time, as another size of the batch and other products round
+    np.testing.assert_array_equal(actions, np.stack([network(row) for row in obs]))
+    np.testing.assert_array_equal(actions, network(torch.from_numpy(obs)))
+
+
+@pytest.mark.parametrize("activation", ["tanh", "relu", "elu", "sigmoid"])
+def test_the_policy_of_a_checkpoint_acts_as_its_controller(activation: str, tmp_path: Path) -> None:
+    spec = PolicySpec(7, 3, [5, 4], activation, True, 0.5)
+    torch.manual_seed(0)
+    actor = build_actor(spec)
+    actor.obs_normalizer._mean.copy_(torch.randn(1, 7))
+    actor.obs_normalizer._std.copy_(torch.rand(1, 7) + 0.5)
+    file = tmp_path / "model_best.pt"
+    save_checkpoint(file, {"policy": spec_dict(spec), "actor_state_dict": actor.state_dict()})
+    obs = 3 * torch.randn(50, 7, dtype=torch.float64)
+    np.testing.assert_allclose(network_of(file)(obs), load_controller(file)(obs), atol=STEP)
+
+
+def test_an_activation_that_is_not_known_is_named() -> None:
+    with pytest.raises(RunError, match="Did you mean 'tanh'"):
+        random_network("tahn")

@@ -1,0 +1,136 @@
+"""``warpvox zoo``: the trained robots that come with the package, one of them in detail, new ones."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from warpvox.cli.application import run_command
+from warpvox.cli.cell_text import body_rows
+from warpvox.cli.console import duration, echo, figure, literal
+from warpvox.configs.schema import ZooConfig
+from warpvox.envs.registry import get_task, task_ids
+from warpvox.errors import RunError, WarpvoxError, did_you_mean, listing
+from warpvox.robots.entry import FOLDER, read_robot
+
+__all__ = ["run", "zoo"]
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox zoo`` is asked for."""
+    run_command("zoo", words, zoo)
+
+
+def zoo(config: ZooConfig, console: Console) -> None:
+    """List the robots, show one, or add some.
+
+    Raises:
+        WarpvoxError: no such robot, or nothing that could be added.
+    """
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = 120  # a pipe has no width of its own
+    folder = FOLDER if config.folder is None else Path(config.folder).expanduser()
+    if config.add:
+        _add(config, folder, console)
+        return
+    entries = _entries(folder)
+    if config.task is None:
+        _print_all(entries, folder, console)
+        return
+    task = get_task(config.task).id
+    if task not in entries:
+        raise RunError(f"{folder} has no robot for {task}.{did_you_mean(task, entries)} It has {listing(entries, 40)}.")
+    _print_one(entries[task], console)
+
+
+def _entries(folder: Path) -> dict[str, Path]:
+    """Files by task, in the order of the paper; tasks of the user's own last."""
+    found = {path.stem: path for path in sorted(folder.glob("[!.]*.npz"))}
+    order = [*(name for name in task_ids() if name in found), *sorted(set(found) - set(task_ids()))]
+    return {name: found[name] for name in order}
+
+
+def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None:
+    table = Table()
+    for heading in ("task", "return", "steps", "trained", "body", "kB", "date"):
+        table.add_column(heading, justify="left" if heading in ("task", "body", "date") else "right", no_wrap=True)
+    for name, path in entries.items():
+        robot = read_robot(path)
+        about, lengths = robot.about, robot.about.get("lengths") or []
+        mean = f"{sum(lengths) / len(lengths):.0f}" if lengths else "-"
+        spent = about.get("control_steps")
+        rows = "/".join("".join(map(str, row)) for row in robot.body.tolist())
+        size = f"{path.stat().st_size / 1e3:.0f}"
+        cells = (name, figure(robot.mean_return), mean, "-" if spent is None else f"{spent:,}", rows, size)
+        table.add_row(*map(literal, (*cells, about.get("date", "-"))))
+    console.print(table)
+    total = sum(path.stat().st_size for path in entries.values())
+    echo(console, f"{len(entries)} robots in {folder}, {total / 1e6:.2f} MB")
+    echo(console, "return: in exact arithmetic, as EvoGym itself gives it; steps: control steps of the episode")
+    echo(console, "trained: control steps of the whole search; body: cell types, rows from the top")
+    echo(console, "`warpvox zoo task=ID` shows one in detail, `warpvox play zoo=ID` plays it.")
+
+
+def _print_one(path: Path, console: Console) -> None:
+    robot = read_robot(path)
+    console.print(body_rows([robot.body], [robot.task], console))
+    about = robot.about
+    network = robot.policy
+    layers = [network.num_obs, *(len(bias) for bias in network.biases)] if network else []
+    rows: list[tuple[str, Any]] = [
+        ("return", _returns(about)),
+        ("control steps", f"{listing(about.get('lengths', []))} of at most {get_task(robot.task).max_episode_steps}"),
+        ("policy", f"{'-'.join(map(str, layers))}, {network.activation}" if network else "none"),
+        ("training", _training(about)),
+        ("command", about.get("command", "unknown")),
+        (
+            "made",
+            f"{about.get('date', '-')}, warpvox {about.get('version')}, commit {about.get('commit') or 'unknown'}",
+        ),
+        ("SHA-256", robot.sha256),
+        ("file", path),
+    ]
+    table = Table(box=None, show_header=False)
+    for name, value in rows:
+        table.add_row(name, literal(value))
+    console.print(table)
+
+
+def _returns(about: dict[str, Any]) -> str:
+    returns, seeds = about.get("returns", []), about.get("seeds", [])
+    if len(returns) < 2:
+        return f"{about.get('return')}"
+    return f"{about.get('return')}, the mean over the seeds {seeds[0]} to {seeds[-1]}: {listing(returns)}"
+
+
+def _training(about: dict[str, Any]) -> str:
+    steps, seconds = about.get("control_steps"), about.get("wall_s")
+    told = "unknown" if steps is None else f"{steps:,} control steps"
+    return told if seconds is None else f"{told} in {duration(seconds)}"
+
+
+def _add(config: ZooConfig, folder: Path, console: Console) -> None:
+    """Add what can be added, and tell of each; raises for the first that could not, when all have had their turn."""
+    from warpvox.cli.build import prepare
+    from warpvox.cli.robot_entries import add, find_sources
+
+    sources, failed = find_sources(config.add), []
+    prepare(1, 0)
+    for source in sources:
+        try:
+            with console.status(f"evaluating {source}"):
+                outcome = add(source, folder, config.top)
+        except WarpvoxError as error:
+            failed.append(error)
+            echo(console, f"{source}: {error}")
+            continue
+        robot, before = outcome.robot, outcome.before
+        known = "no entry before" if before is None else f"the entry has {before:.6f}"
+        done = "kept as it is" if outcome.written is None else f"written to {outcome.written}"
+        echo(console, f"{robot.task}: {robot.mean_return:.6f}, {known}; {done}")
+    if failed:
+        raise RunError(f"{len(failed)} of {len(sources)} could not be added; the first: {failed[0]}")

@@ -1,0 +1,9 @@
+"""Trained robots as small files: the zoo that comes with the package, entries of your own, released data sets.
+
+A :class:`Robot` is a body with its policy and what is known of both. ``warpvox zoo`` lists those of the package,
+``warpvox zoo add=FOLDER`` makes them from what training has left.
+"""
+
+import lazy_loader as _lazy
+
+__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)

@@ -1,0 +1,173 @@
+"""A stored robot: body, connections, policy and what is known of them, in one ``.npz`` file without pickle.
+
+The file holds ``header`` (JSON in UTF-8, uint8: ``format``, ``version``, ``task``, ``network``, ``about``, ``sha256``),
+``body`` int8 ``[rows, columns]``, ``connections`` int32 ``[2, k]`` and, if there is a policy, ``mean``, ``deviation``
+(float32 ``[num_obs]``), ``weight_0``, ``bias_0``, ... (float32, see :class:`warpvox.robots.network.Network`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpvox.design import Design, check_design, full_connections
+from warpvox.errors import RunError, did_you_mean, listing
+from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
+from warpvox.io.writing import atomic_path
+from warpvox.robots.network import Network
+
+__all__ = ["DIGITS", "FOLDER", "Robot", "find_robot", "read_robot", "save_robot", "zoo", "zoo_tasks"]
+
+FORMAT, VERSION = "warpvox robot", 1
+FOLDER = Path(__file__).with_name("data")
+"""The zoo: an entry for every task, ``TASK.npz``."""
+DIGITS = 9
+"""Decimals of recorded returns. Rewards are sums over points, which round differently (about 1e-15) on other CPUs."""
+LARGEST, LARGEST_HEADER = 1 << 26, 1 << 20
+"""Bytes of a file's arrays, and of its header."""
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A body for a task, its policy, and what is known of both.
+
+    Attributes:
+        task: id of the task.
+        body: int8 ``[rows, columns]``.
+        connections: EvoGym's index pairs, int32 ``[2, k]``.
+        policy: observations to actions; None: a body alone.
+        about: of an entry of the zoo ``return`` (mean over ``returns``), ``returns``, ``lengths``, ``seeds`` (one an
+            episode), ``control_steps`` and ``wall_s`` (of the search or training that it comes from), ``command``,
+            ``config``, ``date``, ``version``, ``commit``; of a released robot ``return``, ``generated_by``, ``uid``.
+        sha256: of all arrays.
+    """
+
+    task: str
+    body: Design
+    connections: np.ndarray
+    policy: Network | None
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def mean_return(self) -> float:
+        """The recorded return; NaN: none is known."""
+        value = self.about.get("return")
+        return float("nan") if value is None else float(value)
+
+    @property
+    def fully_connected(self) -> bool:
+        """Whether all neighbouring cells are connected."""
+        pairs, full = np.sort(self.connections.T, axis=1), full_connections(self.body)
+        return {tuple(pair) for pair in pairs.tolist()} == {tuple(pair) for pair in full.tolist()}
+
+    @property
+    def sha256(self) -> str:
+        """Of body, connections and policy."""
+        total = hashlib.sha256(json.dumps([self.task, _network(self.policy)], sort_keys=True).encode())
+        for name, array in _arrays(self).items():
+            total.update(f"{name} {array.shape} ".encode() + array.astype(array.dtype.newbyteorder("<")).tobytes())
+        return total.hexdigest()
+
+
+def zoo(task: str) -> Robot:
+    """The robot of the zoo for a task: ``zoo("Thrower-v0").policy(obs)`` gives its actions.
+
+    Raises:
+        RunError: the zoo has none for it; the message lists those that there are.
+    """
+    if task not in zoo_tasks():
+        known = zoo_tasks()
+        raise RunError(
+            f"The zoo has no robot for {task!r:.80}.{did_you_mean(task, known)} It has {listing(known, 40)}."
+        )
+    return read_robot(FOLDER / f"{task}.npz")
+
+
+def zoo_tasks() -> list[str]:
+    """Ids of the tasks that the zoo has a robot for."""
+    return sorted(path.stem for path in FOLDER.glob("[!.]*.npz"))
+
+
+def find_robot(text: str) -> Robot:
+    """The robot that ``text`` names: a task of the zoo, or a file that :func:`save_robot` has written.
+
+    Raises:
+        RunError: there is none, or a file that cannot be read.
+    """
+    path = Path(text).expanduser()
+    return read_robot(path) if path.suffix.lower() == ".npz" else zoo(text)
+
+
+def save_robot(path: str | os.PathLike[str], robot: Robot) -> Path:
+    """Write ``robot`` to ``path`` (``.npz``), whole or not at all; return the path."""
+    header = {"format": FORMAT, "version": VERSION, "task": robot.task, "network": _network(robot.policy)}
+    header |= {"about": dict(robot.about), "sha256": robot.sha256}
+    text = json.dumps(header, allow_nan=False).encode()
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, header=np.frombuffer(text, np.uint8), **_arrays(robot))
+    return Path(path)
+
+
+def read_robot(path: str | os.PathLike[str]) -> Robot:
+    """The robot that :func:`save_robot` has written.
+
+    Raises:
+        RunError: no such file, one of another kind, or a damaged one.
+    """
+    try:
+        with ArrayFile(path, LARGEST) as archive:
+            if "header" not in archive.names:
+                raise Unreadable("it has no header of warpvox")
+            header = parse_json(archive.read("header", LARGEST_HEADER).astype(np.uint8).tobytes().decode())
+            _check_header(header)
+            arrays = {name: archive.read(name) for name in archive.names if name != "header"}
+        robot = _robot(header, arrays)
+    except Missing:
+        raise RunError(f"There is no robot at {path}: no such file.") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunError(f"{path} is no robot that warpvox has written, or damaged: {str(error).rstrip('.')}.") from None
+    if robot.sha256 != header.get("sha256"):
+        raise RunError(f"{path} is damaged: its arrays do not have the checksum that it states.")
+    return robot
+
+
+def _check_header(header: Any) -> None:
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise Unreadable(f"its header is not one of {FORMAT}")
+    if header.get("version") != VERSION:
+        raise Unreadable(f"version {header.get('version')!r:.20} of the format; this warpvox reads {VERSION}")
+    if not isinstance(header.get("task"), str) or not isinstance(header.get("about"), dict):
+        raise Unreadable("its header names no task")
+
+
+def _robot(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Robot:
+    network, count = header["network"], sum(name.startswith("weight_") for name in arrays)
+    policy = None
+    if network is not None:
+        weights, biases = ([arrays[f"{kind}_{k}"] for k in range(count)] for kind in ("weight", "bias"))
+        parts = {name: arrays[name].astype(np.float32) for name in ("mean", "deviation")}
+        policy = Network(tuple(weights), tuple(biases), **parts, **network)
+    connections = arrays["connections"].astype(np.int32)
+    return Robot(header["task"], check_design(arrays["body"]), connections, policy, header["about"])
+
+
+def _network(policy: Network | None) -> dict[str, Any] | None:
+    if policy is None:
+        return None
+    return {"activation": policy.activation, "scale": float(policy.scale), "center": float(policy.center)}
+
+
+def _arrays(robot: Robot) -> dict[str, np.ndarray]:
+    arrays = {"body": robot.body, "connections": robot.connections.astype(np.int32)}
+    if robot.policy is not None:
+        arrays |= {"mean": robot.policy.mean, "deviation": robot.policy.deviation}
+        for layer, (weight, bias) in enumerate(zip(robot.policy.weights, robot.policy.biases, strict=True)):
+            arrays |= {f"weight_{layer}": weight, f"bias_{layer}": bias}
+    return arrays

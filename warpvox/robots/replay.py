@@ -1,0 +1,132 @@
+"""What a stored robot gets: episodes in exact arithmetic, which any machine repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from typing import Any
+
+import torch
+
+from warpvox.algos.checkpoints.files import PolicySpec, load_controller
+from warpvox.algos.checkpoints.policy import Policy, make_policy, policy_of
+from warpvox.algos.evaluate import evaluate
+from warpvox.envs.random_stream import RandomStream
+from warpvox.envs.registry import get_task
+from warpvox.envs.rsl_rl import ACTION_CENTER
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.errors import RunError
+from warpvox.robots.entry import DIGITS, Robot
+from warpvox.robots.network import Network
+
+__all__ = ["SEEDS", "Judgement", "judge", "network_of", "recorded", "robot_env", "torch_policy"]
+
+SEEDS = tuple(range(1000, 1008))
+"""Of the episodes of a task that draws something at random; other tasks have one episode."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Episodes of a robot: ``returns`` (rounded to nine decimals) and ``lengths`` (control steps) by ``seeds``."""
+
+    returns: list[float]
+    lengths: list[int]
+    seeds: list[int]
+
+    @property
+    def mean_return(self) -> float:
+        """Over the episodes, rounded in the same way."""
+        return round(sum(self.returns) / len(self.returns), DIGITS)
+
+
+def robot_env(robot: Robot, seeds: Sequence[int] = (0,), **options: Any) -> VoxelVecEnv:
+    """Environments with the body of ``robot``, one a seed; exact and on the CPU unless ``options`` say otherwise.
+
+    Raises:
+        TaskError, DesignError, WorldError: as :func:`warpvox.make_vec`. RunError: another number of observations or
+            actions than the policy has.
+    """
+    defaults = {"device": "cpu", "dtype": "float64", "auto_reset": False, "seed": list(seeds), "num_envs": len(seeds)}
+    connections = None if robot.fully_connected else robot.connections
+    env = make_vec(robot.task, body=robot.body, connections=connections, **(defaults | options))
+    if robot.policy is not None:
+        sizes = (robot.policy.num_obs, robot.policy.num_actions)
+        if sizes != (env.num_obs, env.num_actions):
+            raise RunError(
+                f"The policy has {sizes[0]} observations and {sizes[1]} actions, but {robot.task} with this body has"
+                f" {env.num_obs} and {env.num_actions}."
+            )
+    return env
+
+
+def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
+    """Run the episodes of ``robot`` in exact arithmetic: those are the returns that EvoGym itself gives.
+
+    Args:
+        seeds: one an episode; None: :data:`SEEDS` where the task draws something, else a single episode.
+
+    Raises:
+        RunError: it has no policy, or one for other environments.
+    """
+    if robot.policy is None:
+        raise RunError("A robot without a policy cannot be evaluated; train one for its body.")
+    seeds = list(seeds if seeds is not None else SEEDS if draws_at_random(robot.task) else (0,))
+    result = evaluate(robot_env(robot, seeds), robot.policy)
+    return Judgement([round(value, DIGITS) for value in result.returns.tolist()], result.lengths.tolist(), seeds)
+
+
+def draws_at_random(task: str) -> bool:
+    """Whether the episodes of a task differ by their seeds."""
+    draws = RandomStream(list(SEEDS), len(SEEDS), "cpu")
+    starts = [memory.begin(draws) for memory in get_task(task).memory]
+    return any(not torch.equal(start, start[:1].expand_as(start)) for start in starts)
+
+
+def recorded(robot: Robot, about: dict[str, Any]) -> Robot:
+    """``robot`` with its returns and ``about`` as an entry of the zoo states them."""
+    result = judge(robot)
+    found = {"return": result.mean_return, "returns": result.returns, "lengths": result.lengths, "seeds": result.seeds}
+    date = datetime.now(timezone.utc).strftime("%Y-%m-%d")
+    return replace(robot, about=found | about | {"date": date})
+
+
+def network_of(checkpoint: Any) -> Network:
+    """The policy of a checkpoint file of fully connected layers.
+
+    Raises:
+        RunError: no such file, or a policy of another kind.
+    """
+    policy = policy_of(load_controller(checkpoint))
+    if policy.spec.voxels is not None:
+        raise RunError(f"{checkpoint} holds a policy for voxels; the zoo has policies of fully connected layers (mlp).")
+    state = {name: value.numpy() for name, value in policy.state_dict().items()}
+    layers = sorted((name for name in state if name.endswith(".weight")), key=lambda name: int(name.split(".")[1]))
+    weights = tuple(state[name] for name in layers)
+    biases = tuple(state[name.removesuffix("weight") + "bias"] for name in layers)
+    spec = policy.spec
+    return Network(
+        weights, biases, state["mean"], state["deviation"], spec.activation, float(spec.action_scale), ACTION_CENTER
+    )
+
+
+def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
+    """The policy of ``robot`` as a torch module, float32 and without the rounding of its actions.
+
+    Raises:
+        RunError: it has none.
+    """
+    network = robot.policy
+    if network is None:
+        raise RunError("The robot has a body alone, no policy.")
+    hidden = [len(bias) for bias in network.biases[:-1]]
+    spec = PolicySpec(network.num_obs, network.num_actions, hidden, network.activation, True, network.scale)
+    policy = make_policy(spec, {"task": robot.task, "rules": "evogym", "obs": "task", "design": robot.body.tolist()})
+    state = {"mean": network.mean, "deviation": network.deviation}
+    for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        last = layer == len(network.weights) - 1
+        # Policy's centre is fixed: another one goes into the last bias
+        moved = bias + (network.center - ACTION_CENTER) / network.scale if last else bias
+        state |= {f"mlp.{2 * layer}.weight": weight, f"mlp.{2 * layer}.bias": moved}
+    policy.load_state_dict({name: torch.as_tensor(value, dtype=torch.float32) for name, value in state.items()})
+    return policy.to(device)
