@@ -105,7 +105,7 @@ class RslRlVecEnv(VecEnv):
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """One control step; ``actions`` ``[num_envs, num_actions]`` are outputs of the policy."""
-        obs, reward, terminated, truncated, info = self.env.step(ACTION_CENTER + self.action_scale * actions)
+        obs, reward, terminated, truncated, info = self.env.step(self._goals(actions))
         self._obs = obs
         done = terminated | truncated
         self._count(info, done)
@@ -117,6 +117,10 @@ class RslRlVecEnv(VecEnv):
         if self.reward_norm is not None:
             reward = self.reward_norm(reward, done)
         return self._group(obs), reward * self.reward_scale, done, extras
+
+    def _goals(self, outputs: torch.Tensor) -> torch.Tensor:
+        """Actions of the environments, from outputs of the policy."""
+        return ACTION_CENTER + self.action_scale * outputs
 
     def _group(self, obs: torch.Tensor) -> TensorDict:
         return TensorDict(

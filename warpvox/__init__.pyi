@@ -21,6 +21,7 @@ from .design import (
 from .design import (
     save_design as save_design,
 )
+from .envs.design_episodes import design_episodes as design_episodes
 from .envs.registry import task_ids as task_ids
 from .envs.vec_env import make_vec as make_vec
 from .errors import (

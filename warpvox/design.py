@@ -31,6 +31,7 @@ __all__ = [
     "has_actuator",
     "is_connected",
     "load_design",
+    "repair_design",
     "sample_design",
     "save_design",
 ]
@@ -154,17 +155,46 @@ def count_pieces(bodies: np.ndarray) -> np.ndarray:
     *batch, rows, columns = bodies.shape
     grid = np.zeros((math.prod(batch), rows + 1, columns), bool)  # an empty row keeps bodies apart
     grid[:, :-1] = bodies.reshape(-1, rows, columns) != Cell.EMPTY
-    first, second = full_connections(grid.reshape(-1, columns)).T
+    root = _pieces(grid.reshape(-1, columns))
+    roots = (root == np.arange(grid.size)) & grid.reshape(-1)
+    return roots.reshape(*batch, (rows + 1) * columns).sum(-1)
+
+
+def _pieces(grid: np.ndarray) -> np.ndarray:
+    """int ``[cells]``: for every cell of ``grid`` ``[rows, columns]`` the first cell (row-major) of its piece."""
+    first, second = full_connections(grid).T
     root = np.arange(grid.size)
     while True:  # cells point to a cell of their piece with a smaller index: join ends of connections, then shorten
         a, b = root[first], root[second]
         if np.array_equal(a, b):
-            break
+            return root
         np.minimum.at(root, np.maximum(a, b), np.minimum(a, b))
         while not np.array_equal(root, shorter := root[root]):
             root = shorter
-    roots = (root == np.arange(grid.size)) & grid.reshape(-1)
-    return roots.reshape(*batch, (rows + 1) * columns).sum(-1)
+
+
+def repair_design(body: object) -> Design:
+    """Return a valid body made of ``body``, which stays as it is if it is valid.
+
+    Of the pieces with an actuator the largest is kept, the first one in row-major order among equals. If none has an
+    actuator, the largest piece is kept, and its first cell becomes a horizontal actuator. A body without voxels becomes
+    a single horizontal actuator at ``[rows // 2, columns // 2]``.
+
+    Raises:
+        DesignError: not a grid of the cells that robots are made of.
+    """
+    grid = np.ascontiguousarray(as_grid(body, limit=LARGEST_BODY))
+    if not grid.any():
+        grid[grid.shape[0] // 2, grid.shape[1] // 2] = Cell.H_ACT
+    cells, piece = grid.reshape(-1), _pieces(grid)
+    sizes = np.bincount(piece[cells != Cell.EMPTY], minlength=cells.size)
+    driven = np.zeros_like(sizes)
+    driven[piece[(cells == Cell.H_ACT) | (cells == Cell.V_ACT)]] = 1
+    kept = (sizes * driven if driven.any() else sizes).argmax()
+    cells[piece != kept] = Cell.EMPTY
+    if not driven.any():
+        cells[kept] = Cell.H_ACT
+    return check_design(grid)
 
 
 def are_valid(bodies: np.ndarray) -> np.ndarray:
