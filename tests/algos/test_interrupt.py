@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -14,8 +11,6 @@ from warpvox.algos.interrupt import Terminated, deferred_interrupts, terminable,
 from warpvox.system import stop_signals
 
 SIGNALS = (signal.SIGINT, *stop_signals())
-IGNORED = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN); os.execv(sys.executable, sys.argv[1:])"
-"""Becomes another program, as a job in the background of a shell script begins."""
 
 
 @pytest.fixture
@@ -55,11 +50,3 @@ def test_what_the_parent_ignores_stays_ignored(number: int) -> None:
         signal.raise_signal(number)
     assert not interrupt
     assert signal.getsignal(number) is signal.SIG_IGN
-
-
-def test_these_tests_pass_where_the_parent_ignores_interrupts() -> None:
-    tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", __file__, "-k", "waits"]
-    done = subprocess.run(
-        [sys.executable, "-c", IGNORED, *tests], capture_output=True, text=True, cwd=Path(__file__).parents[2]
-    )
-    assert done.returncode == 0, done.stdout

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -15,6 +16,7 @@ from rich.console import Console
 from warpvox.bench import gpu_checks, gpu_rates
 from warpvox.bench import progress as progress_module
 from warpvox.bench.report import Report
+from warpvox.configs.presets import training_preset
 from warpvox.errors import SimulationError
 
 GPU = "bench suite=gpu device=cpu design=mini repeats=1 steps=2 columns=[step] compile=false".split()
@@ -28,7 +30,8 @@ def results() -> tuple[Path, dict]:
     return folder, json.loads((folder / "summary.json").read_text())
 
 
-def test_every_part_runs(warpvox: Callable) -> None:
+def test_every_part_runs(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gpu_rates, "training_preset", functools.partial(training_preset, envs=8))  # as elsewhere here
     outcome = warpvox(*GPU, "tasks=[Walker-v0,Lifter-v0]", "learning.stop_return=-100")
     assert outcome.code == 0, outcome.err
     figures = results()[1]
@@ -41,7 +44,7 @@ def test_every_part_runs(warpvox: Callable) -> None:
     assert figures["bodies"][0]["different"] > 0
     assert figures["training"][0]["training"] > 0 < figures["training"][-1]["rate"]
     assert "equal bit for bit" in outcome.out
-    assert outcome.out.count("designs of 16 environments side by side") == 1
+    assert outcome.out.count("designs of 8 environments side by side") == 1
 
 
 def test_what_was_found_is_kept_when_the_call_is_cut_off(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

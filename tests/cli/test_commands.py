@@ -82,7 +82,9 @@ def test_resuming_refuses_what_would_be_another_run(train: Callable, warpvox: Ca
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
+)
 def test_an_interrupt_saves_and_the_run_goes_on(
     train: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch, number: int, code: int
 ) -> None:

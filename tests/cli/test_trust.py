@@ -275,48 +275,49 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("yes\n", 0), ("\n", 2), ("n\n", 2), ("", 2), ("yeah\n", 2)])
-def test_who_sits_at_a_terminal_is_asked(
-    train: Callable, warpvox: Callable, own_task: str, monkeypatch: pytest.MonkeyPatch, answer: str, code: int
-) -> None:
+@pytest.fixture
+def asked(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path, str], tuple[int, str]]:
+    """Play a run at a terminal with this answer: the code, and what was on the screen."""
+
+    def call(run: Path, answer: str) -> tuple[int, str]:
+        screen = Terminal()
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stdin", Terminal(answer))
+            patch.setattr(sys, "stderr", screen)
+            return warpvox("play", f"run={run}", *PLAY).code, screen.getvalue()
+
+    return call
+
+
+def test_who_sits_at_a_terminal_is_asked(train: Callable, asked: Callable, own_task: str) -> None:
     run = train(f"task={own_task}", "max_iterations=1")
-    screen = Terminal()
-    monkeypatch.setattr(sys, "stdin", Terminal(answer))
-    monkeypatch.setattr(sys, "stderr", screen)
-    assert warpvox("play", f"run={run}", *PLAY).code == code
-    asked = screen.getvalue()
-    assert str((run / "code" / "task" / "own.py").resolve()) in asked
-    for word in (own_task, "n.txt", "steps.py", "[y/N]"):
-        assert word in asked
+    for answer, code in {"\n": 2, "n\n": 2, "": 2, "yeah\n": 2, "y\n": 0, "yes\n": 0}.items():
+        found, screen = asked(run, answer)
+        assert found == code, answer
+        for word in (str((run / "code" / "task" / "own.py").resolve()), own_task, "n.txt", "steps.py", "[y/N]"):
+            assert word in screen
 
 
-def test_the_question_cannot_be_disguised(train: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_question_cannot_be_disguised(train: Callable, asked: Callable) -> None:
     run = train("max_iterations=1")
     change_config(run, task="\x1b[2K\x1b]0;x\x07harmless\n.py:X")
-    screen = Terminal()
-    monkeypatch.setattr(sys, "stdin", Terminal("n\n"))
-    monkeypatch.setattr(sys, "stderr", screen)
-    assert warpvox("play", f"run={run}", *PLAY).code == 2
-    assert "\x1b" not in screen.getvalue()
-    assert r"\x1b[2K" in screen.getvalue()
+    code, screen = asked(run, "n\n")
+    assert code == 2
+    assert "\x1b" not in screen
+    assert r"\x1b[2K" in screen
 
 
-@pytest.mark.parametrize(
-    ("stored", "words", "message"),
-    [
-        ("Walker-v0", ["task=stored"], "has none for task"),
-        ("Walker-v0", ["task=mine/own.py:MINE"], "task cannot change"),
-        ("gone.py:X", ["task=stored"], "holds no copy of gone.py:X: name the code itself"),
-        ("gone.py:X", ["task=Walker-v0"], "task cannot change"),
-    ],
-)
-def test_what_cannot_be_meant(
-    train: Callable, warpvox: Callable, own_task: str, stored: str, words: list[str], message: str
-) -> None:
+def test_what_cannot_be_meant(train: Callable, warpvox: Callable, own_task: str) -> None:
     run = train("max_iterations=1")
-    change_config(run, task=stored)
-    outcome = warpvox("train", f"resume={run}", "max_iterations=2", *words)
-    assert (outcome.code, message in outcome.err) == (2, True), outcome.err
+    for stored, word, message in (
+        ("Walker-v0", "task=stored", "has none for task"),
+        ("Walker-v0", f"task={own_task}", "task cannot change"),
+        ("gone.py:X", "task=stored", "holds no copy of gone.py:X: name the code itself"),
+        ("gone.py:X", "task=Walker-v0", "task cannot change"),
+    ):
+        change_config(run, task=stored)
+        outcome = warpvox("train", f"resume={run}", "max_iterations=2", word)
+        assert (outcome.code, message in outcome.err) == (2, True), outcome.err
 
 
 def test_a_cluster_that_a_file_names_is_not_connected_to(warpvox: Callable) -> None:

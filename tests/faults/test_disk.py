@@ -308,11 +308,11 @@ def test_a_claim_is_of_one_process_and_ends_with_it(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("words", ["tasks", "train"])
-def test_a_log_on_a_full_disk_is_one_clear_error(words: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("words", [["tasks"], pytest.param(TRAIN, marks=pytest.mark.slow)], ids=["tasks", "train"])
+def test_a_log_on_a_full_disk_is_one_clear_error(words: list[str], tmp_path: Path) -> None:
     if not Path("/dev/full").exists():
         pytest.skip("there is no /dev/full")
-    line = [sys.executable, "-m", "warpvox", *(TRAIN if words == "train" else words.split())]
+    line = [sys.executable, "-m", "warpvox", *words]
     with open("/dev/full", "w") as full:
         done = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 2

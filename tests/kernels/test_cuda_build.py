@@ -15,9 +15,8 @@ from warpvox.kernels.step import STAGES, action_kernel, step_kernel
 AMPERE, ADA, HOPPER, BLACKWELL = 80, 89, 90, 100
 
 
-CASES = pytest.mark.parametrize(
-    ("arithmetic", "precision"), [("fast", "float32"), ("fast", "float64"), ("exact", "float64")]
-)
+FAST, EXACT = ("fast", "float32"), ("exact", "float64")
+CASES = pytest.mark.parametrize(("arithmetic", "precision"), [FAST, ("fast", "float64"), EXACT])
 
 
 def kernels_of_cuda(arithmetic, precision):
@@ -37,7 +36,9 @@ def build(kernel, architecture, folder):
     return next(folder.glob("*.ptx")).read_text()
 
 
-@CASES
+@pytest.mark.parametrize(
+    ("arithmetic", "precision"), [FAST, pytest.param("fast", "float64", marks=pytest.mark.slow), EXACT]
+)
 def test_every_kernel_of_a_step_becomes_ptx(arithmetic, precision, tmp_path):
     for number, kernel in enumerate(kernels_of_cuda(arithmetic, precision)):
         text = build(kernel, HOPPER, tmp_path / str(number))

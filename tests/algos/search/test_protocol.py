@@ -89,13 +89,23 @@ def test_the_family_tree_is_true(algorithm: str) -> None:
 
 
 @EVERY
-def test_same_seed_and_fitness_same_proposals(algorithm: str) -> None:
-    one = told_apart(run(fresh(algorithm, seed=5), generations=3))
-    random.seed(99)
-    np.random.seed(99)
-    assert told_apart(run(fresh(algorithm, seed=5), generations=3)) == one
-    other = told_apart(run(fresh(algorithm, seed=6), generations=3))
-    assert [entry[1] for entry in other] != [entry[1] for entry in one]
+def test_same_seed_and_fitness_same_proposals_and_no_global_generator_is_touched(algorithm: str) -> None:
+    import torch
+
+    random.seed(1)
+    np.random.seed(1)
+    torch.manual_seed(1)
+    threads = torch.get_num_threads()
+    before = random.getstate(), np.random.get_state(), torch.get_rng_state()
+    search = fresh(algorithm)
+    assert told_apart(run(search)) == told_apart(whole(algorithm))
+    assert search.ask() == search.ask() == []  # its budget is spent
+    assert random.getstate() == before[0]
+    assert all(np.array_equal(a, b) for a, b in zip(np.random.get_state(), before[1], strict=True))
+    assert torch.equal(torch.get_rng_state(), before[2])
+    assert (torch.get_num_threads(), torch.get_default_dtype()) == (threads, torch.float32)
+    other = run(fresh(algorithm, seed=6), generations=1)
+    assert told_apart(other) != told_apart(whole(algorithm)[:1])
 
 
 @EVERY
@@ -106,89 +116,46 @@ def test_fitness_matters(algorithm: str) -> None:
 
 
 @EVERY
-def test_no_global_generator_is_touched(algorithm: str) -> None:
-    import torch
-
-    random.seed(1)
-    np.random.seed(1)
-    torch.manual_seed(1)
-    threads = torch.get_num_threads()
-    before = random.getstate(), np.random.get_state(), torch.get_rng_state()
-    run(fresh(algorithm), generations=3)
-    assert random.getstate() == before[0]
-    assert all(np.array_equal(a, b) for a, b in zip(np.random.get_state(), before[1], strict=True))
-    assert torch.equal(torch.get_rng_state(), before[2])
-    assert torch.get_num_threads() == threads
-    assert torch.get_default_dtype() == torch.float32
-
-
-@EVERY
 def test_two_searches_do_not_disturb_each_other(algorithm: str) -> None:
-    alone = told_apart(run(fresh(algorithm), generations=3))
     one, other = fresh(algorithm), fresh(algorithm, seed=9)
     mixed: History = []
-    for _ in range(3):
+    for _ in range(2):
         mixed += run(one, generations=1)
         run(other, generations=1)
-    assert told_apart(mixed) == alone
+    assert told_apart(mixed) == told_apart(whole(algorithm)[:2])
 
 
 # ------------------------------------------------------------------------------------------------------ turns
 
 
 @EVERY
-def test_asking_twice_is_an_error(algorithm: str) -> None:
-    search = fresh(algorithm)
-    asked = search.ask()
-    with pytest.raises(SearchError, match=r"ask\(\) was called twice: tell\(\) .* 8 candidates of generation 0"):
-        search.ask()
-    search.tell([0.0] * len(asked))
-
-
-@EVERY
-def test_telling_without_asking_is_an_error(algorithm: str) -> None:
+def test_asking_twice_and_telling_without_asking_are_errors(algorithm: str) -> None:
     search = fresh(algorithm)
     with pytest.raises(SearchError, match=r"tell\(\) was called without ask\(\)"):
         search.tell([])
+    search.ask()
+    with pytest.raises(SearchError, match=r"ask\(\) was called twice: tell\(\) .* 8 candidates of generation 0"):
+        search.ask()
+
+
+BAD_FITNESS = {
+    "expected 8, got 7": [1.0] * 7,
+    "candidate 3 must be a finite number, got nan": [1.0] * 3 + [float("nan")] + [1.0] * 4,
+    "candidate 0 must be a finite number, got -inf": [float("-inf")] * 8,
+}
 
 
 @EVERY
-@pytest.mark.parametrize(
-    ("fitness", "words"),
-    [
-        ([1.0] * 7, "expected 8, got 7"),
-        ([1.0] * 3 + [float("nan")] + [1.0] * 4, "candidate 3 must be a finite number, got nan"),
-        ([float("-inf")] * 8, "candidate 0 must be a finite number, got -inf"),
-    ],
-)
-def test_bad_fitness_is_refused_and_can_be_told_again(algorithm: str, fitness: list[float], words: str) -> None:
+def test_bad_fitness_is_refused_and_a_candidates_body_may_be_painted_over(algorithm: str) -> None:
+    """Neither changes what comes after."""
     search = fresh(algorithm)
-    asked = search.ask()
-    with pytest.raises(SearchError, match=words):
-        search.tell(fitness)
-    search.tell([actuators(candidate.body) for candidate in asked])
-    undisturbed = fresh(algorithm)
-    run(undisturbed, generations=1)
-    assert told_apart(run(search, generations=1)) == told_apart(run(undisturbed, generations=1))
-
-
-@EVERY
-def test_a_candidates_body_may_be_painted_over(algorithm: str) -> None:
-    search, undisturbed = fresh(algorithm), fresh(algorithm)
-    told = [actuators(candidate.body) for candidate in undisturbed.ask()]
-    undisturbed.tell(told)
     for candidate in search.ask():
         candidate.body[:] = 0
-    search.tell(told)
-    assert told_apart(run(search, generations=1)) == told_apart(run(undisturbed, generations=1))
-
-
-@EVERY
-def test_a_spent_search_asks_for_nothing(algorithm: str) -> None:
-    search = fresh(algorithm)
-    run(search)
-    assert search.ask() == []
-    assert search.ask() == []
+    for words, fitness in BAD_FITNESS.items():
+        with pytest.raises(SearchError, match=words):
+            search.tell(fitness)
+    search.tell(whole(algorithm)[0][1])
+    assert told_apart(run(search, generations=1)) == told_apart(whole(algorithm)[1:2])
 
 
 @EVERY
@@ -216,40 +183,29 @@ def test_a_replayed_search_goes_on_as_the_first(algorithm: str, after: int) -> N
 
 
 @EVERY
-def test_replay_wants_a_fresh_search(algorithm: str) -> None:
+def test_replay_wants_a_fresh_search_and_its_own_history_from_the_beginning(algorithm: str) -> None:
     search = fresh(algorithm)
-    history = run(search, generations=1)
+    search.replay(whole(algorithm)[:1])
     with pytest.raises(SearchError, match="fresh search"):
-        search.replay(history)
-
-
-@EVERY
-def test_a_foreign_history_is_refused(algorithm: str) -> None:
-    history = run(fresh(algorithm, shape=(5, 7)), generations=2)
-    with pytest.raises(SearchError, match="not of this search"):
-        fresh(algorithm).replay(history)
-
-
-@EVERY
-def test_a_history_without_its_beginning_is_refused(algorithm: str) -> None:
-    history = run(fresh(algorithm), generations=3)
-    with pytest.raises(SearchError, match="not of this search"):
-        fresh(algorithm).replay(history[1:])
+        search.replay(whole(algorithm))
+    for foreign in (run(fresh(algorithm, shape=(5, 7)), generations=1), whole(algorithm)[1:]):
+        with pytest.raises(SearchError, match="not of this search"):
+            fresh(algorithm).replay(foreign)
 
 
 # ------------------------------------------------------------------------------------------------- the arguments
 
 
-@pytest.mark.parametrize("shape", [(5,), (0, 5), (5, 5.0), "55", 5])
-def test_bad_shapes_are_told(shape: object) -> None:
-    with pytest.raises(ConfigError, match="two integers"):
-        fresh("ga", shape)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("seed", [-1, 0.5, None, True])
-def test_bad_seeds_are_told(seed: object) -> None:
-    with pytest.raises(ConfigError, match="seed must be an integer >= 0"):
-        fresh("ga", seed=seed)  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        *(({"shape": shape}, "two integers") for shape in [(5,), (0, 5), (5, 5.0), "55", 5]),
+        *(({"seed": seed}, "seed must be an integer >= 0") for seed in [-1, 0.5, None, True]),
+    ],
+)
+def test_bad_arguments_are_told(changes: dict, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        fresh("ga", **changes)
 
 
 @EVERY
