@@ -16,7 +16,7 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean (or a difference of two), its confidence interval, and how many values it is of.
+    """A mean (a difference of two, another estimate), its confidence interval, and how many values it is of.
 
     ``low`` and ``high`` are NaN where the values are too few to tell.
     """

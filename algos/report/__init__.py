@@ -6,14 +6,13 @@ It is made from the archive alone, so it can be made again at any time, also whi
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 
 from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.report.charts import Series, chart, sparkline
+from warpvox.algos.report.page import fact_list, page, row
 from warpvox.algos.report.tree import family_tree
 from warpvox.io.writing import write_text
 from warpvox.view.body_picture import body_svg
@@ -43,23 +42,15 @@ def report_page(archive: Archive, facts: Mapping[str, str]) -> str:
     line = [record for record in archive.lineage(best[0].id) if record.fitness is not None] if best else []
     title = " · ".join(str(facts[name]) for name in ("task", "search") if name in facts)
     slots = {
-        "title": escape(title or "design search"),
-        "facts": "".join(_fact(name, value) for name, value in (_figures(done, best) | dict(facts)).items()),
+        "facts": fact_list(_figures(done, best) | dict(facts)),
         "progress": _progress(archive, done),
         "best": "".join(_card(record) for record in best) or '<p class="faint">No design is evaluated yet.</p>',
         "curves": _learning(best[:CURVES]),
         "tree": family_tree(line) if line else '<p class="faint">Nothing to show yet.</p>',
         "rows": "".join(_row(record) for record in records),
         "settings": escape(json.dumps(archive.settings, indent=2)),
-        "style": _text("page.css"),
-        "script": _text("page.js"),
     }
-    # one pass: what is filled in is not searched for slots again
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: slots[match[1]], _text("page.html"))
-
-
-def _text(name: str) -> str:
-    return files("warpvox.algos.report").joinpath(name).read_text(encoding="utf-8")
+    return page("search.html", title or "design search", slots)
 
 
 def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
@@ -73,10 +64,6 @@ def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
         + (f" (+{len(done) - len(trained)} reused)" if len(trained) < len(done) else ""),
         "control steps": f"{sum(record.steps for record in done):,}",
     } | ({"diverged": str(diverged)} if diverged else {})
-
-
-def _fact(name: str, value: str) -> str:
-    return f"<div><dt>{escape(name)}</dt><dd>{escape(str(value))}</dd></div>"
 
 
 def _progress(archive: Archive, done: Sequence[Record]) -> str:
@@ -140,8 +127,4 @@ def _row(record: Record) -> str:
         (None, sparkline([value for _, value in record.curve], 72, 20)),
         (None, state),
     )
-    return (
-        "<tr>"
-        + "".join(f"<td{'' if key is None else f' data-v={chr(34)}{key}{chr(34)}'}>{text}</td>" for key, text in cells)
-        + "</tr>\n"
-    )
+    return row(cells)

@@ -1,23 +1,31 @@
-"""Charts as SVG text: lines, steps and dots over two axes. Colours come from the page's style sheet."""
+"""Charts as SVG text: lines, steps, bands and dots over two axes. Colours come from the page's style sheet."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-__all__ = ["Series", "chart", "sparkline", "ticks"]
+from warpvox.algos.report.page import text
+from warpvox.algos.statistics import Interval
 
-WIDTH, HEIGHT = 920, 340
-LEFT, RIGHT, TOP, BOTTOM = 56, 16, 12, 40
+__all__ = ["COLOURS", "PANEL", "Series", "chart", "intervals", "legend", "sheet", "sparkline", "ticks"]
+
+SIZE, PANEL = (920, 340), (440, 250)
+"""Pixels of a chart that has a row for itself, and of one of several."""
+LEFT, RIGHT, TOP, BOTTOM = 56, 16, 28, 40
+COLOURS = (1, 2, 4, 5, 6, 7)
+"""Of things that are compared; colour 3 is for what is less important."""
 
 
 @dataclass(frozen=True)
 class Series:
     """Points ``(x, y)`` shown as ``line``, ``step`` (holds until the next) or ``dots``, in the colour ``--s<colour>``.
 
-    ``notes`` are shown when a dot is pointed at.
+    ``notes`` are shown when a dot is pointed at; ``band`` is the outline of an area in the same colour, ``look`` is
+    ``dash`` or ``rule`` (thin) for a line that is not solid.
     """
 
     name: str
@@ -25,6 +33,8 @@ class Series:
     kind: str = "line"
     colour: int = 1
     notes: Sequence[str] = ()
+    band: Sequence[tuple[float, float]] = ()
+    look: str = ""
 
 
 def ticks(low: float, high: float, count: int = 6) -> list[float]:
@@ -38,26 +48,94 @@ def ticks(low: float, high: float, count: int = 6) -> list[float]:
     return [round(k * step, 12) for k in range(first, last + 1)]
 
 
-def chart(series: Sequence[Series], x_label: str, y_label: str) -> str:
-    """A figure with axes, grid, legend and all series; a sentence if there is nothing to show."""
-    points = [point for one in series for point in one.points if all(map(math.isfinite, point))]
+def chart(
+    series: Sequence[Series], x_label: str, y_label: str, size: tuple[int, int] = SIZE, names: bool = True
+) -> str:
+    """A figure with axes, grid, legend and all series; a sentence if there is nothing to show.
+
+    Args:
+        size: width and height in pixels.
+        names: with a legend.
+    """
+    points = [point for one in series for point in (*one.points, *one.band) if all(map(math.isfinite, point))]
     if not points:
         return '<p class="faint">Nothing to show yet.</p>'
     span_x, span_y = (_span([point[axis] for point in points]) for axis in (0, 1))
     span_x = (min(0.0, span_x[0]), span_x[1])
-    frame = _Frame(span_x, span_y)
-    parts = [*_axes(frame, x_label, y_label)]
+    frame = _Frame(span_x, span_y, size)
+    parts = [*_axes(frame, x_label, y_label), *(_band(one, frame) for one in series if one.band)]
     # dots first: lines stay visible on top of them
     for one in sorted(series, key=lambda item: item.kind != "dots"):
         parts += _marks(one, frame)
-    legend = "".join(
-        f'<li><i class="{"dot" if one.kind == "dots" else "line"} s{one.colour}"></i>{escape(one.name)}</li>'
+    return (legend(series) if names else "") + _svg(parts, f"{y_label} over {x_label}", size)
+
+
+def legend(series: Sequence[Series]) -> str:
+    """The names of series with their colours."""
+    items = (
+        f'<li><i class="{"dot" if one.kind == "dots" else one.look or "line"} {"line " if one.look else ""}'
+        f's{one.colour}"></i>{escape(one.name)}</li>'
         for one in series
         if one.points
     )
-    label = escape(f"{y_label} over {x_label}")
-    head = f'<svg class="chart" role="img" aria-label="{label}" viewBox="0 0 {WIDTH} {HEIGHT}">'
-    return f'<ul class="legend">{legend}</ul>{head}{"".join(parts)}</svg>'
+    return f'<ul class="legend">{"".join(items)}</ul>'
+
+
+def intervals(rows: Sequence[tuple[str, int, Interval]], x_label: str, width: int = PANEL[0]) -> str:
+    """A figure with a row for each (name, colour, estimate): the estimate as a dot, its interval as a line."""
+    ends = [v for _, _, one in rows for v in (one.mean, one.low, one.high) if math.isfinite(v)]
+    size = (width, TOP + BOTTOM + 36 * len(rows))
+    frame = _Frame(_span(ends), (-len(rows), 0), size)
+    parts = _axes(frame, "", x_label, y_ticks=False)
+    for number, (name, colour, one) in enumerate(rows):
+        x, y = frame.at((one.mean, -number - 0.7))
+        if math.isfinite(one.low):
+            low, high = (frame.at((end, 0.0))[0] for end in (one.low, one.high))
+            parts.append(f'<path class="curve s{colour}" d="M{low:.1f} {y:.1f}H{high:.1f}"/>')
+        parts.append(f'<circle class="s{colour}" cx="{x:.1f}" cy="{y:.1f}" r="5"/>')
+        parts.append(f'<text x="{LEFT}" y="{y - 9:.1f}">{escape(name)} {escape(str(one))}</text>')
+    return _svg(parts, x_label, size)
+
+
+def _svg(parts: Sequence[str], label: str, size: tuple[int, int]) -> str:
+    head = f'<svg class="chart" role="img" aria-label="{escape(label)}" viewBox="0 0 {size[0]} {size[1]}">'
+    return f"{head}{''.join(parts)}</svg>"
+
+
+def sheet(charts: Sequence[str], series: Sequence[Series] = (), columns: int = 2) -> str:
+    """A picture of its own, as the text of an SVG file: charts side by side, the names of ``series`` above them.
+
+    Args:
+        charts: what :func:`chart` gives without a legend, or :func:`intervals`.
+    """
+    found = [re.search(r'<svg class="chart".*?viewBox="0 0 (\d+) (\d+)">', one) for one in charts]
+    shown = [
+        (one[match.start() :], int(match[1]), int(match[2])) for one, match in zip(charts, found, strict=True) if match
+    ]
+    parts, top, x = [], 34 if series else 8, 8.0
+    for one in series:
+        parts.append(f'<path class="curve s{one.colour} {one.look}" d="M{x:g} 18h18"/>')
+        parts.append(f'<text x="{x + 24:g}" y="22">{escape(one.name)}</text>')
+        x += 48 + 7 * len(one.name)
+    wide = max([columns * max([width for _, width, _ in shown], default=0), x])
+    for start in range(0, len(shown), columns):
+        left = 0
+        for one, width, height in shown[start : start + columns]:
+            place = f'<svg x="{left}" y="{top}" width="{width}" height="{height}" '
+            parts.append(one.replace("<svg ", place, 1))
+            left += width
+        top += max(height for _, _, height in shown[start : start + columns]) + 8
+    # programs other than browsers do not know variables, so that their values are filled in
+    style = text("page.css")
+    values = dict(re.findall(r"(--\w+): ([^;]+);", style[: style.index("}")]))
+    style = re.sub(r"var\((--\w+)\)", lambda match: values[match[1]], style[style.index("* {") :])
+    kept = [line for line in style.splitlines() if line.startswith((".chart", ".s1", ".curve", ".band", "circle {"))]
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" class="chart" viewBox="0 0 {wide:g} {top}" width="{wide:g}" '
+    letters = 'font-family="system-ui, Helvetica, Arial, sans-serif"'
+    return (
+        f'{head}height="{top}" {letters}><style>{" ".join(kept)}</style>'
+        f'<rect width="100%" height="100%" fill="{values["--page"]}"/>{"".join(parts)}</svg>\n'
+    )
 
 
 def sparkline(values: Sequence[float], width: int = 96, height: int = 24) -> str:
@@ -78,11 +156,13 @@ class _Frame:
 
     x: tuple[float, float]
     y: tuple[float, float]
+    size: tuple[int, int] = SIZE
 
     def at(self, point: tuple[float, float]) -> tuple[float, float]:
         across = (point[0] - self.x[0]) / (self.x[1] - self.x[0])
         up = (point[1] - self.y[0]) / (self.y[1] - self.y[0])
-        return LEFT + across * (WIDTH - LEFT - RIGHT), HEIGHT - BOTTOM - up * (HEIGHT - TOP - BOTTOM)
+        width, height = self.size
+        return LEFT + across * (width - LEFT - RIGHT), height - BOTTOM - up * (height - TOP - BOTTOM)
 
 
 def _span(values: Sequence[float]) -> tuple[float, float]:
@@ -93,21 +173,27 @@ def _span(values: Sequence[float]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _axes(frame: _Frame, x_label: str, y_label: str) -> list[str]:
-    floor, right = HEIGHT - BOTTOM, WIDTH - RIGHT
+def _axes(frame: _Frame, x_label: str, y_label: str, y_ticks: bool = True) -> list[str]:
+    width, height = frame.size
+    floor, right = height - BOTTOM, width - RIGHT
     parts = []
-    for value in ticks(*frame.y):
+    for value in ticks(*frame.y, max(2, height // 55)) if y_ticks else ():
         y = frame.at((frame.x[0], value))[1]
         parts.append(f'<path class="grid" d="M{LEFT} {y:.1f}H{right}"/>')
         parts.append(f'<text x="{LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{_number(value)}</text>')
-    for value in ticks(*frame.x, 8):
+    for value in ticks(*frame.x, width // 110):
         x = frame.at((value, frame.y[0]))[0]
         parts.append(f'<path class="tick" d="M{x:.1f} {floor}v5"/>')
         parts.append(f'<text x="{x:.1f}" y="{floor + 18}" text-anchor="middle">{_number(value)}</text>')
     parts.append(f'<path class="axis" d="M{LEFT} {floor}H{right}"/>')
-    parts.append(f'<text class="label" x="{right}" y="{HEIGHT - 4}" text-anchor="end">{escape(x_label)}</text>')
-    parts.append(f'<text class="label" x="{LEFT + 6}" y="{TOP + 10}">{escape(y_label)}</text>')
+    parts.append(f'<text class="label" x="{right}" y="{height - 4}" text-anchor="end">{escape(x_label)}</text>')
+    parts.append(f'<text class="label" x="{LEFT}" y="{TOP - 10}">{escape(y_label)}</text>')
     return parts
+
+
+def _band(series: Series, frame: _Frame) -> str:
+    corners = "L".join("{:.1f} {:.1f}".format(*frame.at(point)) for point in series.band)
+    return f'<path class="band s{series.colour}" d="M{corners}Z"/>'
 
 
 def _marks(series: Series, frame: _Frame) -> list[str]:
@@ -124,7 +210,8 @@ def _marks(series: Series, frame: _Frame) -> list[str]:
     path = f"M{places[0][0]:.1f} {places[0][1]:.1f}"
     for x, y in places[1:]:
         path += f"H{x:.1f}V{y:.1f}" if series.kind == "step" else f"L{x:.1f} {y:.1f}"
-    return [f'<path class="curve s{series.colour}" d="{path}"/>']
+    look = f" {series.look}" if series.look else ""
+    return [f'<path class="curve s{series.colour}{look}" d="{path}"/>']
 
 
 def _number(value: float) -> str:

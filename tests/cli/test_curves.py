@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from warpvox.algos.report.gallery import COLUMNS, TILE, draw_gallery, everywhere
 from warpvox.algos.statistics import mean_interval
 from warpvox.cli.commands.curves import _points, curves_of
-from warpvox.cli.gallery import COLUMNS, TILE, draw_gallery
 from warpvox.cli.runs import Run
 from warpvox.envs.registry import task_ids
 from warpvox.errors import RunError
@@ -112,7 +112,7 @@ def test_curves_that_cannot_be_drawn(warpvox: Callable) -> None:
 def test_the_gallery_shows_a_robot_in_every_task(warpvox: Callable) -> None:
     outcome = warpvox("tasks", "gallery=all.png", "design=mini")
     assert outcome.code == 0, outcome.err
-    sheet = np.asarray(draw_gallery("mini"), int)
+    sheet = np.asarray(draw_gallery(everywhere("mini")), int)
     with Image.open("all.png") as written:
         assert np.abs(np.asarray(written.convert("RGB"), int) - sheet).mean() < 2
     rows = -(-len(task_ids()) // COLUMNS)

@@ -20,7 +20,7 @@ from warpvox.algos.codesign.archive import Archive
 from warpvox.cli.plain_yaml import LARGEST_CONFIG, parse_yaml
 from warpvox.cli.provenance import provenance
 from warpvox.errors import ConfigError, RunError, StorageError, listing
-from warpvox.io.reading import Unreadable, read_text
+from warpvox.io.reading import Unreadable, read_facts, read_text
 from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
 from warpvox.robots.entry import Robot, find_robot
 
@@ -354,11 +354,7 @@ def _ours(folder: Path) -> Iterator[None]:
 
 def read_summary(folder: Path) -> dict[str, Any]:
     """What ``summary.json`` says; nothing if there is none, or one that cannot be read."""
-    try:
-        content = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
+    return read_facts(folder / SUMMARY)
 
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:

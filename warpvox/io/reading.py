@@ -25,7 +25,7 @@ import numpy as np
 
 from warpvox.errors import did_you_mean, listing
 
-__all__ = ["ArrayFile", "Missing", "Unreadable", "parse_json", "read_bytes", "read_npy", "read_text"]
+__all__ = ["ArrayFile", "Missing", "Unreadable", "parse_json", "read_bytes", "read_facts", "read_npy", "read_text"]
 
 INFLATION = 1032
 """Bytes that a byte of the DEFLATE format can stand for at most."""
@@ -93,6 +93,15 @@ def parse_json(text: str) -> Any:
     except ValueError as error:
         raise Unreadable(f"it is not valid JSON: {error}") from None
     return value
+
+
+def read_facts(path: str | os.PathLike[str], limit: int = 1 << 24) -> dict[str, Any]:
+    """The object that a JSON file holds; an empty one if there is no such file, or none that can be read."""
+    try:
+        content = json.loads(read_text(path, limit))  # Infinity, which our own summaries may hold, is let in
+    except (Unreadable, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 def read_npy(path: str | os.PathLike[str], limit: int) -> np.ndarray:

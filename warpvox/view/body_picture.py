@@ -47,7 +47,11 @@ def body_svg(body: Design, cell: int = 8, title: str | None = None) -> str:
 
 
 def draw_bodies(
-    bodies: Sequence[Design], captions: Sequence[Sequence[str]], title: str = "", cell: int = 28
+    bodies: Sequence[Design],
+    captions: Sequence[Sequence[str]],
+    title: str = "",
+    cell: int = 28,
+    columns: int = COLUMNS,
 ) -> Image.Image:
     """A sheet with bodies in rows, each above its caption.
 
@@ -55,11 +59,12 @@ def draw_bodies(
         captions: lines of text for each body.
         title: a line on top.
         cell: pixels of a cell.
+        columns: bodies in a row at most.
     """
     gap, line = cell, 22
     high, wide = (max(body.shape[axis] for body in bodies) * cell for axis in (0, 1))
     lines = max(len(caption) for caption in captions)
-    columns = min(len(bodies), COLUMNS)
+    columns = min(len(bodies), columns)
     step = (wide + gap, high + lines * line + gap)
     top = gap + (line + gap // 2 if title else 0)
     size = (gap + columns * step[0], top + -(-len(bodies) // columns) * step[1])
@@ -88,7 +93,11 @@ def _draw(pen: ImageDraw.ImageDraw, body: Design, corner: tuple[int, int], cell:
 
 
 def write_bodies(
-    path: str | os.PathLike[str], bodies: Sequence[Design], captions: Sequence[Sequence[str]], title: str = ""
+    path: str | os.PathLike[str],
+    bodies: Sequence[Design],
+    captions: Sequence[Sequence[str]],
+    title: str = "",
+    columns: int = COLUMNS,
 ) -> Path:
     """Write what :func:`draw_bodies` draws as PNG, whole or not at all; returns the path."""
-    return save_png(draw_bodies(bodies, captions, title), path)
+    return save_png(draw_bodies(bodies, captions, title, columns=columns), path)

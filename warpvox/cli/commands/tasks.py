@@ -102,9 +102,9 @@ def _print_all(console: Console) -> None:
 
 
 def _write_gallery(keys: dict[str, Any], console: Console) -> None:
-    from warpvox.cli.gallery import write_gallery
+    from warpvox.algos.report.gallery import everywhere, write_gallery
 
-    path = write_gallery(keys["gallery"], keys["design"])
+    path = write_gallery(keys["gallery"], everywhere(keys["design"]))
     echo(console, f"gallery: {path}")
 
 

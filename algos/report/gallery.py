@@ -1,15 +1,16 @@
-"""All tasks in one picture: each world where its robot begins."""
+"""Tasks in one picture: each world where its robot begins."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from warpvox.design import load_design
+from warpvox.design import Design, load_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.worlds import task_world
 from warpvox.io.writing import atomic_path
@@ -17,7 +18,7 @@ from warpvox.types import VOXEL
 from warpvox.view.painter import BELOW, INK, Canvas, font
 from warpvox.view.world_picture import scene_of_world
 
-__all__ = ["draw_gallery", "write_gallery"]
+__all__ = ["draw_gallery", "everywhere", "write_gallery"]
 
 COLUMNS, TILE, SCALE = 4, (324, 150), 8
 LABEL, GAP = 24, 10
@@ -26,25 +27,31 @@ AHEAD = 5.0  # voxels between the left rim of a picture and the robot
 HEIGHT = 0.42  # of the middle of the robot in its picture, where the ground is not in sight
 
 
-def draw_gallery(design: str = "walker") -> Image.Image:
-    """All tasks in the order of the paper, row by row.
+def everywhere(design: str = "walker") -> list[tuple[str, Design, str]]:
+    """One body in every task, in the order of the paper; ``design`` is anything :func:`warpvox.load_design` reads."""
+    body = load_design(design)
+    return [(task, body, task) for task in task_ids()]
+
+
+def draw_gallery(shown: Sequence[tuple[str, Design, str]]) -> Image.Image:
+    """Bodies in the worlds of tasks, row by row.
 
     Args:
-        design: the body that stands in the worlds; anything :func:`warpvox.load_design` reads.
+        shown: (task, body, caption) of each.
 
     Raises:
-        DesignError, WorldError: a body that is not valid, or does not fit into every task.
+        DesignError, WorldError: a body that is not valid, or does not fit into the task.
     """
-    names, body = task_ids(), load_design(design)
-    rows = -(-len(names) // COLUMNS)
+    columns = min(COLUMNS, len(shown))
+    rows = -(-len(shown) // columns)
     width, height = TILE[0] + GAP, TILE[1] + LABEL + GAP
-    sheet = Image.new("RGB", (COLUMNS * width + GAP, rows * height + GAP), PAPER)
+    sheet = Image.new("RGB", (columns * width + GAP, rows * height + GAP), PAPER)
     draw, letters = ImageDraw.Draw(sheet), font(14)
-    for number, name in enumerate(names):
-        row, column = divmod(number, COLUMNS)
+    for number, (task, body, caption) in enumerate(shown):
+        row, column = divmod(number, columns)
         x, y = GAP + column * width, GAP + row * height
-        sheet.paste(_tile(get_task(name), body), (x, y))
-        draw.text((x + 2, y + TILE[1] + LABEL / 2), name, INK, letters, "lm")
+        sheet.paste(_tile(get_task(task), body), (x, y))
+        draw.text((x + 2, y + TILE[1] + LABEL / 2), caption, INK, letters, "lm")
     return sheet
 
 
@@ -63,10 +70,10 @@ def _tile(task: Any, body: np.ndarray) -> Image.Image:
     return Canvas(scene, TILE, SCALE).picture(points, (int(corner[0]), int(corner[1])))
 
 
-def write_gallery(path: str | os.PathLike[str], design: str = "walker") -> Path:
+def write_gallery(path: str | os.PathLike[str], shown: Sequence[tuple[str, Design, str]]) -> Path:
     """Write what :func:`draw_gallery` draws as PNG; returns the path."""
     # Few colours: as a palette the picture takes a fraction of the room, and nobody sees a difference.
-    sheet = draw_gallery(design).quantize(128, dither=Image.Dither.NONE)
+    sheet = draw_gallery(shown).quantize(128, dither=Image.Dither.NONE)
     with atomic_path(path) as temporary:
         sheet.save(temporary, "PNG", optimize=True)
     return Path(path)

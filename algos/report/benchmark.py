@@ -1,0 +1,258 @@
+"""The report of many design searches: tasks by searches by seeds, as one page and as pictures.
+
+It is made from archives alone, also while the searches are running. Formulas and sources: docs/evaluation.md.
+"""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from warpvox.algos.codesign.archive import Record
+from warpvox.algos.report.charts import COLOURS, PANEL, Series, chart, legend, sheet
+from warpvox.algos.report.comparison import compare, comparison_html, comparison_sheet
+from warpvox.algos.report.gallery import write_gallery
+from warpvox.algos.report.members import Member, progress, read_members
+from warpvox.algos.report.page import fact_list, page, row
+from warpvox.algos.statistics import Interval
+from warpvox.envs.known_returns import known_returns
+from warpvox.envs.registry import task_ids
+from warpvox.io.writing import write_text
+from warpvox.view.body_picture import body_svg, write_bodies
+
+__all__ = ["FILE", "write_benchmark"]
+
+FILE = "report.html"
+TOP = 4
+"""Designs of a generation that are shown."""
+Groups = Mapping[str, Mapping[str, Sequence[Member]]]
+"""Searches with a result by task and name."""
+
+
+def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, str] | None = None) -> Path:
+    """Write the page ``report.html`` with its pictures and the table ``results.csv``; returns the path of the page.
+
+    The pictures: ``evaluations.svg`` and ``steps.svg`` (best return, a panel a task), ``comparison.svg``,
+    ``winners.png``, ``generations/<task>.png``. What cannot be drawn yet is left out. Equal archives give equal files.
+
+    Args:
+        archives: folders of design searches; see :func:`warpvox.algos.report.members.read_members` for their names.
+        facts: what stands under the title, by name, besides the figures of the searches.
+
+    Raises:
+        RunError: no archive, or a damaged one. StorageError: a file cannot be written.
+    """
+    members = read_members(archives)
+    groups = _groups(members)
+    comparison = compare(groups)
+    series = _names(groups)
+    panels = {x: [_panel(task, runs, x, series) for task, runs in groups.items()] for x in ("evaluations", "steps")}
+    if groups:
+        for x, charts in panels.items():
+            write_text(folder / f"{x}.svg", sheet(charts, [*series.values(), KNOWN], min(4, len(charts))))
+        write_text(folder / "comparison.svg", comparison_sheet(comparison, series))
+        _write_generations(folder / "generations", groups)
+    slots = {
+        "facts": fact_list(_figures(members, groups) | dict(facts or {})),
+        "rows": "".join(_row(task, name, runs) for task, named in groups.items() for name, runs in named.items()),
+        "winners": "".join(_card(task, winner) for task, winner in _winners(groups).items()) or NOTHING,
+        "gallery": _gallery(folder / "winners.png", groups),
+        "names": legend([*series.values(), KNOWN]),
+        "comparison": comparison_html(comparison, series),
+        "generations": "".join(_generations(task, _winners(groups)[task]) for task in groups) or NOTHING,
+    } | {x: "".join(f"<div>{one}</div>" for one in charts) or NOTHING for x, charts in panels.items()}
+    _write_table(folder / "results.csv", members)
+    title = f"{len(groups)} tasks" if len(groups) != 1 else next(iter(groups))
+    write_text(folder / FILE, page("benchmark.html", f"{title} · {len(series)} searches", slots))
+    return folder / FILE
+
+
+NOTHING = '<p class="faint">No design is evaluated yet.</p>'
+KNOWN = Series("best published", [(0.0, 0.0)], colour=3, look="rule")
+
+
+def _groups(members: Sequence[Member]) -> Groups:
+    """Searches that have a result: the benchmark's tasks in its order, then others; names as they appear."""
+    done = [one for one in members if one.winner is not None]
+    known = task_ids()
+    tasks = sorted({one.task for one in done}, key=lambda task: (known.index(task) if task in known else 99, task))
+    names = dict.fromkeys(one.search for one in done)
+    return {
+        task: {
+            name: runs for name in names if (runs := [one for one in done if (one.task, one.search) == (task, name)])
+        }
+        for task in tasks
+    }
+
+
+def _names(groups: Groups) -> dict[str, Series]:
+    """The colour and look of each search, as a series with its name."""
+    names = list(dict.fromkeys(name for named in groups.values() for name in named))
+    looks = ("", "dash")
+    return {
+        name: Series(name, [(0.0, 0.0)], colour=COLOURS[k % len(COLOURS)], look=looks[k // len(COLOURS) % 2])
+        for k, name in enumerate(names)
+    }
+
+
+def _winners(groups: Groups) -> dict[str, Member]:
+    """The best search of each task."""
+    return {
+        task: max((one for runs in named.values() for one in runs), key=lambda one: one.winner.fitness)
+        for task, named in groups.items()
+    }
+
+
+def _figures(members: Sequence[Member], groups: Groups) -> dict[str, str]:
+    known = known_returns()
+    best = {task: winner.winner.fitness for task, winner in _winners(groups).items()}
+    published = [task for task in best if task in known and known[task].best is not None]
+    reached = sum(best[task] >= known[task].best for task in published)
+    return {
+        "tasks": f"{len(groups)}",
+        "runs": f"{len(members)}",
+        "designs": f"{sum(len(one.evaluations) for one in members):,}",
+        "control steps": f"{sum(int(one.steps[-1]) for one in members if len(one.steps)):,}",
+        "best published return reached": f"{reached} of {len(published)} tasks",
+    }
+
+
+# ------------------------------------------------------------------------------------------------ table and winners
+
+
+def _row(task: str, name: str, runs: Sequence[Member]) -> str:
+    best = np.array([one.winner.fitness for one in runs])
+    known = known_returns().get(task)
+    published = known.best if known else None
+    fresh = runs[int(best.argmax())].fresh
+    seconds = [one.seconds for one in runs if one.seconds is not None]
+    numbers = [
+        (len(runs), f"{len(runs)}"),
+        (best.max(), f"<b>{best.max():.3f}</b>"),
+        (best.mean(), f"{best.mean():.3f}" + (f" ± {best.std(ddof=1):.3f}" if len(runs) > 1 else "")),
+        (fresh["mean"], _fresh(fresh)) if fresh else ("", ""),
+        ("", "") if published is None else (published, f"{published:g}"),
+        (total := sum(len(one.evaluations) for one in runs), f"{total:,}"),
+        (total := sum(int(one.steps[-1]) for one in runs), f"{total:,}"),
+        (sum(seconds), _duration(sum(seconds))) if seconds else ("", ""),
+    ]
+    return row([(None, escape(task)), (None, escape(name)), *numbers])
+
+
+def _fresh(facts: Mapping[str, float]) -> str:
+    return str(Interval(facts["mean"], facts["low"], facts["high"], facts["episodes"]))
+
+
+def _duration(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
+
+
+def _card(task: str, member: Member) -> str:
+    record = member.winner
+    known = known_returns().get(task)
+    lines = [task, f"{member.search}, seed {member.seed}, #{record.id}"]
+    if member.fresh:
+        lines.append(f"on fresh seeds {_fresh(member.fresh)}")
+    if known and known.best is not None:
+        lines.append(f"best published {known.best:g}")
+    return _figure(record, lines)
+
+
+def _figure(record: Record, lines: Sequence[str], cell: int = 22) -> str:
+    spans = "".join(f"<span>{escape(line)}</span>" for line in lines)
+    return (
+        f'<figure class="card">{body_svg(record.candidate.body, cell)}'
+        f"<figcaption><b>{record.fitness:.3f}</b>{spans}</figcaption></figure>"
+    )
+
+
+def _gallery(path: Path, groups: Groups) -> str:
+    """Write the winners in the worlds of their tasks as a picture, and show it; without tasks of users."""
+    ours = task_ids()
+    shown = [
+        (task, one.winner.candidate.body, f"{task}  {one.winner.fitness:.2f}")
+        for task, one in _winners(groups).items()
+        if task in ours
+    ]
+    if not shown:
+        return ""
+    data = base64.b64encode(write_gallery(path, shown).read_bytes()).decode()
+    return f'<img alt="the winners in the worlds of their tasks" src="data:image/png;base64,{data}">'
+
+
+def _write_table(path: Path, members: Sequence[Member]) -> None:
+    """A row for each search."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    fresh = ("mean", "low", "high", "episodes")
+    names = ("task", "search", "seed", "best_return", "design", "evaluations", "steps", "seconds")
+    writer.writerow([*names, *(f"fresh_{name}" for name in fresh), "folder"])
+    for one in members:
+        winner = [one.winner.fitness, one.winner.id] if one.winner else ["", ""]
+        spent = [len(one.evaluations), int(one.steps[-1]) if len(one.steps) else 0, one.seconds]
+        values = [one.task, one.search, one.seed, *winner, *spent, *(one.fresh.get(name) for name in fresh)]
+        writer.writerow([*values, one.folder])
+    write_text(path, text.getvalue())
+
+
+# --------------------------------------------------------------------------------------------------------- curves
+
+
+def _panel(task: str, named: Mapping[str, Sequence[Member]], x: str, looks: Mapping[str, Series]) -> str:
+    """Best return over ``x``: the mean over the runs of each search, one standard deviation as a band."""
+    series, last = [], 0.0
+    for name, runs in named.items():
+        places, values = progress(runs, x)
+        mean, last = values.mean(1), max(last, places[-1])
+        band = []
+        if len(runs) > 1:
+            spread = values.std(1, ddof=1)
+            upper, lower = (list(zip(places, mean + sign * spread, strict=True)) for sign in (1, -1))
+            band = [*upper, *reversed(lower)]
+        points = list(zip(places, mean, strict=True))
+        series.append(Series(name, points, "line", looks[name].colour, band=band, look=looks[name].look))
+    known = known_returns().get(task)
+    if known and known.best is not None:
+        series.append(Series(KNOWN.name, [(0.0, known.best), (last, known.best)], colour=3, look=KNOWN.look))
+    label = {"evaluations": "designs trained", "steps": "control steps"}[x]
+    return chart(series, label, task, PANEL, names=False)
+
+
+# ---------------------------------------------------------------------------------------------------- generations
+
+
+def _three(member: Member) -> dict[int, list[Record]]:
+    """The best designs of the first, the middle and the last generation that has any."""
+    known = sorted({r.candidate.generation for r in member.records if r.fitness is not None and not r.diverged})
+    chosen = dict.fromkeys((known[0], known[(len(known) - 1) // 2], known[-1]))
+    return {generation: member.ranked(generation)[:TOP] for generation in chosen}
+
+
+def _generations(task: str, member: Member) -> str:
+    columns = "".join(
+        f"<div><p>generation {generation}</p><div class="
+        f'"cards">{"".join(_figure(r, [f"#{r.id} · {r.candidate.origin}"], 12) for r in records)}</div></div>'
+        for generation, records in _three(member).items()
+    )
+    title = f"{task} · {member.search}, seed {member.seed}"
+    return f'<details open><summary>{escape(title)}</summary><div class="generations">{columns}</div></details>'
+
+
+def _write_generations(folder: Path, groups: Groups) -> None:
+    """A picture a task: the best designs of three generations of the best search, a column a generation."""
+    for task, member in _winners(groups).items():
+        columns = _three(member)
+        rows = min(len(records) for records in columns.values())
+        shown = [(generation, records[k]) for k in range(rows) for generation, records in columns.items()]
+        captions = [(f"{record.fitness:.3f}", f"generation {generation}") for generation, record in shown]
+        bodies = [record.candidate.body for _, record in shown]
+        title = f"{task} · {member.search}"
+        name = "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in task)
+        write_bodies(folder / f"{name}.png", bodies, captions, title, columns=len(columns))

@@ -1,0 +1,140 @@
+"""Searches compared over tasks: interquartile means, performance profiles, probabilities of improvement.
+
+After Agarwal et al. (2021); formulas in docs/evaluation.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from itertools import permutations
+
+import numpy as np
+
+from warpvox.algos.aggregates import (
+    bootstrap,
+    improvement,
+    interquartile_mean,
+    interval,
+    mean,
+    optimality_gap,
+    profile,
+)
+from warpvox.algos.report.charts import PANEL, Series, chart, intervals, sheet
+from warpvox.algos.report.members import Member
+from warpvox.algos.report.page import row
+from warpvox.algos.statistics import LEVEL, Interval
+from warpvox.envs.known_returns import known_returns
+
+__all__ = ["Comparison", "compare", "comparison_html", "comparison_sheet"]
+
+MEASURES = {"interquartile mean": interquartile_mean, "mean": mean, "optimality gap": optimality_gap}
+THRESHOLDS = 61
+"""Of a performance profile."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Scores of searches on the tasks that all of them have runs of.
+
+    Attributes:
+        scores: float64 ``[runs]`` by search and task: 0 is chance, 1 the best published return.
+        steps: control steps by task, after which the scores are taken: what every run of the task has spent.
+        left_out: tasks that are not compared.
+    """
+
+    scores: Mapping[str, Mapping[str, np.ndarray]]
+    steps: Mapping[str, int]
+    left_out: Sequence[str]
+
+    def measures(self) -> dict[str, list[tuple[str, Interval]]]:
+        """Each measure of each search, with its interval."""
+        return {
+            measure: [(name, interval(function, scores)) for name, scores in self.scores.items()]
+            for measure, function in MEASURES.items()
+        }
+
+    def improvements(self) -> dict[tuple[str, str], Interval]:
+        """How probable it is that a run of the first is better than one of the second, for all ordered pairs."""
+        return {
+            (first, second): interval(improvement, self.scores[first], self.scores[second])
+            for first, second in permutations(self.scores, 2)
+        }
+
+
+def compare(groups: Mapping[str, Mapping[str, Sequence[Member]]]) -> Comparison:
+    """Compare searches at equal control steps.
+
+    Args:
+        groups: searches with a result, by task and name.
+    """
+    names = list(dict.fromkeys(name for named in groups.values() for name in named))
+    known = known_returns()
+    tasks = [
+        task
+        for task, named in groups.items()
+        if len(named) == len(names) and task in known and known[task].best is not None
+    ]
+    steps = {task: min(int(one.steps[-1]) for runs in groups[task].values() for one in runs) for task in tasks}
+    scores = {
+        name: {
+            task: np.array([known[task].score(one.best_at(steps[task])) for one in groups[task][name]])
+            for task in tasks
+        }
+        for name in names
+    }
+    return Comparison(scores if tasks else {}, steps, [task for task in groups if task not in tasks])
+
+
+# ------------------------------------------------------------------------------------------------------- pictures
+
+
+def _charts(comparison: Comparison, looks: Mapping[str, Series]) -> list[str]:
+    """The measures, then the profiles."""
+    charts = [
+        intervals([(name, looks[name].colour, one) for name, one in rows], measure)
+        for measure, rows in comparison.measures().items()
+    ]
+    values = np.concatenate([runs for scores in comparison.scores.values() for runs in scores.values()])
+    thresholds = np.linspace(min(0.0, values.min()), max(1.0, values.max()), THRESHOLDS)
+    series = []
+    for name, scores in comparison.scores.items():
+        share, low, high = bootstrap(lambda *drawn: profile(*drawn, thresholds), scores)
+        upper, lower = (list(zip(thresholds, ends, strict=True)) for ends in (high, low))
+        points = list(zip(thresholds, share, strict=True))
+        look = looks[name]
+        series.append(Series(name, points, "line", look.colour, band=[*upper, *reversed(lower)], look=look.look))
+    return [*charts, chart(series, "score", "share of runs above it", PANEL, names=False)]
+
+
+def comparison_sheet(comparison: Comparison, looks: Mapping[str, Series]) -> str:
+    """The charts as the text of an SVG file."""
+    return sheet(_charts(comparison, looks) if comparison.scores else [], list(looks.values()))
+
+
+def comparison_html(comparison: Comparison, looks: Mapping[str, Series]) -> str:
+    """The charts, the probabilities of improvement and what they are of."""
+    if not comparison.scores:
+        return '<p class="faint">No task with a published return has runs of every search yet.</p>'
+    charts = "".join(f"<div>{one}</div>" for one in _charts(comparison, looks))
+    parts = [f'<div class="panels">{charts}</div>']
+    pairs = comparison.improvements()
+    if pairs:
+        body = "".join(
+            row([(None, escape(first)), (None, escape(second)), (one.mean, escape(str(one)))])
+            for (first, second), one in pairs.items()
+        )
+        heads = "<tr><th>search</th><th>better than</th><th class='num'>probability of improvement</th></tr>"
+        parts.append(f"<table><thead>{heads}</thead><tbody>{body}</tbody></table>")
+    steps = ", ".join(f"{task} {count:,}" for task, count in comparison.steps.items())
+    text = (
+        f"Scores of {len(comparison.steps)} tasks: 0 is the return of random bodies under random actions, 1 the best"
+        f" published return. Taken after the control steps that every run of a task has spent ({steps})."
+        f" Intervals: {100 * LEVEL:g} %, stratified bootstrap over the runs of each task; none where there is one run."
+    )
+    if comparison.left_out:
+        text += (
+            f" Left out, without a published return or without runs of every search: {', '.join(comparison.left_out)}."
+        )
+    return "".join([*parts, f'<p class="faint">{escape(text)}</p>'])

@@ -1,0 +1,167 @@
+"""Several design searches as their archives tell them: what is compared on a page and in curves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpvox.algos.codesign.archive import FILE, Archive, Record
+from warpvox.io.reading import read_facts
+
+__all__ = ["Member", "archives_in", "progress", "read_members"]
+
+SUMMARY = "summary.json"
+PLACES = 200
+"""Of a curve at most."""
+OWN = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
+"""Settings in which runs of one algorithm may differ."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """One design search.
+
+    Attributes:
+        folder: that of its archive.
+        search: its name among others: that of the algorithm, with the settings that differ, or a suite's own.
+        settings: of the archive.
+        records: all candidates, by id.
+        winner: the best of them, None before there is one.
+        summary: what ``summary.json`` beside the archive says.
+    """
+
+    folder: Path
+    search: str
+    settings: Mapping[str, Any]
+    records: Sequence[Record]
+    winner: Record | None
+    summary: Mapping[str, Any]
+
+    @property
+    def task(self) -> str:
+        """Its id, or where the code of a task of somebody's own is."""
+        return str(self.settings.get("task", "unknown task"))
+
+    @property
+    def seed(self) -> int | None:
+        """Of the search."""
+        return self.settings.get("seed")
+
+    @cached_property
+    def _trained(self) -> list[Record]:
+        return [record for record in self.records if record.fitness is not None and record.reused is None]
+
+    @cached_property
+    def evaluations(self) -> np.ndarray:
+        """1, 2, ... to the number of designs trained."""
+        return np.arange(1, len(self._trained) + 1)
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """Control steps spent when each of them was done."""
+        return np.cumsum([record.steps or 0 for record in self._trained], dtype=np.int64)
+
+    @cached_property
+    def best(self) -> np.ndarray:
+        """The best return so far, when each of them was done."""
+        return np.maximum.accumulate(np.array([record.fitness for record in self._trained], np.float64))
+
+    def best_at(self, steps: float) -> float:
+        """The best return within so many control steps; that of the first design if there was none by then."""
+        return float(self.best[max(0, np.searchsorted(self.steps, steps, "right") - 1)])
+
+    @property
+    def seconds(self) -> float | None:
+        """Wall time of the search."""
+        value = self.summary.get("elapsed_seconds")
+        return float(value) if isinstance(value, int | float) else None
+
+    @property
+    def fresh(self) -> Mapping[str, Any]:
+        """The winner's returns on fresh seeds, where the task is random: mean, low, high, episodes."""
+        value = self.summary.get("fresh_seeds")
+        return value if isinstance(value, dict) else {}
+
+    def ranked(self, generation: int) -> list[Record]:
+        """The evaluated designs of a generation, best first, equal bodies once."""
+        found = [record for record in self.records if record.candidate.generation == generation]
+        unique: dict[bytes, Record] = {}
+        for record in sorted(found, key=lambda r: (-np.inf if r.fitness is None else r.fitness, -r.id), reverse=True):
+            if record.fitness is not None and not record.diverged:
+                unique.setdefault(record.candidate.body.tobytes(), record)
+        return list(unique.values())
+
+
+def archives_in(folder: Path) -> list[Path]:
+    """The folders of all design searches in a folder, itself included, in order of their paths."""
+    return sorted(path.parent for path in folder.rglob(FILE))
+
+
+def read_members(archives: Sequence[Path]) -> list[Member]:
+    """Design searches by the folders of their archives.
+
+    In a folder ``.../<task>/<search>/seed<k>`` a search has the name of that folder. Elsewhere it has that of its
+    algorithm, with the settings that other searches of the same algorithm and task have otherwise.
+
+    Raises:
+        RunError: no archive, or a damaged one.
+    """
+    found = []
+    for folder in archives:
+        with Archive.read(folder / FILE) as archive:
+            best = archive.best()
+            found.append((folder, archive.settings, archive.records(), best[0] if best else None))
+    names = _names([(folder, settings) for folder, settings, _, _ in found])
+    return [
+        Member(folder, name, settings, records, winner, read_facts(folder / SUMMARY))
+        for name, (folder, settings, records, winner) in zip(names, found, strict=True)
+    ]
+
+
+def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
+    flat = [_flat(settings) for _, settings in found]
+    names = []
+    for (folder, _), own in zip(found, flat, strict=True):
+        algorithm = str(own.get("search.algorithm", "search"))
+        if re.fullmatch(r"seed\d+", folder.name):
+            names.append(folder.parent.name)
+            continue
+        alike = [other for other in flat if all(other.get(k) == own.get(k) for k in ("task", "search.algorithm"))]
+        keys = [key for key in own if key not in OWN and any(other.get(key) != own[key] for other in alike)]
+        names.append(", ".join([algorithm, *(f"{key}={own[key]}" for key in keys[:3])]))
+    return names
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings by dotted keys."""
+    flat = {}
+    for key, value in values.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return flat
+
+
+def progress(members: Sequence[Member], x: str) -> tuple[np.ndarray, np.ndarray]:
+    """The best return of several searches over ``evaluations`` or ``steps``.
+
+    Begins where each has evaluated a design; one that ends before the others keeps its best return.
+
+    Returns:
+        Places, float64 ``[k]``, and returns, float64 ``[k, members]``.
+
+    Raises:
+        ValueError: a search without a design that was evaluated.
+    """
+    if not members or not all(len(one.best) for one in members):
+        raise ValueError("A search has not evaluated any design yet.")
+    spent = [getattr(one, x) for one in members]
+    first, last = max(s[0] for s in spent), max(s[-1] for s in spent)
+    every = np.unique(np.concatenate(spent))
+    places = every[every >= first] if len(every) <= PLACES else np.linspace(first, last, PLACES)
+    values = [one.best[np.searchsorted(s, places, "right") - 1] for one, s in zip(members, spent, strict=True)]
+    return places.astype(np.float64), np.stack(values, axis=1)

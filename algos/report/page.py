@@ -1,0 +1,42 @@
+"""What the pages of this package have in common: a frame with style and script, lists of facts, rows of tables."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from html import escape
+from importlib.resources import files
+
+__all__ = ["fact_list", "page", "row", "text"]
+
+
+def page(template: str, title: str, slots: Mapping[str, str]) -> str:
+    """A page as text: it needs no network and links to nothing.
+
+    Args:
+        template: file of this package with the main part.
+        slots: HTML for the ``{{names}}`` in it.
+    """
+    frame = {"title": escape(title), "style": text("page.css"), "script": text("page.js")}
+    return _fill(text("page.html"), frame | {"main": _fill(text(template), slots)})
+
+
+def _fill(template: str, slots: Mapping[str, str]) -> str:
+    # one pass: what is filled in is not searched for slots again
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: slots[match[1]], template)
+
+
+def text(name: str) -> str:
+    """The content of a file of this package."""
+    return files("warpvox.algos.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def fact_list(facts: Mapping[str, object]) -> str:
+    """Names with their values, for a ``<dl class="facts">``."""
+    return "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(str(value))}</dd></div>" for name, value in facts.items())
+
+
+def row(cells: Iterable[tuple[float | str | None, str]]) -> str:
+    """A row of a table from pairs: what its column is sorted by (None: it is not), and HTML."""
+    parts = (f"<td{'' if key is None else f' data-v={chr(34)}{key}{chr(34)}'}>{html}</td>" for key, html in cells)
+    return f"<tr>{''.join(parts)}</tr>\n"
