@@ -32,7 +32,7 @@ COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test ptxas fast parity lint format licences packaging audit lock docs tables pictures gpu_pack clean distclean
+.PHONY: help install demo test ptxas fast parity lint format licences packaging audit lock docs tables pictures zoo_picture gpu_pack clean distclean
 .DEFAULT_GOAL := help
 
 help:
@@ -113,6 +113,10 @@ tables: $(STAMP)
 # Makes the pictures of the documentation anew, of three runs of a walker; takes some minutes.
 pictures: $(STAMP)
 	$(BIN)/python docs/pictures.py
+
+# The robots of the zoo at work; to be made again after entries have changed.
+zoo_picture: $(STAMP)
+	$(BIN)/python docs/zoo_picture.py
 
 # For torch of another machine: GPU_PYTHON=3.11 make gpu_pack.
 GPU_PYTHON ?= 3.12

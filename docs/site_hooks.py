@@ -17,6 +17,7 @@ ORDER = (
     "observations",
     "codesign",
     "search",
+    "zoo",
     "evaluation",
     "policies",
     "universal",

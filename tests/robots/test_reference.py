@@ -1,0 +1,60 @@
+"""The released simulator gives robots of the zoo the returns that ours has recorded: ``pytest -m slow tests/robots``.
+
+Needs the reference: the interpreter that ``WARPVOX_REFERENCE`` names, or the one that ``warpvox bench`` has made.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from warpvox.bench.reference import reference_folder
+from warpvox.envs.registry import released_id
+from warpvox.robots.entry import zoo, zoo_tasks
+from warpvox.robots.replay import draws_at_random, robot_env
+from warpvox.system import python_of
+from warpvox.view.rollout import record
+
+REFERENCE = Path(os.environ.get("WARPVOX_REFERENCE") or python_of(reference_folder()))
+ROUNDING = 1e-8  # of a sum of up to 1000 rewards; orientations (Flipper-v0) round more
+PROGRAM = """
+import json, sys, warnings
+warnings.filterwarnings("ignore")
+import numpy, gymnasium, evogym.envs
+given = json.load(sys.stdin)
+body, connections = numpy.array(given["body"], float), numpy.array(given["connections"])
+env = gymnasium.make(given["task"], body=body, connections=connections)
+env.reset()
+total, steps, over = 0.0, 0, False
+for action in given["actions"]:
+    _, reward, terminated, truncated, _ = env.step(numpy.array(action))
+    total, steps, over = total + reward, steps + 1, terminated or truncated
+    if over:
+        break
+print(json.dumps([total, steps, bool(over)]))
+"""
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not REFERENCE.is_file(), reason="WARPVOX_REFERENCE names no interpreter with the reference"),
+]
+
+
+@pytest.mark.parametrize("task", [name for name in zoo_tasks() if not draws_at_random(name)])
+def test_the_reference_gives_the_recorded_return(task: str) -> None:
+    robot = zoo(task)
+    rollout = record(robot_env(robot), robot.policy)
+    given = {"task": released_id(task), "body": robot.body.tolist(), "connections": robot.connections.tolist()}
+    given["actions"] = rollout.actions[:, 0].astype(float).tolist()
+    done = subprocess.run([REFERENCE, "-I", "-c", PROGRAM], input=json.dumps(given), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    (answer,) = (line for line in done.stdout.splitlines() if line.startswith("["))  # the simulator greets after it
+    total, steps, over = json.loads(answer)
+    tolerance = 5e-3 if task == "Flipper-v0" else ROUNDING
+    assert total == pytest.approx(robot.mean_return, abs=tolerance)
+    assert [steps] == robot.about["lengths"]
+    assert over
