@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
@@ -18,6 +19,7 @@ from warpvox.cli.console import Console
 from warpvox.cli.designs import bodies_of, held_out_of, read_bodies
 from warpvox.design import save_design
 from warpvox.errors import ConfigError, DesignError
+from warpvox.view.rollout import Rollout
 
 SMALL = {"ppo.steps": 4, "ppo.minibatches": 1, "ppo.epochs": 1}
 
@@ -92,7 +94,16 @@ def test_a_run_over_many_bodies_is_trained_evaluated_and_played(tmp_path: Path) 
     assert found["mean_return"] == pytest.approx(sum(last) / 3, rel=1e-4)
     folder = evaluate_runs(load("evaluate", [*words, f"runs={run.folder}", "designs=random:5:3x3"]), console)
     assert len(json.loads((folder / "summary.json").read_text(encoding="utf-8"))["runs"][0]["returns"]) == 15
-    played = play(load("play", [*words, f"run={run.folder}", "num_envs=2", "steps=3", "export=[]"]), console)
-    assert (played / "rollout.npz").is_file()
+    assert Image.open(run.folder / "held_out.png").size[0] > 3 * 60
+    played = play(load("play", [*words, f"run={run.folder}", "num_envs=3", "steps=3", "export=[png,html]"]), console)
+    shown = json.loads((played / "summary.json").read_text(encoding="utf-8"))
+    assert shown["returns"] == sorted(shown["returns"], reverse=True)
+    assert sorted(shown["bodies"]) == ["body 0", "body 1", "body 2"]
+    rollout = Rollout.load(played / "rollout.npz")
+    assert rollout.names == shown["bodies"]
+    for env, name in enumerate(rollout.names):  # every body under its number in held_out.csv
+        robot = next(obj for obj in rollout.scene(env).objects if obj.name == "robot")
+        assert "/".join("".join(map(str, row)) for row in robot.grid.tolist()) == rows[int(name[5:])]["cells"]
+    assert '"name":"body 2"' in (played / "rollout.html").read_text(encoding="utf-8")
     with_body = [*words, f"run={run.folder}", "design=[[3,3],[4,0]]", "num_envs=1", "steps=3", "export=[]"]
     assert (play(load("play", with_body), console) / "rollout.npz").is_file()

@@ -50,6 +50,21 @@ def test_what_is_saved_is_loaded(rollouts, tmp_path_factory, frames, envs, desig
     assert [entry.name for entry in path.parent.iterdir()] == [path.name]
 
 
+def test_the_best_come_first_under_their_names(rollouts: Callable[..., Rollout]) -> None:
+    rollout = rollouts(6, 5, 2)
+    assert rollout.names == ["0", "1", "2", "3", "4"]
+    best = rollout.best_first()
+    assert (np.diff(best.returns[-1]) <= 0).all()
+    for env, name in enumerate(best.names):
+        old = int(name)
+        assert best.scene(env) is rollout.scene(old)
+        np.testing.assert_array_equal(best.positions[:, env], rollout.positions[:, old])
+        np.testing.assert_array_equal(best.done[:, env], rollout.done[:, old])
+    assert best.best_first().names == best.names
+    rollout.metadata["names"] = ["one"]  # of another number of environments
+    assert rollout.names[0] == "0"
+
+
 def test_equal_rollouts_give_equal_files(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
     for name in ("a", "b"):
         rollouts(5, 2).save(tmp_path / name)

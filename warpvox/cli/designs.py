@@ -139,7 +139,7 @@ def trained_on(config: Any) -> dict[str, Any]:
 
 
 class HeldOut:
-    """An evaluator on held-out bodies, which keeps what became of each in ``held_out.csv``.
+    """An evaluator on held-out bodies, which keeps what became of each in ``held_out.csv`` and ``held_out.png``.
 
     Args:
         judge: evaluates a policy on the bodies.
@@ -160,7 +160,26 @@ class HeldOut:
         self.best = np.maximum(self.best, last)
         if self.folder is not None:
             write_text(self.folder / "held_out.csv", self._table(last))
+            self._draw(last)
         return result
+
+    def _draw(self, last: np.ndarray) -> None:
+        """``held_out.png``: the bodies, the best first, on paper that is the greener the better they are."""
+        from warpvox.view.body_picture import write_bodies
+
+        order = np.argsort(-last, kind="stable")
+        spread = float(np.ptp(last)) or 1.0
+        low, middle, high = np.quantile(last, (0.1, 0.5, 0.9))
+        title = f"held-out bodies: mean {last.mean():.2f}, quantiles 10, 50, 90 %: {low:.2f}, {middle:.2f}, {high:.2f}"
+        write_bodies(
+            self.folder / "held_out.png",
+            [self.bodies[number] for number in order],
+            [(f"{last[number]:.2f}", f"body {number}") for number in order],
+            title,
+            cell=20,
+            shades=((last[order] - last.min()) / spread).tolist(),
+            columns=8,
+        )
 
     def _table(self, last: np.ndarray) -> str:
         text = io.StringIO()

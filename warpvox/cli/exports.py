@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.console import Console
 
 from warpvox.cli.console import echo
@@ -19,11 +20,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ROLLOUT",
-    "TILES",
     "draws_at_random",
     "load_run",
     "record_agent",
     "record_run",
+    "tiles_of",
     "write_exports",
 ]
 
@@ -44,8 +45,10 @@ THINNED = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
 FILMS = ("gif", "mp4")
 MEASURED, LONG = 2.0, 20.0
 """Seconds after which the rest of a film is estimated, and from which on that is worth a line."""
-TILES = 16
-"""Environments that a picture shows at most."""
+TILES, BODIES = 16, 36
+"""Environments that a picture shows at most; of a run over many bodies."""
+LARGE = (960, 540)
+"""Size of pictures of more than :data:`TILES`, in pixels."""
 
 
 def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[Any, Any]:
@@ -126,12 +129,18 @@ def _load_robot(robot: Robot, config: Any) -> tuple[Any, Any]:
 
 
 def record_run(run: Run, env: Any, controller: Any, steps: int | None, stochastic: bool = False) -> Rollout:
-    """One episode of every environment; ``stochastic``: whether ``controller`` samples its actions."""
+    """One episode of every environment; of several bodies the best first.
+
+    ``stochastic``: whether ``controller`` samples its actions.
+    """
     from warpvox.view.rollout import record
 
-    rollout = record(env, controller, steps, metadata={"run": run.folder.name, "stochastic": stochastic})
+    about: dict[str, Any] = {"run": run.folder.name, "stochastic": stochastic}
+    if env.num_designs > 1:
+        about["names"] = [f"body {design}" for design in env.design_index.tolist()]
+    rollout = record(env, controller, steps, metadata=about)
     rollout.metadata["drawn"] = stochastic or draws_at_random(env)
-    return rollout
+    return rollout.best_first() if env.num_designs > 1 else rollout
 
 
 def draws_at_random(env: Any) -> bool:
@@ -173,6 +182,13 @@ def record_agent(config: Any) -> Rollout:
     return record(env, config.agent, config.steps)
 
 
+def tiles_of(rollout: Rollout) -> list[int]:
+    """The environments that a picture shows: the first ones; of many bodies in the order of returns, evenly chosen."""
+    if "names" not in rollout.metadata:
+        return list(range(min(rollout.num_envs, TILES)))
+    return np.linspace(0, rollout.num_envs - 1, min(rollout.num_envs, BODIES)).round().astype(int).tolist()
+
+
 def write_exports(
     rollout: Rollout,
     folder: Path,
@@ -193,7 +209,9 @@ def write_exports(
         with console.status(f"writing {file}"):
             options: dict[str, Any] = {"size": tuple(size)} if size and name in SIZED else {}
             if name in TILED:
-                options["envs"] = list(range(min(rollout.num_envs, TILES)))
+                options["envs"] = tiles_of(rollout)
+                if len(options["envs"]) > TILES:
+                    options = {"size": LARGE} | options
             if name in THINNED:
                 options[THINNED[name]] = every
             if name in FILMS:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -16,7 +17,8 @@ from warpvox.view.palette import CELL_NAMES, RAMPS
 
 __all__ = ["body_svg", "draw_bodies", "write_bodies"]
 
-PAPER, FAINT, EMPTY = (255, 255, 255), (108, 116, 130), (238, 241, 245)
+PAPER, FAINT, EMPTY = (255, 255, 255), (88, 96, 110), (238, 241, 245)
+SHADE = (126, 200, 150)
 COLUMNS = 5
 """Bodies in a row of a sheet."""
 
@@ -51,6 +53,7 @@ def draw_bodies(
     captions: Sequence[Sequence[str]],
     title: str = "",
     cell: int = 28,
+    shades: Sequence[float] | None = None,
     columns: int = COLUMNS,
 ) -> Image.Image:
     """A sheet with bodies in rows, each above its caption.
@@ -59,6 +62,7 @@ def draw_bodies(
         captions: lines of text for each body.
         title: a line on top.
         cell: pixels of a cell.
+        shades: for each body 0 to 1: how strongly the paper below it is coloured; None: not at all.
         columns: bodies in a row at most.
     """
     gap, line = cell, 22
@@ -76,6 +80,12 @@ def draw_bodies(
         pen.text((gap, gap // 2 + 4), title, INK, font(20))
     for number, (body, caption) in enumerate(zip(bodies, captions, strict=True)):
         left, upper = gap + number % columns * step[0], top + number // columns * step[1]
+        if shades is not None:
+            margin, low = gap // 3, upper + high + lines * line
+            box = (left - margin, upper - margin, left + wide + margin, low + margin)
+            pen.rectangle(
+                box, fill=tuple(round(p + shades[number] * (s - p)) for p, s in zip(PAPER, SHADE, strict=True))
+            )
         _draw(pen, body, (left, upper + high - body.shape[0] * cell), cell)
         for place, text in enumerate(caption):
             pen.text((left, upper + high + 8 + place * line), text, INK if place == 0 else FAINT, font(16))
@@ -97,7 +107,7 @@ def write_bodies(
     bodies: Sequence[Design],
     captions: Sequence[Sequence[str]],
     title: str = "",
-    columns: int = COLUMNS,
+    **options: Any,
 ) -> Path:
     """Write what :func:`draw_bodies` draws as PNG, whole or not at all; returns the path."""
-    return save_png(draw_bodies(bodies, captions, title, columns=columns), path)
+    return save_png(draw_bodies(bodies, captions, title, **options), path)

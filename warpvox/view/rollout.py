@@ -136,6 +136,21 @@ class Rollout:
         start = np.zeros((1, self.num_envs))
         return np.concatenate([start, self.rewards.cumsum(axis=0)])
 
+    @property
+    def names(self) -> list[str]:
+        """What pictures call the environments: ``metadata["names"]`` where it has one for each, else their numbers."""
+        names = self.metadata.get("names")
+        fits = isinstance(names, list) and len(names) == self.num_envs
+        return [str(name) for name in names] if fits else [str(env) for env in range(self.num_envs)]
+
+    def best_first(self) -> Rollout:
+        """The environments in the order of their returns, the highest first; each keeps its name (:attr:`names`)."""
+        order = np.argsort(-self.returns[-1], kind="stable")
+        arrays = {name: getattr(self, name) for name in ARRAYS}
+        arrays = {name: value[order] if name == "design_index" else value[:, order] for name, value in arrays.items()}
+        names = [self.names[env] for env in order]
+        return Rollout(scenes=self.scenes, metadata=self.metadata | {"names": names}, **arrays)
+
     def scene(self, env: int) -> Scene:
         """The scene of an environment."""
         return self.scenes[self.design_index[env]]

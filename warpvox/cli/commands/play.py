@@ -16,10 +16,10 @@ from warpvox.cli.config import to_yaml
 from warpvox.cli.console import echo, literal
 from warpvox.cli.exports import (
     ROLLOUT,
-    TILES,
     load_run,
     record_agent,
     record_run,
+    tiles_of,
     write_exports,
 )
 from warpvox.cli.playback import play_in_window, wants_window
@@ -68,9 +68,7 @@ def play(config: PlayConfig, console: Console) -> Path:
     folder = write_results(rollout, config, source, "play", formats, console, config.record)
     if in_window:
         echo(console, "close the window to go on")
-        play_in_window(
-            rollout, list(range(min(rollout.num_envs, TILES))), **({"size": tuple(config.size)} if config.size else {})
-        )
+        play_in_window(rollout, tiles_of(rollout), **({"size": tuple(config.size)} if config.size else {}))
     return folder
 
 
@@ -167,13 +165,14 @@ def summary_of(rollout: Rollout, command: str, source: str) -> dict[str, Any]:
         "mean_return": float(returns.mean()),
         "returns": [float(value) for value in returns],
         "lengths": [int(value) for value in rollout.lengths],
+        **({"bodies": rollout.names} if "names" in rollout.metadata else {}),
     }
 
 
 def print_returns(rollout: Rollout, console: Console) -> None:
     """A table with a row for each environment (the first ones of many) and their mean."""
     returns, lengths = rollout.returns[-1], rollout.lengths
-    several = len(rollout.scenes) > 1
+    several = len(rollout.scenes) > 1 and "names" not in rollout.metadata
     agent = rollout.metadata.get("agent", "policy")
     kind = "sampled actions" if rollout.metadata.get("stochastic") else "deterministic"
     kind = kind if agent == "policy" else f"agent {agent}"
@@ -184,7 +183,7 @@ def print_returns(rollout: Rollout, console: Console) -> None:
         table.add_column(heading, justify="left" if heading == "end" else "right")
     for env in range(min(rollout.num_envs, ROWS)):
         design = [str(rollout.design_index[env])] if several else []
-        table.add_row(str(env), *design, f"{returns[env]:.3f}", str(lengths[env]), _end(rollout, env))
+        table.add_row(rollout.names[env], *design, f"{returns[env]:.3f}", str(lengths[env]), _end(rollout, env))
     if rollout.num_envs > ROWS:
         table.add_row("...", *([""] if several else []), "", "", f"{rollout.num_envs - ROWS} more")
     if rollout.num_envs > 1:

@@ -108,7 +108,7 @@ def _describe(rollout: Rollout, envs: list[int], scale: int, every: int) -> dict
         for key in ("rules", "physics", "agent", "seed", "iteration")
         if isinstance(rollout.metadata.get(key), str | int)
     }
-    lengths = rollout.lengths
+    lengths, names = rollout.lengths, rollout.names
     return {
         "frames": len(rollout.positions[::every]),
         "dt": FRAME_SECONDS * every,
@@ -120,7 +120,12 @@ def _describe(rollout: Rollout, envs: list[int], scale: int, every: int) -> dict
         "names": {int(cell): name for cell, name in CELL_NAMES.items()},
         "scenes": [_describe_scene(rollout.scenes[number]) for number in used],
         "envs": [
-            {"env": env, "scene": used.index(int(rollout.design_index[env])), "length": int(lengths[env]) // every}
+            {
+                "env": env,
+                "name": names[env],
+                "scene": used.index(int(rollout.design_index[env])),
+                "length": int(lengths[env]) // every,
+            }
             for env in envs
         ],
     }

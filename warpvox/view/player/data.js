@@ -96,7 +96,7 @@ const readRollout = async () => {
   let row = 0;
   const envs = meta.envs.map((entry, number) => {
     const scene = scenes[entry.scene], width = 2 * scene.points;
-    const env = { number, name: entry.env, length: entry.length, scene, xy: new Float32Array(frames * width) };
+    const env = { number, name: entry.name, length: entry.length, scene, xy: new Float32Array(frames * width) };
     for (let i = 0; i < width; i++, row++) {
       let value = start[row], at = row * steps;
       env.xy[i] = value * unit;
