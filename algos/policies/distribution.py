@@ -28,8 +28,8 @@ class VoxelGaussian(Gaussian):
 
     def look(self, kinds: torch.Tensor) -> None:
         """``kinds`` ``[rows, actions]``: 0: the body has no such action, 1: horizontal, 2: vertical actuator."""
-        self._present = (kinds > 0).to(kinds.dtype)
-        self._vertical = (kinds > 1).to(kinds.dtype)
+        self._is_present, self._present = kinds > 0, kinds.clamp(max=1)
+        self._vertical = kinds - self._present
 
     def by_kind(self, values: torch.Tensor, absent: float) -> torch.Tensor:
         """Values ``[kinds]`` by action, ``[rows, actions]``."""
@@ -37,11 +37,11 @@ class VoxelGaussian(Gaussian):
         of_actions = torch.lerp(
             horizontal.expand_as(self._vertical), vertical.expand_as(self._vertical), self._vertical
         )
-        return torch.where(self._present > 0, of_actions, absent)
+        return torch.where(self._is_present, of_actions, absent)
 
     def update(self, mlp_output: torch.Tensor) -> None:
         """Make ``mlp_output`` ``[rows, actions]`` the mean; what it says of absent actions does not matter."""
-        self._mean = torch.where(self._present > 0, mlp_output, 0.0)
+        self._mean = torch.where(self._is_present, mlp_output, 0.0)
         self._log_kinds = self.log_std_param.clamp(*self.log_std_range)
         self._log_std = self.by_kind(self._log_kinds, 0.0)
         self._std = self._log_std.exp()
@@ -49,7 +49,7 @@ class VoxelGaussian(Gaussian):
     def sample(self) -> torch.Tensor:
         """``[rows, actions]``, without a gradient."""
         noise = torch.randn_like(self._mean).mul_(self._std)
-        return torch.where(self._present > 0, noise.add_(self._mean), 0.0).detach()
+        return torch.where(self._is_present, noise.add_(self._mean), 0.0).detach()
 
     @property
     def params(self) -> tuple[torch.Tensor, ...]:
@@ -73,7 +73,7 @@ class VoxelGaussian(Gaussian):
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
         """``[rows]`` of actions ``[rows, actions]``."""
-        outputs = torch.where(self._present > 0, outputs, 0.0)
+        outputs = torch.where(self._is_present, outputs, 0.0)
         return self.log_prob_of(((outputs - self._mean) / self._std).square())
 
     def log_prob_of(self, squares: torch.Tensor) -> torch.Tensor:

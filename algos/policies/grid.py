@@ -55,9 +55,11 @@ class GridNetwork(nn.Module):
         """Inputs ``[rows, cells, 26]`` and ``[rows, k]`` to ``[rows, cells]``, or ``[rows]`` of a critic."""
         count = cells.shape[1]
         flat = cells.reshape(-1, FEATURES)
-        encoded = (flat[:, :MOVING] @ self.moving) * (1 + flat[:, MOVING:] @ self.fixed)
-        encoded = encoded.reshape(-1, count * self.moving.shape[1])
-        summary = fast_tanh(self.hidden(fast_tanh(self.pool(torch.cat([encoded, rest], dim=1)))))
+        weights = torch.addmm(flat.new_ones(1), flat[:, MOVING:], self.fixed)
+        encoded = ((flat[:, :MOVING] @ self.moving) * weights).reshape(-1, count * self.moving.shape[1])
+        of_voxels, of_rest = self.pool.weight.t().split([encoded.shape[1], rest.shape[1]])
+        pooled = torch.addmm(torch.addmm(self.pool.bias, rest, of_rest), encoded, of_voxels)
+        summary = fast_tanh(self.hidden(fast_tanh(pooled)))
         if self.critic:
             return self.value(summary)[:, 0]
         query = fast_tanh(self.query(flat).reshape(-1, count, self.local.shape[0]) + self.cell)

@@ -86,11 +86,17 @@ def layout_of(env: VoxelVecEnv) -> VoxelLayout:
     return VoxelLayout(grid.rows, grid.columns, env.num_obs - cells * NUM_FEATURES, env.num_actions)
 
 
-def corner_transform(like: torch.Tensor) -> torch.Tensor:
-    """``[8, 8]``: from the x and y of four corners to those of the centre, then the six of the shape."""
-    order = [(0, 0), (1, 0), *((axis, spread) for axis in (0, 1) for spread in (1, 2, 3))]
-    columns = [[_SPREADS[spread][k // 2] / 4 * (k % 2 == axis) for k in range(8)] for axis, spread in order]
-    return torch.tensor(columns, dtype=like.dtype, device=like.device).T
+def input_transform(like: torch.Tensor) -> torch.Tensor:
+    """``[25, 26]``: from the features of an observed cell to the inputs of a policy; columns of ``place`` are 0."""
+    axes = [(0, 0), (1, 0), *((axis, spread) for axis in (0, 1) for spread in (1, 2, 3))]
+    columns = [[_SPREADS[spread][k // 2] / 4 * (k % 2 == axis) for k in range(8)] for axis, spread in axes]
+    corners = torch.tensor(columns, dtype=like.dtype, device=like.device).T
+    transform = like.new_zeros(NUM_FEATURES, FEATURES)
+    transform[OBSERVED["positions"], :8] = corners
+    transform[OBSERVED["velocities"], 8:MOVING] = corners
+    fixed = slice(OBSERVED["type"].start + 1, OBSERVED["neighbours"].stop)
+    transform[fixed, INPUTS["type"].start :] = torch.eye(fixed.stop - fixed.start, dtype=like.dtype, device=like.device)
+    return transform
 
 
 def rest_places(layout: VoxelLayout, like: torch.Tensor) -> torch.Tensor:
@@ -114,18 +120,15 @@ def voxel_inputs(
     cells = obs[:, : layout.cells * NUM_FEATURES].reshape(-1, layout.cells, NUM_FEATURES)
     types = cells[..., OBSERVED["type"]]
     present = 1 - types[..., :1]
-    transform = corner_transform(cells)
-    moved, speeds = (cells[..., OBSERVED[name]] @ transform for name in ("positions", "velocities"))
-    moved = torch.where(present > 0, moved, 0.0)
+    features = cells @ input_transform(cells)
+    # not a product: what is not finite in an absent cell must not get through either
+    features = features.masked_fill_(present == 0, 0.0)
     count = present.sum(1, keepdim=True).clamp(min=1)
     place = rest_places(layout, present) * present
     place = (place - place.sum(1, keepdim=True) / count) * present
-    shift = moved[..., :2] - VOXEL * place
-    shift = shift - shift.sum(1, keepdim=True) / count
-    fixed = cells[..., OBSERVED["type"].start + 1 : OBSERVED["neighbours"].stop]
-    features = torch.cat([shift, moved[..., 2:], speeds, place, fixed], dim=-1)
-    # not a product: what is not finite in an absent cell must not get through either
-    features = torch.where(present > 0, features, 0.0)
+    shift = features[..., INPUTS["shift"]] - VOXEL * place
+    features[..., INPUTS["shift"]] = (shift - shift.sum(1, keepdim=True) / count) * present
+    features[..., INPUTS["place"]] = place
     kind = types[..., 3] + 2 * types[..., 4]
     driving = kind > 0
     actions = torch.where(driving, driving.long().cumsum(-1) - 1, layout.actions)

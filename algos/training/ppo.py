@@ -149,14 +149,19 @@ class PPO(RslRlPPO):
     def compute_returns(self, obs: TensorDict) -> None:
         """Values and log-probabilities of the rollout, then returns and advantages; ``obs`` are those after it."""
         st, policy = self.storage, self.actor.distribution
-        # The normaliser learns after the update only: scaled once, the inputs serve all epochs.
-        self._inputs = self.actor.scaled(self._samples(observations(self.actor, st.observations)))
-        axis = self._inputs.ndim - 2
-        size = -(-self._inputs.shape[axis] // self.num_mini_batches)  # no more memory than learning takes
-        values = [self.critic.run(part) for part in self._inputs.split(size, dim=axis)]
-        self._store(st.values, torch.cat(values, dim=axis))
-        policy.update(self._samples(st.distribution_params[0]))
-        self._store(st.actions_log_prob, policy.log_prob(self._samples(st.actions))[..., None])
+        kept = [observations(self.actor, st.observations), st.distribution_params[0], st.actions]
+        rows = [self._samples(values) for values in kept]
+        axis = rows[0].ndim - 2
+        size = -(-rows[0].shape[axis] // self.num_mini_batches)  # no more memory than learning takes
+        parts: list[tuple[torch.Tensor, ...]] = []
+        for seen, mean, actions in zip(*(values.split(size, dim=axis) for values in rows), strict=True):
+            # The normaliser learns after the update only: scaled once, the inputs serve all epochs.
+            inputs = self.actor.scaled(seen)
+            policy.update(mean)
+            parts.append((inputs, self.critic.run(inputs), policy.log_prob(actions)[..., None]))
+        self._inputs, values, log_prob = (torch.cat(part, dim=axis) for part in zip(*parts, strict=True))
+        self._store(st.values, values)
+        self._store(st.actions_log_prob, log_prob)
         super().compute_returns(obs)
 
     def _samples(self, values: torch.Tensor) -> torch.Tensor:
