@@ -295,6 +295,17 @@ class TaskSpec:
         return not all(_is_ours(function) for function in functions)
 
     @property
+    def is_random(self) -> bool:
+        """Whether episodes begin differently: a memory begins with something drawn at random."""
+        from torch import equal
+
+        from warpvox.envs.random_stream import RandomStream
+
+        draws = RandomStream(0, 16, "cpu")
+        begun = [memory.begin(draws) for memory in self.memory]
+        return not all(equal(value, value[:1].expand_as(value)) for value in begun)
+
+    @property
     def robots(self) -> dict[str, tuple[int, int]]:
         """All robots that are designed, with their cells."""
         return {ROBOT: self.robot_cell, **self.partners}

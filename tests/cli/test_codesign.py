@@ -33,6 +33,7 @@ from warpvox.cli.commands.codesign import _archive, resolve
 from warpvox.cli.config import load
 from warpvox.cli.runs import ADDED, END
 from warpvox.design import example_design, load_design, sample_design
+from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError
 from warpvox.view.body_picture import cell_colour
 
@@ -104,6 +105,19 @@ def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) 
     assert warpvox("play", f"run={folder}/designs/{other.id}", "num_envs=1", "export=[]", "name=b").code == 0
     (played,) = Path("outputs/play/Walker-v0").glob("*_b")
     assert summary(played)["mean_return"] == pytest.approx(other.fitness, abs=ROUNDING)
+
+
+def test_the_winner_of_a_random_task_is_judged_again_on_fresh_seeds(search: Callable, warpvox: Callable) -> None:
+    folder = search("task=Catcher-v0", "search.max_evaluations=5", "seed=3")
+    fresh, text = summary(folder)["fresh_seeds"], (folder / "report.html").read_text()
+    assert warpvox("evaluate", f"runs=[{folder}]", "episodes=64", "device=cpu", "threads=1").code == 0
+    (judged,) = Path("outputs/evaluate").glob("*/*")
+    (again,) = summary(judged)["runs"]
+    assert [fresh[name] for name in ("mean", "low", "high")] == [again[name] for name in ("mean", "low", "high")]
+    assert (fresh["episodes"], fresh["mean"] != summary(folder)["best_fitness"]) == (64, True)
+    assert f"<dd>{fresh['mean']:.3f} [" in text
+    # nothing is random in the other tasks: there is nothing else to judge by
+    assert [task for task in task_ids() if get_task(task).is_random] == ["BidirectionalWalker-v0", "Catcher-v0"]
 
 
 def test_playing_finds_the_fitness_again(search: Callable, warpvox: Callable) -> None:

@@ -22,6 +22,7 @@ from warpvox.algos.report import write_report
 from warpvox.checks import is_number
 from warpvox.cli.cell_text import body_rows
 from warpvox.cli.console import duration, echo, figure
+from warpvox.cli.fresh_seeds import fresh_text
 from warpvox.cli.runs import read_summary, write_summary
 from warpvox.view.body_picture import write_bodies
 
@@ -49,7 +50,8 @@ class Results:
     def __init__(self, folder: Path, archive: Archive, config: Any) -> None:
         self.folder, self.archive, self.config = folder, archive, config
         self.search = NAMES.get(config.search.algorithm, config.search.algorithm)
-        before = read_summary(folder).get("elapsed_seconds")
+        summary = read_summary(folder)
+        before, self.fresh = summary.get("elapsed_seconds"), summary.get("fresh_seeds")
         self._began, self._before = time.monotonic(), before if is_number(before) else 0.0
 
     @property
@@ -86,6 +88,7 @@ class Results:
             "best_fitness": best[0].fitness if best else None,
             "best_design": best[0].id if best else None,
             "design": best[0].candidate.body.tolist() if best else None,
+            **({"fresh_seeds": self.fresh} if self.fresh else {}),
             "elapsed_seconds": round(self.elapsed, 3),
             "steps_per_second": round(steps / self.elapsed, 1) if steps else None,
         }
@@ -103,6 +106,8 @@ class Results:
             "seed": str(self.config.seed),
             "version": __version__,
         }
+        if summary.get("fresh_seeds"):
+            facts["winner on fresh seeds"] = fresh_text(summary["fresh_seeds"])
         return write_report(self.archive, self.folder / REPORT, facts)
 
 

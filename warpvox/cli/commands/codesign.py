@@ -23,6 +23,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.console import echo, shell_argument
+from warpvox.cli.fresh_seeds import evaluate_winner, fresh_text
 from warpvox.cli.runs import CONFIG, END, find_codesign, read_summary, run_folder
 from warpvox.cli.trust import STORED, again, as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig
@@ -220,6 +221,9 @@ def _search(loop: Any, watch: Any, config: CodesignConfig, console: Console) -> 
             conclude(console, watch.results.write("failed"), watch.results.folder, config)
         raise
     summary = watch.results.write("done")
+    if summary["best_design"] is not None:
+        watch.results.fresh = evaluate_winner(watch.results.folder, config)
+        summary = watch.results.write("done")
     write_exports(watch.archive, watch.results.folder, config.export, console)
     conclude(console, summary, watch.results.folder, config)
 
@@ -371,6 +375,8 @@ def conclude(console: Console, summary: dict[str, Any], folder: Path, config: Co
     if summary["best_design"] is not None:
         text += f"; best fitness {summary['best_fitness']:.3f} (design {summary['best_design']})"
     echo(console, text)
+    if summary.get("fresh_seeds"):
+        echo(console, f"the best on fresh seeds: {fresh_text(summary['fresh_seeds'])}")
     if summary["best_design"] is not None:
         echo(console, f"report: {(folder / REPORT).resolve().as_uri()}")
         task = f" task={STORED}" if is_code(config.task) else ""
