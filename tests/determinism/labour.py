@@ -93,10 +93,14 @@ def files(threads: int) -> Iterator[tuple[str, str]]:
         yield f"file: {name}", sha((folder / name).read_bytes())
 
 
+def everything(threads: int) -> dict[str, str]:
+    """All parts, made in the current folder by simulations with so many threads."""
+    torch.set_num_threads(1)
+    return dict([*training(threads), *codesign(threads), *files(threads), *proposals()])
+
+
 if __name__ == "__main__":
-    place, count = Path(sys.argv[1]), int(sys.argv[2])
+    place = Path(sys.argv[1])
     place.mkdir(parents=True, exist_ok=True)
     os.chdir(place)
-    torch.set_num_threads(1)
-    found = dict([*training(count), *codesign(count), *files(count), *proposals()])
-    print(json.dumps(found))
+    print(json.dumps(everything(int(sys.argv[2]))))

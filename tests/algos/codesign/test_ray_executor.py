@@ -24,6 +24,8 @@ ray = pytest.importorskip("ray", reason="Ray is not installed")
 
 from warpvox.algos.codesign import ray_executor  # noqa: E402
 
+PLACES = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+"""Where workers find the modules of the tests, as this process does."""
 pytestmark = pytest.mark.usefixtures("alone")
 
 
@@ -69,21 +71,59 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> str:
     return loop.archive.digest()
 
 
-@pytest.fixture
-def cluster(monkeypatch: pytest.MonkeyPatch):
-    """Two nodes with a CPU each on this machine, and a head without."""
+def test_no_cluster_and_no_ray_are_clear_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RunError, match=r"cannot be reached at 127\.0\.0\.1:1"):
+        ray_executor.RayExecutor(ToyEvaluator, address="127.0.0.1:1")
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ConfigError, match=r"warpvox\[ray\]"):
+        ray_executor.RayExecutor(ToyEvaluator)
+
+
+@pytest.mark.slow
+def test_started_here_and_without_room(tmp_path: Path, undisturbed: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", PLACES)
+    with pytest.raises(RunError, match="a worker takes 1 and 64"):
+        ray_executor.RayExecutor(ToyEvaluator, gpus=64)
+    handler = signal.getsignal(signal.SIGTERM)
+    executor = ray_executor.RayExecutor(functools.partial(ToyEvaluator, 0.0), workers=2)
+    assert signal.getsignal(signal.SIGTERM) is handler  # a request to end is ours to answer, not Ray's
+    loop = make_loop(tmp_path, executor=executor)
+    loop.run()
+    executor.close()
+    with Archive.read(loop.archive.path) as archive:
+        assert archive.digest() == undisturbed
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[tuple]:
+    """Two nodes with a CPU each on this machine, and a head without; the tests below leave fewer of them."""
     from ray.cluster_utils import Cluster
 
-    # workers find the modules of the tests as this process does
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
     handler = signal.getsignal(signal.SIGTERM)  # a node takes it over
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
-    nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
-    cluster.wait_for_nodes()
-    yield cluster, nodes
-    ray.shutdown()
-    cluster.shutdown()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", PLACES)
+        cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+        nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
+        cluster.wait_for_nodes()
+        yield cluster, nodes
+        ray.shutdown()
+        cluster.shutdown()
     signal.signal(signal.SIGTERM, handler)
+
+
+def test_errors_of_an_evaluator_come_through_as_they_are(cluster: tuple, tmp_path: Path) -> None:
+    make = functools.partial(Mortal, tmp_path, fatal=(0,), once=False)
+    executor = ray_executor.RayExecutor(make, workers=2, address=cluster[0].address)
+    body = make_loop(tmp_path / "x").search.ask()[0].body
+    with pytest.raises(RunError, match=r"candidates \[0\] has ended its worker 3 times"):
+        list(executor.run([Batch([Candidate(0, body)])], {}, lambda place, event: None))
+    executor.close()
+    executor = ray_executor.RayExecutor(Refusing, address=cluster[0].address)
+    with pytest.raises(RunError, match="Learning diverged"):
+        list(executor.run([Batch([Candidate(0, body)])], {}, lambda place, event: None))
+    with pytest.raises(ZeroDivisionError, match="a defect"):
+        list(executor.run([Batch([Candidate(1, body)])], {}, lambda place, event: None))
+    executor.close()
 
 
 def test_two_nodes_with_dying_workers_give_the_results_of_one_process(
@@ -112,43 +152,6 @@ def test_two_nodes_with_dying_workers_give_the_results_of_one_process(
     assert len(workers) >= 2  # others after a death; how many more depends on how fast each of them starts
     assert nodes == [nodes[0]]
     assert set(heard) <= {record.id for record in loop.archive.records() if record.reused is None}
-
-
-def test_errors_of_an_evaluator_come_through_as_they_are(cluster: tuple, tmp_path: Path) -> None:
-    make = functools.partial(Mortal, tmp_path, fatal=(0,), once=False)
-    executor = ray_executor.RayExecutor(make, workers=2, address=cluster[0].address)
-    body = make_loop(tmp_path / "x").search.ask()[0].body
-    with pytest.raises(RunError, match=r"candidates \[0\] has ended its worker 3 times"):
-        list(executor.run([Batch([Candidate(0, body)])], {}, lambda place, event: None))
-    executor.close()
-    executor = ray_executor.RayExecutor(Refusing, address=cluster[0].address)
-    with pytest.raises(RunError, match="Learning diverged"):
-        list(executor.run([Batch([Candidate(0, body)])], {}, lambda place, event: None))
-    with pytest.raises(ZeroDivisionError, match="a defect"):
-        list(executor.run([Batch([Candidate(1, body)])], {}, lambda place, event: None))
-
-
-@pytest.mark.slow
-def test_started_here_and_without_room(tmp_path: Path, undisturbed: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
-    with pytest.raises(RunError, match="a worker takes 1 and 64"):
-        ray_executor.RayExecutor(ToyEvaluator, gpus=64)
-    handler = signal.getsignal(signal.SIGTERM)
-    executor = ray_executor.RayExecutor(functools.partial(ToyEvaluator, 0.0), workers=2)
-    assert signal.getsignal(signal.SIGTERM) is handler  # a request to end is ours to answer, not Ray's
-    loop = make_loop(tmp_path, executor=executor)
-    loop.run()
-    executor.close()
-    with Archive.read(loop.archive.path) as archive:
-        assert archive.digest() == undisturbed
-
-
-def test_no_cluster_and_no_ray_are_clear_errors(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(RunError, match=r"cannot be reached at 127\.0\.0\.1:1"):
-        ray_executor.RayExecutor(ToyEvaluator, address="127.0.0.1:1")
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ConfigError, match=r"warpvox\[ray\]"):
-        ray_executor.RayExecutor(ToyEvaluator)
 
 
 @pytest.mark.slow
