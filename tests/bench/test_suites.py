@@ -195,7 +195,7 @@ def test_learning_has_a_curve(bench: Callable) -> None:
 
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_kernels_names_every_stage(compiled: bool, bench: Callable) -> None:
-    _, figures = bench("kernels", f"compile={compiled}", "num_envs=256", "design=walker")
+    _, figures = bench("kernels", f"compile={compiled}", "design=walker")
     assert list(figures["stages"]) == [build.__name__ for build in STAGES["fast"]] == list(kernels.STAGES)
     assert sum(figures["stages"].values()) > 0
     assert sum(figures["bytes"].values()) > 1000

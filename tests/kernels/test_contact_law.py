@@ -12,11 +12,12 @@ from warpvox.simulation import Simulation
 from warpvox.types import Physics
 from warpvox.world import World
 
+LANES = 8  # those of other tests, whose kernels these tests share
 CONSTANTS = [{}, {"friction": 0.0}, {"contact_stiffness": 0.0}, {"contact_damping": 0.0, "contact_depth": 0.01}]
 
 
 def touching(dtype: str, arithmetic: str, physics: Physics, speed: float) -> Simulation:
-    """A robot pushed into two boxes and a bumpy ground, with random velocities of this size, its contacts found."""
+    """Robots pushed into two boxes and a bumpy ground, with random velocities of this size, their contacts found."""
     ground = np.full((2, 20), 5)
     ground[0, ::3] = 0
     world = World(20, 12)
@@ -24,7 +25,8 @@ def touching(dtype: str, arithmetic: str, physics: Physics, speed: float) -> Sim
     world.add_from_array("box", np.full((2, 2), 1), 8, 2)
     world.add_from_array("other", np.full((1, 2), 2), 3, 7)
     world.add_from_array("robot", sample_design((5, 5), seed=1), 3, 2)
-    sim = Simulation([world], device="cpu", dtype=dtype, arithmetic=arithmetic, physics=physics, threads=1, lanes=1)
+    options = dict(device="cpu", dtype=dtype, arithmetic=arithmetic, physics=physics, threads=1, lanes=LANES)
+    sim = Simulation([world] * LANES, **options)
     state, rng = sim.state(), np.random.default_rng(4)
     shape = state["pos"].shape
     state["pos"] = state["pos"] * torch.tensor([0.96, 0.98]).repeat(shape[1] // 2) + torch.as_tensor(
@@ -36,9 +38,9 @@ def touching(dtype: str, arithmetic: str, physics: Physics, speed: float) -> Sim
     return sim
 
 
-def quads(sim: Simulation) -> list[tuple[str, np.ndarray, np.ndarray, int]]:
+def quads(sim: Simulation, env: int) -> list[tuple[str, np.ndarray, np.ndarray, int]]:
     """Object, places and points (-1: terrain) of the corners, and sides, clockwise, of every surface voxel."""
-    pos = sim.state()["pos"][0].numpy().reshape(-1, 2)
+    pos = sim.state()["pos"][env].numpy().reshape(-1, 2)
     found = []
     for body in sim.designs[0].bodies:
         for cell, sides in body.surface.items():
@@ -70,10 +72,10 @@ def crossing(a, b, c, d):
     return 0 <= cross(c - a, d - c) / det <= 1 and 0 <= cross(c - a, b - a) / det <= 1
 
 
-def forces(sim: Simulation) -> tuple[np.ndarray, int]:
+def forces(sim: Simulation, env: int) -> tuple[np.ndarray, int]:
     """``[points, 2]`` and the number of contacts."""
-    law, voxels = sim.physics, quads(sim)
-    speed = sim.state()["true_vel"][0].numpy().reshape(-1, 2)
+    law, voxels = sim.physics, quads(sim, env)
+    speed = sim.state()["true_vel"][env].numpy().reshape(-1, 2)
     out, count = np.zeros_like(speed), 0
     for name, mine, points, _ in voxels:
         for other, theirs, ends, sides in voxels:
@@ -105,9 +107,9 @@ def forces(sim: Simulation) -> tuple[np.ndarray, int]:
     return out, count
 
 
-def found(sim: Simulation) -> np.ndarray:
+def found(sim: Simulation, env: int = 0) -> np.ndarray:
     """``[points, 2]``: the forces as the kernels have them."""
-    rows = sim._state.arrays["contact"].numpy()[0, :, 0].reshape(-1, 2).astype(np.float64)
+    rows = sim._state.arrays["contact"].numpy()[0, :, env].reshape(-1, 2).astype(np.float64)
     return rows[sim._state.arrays["order"].numpy()[0, :, 0]]
 
 
@@ -121,12 +123,13 @@ def test_contact_forces_follow_the_law(
     dtype: str, arithmetic: str, tolerance: float, changes: dict, speed: float
 ) -> None:
     sim = touching(dtype, arithmetic, Physics.preset("evogym", **changes), speed)
-    expected, count = forces(sim)
-    assert count > 10
     fixed = sim.fixed_rows[0, ::2, None].numpy()
-    scale = max(np.abs(expected).max(), 1.0)
-    forced = np.where(fixed, 0, found(sim))
-    np.testing.assert_allclose(forced, np.where(fixed, 0, expected), rtol=0, atol=tolerance * scale)
+    for env in (0, LANES - 1):
+        expected, count = forces(sim, env)
+        assert count > 5
+        scale = max(np.abs(expected).max(), 1.0)
+        forced = np.where(fixed, 0, found(sim, env))
+        np.testing.assert_allclose(forced, np.where(fixed, 0, expected), rtol=0, atol=tolerance * scale)
 
 
 @pytest.mark.parametrize("name", ["friction", "contact_stiffness"])
@@ -134,7 +137,7 @@ def test_contact_forces_follow_the_law(
 def test_a_body_stays_finite_without_friction_or_stiffness(dtype: str, name: str) -> None:
     sim = touching(dtype, "fast" if dtype == "float32" else "exact", Physics.preset("evogym", **{name: 0.0}), 0.0)
     for _ in range(5):
-        sim.step(torch.ones((1, sim.num_actions)))
+        sim.step(torch.ones((LANES, sim.num_actions)))
     assert not sim.unstable.any()
 
 

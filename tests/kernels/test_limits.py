@@ -60,7 +60,9 @@ def test_an_assembler_on_the_path_that_is_too_old_is_not_taken(release, taken, t
 
 
 @needs_assembler
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize(
+    "architecture", [a if a in (80, 90) else pytest.param(a, marks=pytest.mark.slow) for a in ARCHITECTURES]
+)
 def test_a_walker_needs_no_memory_but_registers_and_shared_memory(architecture, tmp_path):
     found = limits_of(WALKER, "float32", architecture, tmp_path)
     check_group(found, "float32")

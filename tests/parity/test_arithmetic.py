@@ -66,7 +66,7 @@ def test_they_are_two_arithmetics() -> None:
     ],
 )
 def test_the_arithmetic_is_chosen_apart_from_the_precision(dtype: str, given: str | None, expected: str) -> None:
-    env = make_vec("Walker-v0", dtype=dtype, arithmetic=given, device="cpu", auto_reset=False, threads=1, lanes=1)
+    env = make_vec("Walker-v0", dtype=dtype, arithmetic=given, device="cpu", auto_reset=False, lanes=LANES)
     assert env.sim.arithmetic == expected
     if given:
         assert record(env, "zero", 1).metadata["arithmetic"] == expected
