@@ -12,8 +12,10 @@ import numpy as np
 
 from warpvox.design import Design
 
-__all__ = ["PROGRESS", "Candidate", "DesignEvaluator", "Outcome", "Parent", "Search", "candidate_seed"]
+__all__ = ["FINALIST", "PROGRESS", "Candidate", "DesignEvaluator", "Outcome", "Parent", "Search", "candidate_seed"]
 
+FINALIST = "finalist"
+"""The origin of a candidate whose body has been compared by a common policy, and now gets a policy of its own."""
 PROGRESS = {
     "iteration": "training iterations done",
     "iterations": "training iterations in all",
@@ -55,7 +57,8 @@ class Outcome:
     ``fitness`` is the best deterministic return (paper section C.1), -inf if learning diverged before the first
     evaluation; ``curve`` the evaluations behind it as (control steps, return); ``steps`` the control steps spent;
     ``policy`` the state of a stock rsl-rl actor, on the CPU; ``stopped``: training ended early, by successive halving
-    or because learning diverged.
+    or because learning diverged; ``spec``: what the policy is built by, see
+    :func:`warpvox.algos.checkpoints.files.spec_dict`; None: by the settings of the training.
     """
 
     fitness: float
@@ -63,6 +66,7 @@ class Outcome:
     steps: int = 0
     policy: dict[str, Any] | None = None
     stopped: bool = False
+    spec: dict[str, Any] | None = None
 
     @property
     def diverged(self) -> bool:

@@ -27,6 +27,8 @@ class EnvFactory:
     threads: int | None = None
     max_episode_steps: int | None = None
     arithmetic: str | None = None
+    obs: str = "task"
+    grid: tuple[int, int] | None = None
 
     def make(self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool) -> VoxelVecEnv:
         """``envs`` environments of each body; random tasks draw as if each body were alone with its seed."""
@@ -47,5 +49,7 @@ class EnvFactory:
             lanes=lanes,
             threads=self.threads,
             max_episode_steps=self.max_episode_steps,
+            obs=self.obs,
+            grid=self.grid,
             memory_check=False,  # the command has checked the whole; here the batch before may still hold memory
         )

@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from warpvox.keys import MISSING, key
 
-__all__ = ["ACTIVATIONS", "LOGGERS", "REFRESH", "PpoConfig", "TrainingConfig"]
+__all__ = ["ACTIVATIONS", "LOGGERS", "REFRESH", "PpoConfig", "ScreeningConfig", "TrainingConfig"]
 
 REFRESH = ("none", "new", "random", "performance")
 """Ways in which bodies take the place of others while one policy learns to control them."""
@@ -72,3 +73,22 @@ class TrainingConfig:
     )
     keep: float = key(0.5, "successive halving: share of the designs that goes on after a rung", above=0, high=1)
     ppo: PpoConfig = key(PpoConfig, "training method")
+
+
+@dataclass
+class ScreeningConfig:
+    """Keys ``screening.*``: how one policy for all designs of a generation compares them."""
+
+    policy: str = key(
+        "grid",
+        "its network: grid, transformer, module:Class, file.py:Class; evaluation=few_shot has that of pretrained",
+        path="read",
+    )
+    network: Any = key(None, "settings of this network: {width:32}; null: its own")
+    envs: int = key(16, "environments of a design", low=1)
+    iterations: int = key(
+        10, "iterations that it learns for on the designs of a generation; few_shot: 0 for none", low=0
+    )
+    eval_envs: int = key(1, "environments of the evaluation after them, for each design", low=1)
+    save_interval: int = key(10, "iterations between checkpoints of an evaluation under way", low=1)
+    ppo: Any = key(None, "settings of PPO that differ from training.ppo: {epochs:4,schedule:adaptive}")

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, make_dataclass
 from typing import Any, get_origin, get_type_hints
 
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
-from warpvox.algos.settings import LOGGERS, REFRESH, PpoConfig, TrainingConfig
+from warpvox.algos.settings import LOGGERS, REFRESH, PpoConfig, ScreeningConfig, TrainingConfig
 from warpvox.keys import MISSING, key
 from warpvox.types import Physics
 
@@ -232,6 +232,28 @@ class CodesignConfig(PresetConfig):
         [5, 5], "rows and columns of the bodies; the paper: [5,5], for Lifter-v0 [5,7]", low=1, form="[rows,columns]"
     )
     rules: str = key("evogym", "the benchmark as released (evogym) or as printed (paper)", choices=("evogym", "paper"))
+    evaluation: str = key(
+        "specialist",
+        "what a design's fitness is: of a policy of its own (specialist); of one policy that learns on all designs of"
+        " each generation (shared); of a pretrained one, tuned anew for each generation (few_shot)",
+        choices=("specialist", "shared", "few_shot"),
+    )
+    policy: str = key(
+        "mlp",
+        "of a design's own training: mlp (training.ppo.hidden); with training.method=sequential also grid,"
+        " transformer, module:Class, file.py:Class",
+        path="read",
+    )
+    network: Any = key(None, "settings of another policy than mlp: {width:32}; null: its own")
+    pretrained: str | None = key(
+        None,
+        "evaluation=few_shot: the policy to begin with, latest, the folder of a run of `warpvox train designs=...` or a"
+        " checkpoint in it",
+        path="read",
+    )
+    finalists: int = key(
+        4, "evaluation=shared and few_shot: best designs that get a training of their own in the end", low=1
+    )
     reuse: bool = key(True, "a body that was evaluated before is not trained again")
     batch: int | None = key(
         None, "designs trained together; null: a whole generation (executor=ray: a worker's share of it)", low=1
@@ -262,6 +284,7 @@ class CodesignConfig(PresetConfig):
     physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the dynamics")
     search: SearchConfig = key(SearchConfig, "search algorithm")
     training: TrainingConfig = key(TrainingConfig, "how a design is trained and judged")
+    screening: ScreeningConfig = key(ScreeningConfig, "how evaluation=shared and few_shot compare designs")
 
 
 @dataclass

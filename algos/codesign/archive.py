@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
+from warpvox.algos.candidate import FINALIST, Candidate, Outcome, candidate_seed
 from warpvox.algos.codesign.archive_check import check_numbers, check_row, check_schema, restrict
 from warpvox.design import as_grid
 from warpvox.errors import RunError, StorageError
@@ -239,16 +239,10 @@ class Archive:
                 raise RunError(f"Candidate {candidate.id} must descend from earlier ones, got {candidate.parents}.")
         with self._writing() as db:
             for item in candidates:
+                row = (item.id, item.generation, body_text(item.body), item.origin)
                 db.execute(
                     "INSERT INTO candidates (id, generation, body, origin, seed, proposed_at) VALUES (?,?,?,?,?,?)",
-                    (
-                        item.id,
-                        item.generation,
-                        body_text(item.body),
-                        item.origin,
-                        candidate_seed(seed, item.id),
-                        _now(),
-                    ),
+                    (*row, candidate_seed(seed, item.id), _now()),
                 )
                 pairs = [(item.id, position, int(parent)) for position, parent in enumerate(item.parents)]
                 db.executemany("INSERT INTO parents VALUES (?,?,?)", pairs)
@@ -404,15 +398,17 @@ class Archive:
     def best(self, count: int = 1, until: int | None = None) -> list[Record]:
         """The designs of highest fitness (up to and including a generation), equal bodies once, ties to the earlier.
 
-        Those whose learning diverged before there was an evaluation are not among them.
+        Finalists come before designs that were compared by a common policy, whatever fitness these have. Those whose
+        learning diverged before there was an evaluation are not among them.
         """
         where, values = ("AND generation <= ?", (until,)) if until is not None else ("", ())
         query = f"""WHERE id IN (
             SELECT id FROM (
-                SELECT id, fitness, ROW_NUMBER() OVER (PARTITION BY body ORDER BY fitness DESC, id) AS place
-                FROM candidates WHERE fitness IS NOT NULL AND stopped < {DIVERGED} {where})
-            WHERE place = 1 ORDER BY fitness DESC, id LIMIT ?)"""
-        return sorted(self._records(query, *values, count), key=lambda record: (-record.fitness, record.id))
+                SELECT id, fitness, last, ROW_NUMBER() OVER (PARTITION BY body ORDER BY last DESC, fitness DESC, id)
+                AS place FROM (SELECT *, origin = '{FINALIST}' AS last FROM candidates)
+                WHERE fitness IS NOT NULL AND stopped < {DIVERGED} {where})
+            WHERE place = 1 ORDER BY last DESC, fitness DESC, id LIMIT ?)"""
+        return sorted(self._records(query, *values, count), key=_rank)
 
     def lineage(self, number: int) -> list[Record]:
         """A candidate and all that it descends from, by id."""
@@ -453,6 +449,10 @@ class Archive:
             row += [record.fitness, record.steps, record.stopped, record.reused, record.policy]
             total.update(json.dumps([*row, record.policy_sha256, record.curve]).encode())
         return total.hexdigest()
+
+
+def _rank(record: Record) -> tuple[bool, float, int]:
+    return record.candidate.origin != FINALIST, -record.fitness, record.id
 
 
 def _record(row: Sequence[Any], parents: Sequence[int], curve: list[tuple[int, float]]) -> Record:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,12 +10,13 @@ import torch
 from rsl_rl.models import MLPModel
 from torch import nn
 
+from warpvox.algos.policies.model import VoxelModel
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.envs.worlds import ROBOT
 from warpvox.errors import RunError
 from warpvox.types import Cell
 
-__all__ = ["BodyLayout", "copy_weights"]
+__all__ = ["BodyLayout", "copy_voxel_policy", "copy_weights"]
 
 MAX_COUNT = 4096
 """Largest sample count that a child's normaliser takes over, so that it still adapts to its own observations."""
@@ -96,6 +98,21 @@ def copy_weights(
     actor.load_state_dict(state)
     moments = {name: value for name, value in state.items() if name.startswith("obs_normalizer.")}
     critic.load_state_dict(critic.state_dict() | moments)
+
+
+def copy_voxel_policy(actor: VoxelModel, policy: Mapping[str, torch.Tensor]) -> None:
+    """Initialise a child's policy for voxels with all of its parent's, whose weights are about no body.
+
+    The value function, of which a policy's state holds nothing, keeps its initial weights.
+
+    Raises:
+        RunError: the parent's is another network.
+    """
+    try:
+        actor.load_state_dict(policy)
+    except RuntimeError as error:
+        raise RunError(f"A parent's policy has another architecture: {str(error).splitlines()[-1].strip()}") from None
+    actor.obs_normalizer.count.clamp_(max=MAX_COUNT)
 
 
 def _matches(child: tuple[tuple, ...], parent: tuple[tuple, ...]) -> tuple[list[int], list[int]]:

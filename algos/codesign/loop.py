@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from warpvox.algos.candidate import Candidate, Outcome, Parent, Search
+from warpvox.algos.candidate import FINALIST, Candidate, Outcome, Parent, Search
 from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text
 from warpvox.algos.codesign.executors import Batch, Executor, batches
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
@@ -177,6 +177,8 @@ class Loop:
                 first.setdefault(body_text(record.candidate.body), record.id)
         originals = {}
         for candidate in asked:
+            if candidate.origin == FINALIST:  # its body was evaluated in another way
+                continue
             original = first.setdefault(body_text(candidate.body), candidate.id)
             if original != candidate.id:
                 originals[candidate.id] = original
@@ -215,7 +217,8 @@ class Loop:
             return
         if all(row["evaluated"] == row["designs"] for row in self.archive.generations()):
             for file in self.checkpoints.iterdir():
-                file.unlink()
+                if file.is_file():  # folders hold what lasts
+                    file.unlink()
 
     def _finished(self, candidate: Candidate, outcome: Outcome) -> Finished:
         """Store the policy first: the archive never names a missing file."""

@@ -203,10 +203,8 @@ class _Generation:
 # ------------------------------------------------------------------------------- shared with other evaluators
 
 
-def describe(
-    factory: EnvFactory, settings: TrainingConfig, seed: int, candidates: Sequence[Candidate]
-) -> dict[str, Any]:
-    """All that determines the outcomes, as plain values, to recognise a checkpoint."""
+def describe(factory: EnvFactory, settings: Any, seed: int, candidates: Sequence[Candidate]) -> dict[str, Any]:
+    """All that determines the outcomes, as plain values, to recognise a checkpoint; ``settings``: a dataclass."""
     irrelevant = {"save_interval", "method"}
     return {
         "version": VERSION,

@@ -5,14 +5,15 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
-from warpvox.algos.checkpoints.files import Controller
+from warpvox.algos.checkpoints.files import Controller, spec_dict
+from warpvox.algos.codesign.inheritance import copy_voxel_policy
 from warpvox.algos.codesign.population_evaluator import (
     best_parent,
     describe,
@@ -23,10 +24,12 @@ from warpvox.algos.codesign.population_evaluator import (
 )
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import Evaluation, evaluator
+from warpvox.algos.policies.layout import layout_of
 from warpvox.algos.population.training import Networks
 from warpvox.algos.settings import TrainingConfig
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
+from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, DivergenceError
 
 __all__ = ["SequentialEvaluator"]
@@ -36,7 +39,9 @@ __all__ = ["SequentialEvaluator"]
 class SequentialEvaluator:
     """Trains candidate after candidate with :class:`warpvox.algos.training.runner.Runner`.
 
-    Attributes as of :class:`warpvox.algos.codesign.population_evaluator.PopulationEvaluator`.
+    Attributes as of :class:`warpvox.algos.codesign.population_evaluator.PopulationEvaluator`, and:
+        network, network_settings: of policies for voxels (:mod:`warpvox.algos.policies.registry`), for which
+            ``factory`` must make environments with ``obs="voxel"``; None: fully connected layers.
 
     Raises:
         ConfigError: ``settings.rungs``: successive halving compares designs in training at the same time.
@@ -45,6 +50,8 @@ class SequentialEvaluator:
     factory: EnvFactory
     settings: TrainingConfig
     seed: int = 0
+    network: str | None = None
+    network_settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.settings.rungs:
@@ -63,7 +70,10 @@ class SequentialEvaluator:
             RunError: the checkpoint is another's. StorageError: it cannot be written. DeviceError: memory has run out.
             KeyboardInterrupt: interrupted; the checkpoint has been written.
         """
-        done = _Done(describe(self.factory, self.settings, self.seed, candidates), checkpoint)
+        about = describe(self.factory, self.settings, self.seed, candidates)
+        if self.network is not None:
+            about |= {"network": self.network, "network_settings": dict(self.network_settings)}
+        done = _Done(about, checkpoint)
         for candidate in candidates[len(done.outcomes) :]:
             with enough_memory(memory_hint(self.settings, 1)):
                 outcome = self._train(candidate, best_parent(candidate, parents), done)
@@ -87,6 +97,7 @@ class SequentialEvaluator:
                 if value > outcome.fitness:
                     state = policy.actor.state_dict()
                     outcome.fitness = value
+                    outcome.spec = None if self.network is None else spec_dict(policy.spec)
                     outcome.policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
                 return result
 
@@ -97,9 +108,12 @@ class SequentialEvaluator:
                     done.save(outcome, runner.state())
 
             hint = memory_hint(settings, 1)
-            runner = Runner(env, settings.ppo, schedule, evaluator=evaluate, on_save=save, memory_hint=hint)
+            options = {"evaluator": evaluate, "on_save": save, "memory_hint": hint, "voxels": self._voxels(env.env)}
+            runner = Runner(env, settings.ppo, schedule, **options)
             if done.training is not None:
                 runner.set_state(done.training)
+            elif settings.inherit and parent is not None and self.network is not None:
+                copy_voxel_policy(runner.alg.actor, parent.policy)
             elif settings.inherit and parent is not None:
                 networks = Networks(runner.alg.actor, runner.alg.critic, torch.empty(0))
                 inherit_policy(self.factory, parent, env.env, 0, networks)
@@ -111,6 +125,11 @@ class SequentialEvaluator:
                 runner.current_learning_iteration += 1
         outcome.steps = runner.steps
         return outcome
+
+    def _voxels(self, env: VoxelVecEnv) -> dict[str, Any] | None:
+        if self.network is None:
+            return None
+        return {"network": self.network, "settings": dict(self.network_settings), "layout": layout_of(env).dict()}
 
     def _progress(self, outcomes: Sequence[Outcome], count: int) -> dict[str, Any]:
         left = count - len(outcomes)

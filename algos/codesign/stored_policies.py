@@ -34,7 +34,7 @@ class StoredPolicies:
         """Write the policy of an outcome; returns its path relative to the run's folder, and its SHA-256."""
         place = Path("designs") / str(candidate.id)
         content = {
-            "policy": spec_dict(self._spec(outcome.policy)),
+            "policy": outcome.spec or spec_dict(self._spec(outcome.policy)),
             "actor_state_dict": {name: value.detach().cpu() for name, value in outcome.policy.items()},
             "eval_return": outcome.fitness,
             "infos": {"candidate": candidate.id, "steps": outcome.steps},

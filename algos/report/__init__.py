@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
+from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.page import fact_list, page, row
@@ -67,22 +68,26 @@ def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
 
 
 def _progress(archive: Archive, done: Sequence[Record]) -> str:
-    """Fitness over evaluations: every design, the best so far, the mean of each generation."""
+    """Fitness over evaluations: every design, the best so far, the mean of each generation; finalists by themselves."""
     trained = [record for record in done if record.reused is None]
-    dots, best, notes = [], [], []
+    dots, best, notes, finals = [], [], [], []
     for number, record in enumerate(trained, start=1):
+        if record.candidate.origin == FINALIST:
+            finals.append((number, record.fitness))
+            continue
         dots.append((number, record.fitness))
         best.append((number, max(record.fitness, best[-1][1] if best else record.fitness)))
         fate = "diverged, counts as " if record.diverged else ""
         notes.append(f"design {record.id}, generation {record.candidate.generation}: {fate}{record.fitness:.3f}")
     ends: dict[int, int] = {}
-    for number, record in enumerate(trained, start=1):
+    for number, record in enumerate(trained[: len(dots)], start=1):
         ends[record.candidate.generation] = number
     means = [(ends[row["generation"]], row["mean"]) for row in archive.generations() if row["generation"] in ends]
     series = [
         Series("designs", dots, "dots", 3, notes),
         Series("mean of the generation", means, "line", 2),
         Series("best so far", best, "step", 1),
+        Series("finalists, each with a policy of its own", finals, "dots", 4),
     ]
     return chart(series, "designs trained", "fitness")
 
@@ -116,6 +121,8 @@ def _row(record: Record) -> str:
         state = "diverged"
     elif record.stopped:
         state = "stopped early"
+    elif item.origin == FINALIST:
+        state = "policy of its own"
     cells = (
         (record.id, f"{record.id}"),
         (None, body_svg(item.body, 5)),

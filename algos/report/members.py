@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.io.reading import read_facts
 
@@ -54,18 +55,27 @@ class Member:
         return self.settings.get("seed")
 
     @cached_property
+    def _screened(self) -> list[Record]:
+        """Designs that a common policy has compared, where finalists were trained; no curve shows their fitness."""
+        done = [record for record in self.records if record.fitness is not None and record.reused is None]
+        screened = [record for record in done if record.candidate.origin != FINALIST]
+        return screened if len(screened) < len(done) else []
+
+    @cached_property
     def _trained(self) -> list[Record]:
-        return [record for record in self.records if record.fitness is not None and record.reused is None]
+        known = {record.id for record in self._screened}
+        return [r for r in self.records if r.fitness is not None and r.reused is None and r.id not in known]
 
     @cached_property
     def evaluations(self) -> np.ndarray:
-        """1, 2, ... to the number of designs trained."""
-        return np.arange(1, len(self._trained) + 1)
+        """1, 2, ... to the number of designs trained; those that were screened before are counted."""
+        return len(self._screened) + np.arange(1, len(self._trained) + 1)
 
     @cached_property
     def steps(self) -> np.ndarray:
         """Control steps spent when each of them was done."""
-        return np.cumsum([record.steps or 0 for record in self._trained], dtype=np.int64)
+        spent = np.cumsum([record.steps or 0 for record in self._trained], dtype=np.int64)
+        return spent + sum(record.steps or 0 for record in self._screened)
 
     @cached_property
     def best(self) -> np.ndarray:

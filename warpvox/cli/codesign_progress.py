@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
 from warpvox import __version__
-from warpvox.algos.candidate import Candidate
+from warpvox.algos.candidate import FINALIST, Candidate
 from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.report import FILE as REPORT
@@ -44,11 +44,11 @@ class Results:
 
     Args:
         config: of the search.
-        top: designs in a picture.
+        pretraining: control steps of the pretrained policy that it begins with; None: not known, or there is none.
     """
 
-    def __init__(self, folder: Path, archive: Archive, config: Any) -> None:
-        self.folder, self.archive, self.config = folder, archive, config
+    def __init__(self, folder: Path, archive: Archive, config: Any, pretraining: int | None = None) -> None:
+        self.folder, self.archive, self.config, self.pretraining = folder, archive, config, pretraining
         self.search = NAMES.get(config.search.algorithm, config.search.algorithm)
         summary = read_summary(folder)
         before, self.fresh = summary.get("elapsed_seconds"), summary.get("fresh_seeds")
@@ -59,10 +59,16 @@ class Results:
         """Seconds that the search has run, those before a resume included."""
         return self._before + time.monotonic() - self._began
 
+    def best(self, until: int | None = None) -> list[Record]:
+        """The best designs (up to and including a generation); finalists alone, once there are some."""
+        best = self.archive.best(self.config.top, until)
+        finalists = [record for record in best if record.candidate.origin == FINALIST]
+        return finalists or best
+
     def draw(self, generation: int) -> Path:
         """The best designs up to and including a generation as PNG; one that is there already stays."""
         path = self.folder / "generations" / f"{generation:03}.png"
-        best = self.archive.best(self.config.top, until=generation)
+        best = self.best(generation)
         if path.is_file() or not best:
             return path
         captions = [
@@ -89,12 +95,26 @@ class Results:
             "best_design": best[0].id if best else None,
             "design": best[0].candidate.body.tolist() if best else None,
             **({"fresh_seeds": self.fresh} if self.fresh else {}),
+            **self._screening(),
             "elapsed_seconds": round(self.elapsed, 3),
             "steps_per_second": round(steps / self.elapsed, 1) if steps else None,
         }
         write_summary(self.folder, summary)
         self.report(summary)
         return summary
+
+    def _screening(self) -> dict[str, Any]:
+        """What there is to say of a search whose designs a common policy has compared."""
+        if self.config.evaluation == "specialist":
+            return {}
+        screened = [record for record in self.archive.records() if record.candidate.origin != FINALIST]
+        known = [record.fitness for record in screened if record.fitness is not None]
+        return {
+            "evaluation": self.config.evaluation,
+            "screened_fitness": max(known, default=None),
+            "screening_steps": sum(record.steps or 0 for record in screened),
+            "pretraining_steps": self.pretraining,
+        }
 
     def report(self, summary: Mapping[str, Any]) -> Path:
         """Write the report alone."""
@@ -108,6 +128,10 @@ class Results:
         }
         if summary.get("fresh_seeds"):
             facts["winner on fresh seeds"] = fresh_text(summary["fresh_seeds"])
+        if self.config.evaluation != "specialist":
+            facts["evaluation"] = self.config.evaluation
+        if self.pretraining is not None:
+            facts["pretraining"] = f"{self.pretraining:,} control steps, not counted"
         return write_report(self.archive, self.folder / REPORT, facts)
 
 
@@ -247,7 +271,7 @@ class SearchProgress(Listener):
         self._live.update(Group(*parts, *([Text(), self._bodies()] if best else [])))
 
     def _bodies(self) -> Text:
-        best = self.archive.best(self.results.config.top)
+        best = self.results.best()
         captions = [f"{record.fitness:.3f} #{record.id}" for record in best]
         return body_rows([record.candidate.body for record in best], captions, self.console)
 

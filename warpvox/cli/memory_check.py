@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from warpvox.algos.needs import training_bytes
+from warpvox.algos.settings import PpoConfig
 from warpvox.cli.build import make_env, physics_of
 from warpvox.devices.names import resolve_device
 from warpvox.devices.out_of_memory import free_memory
@@ -16,7 +18,7 @@ from warpvox.envs.vec_env import make_vec
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.types import Cell
 
-__all__ = ["check_search", "check_training"]
+__all__ = ["check_screening", "check_search", "check_training"]
 
 ROUGH = 16_000, 10_000, 20
 """Bytes of a cell and environment, of a transition, and of a unit of a hidden layer and a transition: more than any
@@ -44,12 +46,24 @@ def check_training(config: Any, bodies: Sequence[Any]) -> None:
     check_fits(needed, free, config.num_envs, len(bodies), config.device)
 
 
-def check_search(config: Any, together: int) -> None:
+def check_screening(config: Any) -> None:
+    """:func:`check_search` for one policy that learns on all designs of a generation.
+
+    Args:
+        config: resolved configuration of such a search.
+    """
+    how = config.screening
+    training = dataclasses.replace(config.training, envs=how.envs, ppo=PpoConfig(**how.ppo), method="sequential")
+    check_search(dataclasses.replace(config, training=training), config.search.population, "search.population")
+
+
+def check_search(config: Any, together: int, key: str = "batch") -> None:
     """Raise MemoryLimitError if the designs that a search trains together do not fit; full bodies are assumed.
 
     Args:
         config: configuration of a search that is made in this process.
         together: designs that are trained at once.
+        key: that says how many these are.
     """
     device = resolve_device(config.device, together * config.training.envs)
     free = free_memory(device) if config.memory_check else None
@@ -70,7 +84,7 @@ def check_search(config: Any, together: int) -> None:
     needed = training_bytes(probe, training.envs, together, training.ppo, together=training.method == "population")
     if together == 1:
         check_fits(needed, free, training.envs, 1, device, "training.envs")
-    check_fits(needed, free, together, 1, device, "batch", f"designs of {training.envs:,} environments each")
+    check_fits(needed, free, together, 1, device, key, f"designs of {training.envs:,} environments each")
 
 
 def _rough(num_envs: int, cells: int, ppo: Any) -> int:

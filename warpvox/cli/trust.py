@@ -27,7 +27,7 @@ __all__ = ["CODE_KEYS", "STORED", "again", "allow_code", "as_stored", "keep_code
 
 STORED = "stored"
 """Value of a key that names the copy in the folder of the run."""
-CODE_KEYS = {"task": "task", "search.make": "search", "policy": "policy"}
+CODE_KEYS = {"task": "task", "search.make": "search", "policy": "policy", "screening.policy": "policy"}
 """Keys whose values may be code, and the folders of the copies in a run's folder ``code``."""
 FOLDER = "code"
 LARGEST_FILE, LARGEST_COPY = 16_000_000, 64_000_000

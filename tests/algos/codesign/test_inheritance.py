@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -162,3 +163,20 @@ def test_inheritance_is_an_option_and_children_of_nobody_start_afresh(evaluator:
     torch.testing.assert_close(heirs[0].policy["mlp.0.weight"], expected["mlp.0.weight"])
     assert not torch.equal(heirs[0].policy["mlp.0.weight"], plain[0].policy["mlp.0.weight"])
     assert heirs[1].curve == plain[1].curve
+
+
+def test_a_child_takes_over_all_of_a_policy_for_voxels() -> None:
+    voxels = dataclasses.replace(factory(), obs="voxel")
+    how = small(iterations=1, eval_interval=1, inherit=True)
+    how.ppo.learning_rate, how.ppo.schedule = 0.0, "fixed"  # what it begins with is what is left
+    evaluator = SequentialEvaluator(voxels, how, 0, "grid", {"width": 8})
+    (parent,) = evaluator.evaluate([Candidate(0, PARENT)], {})
+    child = Candidate(1, GROWN, (0,))
+    known = {0: Parent(PARENT, parent.policy, parent.fitness)}
+    for parents, same in ((known, True), ({}, False)):
+        (outcome,) = evaluator.evaluate([child], parents)
+        names = [name for name in outcome.policy if not name.startswith("obs_normalizer.")]
+        assert all(torch.equal(outcome.policy[name], parent.policy[name]) for name in names) == same
+    other = SequentialEvaluator(voxels, how, 0, "grid", {"width": 4})
+    with pytest.raises(RunError, match="another architecture"):
+        other.evaluate([child], known)

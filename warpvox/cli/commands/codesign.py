@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,16 +13,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from warpvox.algos.candidate import Candidate
+from warpvox.algos.candidate import FINALIST, Candidate
 from warpvox.algos.codesign.archive import FILE as ARCHIVE
 from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.codesign.archive_export import export
+from warpvox.algos.policies.registry import MLP
 from warpvox.algos.search import make_search, settings_from
 from warpvox.batch.options import lanes_for
 from warpvox.cli.application import run_command
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.console import echo, shell_argument
+from warpvox.cli.evaluations import (
+    STEPS,
+    check_evaluation,
+    evaluator_of,
+    is_screened,
+    keep_pretrained,
+    read_pretrained,
+    resolve_evaluation,
+    screened_values,
+)
 from warpvox.cli.fresh_seeds import evaluate_winner, fresh_text
 from warpvox.cli.runs import CONFIG, END, find_codesign, read_summary, run_folder
 from warpvox.cli.trust import STORED, again, as_stored, keep_code
@@ -89,19 +100,18 @@ def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | No
         config = load("codesign", overrides, config_dir, base=source.config, home=source.folder)
         check_unchanged(source.config, as_stored(config, source.config), CHANGEABLE)
         job = Job(dataclasses.replace(config, resume=None), source.folder, source.config)
-    check(job.config)
+    check(job.config, job.folder)
     return job
 
 
-def check(config: CodesignConfig) -> None:
-    """Find mistakes before anything is made.
+def check(config: CodesignConfig, folder: Path | None = None) -> None:
+    """Find mistakes before anything is made; ``folder``: of the search that is resumed.
 
     Raises:
         WarpvoxError: a task, shape, setting, device or library that does not exist or does not go with the others.
     """
-    from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
     from warpvox.cli.build import physics_of
-    from warpvox.cli.memory_check import check_search
+    from warpvox.cli.memory_check import check_screening, check_search
     from warpvox.devices.names import resolve_device
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
@@ -109,31 +119,46 @@ def check(config: CodesignConfig) -> None:
     task_world(get_task(config.task), np.full(config.shape, 3, np.int8))
     make_search(settings_from(config.search), tuple(config.shape), config.seed)
     physics_of(config)
-    if config.training.method == "sequential":
-        SequentialEvaluator(None, config.training)
+    check_evaluation(config)
+    config = resolve_evaluation(config, folder)
     if config.executor == "local":
         resolve_device(config.device)
         for key in ("address", "workers"):
             if getattr(config, key) is not None:
                 raise ConfigError(f"{key} goes with executor=ray.")
         check_search(config, _together(config))
+        if is_screened(config):
+            check_screening(config)
 
 
 def _together(config: CodesignConfig) -> int:
-    """Designs that are trained side by side."""
-    return 1 if config.training.method == "sequential" else config.batch or config.search.population or 1
+    """Designs that are trained side by side, each with a policy of its own."""
+    if config.training.method == "sequential":
+        return 1
+    most = config.finalists if is_screened(config) else config.search.population or 1
+    return min(config.batch or most, most) if is_screened(config) else config.batch or most
 
 
-def resolve(config: CodesignConfig) -> CodesignConfig:
-    """A copy with what its names stand for: settings, constants and, where it is this machine's, the device."""
+def _environments(config: CodesignConfig) -> int:
+    """Environments that are stepped together at most."""
+    own = _together(config) * config.training.envs
+    return max(own, config.search.population * config.screening.envs) if is_screened(config) else own
+
+
+def resolve(config: CodesignConfig, folder: Path | None = None) -> CodesignConfig:
+    """A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
+
+    Args:
+        folder: of the search that is resumed.
+    """
     from warpvox.cli.build import physics_of
     from warpvox.devices.names import resolve_device
 
     constants = dataclasses.asdict(physics_of(config))
     preset = constants.pop("name")
+    config = resolve_evaluation(config, folder)
     # designs on workers run on the devices of the workers
-    envs = _together(config) * config.training.envs
-    device = resolve_device(config.device, envs) if config.executor == "local" else config.device
+    device = resolve_device(config.device, _environments(config)) if config.executor == "local" else config.device
     return dataclasses.replace(
         config,
         physics=type(config.physics)(preset=preset, **constants),
@@ -161,27 +186,31 @@ def codesign(job: Job, console: Console) -> Path:
     if job.config.report is not None:
         return write_again(job.config, console)
     with console.status("loading"):
+        from warpvox.algos.codesign.finalists import Finalists
         from warpvox.algos.codesign.loop import Loop
         from warpvox.algos.codesign.stored_policies import StoredPolicies
         from warpvox.cli.build import prepare, shown
         from warpvox.cli.codesign_progress import Results, SearchProgress
 
-        config = resolve(job.config)
+        config = resolve(job.config, job.folder)
         prepare(config.torch_threads, config.seed)
-        executor = make_executor(config)
+        pretrained = read_pretrained(config, job.folder)
+        executor = make_executor(config, pretrained)
         config = dataclasses.replace(config, batch=_batch(config, executor))
         written = as_stored(config, job.stored)
     try:
-        with (
-            run_folder(job.folder, written, "codesign", to_yaml(written)) as folder,
-            _archive(folder, written) as archive,
-        ):
+        with run_folder(job.folder, written, "codesign", to_yaml(written)) as folder, ExitStack() as opened:
+            keep_pretrained(pretrained, folder)
+            archive = opened.enter_context(_archive(folder, written))
             keep_code(config, folder, console)
             settings = settings_from(config.search)
-            results = Results(folder, archive, written)
-            watch = SearchProgress(results, settings.max_evaluations, console)
+            search, total = make_search(settings, tuple(config.shape), config.seed), settings.max_evaluations
+            if is_screened(config):
+                search, total = Finalists(search, config.finalists), total + config.finalists
+            results = Results(folder, archive, written, (pretrained or {}).get(STEPS))
+            watch = SearchProgress(results, total, console)
             loop = Loop(
-                make_search(settings, tuple(config.shape), config.seed),
+                search,
                 executor,
                 archive,
                 seed=config.seed,
@@ -192,10 +221,10 @@ def codesign(job: Job, console: Console) -> Path:
                 inherit=config.training.inherit,
                 listener=watch,
             )
-            done = f", {archive.trained()} of {settings.max_evaluations} designs done" if job.folder else ""
+            done = f", {archive.trained()} of {total} designs done" if job.folder else ""
             echo(console, f"{results.search} on {config.task}, {_where(config, executor)}{done}")
             echo(console, f"run folder: {shown(folder)}")
-            if job.folder and archive.trained() >= settings.max_evaluations:
+            if job.folder and archive.trained() >= total:
                 echo(
                     console,
                     f"the search has spent its {settings.max_evaluations} evaluations: nothing is left to do. What it"
@@ -244,11 +273,19 @@ def _archive(folder: Path, config: CodesignConfig) -> Archive:
     archive = Archive.open(path)
     known = archive.settings
     known["search"] = _all_settings(known["search"])
+    known = {name: _default(name) for name in settings} | known  # an earlier version had not all keys
     if known != settings:
         archive.close()
         other = next(name for name in {**settings, **known} if known.get(name) != settings.get(name))
         raise RunError(f"{path} was made with another value of '{other}' than {folder / CONFIG} has.")
     return archive
+
+
+def _default(name: str) -> Any:
+    """The default of a key of ``codesign``, as JSON holds it."""
+    item = CodesignConfig.__dataclass_fields__[name]
+    value = item.default if item.default_factory is dataclasses.MISSING else item.default_factory()
+    return dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value
 
 
 def design_config(config: CodesignConfig, candidate: Candidate) -> str:
@@ -273,37 +310,33 @@ def design_config(config: CodesignConfig, candidate: Candidate) -> str:
         "output_dir": config.output_dir,
         "physics": dataclasses.asdict(config.physics),
         "ppo": dataclasses.asdict(training.ppo),
+        "policy": config.policy,
+        "network": config.network,
     }
+    if is_screened(config) and candidate.origin != FINALIST:
+        values |= screened_values(config, candidate)
+    values["obs"] = "task" if values["policy"] == MLP else "voxel"
     return to_yaml(load_values("train", values)) + END
 
 
 # -------------------------------------------------------------------------------------------------- evaluation
 
 
-def make_evaluator(config: CodesignConfig) -> DesignEvaluator:
-    """The evaluator of a configuration; called in the process that evaluates."""
-    from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
-    from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
-    from warpvox.algos.env_factory import EnvFactory
-    from warpvox.cli.build import physics_of, prepare
+def make_evaluator(config: CodesignConfig, pretrained: dict[str, Any] | None = None) -> DesignEvaluator:
+    """The evaluator of a configuration; called in the process that evaluates.
+
+    Args:
+        pretrained: of :func:`warpvox.cli.evaluations.read_pretrained`.
+    """
+    from warpvox.cli.build import prepare
     from warpvox.devices.names import resolve_device
 
     prepare(config.torch_threads, config.seed)
-    device = resolve_device(config.device, _together(config) * config.training.envs)
-    factory = EnvFactory(
-        config.task,
-        config.rules,
-        physics_of(config),
-        device,
-        config.dtype,
-        config.threads,
-        arithmetic=config.arithmetic,
-    )
-    kinds = {"population": PopulationEvaluator, "sequential": SequentialEvaluator}
-    return kinds[config.training.method](factory, config.training, config.seed)
+    device = resolve_device(config.device, _environments(config))
+    return evaluator_of(dataclasses.replace(config, device=device), pretrained)
 
 
-def make_executor(config: CodesignConfig) -> Executor:
+def make_executor(config: CodesignConfig, pretrained: dict[str, Any] | None = None) -> Executor:
     """Where the configuration wants designs to be trained.
 
     Raises:
@@ -312,11 +345,11 @@ def make_executor(config: CodesignConfig) -> Executor:
     if config.executor == "local":
         from warpvox.algos.codesign.executors import LocalExecutor
 
-        return LocalExecutor(make_evaluator(config))
+        return LocalExecutor(make_evaluator(config, pretrained))
     from warpvox.algos.codesign.ray_executor import RayExecutor
 
     threads = config.threads or 1
-    make = functools.partial(make_evaluator, dataclasses.replace(config, threads=threads))
+    make = functools.partial(make_evaluator, dataclasses.replace(config, threads=threads), pretrained)
     return RayExecutor(make, config.workers, config.address, threads, gpus=0 if config.device == "cpu" else None)
 
 
@@ -324,7 +357,7 @@ def _batch(config: CodesignConfig, executor: Executor) -> int | None:
     """How many designs are trained together; see the key ``batch``."""
     if config.batch is not None:
         return config.batch
-    if config.training.method == "sequential":
+    if config.training.method == "sequential" and not is_screened(config):
         return 1
     return -(-config.search.population // executor.size) if config.executor == "ray" else None
 

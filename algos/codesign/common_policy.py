@@ -1,0 +1,248 @@
+"""Evaluation of a generation of designs by one policy that controls them all, instead of a training for each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.checkpoints.files import PolicySpec, read_tensors, save_checkpoint, spec_dict, spec_of
+from warpvox.algos.codesign.population_evaluator import describe, read_evaluation, save_evaluation
+from warpvox.algos.codesign.stored_policies import policy_sha256
+from warpvox.algos.env_factory import EnvFactory
+from warpvox.algos.evaluate import Evaluation, evaluate
+from warpvox.algos.policies.layout import layout_of
+from warpvox.algos.settings import PpoConfig, ScreeningConfig
+from warpvox.algos.training.runner import Runner, Schedule, adapt
+from warpvox.devices.out_of_memory import enough_memory
+from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
+from warpvox.io.writing import writing
+
+__all__ = ["FewShotEvaluator", "SharedEvaluator"]
+
+Report = Callable[[dict[str, Any]], None]
+
+
+@dataclass
+class SharedEvaluator:
+    """One policy goes on learning from generation to generation, over all designs of each in one batch.
+
+    The fitness of a design is its deterministic return after the iterations of its generation. What the policy has
+    learned is kept beside the checkpoints (``shared/<generation>.pt``), for an experiment that is resumed.
+
+    Attributes:
+        factory: makes environments with ``obs="voxel"`` and a grid that has room for all designs.
+        settings: how the policy is trained; ``settings.ppo`` has all values of :class:`PpoConfig`.
+        seed: of the experiment.
+
+    Raises:
+        ConfigError: a learning rate that decays, in a training whose length is not known.
+    """
+
+    factory: EnvFactory
+    settings: ScreeningConfig
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self._learned: dict[str, Any] | None = None
+        if self.settings.ppo["schedule"] == "linear":
+            raise ConfigError(
+                "evaluation=shared: one policy learns all the time, so that its learning rate cannot decay linearly to"
+                " 0: screening.ppo={schedule:adaptive}, or fixed."
+            )
+        if self.settings.iterations < 1:
+            raise ConfigError("evaluation=shared: the policy must learn, screening.iterations=1 or more.")
+
+    def evaluate(
+        self,
+        candidates: Sequence[Candidate],
+        parents: Mapping[int, Parent],
+        report: Report | None = None,
+        checkpoint: Path | None = None,
+    ) -> list[Outcome]:
+        """See :class:`warpvox.algos.candidate.DesignEvaluator`; the candidates are those of one generation, in turn.
+
+        Raises:
+            RunError: the checkpoint is another's, or the policy has diverged (DivergenceError).
+            StorageError: a checkpoint cannot be written. DeviceError: memory has run out.
+            KeyboardInterrupt: interrupted; the checkpoint has been written.
+        """
+        if not candidates:
+            return []
+        generation = candidates[0].generation
+        before = _states(checkpoint, generation)
+        if self._learned is None and before:
+            self._learned = read_tensors(before[-1])
+        course = _Course(self.factory, self.settings, self.seed, candidates, self._learned)
+        outcomes = course.run(report, checkpoint)
+        self._learned = course.runner.alg.save()
+        if checkpoint is not None:
+            file = _state_file(checkpoint, generation)
+            with writing(file):
+                file.parent.mkdir(parents=True, exist_ok=True)
+            save_checkpoint(file, self._learned)
+            for other in before[:-1]:  # the last is what this generation began with, should it have to begin again
+                other.unlink()
+        return outcomes
+
+
+@dataclass(frozen=True)
+class FewShotEvaluator:
+    """A pretrained policy is tuned for the designs of a generation, each time from the same weights.
+
+    The fitness of a design is its deterministic return after the tuning, or without any if there are no iterations.
+
+    Attributes:
+        factory, settings, seed: as of :class:`SharedEvaluator`.
+        pretrained: checkpoint of a training with such a policy (:func:`load_checkpoint`).
+    """
+
+    factory: EnvFactory
+    settings: ScreeningConfig
+    seed: int
+    pretrained: Mapping[str, Any]
+
+    def evaluate(
+        self,
+        candidates: Sequence[Candidate],
+        parents: Mapping[int, Parent],
+        report: Report | None = None,
+        checkpoint: Path | None = None,
+    ) -> list[Outcome]:
+        """See :meth:`SharedEvaluator.evaluate`; the candidates are tuned for together."""
+        if not candidates:
+            return []
+        return _Course(self.factory, self.settings, self.seed, candidates, self.pretrained, fresh=True).run(
+            report, checkpoint
+        )
+
+
+class _Course:
+    """What the policy does in a generation: it learns on all designs, then each of them is evaluated.
+
+    Args:
+        learned: networks and optimiser to begin with; None: new ones.
+        fresh: whether schedules begin again.
+    """
+
+    def __init__(
+        self,
+        factory: EnvFactory,
+        settings: ScreeningConfig,
+        seed: int,
+        candidates: Sequence[Candidate],
+        learned: Mapping[str, Any] | None,
+        fresh: bool = False,
+    ) -> None:
+        self.factory, self.settings, self.candidates = factory, settings, list(candidates)
+        self.ppo = PpoConfig(**settings.ppo)
+        self.seeds = [candidate_seed(seed, candidate.id) for candidate in candidates]
+        self.learned, self.fresh = learned, fresh
+        start = None if learned is None else policy_sha256(learned["actor_state_dict"])
+        self.about = describe(factory, settings, seed, candidates) | {"start": start}
+        self.hint = (
+            f"Take less at once: screening.envs is {settings.envs} for each of {len(candidates)} designs, the steps of"
+            f" screening.ppo are {self.ppo.steps}."
+        )
+
+    def run(self, report: Report | None, checkpoint: Path | None) -> list[Outcome]:
+        """Learn and evaluate."""
+        with torch.random.fork_rng(devices=[]), enough_memory(self.hint):
+            torch.manual_seed(self.seeds[0])
+            try:
+                self.runner = self._runner(report, checkpoint)
+                if self.runner.current_learning_iteration < self.settings.iterations:
+                    self.runner.run()
+                return self._judge()
+            except (DivergenceError, ActionError) as error:
+                raise DivergenceError(
+                    f"The policy of all designs has diverged in generation {self.candidates[0].generation}: begin a"
+                    " new search with a lower learning rate, screening.ppo={learning_rate:1e-4}."
+                ) from error
+
+    def _runner(self, report: Report | None, checkpoint: Path | None) -> Runner:
+        settings, ppo = self.settings, self.ppo
+        bodies = [candidate.body for candidate in self.candidates]
+        env = adapt(self.factory.make(bodies, settings.envs, self.seeds, auto_reset=True), ppo)
+        voxels = {"network": settings.policy, "settings": dict(settings.network or {})}
+        voxels["layout"] = layout_of(env.env).dict()
+
+        def save() -> None:
+            if checkpoint is not None and runner.current_learning_iteration > 0:
+                save_evaluation(checkpoint, {"about": self.about, "training": runner.state()})
+
+        def tell(row: Mapping[str, float]) -> None:
+            if report is not None:
+                report(self._progress(int(row["iteration"]), int(row["steps"])))
+
+        schedule = Schedule(settings.iterations, settings.save_interval)
+        options = {"memory_hint": self.hint, "voxels": voxels, "on_save": save, "report": tell}
+        runner = Runner(env, ppo, schedule, **options)
+        if checkpoint is not None and checkpoint.exists():
+            runner.set_state(read_evaluation(checkpoint, self.about)["training"])
+        elif self.learned is not None:
+            if self.fresh:
+                _check_fits(runner.spec, spec_of(self.learned["policy"]))
+            runner.alg.load(dict(self.learned))
+            if self.fresh:
+                runner.alg.updates = 0
+                if ppo.schedule != "adaptive":  # which goes on with the rate that it has found
+                    runner.alg.learning_rate = ppo.learning_rate
+        return runner
+
+    def _judge(self) -> list[Outcome]:
+        runner, settings = self.runner, self.settings
+        bodies = [candidate.body for candidate in self.candidates]
+        env = self.factory.make(bodies, settings.eval_envs, self.seeds, auto_reset=False)
+        result = evaluate(env, runner.controller, seed=self.seeds)
+        state = runner.alg.get_policy().state_dict()
+        policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
+        learning = settings.iterations * self.ppo.steps * settings.envs
+        spec = spec_dict(runner.spec)
+        return [
+            Outcome(value, [(learning, value)], learning + steps, policy, spec=spec)
+            for value, steps in zip(result.fitness.tolist(), _steps(result), strict=True)
+        ]
+
+    def _progress(self, iteration: int, steps: int) -> dict[str, Any]:
+        count, total = len(self.candidates), self.settings.iterations
+        return {
+            "iteration": iteration,
+            "iterations": total,
+            "steps": steps,
+            "best": [math.nan] * count,
+            "training": [iteration < total] * count,
+        }
+
+
+def _steps(result: Evaluation) -> list[int]:
+    """Control steps of each design's evaluation."""
+    return torch.bincount(result.design_index, result.lengths.double()).long().tolist()
+
+
+def _state_file(checkpoint: Path, generation: int) -> Path:
+    return checkpoint.parent / "shared" / f"{generation:06}.pt"
+
+
+def _states(checkpoint: Path | None, generation: int) -> list[Path]:
+    """What the policy had learned after earlier generations, in their order."""
+    if checkpoint is None:
+        return []
+    last = _state_file(checkpoint, generation)
+    return sorted(file for file in last.parent.glob("[0-9]*.pt") if file.name < last.name)
+
+
+def _check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:
+    """Raise RunError unless a pretrained policy is one for these environments."""
+    for what, wanted, found in (
+        ("layout", ours.voxels["layout"], (pretrained.voxels or {}).get("layout")),
+        ("action_scale", ours.action_scale, pretrained.action_scale),
+        ("normalize_obs", ours.normalize_obs, pretrained.normalize_obs),
+    ):
+        if wanted != found:
+            raise RunError(f"The pretrained policy has another {what}: {found}, here it is {wanted}.")

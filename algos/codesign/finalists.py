@@ -1,0 +1,78 @@
+"""The end of a search whose designs were compared by a common policy: its best get a policy each."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Outcome, Parent, Search
+
+__all__ = ["Finalists", "TwoStages"]
+
+
+class Finalists:
+    """A search, and after it a last generation with the best of its designs; a :class:`Search` itself.
+
+    These are candidates of their own, with the body of the design that is their parent and the origin
+    :data:`FINALIST`. The search is not told of their fitness.
+
+    Args:
+        search: must not have been asked yet.
+        count: designs of the last generation, of different bodies; there are fewer if the search has found no more.
+    """
+
+    def __init__(self, search: Search, count: int) -> None:
+        self.search, self.count = search, count
+        self._known: list[tuple[Candidate, float]] = []
+        self._asked: list[Candidate] = []
+
+    def ask(self) -> list[Candidate]:
+        """See :class:`Search`."""
+        if self._asked and self._asked[0].origin == FINALIST:
+            return []
+        self._asked = self.search.ask() or self._finalists()
+        return self._asked
+
+    def _finalists(self) -> list[Candidate]:
+        best: dict[bytes, Candidate] = {}
+        for candidate, _ in sorted(self._known, key=lambda pair: (-pair[1], pair[0].id)):
+            best.setdefault(candidate.body.tobytes(), candidate)
+        first, generation = len(self._known), max((item.generation for item, _ in self._known), default=-1) + 1
+        return [
+            Candidate(first + place, parent.body, (parent.id,), FINALIST, generation)
+            for place, parent in enumerate(list(best.values())[: self.count])
+        ]
+
+    def tell(self, fitness: Sequence[float]) -> None:
+        """See :class:`Search`."""
+        if self._asked[0].origin != FINALIST:
+            self.search.tell(fitness)
+            self._known += zip(self._asked, fitness, strict=True)
+
+    def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
+        """See :class:`Search`."""
+        searched = [pair for pair in history if pair[0][0].origin != FINALIST]
+        self.search.replay(searched)
+        self._known = [pair for generation in searched for pair in zip(*generation, strict=True)]
+        self._asked = list(history[-1][0])
+
+
+@dataclasses.dataclass(frozen=True)
+class TwoStages:
+    """Evaluates finalists in one way and all other candidates in another."""
+
+    screening: DesignEvaluator
+    final: DesignEvaluator
+
+    def evaluate(
+        self,
+        candidates: Sequence[Candidate],
+        parents: Mapping[int, Parent],
+        report: Callable[[dict[str, Any]], None] | None = None,
+        checkpoint: Path | None = None,
+    ) -> list[Outcome]:
+        """See :class:`DesignEvaluator`."""
+        finalists = bool(candidates) and candidates[0].origin == FINALIST
+        return (self.final if finalists else self.screening).evaluate(candidates, parents, report, checkpoint)

@@ -1,0 +1,103 @@
+"""The last generation of a search by a common policy: the best designs, each with a policy of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from codesign_toys import SEED, ToyEvaluator, ToySearch, make_loop
+
+from warpvox.algos.candidate import FINALIST, Candidate, Outcome
+from warpvox.algos.codesign.executors import LocalExecutor
+from warpvox.algos.codesign.finalists import Finalists, TwoStages
+from warpvox.algos.report.members import read_members
+from warpvox.algos.search import ALGORITHMS, make_search
+
+NEEDS = {"map_elites": "ribs"}
+QUICK = {"bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 10}}
+OURS = [name for name in ALGORITHMS if name != "custom"]
+
+
+def fitness(body: np.ndarray) -> float:
+    return float((body * np.arange(1, body.size + 1).reshape(body.shape)).sum())
+
+
+def run(search: Any, last: int = 10**9) -> list[tuple[list[Candidate], list[float]]]:
+    """All generations of a search, or the first ``last``."""
+    history = []
+    while len(history) < last and (asked := search.ask()):
+        values = [fitness(candidate.body) for candidate in asked]
+        search.tell(values)
+        history.append((asked, values))
+    return history
+
+
+@pytest.mark.parametrize("algorithm", OURS)
+def test_after_every_search_the_best_come_again(algorithm: str) -> None:
+    if algorithm in NEEDS:
+        pytest.importorskip(NEEDS[algorithm])
+
+    def search() -> Finalists:
+        settings = ALGORITHMS[algorithm](population=3, max_evaluations=6, **QUICK.get(algorithm, {}))
+        return Finalists(make_search(settings, (3, 3), 0), 2)
+
+    history = run(search())
+    searched = [pair for generation in history[:-1] for pair in zip(*generation, strict=True)]
+    best = sorted(searched, key=lambda pair: (-pair[1], pair[0].id))[:2]
+    finals = history[-1][0]
+    assert [item.parents for item in finals] == [(item.id,) for item, _ in best]
+    assert all(np.array_equal(a.body, b.body) for a, (b, _) in zip(finals, best, strict=True))
+    assert [(item.id, item.generation) for item in finals] == [(len(searched) + k, len(history) - 1) for k in (0, 1)]
+    assert all((item.origin == FINALIST) == (item in finals) for asked, _ in history for item in asked)
+    for done in (len(history) - 1, len(history)):  # resumed at any point, it goes on to the same end
+        again = search()
+        again.replay(history[:done])
+        rest = run(again)
+        assert [[item.id for item in asked] for asked, _ in rest] == [[c.id for c in a] for a, _ in history[done:]]
+
+
+def test_bodies_that_come_twice_are_one_finalist() -> None:
+    class Twins(ToySearch):
+        def ask(self) -> list[Candidate]:
+            return [dataclasses.replace(item, body=np.full((1, 1), 3 + item.id % 2)) for item in super().ask()]
+
+    history = run(Finalists(Twins(generations=2), 5))
+    assert [item.body.item() for item in history[-1][0]] == [4, 3]
+
+
+def test_the_archive_tells_both_values_apart_and_the_winner_is_a_finalist(tmp_path: Path) -> None:
+    class Modest(ToyEvaluator):
+        """The fitness of a policy of one's own is lower here, and of other designs the best."""
+
+        def evaluate(self, candidates: Sequence[Candidate], *more: Any) -> list[Outcome]:
+            outcomes = super().evaluate(candidates, *more)
+            for candidate, outcome in zip(candidates, outcomes, strict=True):
+                outcome.fitness = -float(outcome.fitness)
+                assert candidate.origin == FINALIST
+            return outcomes
+
+    stages = TwoStages(ToyEvaluator(seed=SEED), Modest(seed=SEED + 1))
+    loop = make_loop(
+        tmp_path, search=Finalists(ToySearch(), 3), executor=LocalExecutor(stages), batch=None, inherit=False
+    )
+    loop.run()
+    records = loop.archive.records()
+    finals = [record for record in records if record.candidate.origin == FINALIST]
+    assert [record.reused for record in finals] == [None] * 3  # though their bodies were evaluated before
+    assert all(record.fitness < 0 < records[record.candidate.parents[0]].fitness for record in finals)
+    ranked = sorted(finals, key=lambda record: -record.fitness)
+    best = loop.archive.best(5)
+    assert [record.id for record in best[:3]] == [record.id for record in ranked]
+    assert best[3].fitness > best[0].fitness
+    assert best[3].candidate.origin != FINALIST
+    assert len({record.candidate.body.tobytes() for record in best}) == 5
+    assert all(record.fitness > 0 for record in loop.archive.best(3, until=finals[0].candidate.generation - 1))
+    (member,) = read_members([tmp_path])  # a comparison of searches shows the fitness of finalists, and all steps
+    assert member.best.tolist() == np.maximum.accumulate([record.fitness for record in finals]).tolist()
+    spent = np.cumsum([record.steps for record in records]).tolist()
+    assert member.steps.tolist() == spent[-3:]
+    assert member.evaluations[-1] == loop.archive.trained()

@@ -1,0 +1,135 @@
+"""Design searches whose designs one policy compares, and policies for voxels, from end to end."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+
+from warpvox.algos.candidate import FINALIST
+from warpvox.algos.codesign.archive import FILE, Archive, Record
+from warpvox.cli.commands.codesign import check
+from warpvox.cli.config import load
+from warpvox.errors import ConfigError
+
+TINY = (
+    "shape=[3,3] search.population=3 search.max_evaluations=5 search.survivor_rate=0.3 training.envs=8"
+    " training.iterations=1 training.eval_interval=1 training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1"
+    " screening.envs=8 screening.iterations=1 finalists=2 device=cpu threads=1"
+).split()
+ROUNDING = 1e-6
+TRAINED = "designs=random:4:3x3", "policy=grid", "num_envs=8", "max_iterations=2", "network={width:8}", "lanes=8"
+
+
+def search(warpvox: Callable, *words: str) -> Path:
+    keys = [word.split("=")[0] for word in words]
+    outcome = warpvox("codesign", *(word for word in TINY if word.split("=")[0] not in keys), *words)
+    assert outcome.code == 0, outcome.err
+    return max(Path("outputs/codesign/Walker-v0").iterdir())
+
+
+def records_of(folder: Path) -> list[Record]:
+    with Archive.read(folder / FILE) as archive:
+        return archive.records()
+
+
+def summary(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+
+
+def played(warpvox: Callable, run: Path | str) -> float:
+    """The return of a design's policy."""
+    before = set(Path("outputs").glob("play/*/*"))
+    outcome = warpvox("play", f"run={run}", "num_envs=2", "export=[]", "device=cpu")
+    assert outcome.code == 0, outcome.err
+    (folder,) = set(Path("outputs").glob("play/*/*")) - before
+    return summary(folder)["mean_return"]
+
+
+def test_a_search_by_one_shared_policy(warpvox: Callable) -> None:
+    folder = search(warpvox, "evaluation=shared", "screening.ppo={epochs:2}")
+    records = records_of(folder)
+    screened, finals = records[:5], records[5:]
+    assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
+    figures = summary(folder)
+    best = max(finals, key=lambda record: record.fitness)
+    assert (figures["best_design"], figures["best_fitness"]) == (best.id, best.fitness)
+    assert figures["screened_fitness"] == max(record.fitness for record in screened)
+    assert figures["steps"] == sum(record.steps for record in records)
+    assert all(record.steps == 8 * 4 for record in finals)
+    assert all(record.steps > 8 * 4 for record in screened)  # with their evaluations
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    assert (config["screening"]["ppo"]["epochs"], config["screening"]["ppo"]["steps"]) == (2, 4)
+    assert "policy of its own" in (folder / "report.html").read_text(encoding="utf-8")
+    # playing finds both kinds of fitness again
+    assert played(warpvox, folder) == pytest.approx(best.fitness, abs=ROUNDING)
+    one = max(screened, key=lambda record: abs(record.fitness))
+    assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
+    # and a search that is done stays so
+    outcome = warpvox("codesign", f"resume={folder}")
+    assert outcome.code == 0
+    assert "nothing is left to do" in outcome.out
+
+
+def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -> None:
+    run = train(*TRAINED, "designs.held_out=random:2:3x3")
+    words = "evaluation=few_shot", "pretrained=latest", "screening.iterations=0"
+    folder = search(warpvox, *words, "search.max_evaluations=3")
+    assert summary(folder)["pretraining_steps"] == 2 * 8 * 4
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    assert Path(config["pretrained"]) == (run / "model_best.pt").absolute()
+    assert config["screening"]["network"] == {"width": 8}
+    (run / "model_best.pt").unlink()  # the search has a copy
+    (folder / "summary.json").unlink()
+    assert warpvox("codesign", f"resume={folder}").code == 0
+    screened = records_of(folder)[:3]
+    one = max(screened, key=lambda record: abs(record.fitness))
+    assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
+
+
+def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
+    words = "policy=grid", "network={width:8}", "training.method=sequential", "training.inherit=true"
+    folder = search(warpvox, *words)
+    with Archive.read(folder / FILE) as archive:
+        best = archive.best()[0]
+    assert played(warpvox, folder) == pytest.approx(best.fitness, abs=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("policy=grid", "policy=grid needs training.method=sequential"),
+        ("network={width:8}", "mlp has training.ppo.hidden"),
+        ("policy=grd training.method=sequential", "Did you mean 'grid'"),
+        ("policy=grid network={widht:8} training.method=sequential", "Did you mean 'width'"),
+        ("evaluation=few_shot", "evaluation=few_shot and pretrained go together"),
+        ("pretrained=latest", "evaluation=few_shot and pretrained go together"),
+        ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
+        ("evaluation=shared executor=ray", "one policy that learns in one process"),
+        ("evaluation=shared batch=2", "leave batch away"),
+        ("evaluation=shared screening.policy=mlp", "screening.policy must see voxels"),
+        ("evaluation=shared screening.ppo={epoch:2}", "Did you mean 'epochs'"),
+        ("evaluation=shared screening.ppo={epochs:two}", "epochs must be like 8, got 'two'"),
+        ("evaluation=shared screening.ppo={epochs:0}", r"screening\.ppo\.epochs"),
+        ("evaluation=shared training=paper", "cannot decay linearly"),
+        ("evaluation=shared screening.iterations=0", "screening.iterations=1 or more"),
+    ],
+)
+def test_keys_that_do_not_go_together_are_refused(words: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        check(load("codesign", ["shape=[3,3]", "threads=1", *words.split()]))
+
+
+def test_a_pretrained_policy_that_does_not_fit_is_refused(warpvox: Callable, train: Callable) -> None:
+    train(*TRAINED, "designs.held_out=random:2:3x3")
+    words = [word for word in TINY if not word.startswith("shape")]
+    outcome = warpvox("codesign", *words, "shape=[4,3]", "evaluation=few_shot", "pretrained=latest")
+    assert outcome.code == 2
+    assert "for bodies of 3x3" in outcome.err
+    train("max_iterations=1", "seed=1", "name=mlp")
+    outcome = warpvox("codesign", *words, "shape=[3,3]", "evaluation=few_shot", "pretrained=latest")
+    assert "one that sees voxels" in outcome.err
+    assert not Path("outputs/codesign").exists()

@@ -1,0 +1,281 @@
+"""The keys of ``warpvox codesign`` about how designs are evaluated: checks, and the evaluator that they name."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpvox.algos.candidate import Candidate
+from warpvox.algos.settings import PpoConfig, ScreeningConfig
+from warpvox.batch.options import lanes_for
+from warpvox.cli.runs import CONFIG, TRAINING, find_run
+from warpvox.configs.schema import CodesignConfig
+from warpvox.envs.sources import is_code
+from warpvox.errors import ConfigError, did_you_mean
+from warpvox.keys import check_values
+from warpvox.types import Cell
+
+if TYPE_CHECKING:
+    from warpvox.algos.candidate import DesignEvaluator
+    from warpvox.algos.env_factory import EnvFactory
+
+__all__ = [
+    "STEPS",
+    "check_evaluation",
+    "evaluator_of",
+    "is_screened",
+    "keep_pretrained",
+    "read_pretrained",
+    "resolve_evaluation",
+    "screened_values",
+]
+
+PRETRAINED = Path("training") / "pretrained" / "policy.pt"
+"""The copy of the pretrained policy in a run's folder: a search that is resumed does not depend on another run."""
+STEPS = "pretraining_steps"
+"""In this copy: control steps of the pretraining, if they are known."""
+FULL = Cell.H_ACT
+
+
+def is_screened(config: CodesignConfig) -> bool:
+    """Whether designs are compared by a common policy, and finalists get one of their own."""
+    return config.evaluation != "specialist"
+
+
+def check_evaluation(config: CodesignConfig) -> None:
+    """Find keys that do not go together.
+
+    Raises:
+        ConfigError: which, and what would.
+    """
+    from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
+    from warpvox.algos.policies.registry import MLP, check_policy
+
+    training, how = config.training, f"evaluation={config.evaluation}"
+    check_policy(config.policy)
+    if training.method == "sequential":
+        SequentialEvaluator(None, training)
+    if config.policy == MLP and config.network is not None:
+        raise ConfigError(
+            "network has the settings of policy=grid, transformer or your own; mlp has training.ppo.hidden."
+        )
+    if config.policy != MLP and training.method != "sequential":
+        raise ConfigError(
+            f"policy={config.policy} needs training.method=sequential: designs that are trained side by side have"
+            " fully connected layers (policy=mlp)."
+        )
+    if (config.pretrained is not None) != (config.evaluation == "few_shot"):
+        raise ConfigError(
+            "evaluation=few_shot and pretrained go together: pretrained=latest, the folder of a run of `warpvox train"
+            " designs=...` or a checkpoint in it."
+        )
+    if not is_screened(config):
+        return
+    if training.inherit:
+        raise ConfigError(f"training.inherit does not go with {how}: designs share one policy until the end.")
+    if config.evaluation == "shared" and config.executor == "ray":
+        raise ConfigError(f"{how} has one policy that learns in one process: executor=local, or evaluation=few_shot.")
+    if config.evaluation == "shared" and config.batch is not None:
+        raise ConfigError(f"{how} takes all designs of a generation together: leave batch away.")
+    check_policy(config.screening.policy)
+    if config.screening.policy == MLP:
+        raise ConfigError("screening.policy must see voxels to control many bodies: grid, transformer or your own.")
+    _screening_ppo(config)
+
+
+def _screening_ppo(config: CodesignConfig) -> PpoConfig:
+    """PPO of the common policy: ``training.ppo`` with what ``screening.ppo`` changes.
+
+    Raises:
+        ConfigError: no such setting, or a value that it cannot have.
+    """
+    given = config.screening.ppo or {}
+    known = dataclasses.asdict(config.training.ppo)
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"screening.ppo must be settings by name, such as {{epochs:4}}; got {given!r:.80}.")
+    for name, value in given.items():
+        if name not in known:
+            raise ConfigError(f"screening.ppo: PPO has no setting {name!r:.80}.{did_you_mean(str(name), known)}")
+        wanted = (int, float) if isinstance(known[name], float) else type(known[name])
+        if not isinstance(value, wanted) or isinstance(value, bool) != isinstance(known[name], bool):
+            raise ConfigError(f"screening.ppo: {name} must be like {known[name]!r}, got {value!r:.80}.")
+    ppo = dataclasses.replace(config.training.ppo, **given)
+    check_values(ppo, "screening.ppo.")
+    return ppo
+
+
+def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignConfig:
+    """A copy with what the keys stand for, after all of them have been checked.
+
+    Args:
+        folder: of the search that is resumed.
+
+    Raises:
+        WarpvoxError: a network, its settings, or a pretrained policy that is not to be had or does not fit.
+    """
+    from warpvox.algos.policies.layout import layout_of
+    from warpvox.algos.policies.registry import MLP, make_network
+
+    networks = {}
+    if config.policy != MLP:
+        networks["policy"] = config.policy, config.network
+    if is_screened(config):
+        config = dataclasses.replace(config, screening=_resolved_screening(config, folder))
+        if config.evaluation == "few_shot" and folder is None:
+            config = dataclasses.replace(config, pretrained=str(_checkpoint(config)[0].absolute()))
+        networks["screening.policy"] = config.screening.policy, config.screening.network
+    if not networks:
+        return config
+    body = np.full(config.shape, FULL, np.int8)
+    factory = dataclasses.replace(factory_of(config, "voxel"), grid=tuple(config.shape), threads=1)
+    layout = layout_of(factory.make([body], 1, [0], auto_reset=False))
+    for key, (name, settings) in networks.items():
+        if settings is not None and not isinstance(settings, Mapping):
+            raise ConfigError(f"{key}: settings of a network have names, {{width:32}}; got {settings!r:.80}.")
+        make_network(name, layout, False, settings)
+    pretrained = read_pretrained(config, folder)
+    if pretrained is not None and (found := pretrained["policy"]["voxels"]["layout"]) != layout.dict():
+        raise ConfigError(
+            f"The policy in {config.pretrained} is for bodies of {found['rows']}x{found['columns']} with"
+            f" {found['rest']} other observations; {config.task} with shape={list(config.shape)} has"
+            f" {layout.rows}x{layout.columns} with {layout.rest}."
+        )
+    return config
+
+
+def _resolved_screening(config: CodesignConfig, folder: Path | None) -> ScreeningConfig:
+    from warpvox.algos.codesign.common_policy import SharedEvaluator
+
+    ppo = _screening_ppo(config)
+    pretrained = read_pretrained(config, folder)
+    changes: dict[str, Any] = {}
+    if pretrained is not None:
+        spec = pretrained["policy"]
+        ppo = dataclasses.replace(ppo, action_scale=spec["action_scale"], normalize_obs=spec["normalize_obs"])
+        changes["network"] = dict(spec["voxels"]["settings"])
+        if not is_code(spec["voxels"]["network"]):
+            changes["policy"] = spec["voxels"]["network"]
+    screening = dataclasses.replace(config.screening, ppo=dataclasses.asdict(ppo), **changes)
+    if config.evaluation == "shared":
+        SharedEvaluator(None, screening)
+    return screening
+
+
+def screened_values(config: CodesignConfig, candidate: Candidate) -> dict[str, Any]:
+    """What the configuration of a design that a common policy controls has in place of its own training's."""
+    how, bodies = config.screening, [candidate.body.tolist()]
+    return {
+        "policy": how.policy,
+        "network": how.network,
+        "ppo": how.ppo,
+        "num_envs": how.envs,
+        "max_iterations": max(1, how.iterations),
+        "eval_interval": max(1, how.iterations),
+        "eval_envs": how.eval_envs,
+        "lanes": lanes_for(how.eval_envs),
+        "designs": {"bodies": bodies, "refresh": "none", "held_out": bodies},
+    }
+
+
+# ----------------------------------------------------------------------------------------- the pretrained policy
+
+
+def _checkpoint(config: CodesignConfig) -> tuple[Path, dict[str, Any]]:
+    """The file that ``pretrained`` names, and the configuration of its run; empty for a file by itself."""
+    path = Path(config.pretrained).expanduser()
+    if path.is_file() and not (path.parent / CONFIG).is_file():
+        return path, {}
+    run = find_run(config.pretrained, config.output_dir, TRAINING)
+    return run.find_checkpoint("best"), run.config
+
+
+def read_pretrained(config: CodesignConfig, folder: Path | None) -> dict[str, Any] | None:
+    """The checkpoint of the policy that ``evaluation=few_shot`` begins with; None: another evaluation.
+
+    Args:
+        folder: of the search, which has a copy; None: there is none yet.
+
+    Raises:
+        RunError: no such run or file. ConfigError: a policy that cannot be tuned for other bodies.
+    """
+    from warpvox.algos.checkpoints.files import load_checkpoint, load_controller
+
+    if config.evaluation != "few_shot":
+        return None
+    path, run = (folder / PRETRAINED, {}) if folder is not None else _checkpoint(config)
+    content = load_checkpoint(path)
+    voxels = content["policy"].get("voxels") if isinstance(content["policy"], Mapping) else None
+    if not voxels:
+        raise ConfigError(
+            f"The policy in {path} is fully connected, which is about the bodies that it knows; few_shot takes one"
+            " that sees voxels: warpvox train designs=random:64 policy=grid."
+        )
+    own = isinstance(voxels, Mapping) and is_code(voxels.get("network"))
+    if own and not is_code(config.screening.policy):
+        raise ConfigError(f"The policy in {path} has a network of its own: name it, screening.policy=FILE.py:Class.")
+    load_controller(path, network=config.screening.policy)  # checks all of it
+    if "critic_state_dict" not in content or "optimizer_state_dict" not in content:
+        raise ConfigError(f"{path} holds no value function to learn with: take a checkpoint of `warpvox train`.")
+    if {"num_envs", "ppo"} <= run.keys():
+        content[STEPS] = int(content["iter"]) * int(run["num_envs"]) * int(run["ppo"]["steps"])
+    return content
+
+
+def keep_pretrained(content: Mapping[str, Any] | None, folder: Path) -> None:
+    """Copy a pretrained policy into the folder of a search."""
+    from warpvox.algos.checkpoints.files import save_checkpoint
+
+    if content is not None and not (folder / PRETRAINED).is_file():
+        (folder / PRETRAINED).parent.mkdir(parents=True, exist_ok=True)
+        save_checkpoint(folder / PRETRAINED, dict(content))
+
+
+# ---------------------------------------------------------------------------------------------------- evaluators
+
+
+def factory_of(config: CodesignConfig, obs: str = "task") -> EnvFactory:
+    """Where a configuration has designs trained; ``config.device`` may still be auto."""
+    from warpvox.algos.env_factory import EnvFactory
+    from warpvox.cli.build import physics_of
+
+    return EnvFactory(
+        config.task,
+        config.rules,
+        physics_of(config),
+        config.device,
+        config.dtype,
+        config.threads,
+        arithmetic=config.arithmetic,
+        obs=obs,
+    )
+
+
+def evaluator_of(config: CodesignConfig, pretrained: Mapping[str, Any] | None) -> DesignEvaluator:
+    """The evaluator of a resolved configuration.
+
+    Args:
+        pretrained: of :func:`read_pretrained`.
+    """
+    from warpvox.algos.codesign.common_policy import FewShotEvaluator, SharedEvaluator
+    from warpvox.algos.codesign.finalists import TwoStages
+    from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
+    from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
+    from warpvox.algos.policies.registry import MLP
+
+    if config.training.method == "population":
+        final: DesignEvaluator = PopulationEvaluator(factory_of(config), config.training, config.seed)
+    elif config.policy == MLP:
+        final = SequentialEvaluator(factory_of(config), config.training, config.seed)
+    else:
+        network = config.policy, dict(config.network or {})
+        final = SequentialEvaluator(factory_of(config, "voxel"), config.training, config.seed, *network)
+    if not is_screened(config):
+        return final
+    common = dataclasses.replace(factory_of(config, "voxel"), grid=tuple(config.shape))
+    if config.evaluation == "shared":
+        return TwoStages(SharedEvaluator(common, config.screening, config.seed), final)
+    return TwoStages(FewShotEvaluator(common, config.screening, config.seed, pretrained), final)
