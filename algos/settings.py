@@ -77,7 +77,7 @@ class TrainingConfig:
 
 @dataclass
 class ScreeningConfig:
-    """Keys ``screening.*``: how one policy for all designs of a generation compares them."""
+    """Keys ``screening.*``: how designs are compared without a training for each."""
 
     policy: str = key(
         "grid",
@@ -92,3 +92,4 @@ class ScreeningConfig:
     eval_envs: int = key(1, "environments of the evaluation after them, for each design", low=1)
     save_interval: int = key(10, "iterations between checkpoints of an evaluation under way", low=1)
     ppo: Any = key(None, "settings of PPO that differ from training.ppo: {epochs:4,schedule:adaptive}")
+    waves: int = key(16, "evaluation=waves: travelling waves of actuation that a design is tried with", low=1)

@@ -235,8 +235,9 @@ class CodesignConfig(PresetConfig):
     evaluation: str = key(
         "specialist",
         "what a design's fitness is: of a policy of its own (specialist); of one policy that learns on all designs of"
-        " each generation (shared); of a pretrained one, tuned anew for each generation (few_shot)",
-        choices=("specialist", "shared", "few_shot"),
+        " each generation (shared); of a pretrained one, tuned anew for each generation (few_shot); the best that some"
+        " travelling waves of actuation get, without learning (waves)",
+        choices=("specialist", "shared", "few_shot", "waves"),
     )
     policy: str = key(
         "mlp",
@@ -252,7 +253,7 @@ class CodesignConfig(PresetConfig):
         path="read",
     )
     finalists: int = key(
-        4, "evaluation=shared and few_shot: best designs that get a training of their own in the end", low=1
+        4, "evaluation=shared, few_shot, waves: best designs that get a training of their own in the end", low=1
     )
     reuse: bool = key(True, "a body that was evaluated before is not trained again")
     batch: int | None = key(
@@ -284,7 +285,7 @@ class CodesignConfig(PresetConfig):
     physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the dynamics")
     search: SearchConfig = key(SearchConfig, "search algorithm")
     training: TrainingConfig = key(TrainingConfig, "how a design is trained and judged")
-    screening: ScreeningConfig = key(ScreeningConfig, "how evaluation=shared and few_shot compare designs")
+    screening: ScreeningConfig = key(ScreeningConfig, "how evaluation=shared, few_shot and waves compare designs")
 
 
 @dataclass

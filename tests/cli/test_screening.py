@@ -90,6 +90,16 @@ def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
 
 
+def test_a_search_by_waves(warpvox: Callable) -> None:
+    folder = search(warpvox, "evaluation=waves", "screening.waves=8")
+    records, figures = records_of(folder), summary(folder)
+    assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
+    assert [record.policy is None for record in records] == [True] * 5 + [False] * 2
+    assert figures["screened_fitness"] == max(record.fitness for record in records[:5])
+    assert figures["best_fitness"] == max(record.fitness for record in records[5:])
+    assert played(warpvox, folder) == pytest.approx(figures["best_fitness"], abs=ROUNDING)
+
+
 def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
     words = "policy=grid", "network={width:8}", "training.method=sequential", "training.inherit=true"
     folder = search(warpvox, *words)
@@ -108,6 +118,8 @@ def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
         ("evaluation=few_shot", "evaluation=few_shot and pretrained go together"),
         ("pretrained=latest", "evaluation=few_shot and pretrained go together"),
         ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
+        ("evaluation=waves training.inherit=true", "training.inherit does not go with evaluation=waves"),
+        ("evaluation=waves pretrained=latest", "evaluation=few_shot and pretrained go together"),
         ("evaluation=shared executor=ray", "one policy that learns in one process"),
         ("evaluation=shared batch=2", "leave batch away"),
         ("evaluation=shared screening.policy=mlp", "screening.policy must see voxels"),

@@ -27,6 +27,7 @@ __all__ = [
     "STEPS",
     "check_evaluation",
     "evaluator_of",
+    "has_common_policy",
     "is_screened",
     "keep_pretrained",
     "read_pretrained",
@@ -42,8 +43,13 @@ FULL = Cell.H_ACT
 
 
 def is_screened(config: CodesignConfig) -> bool:
-    """Whether designs are compared by a common policy, and finalists get one of their own."""
+    """Whether designs are compared without a training for each, and finalists get one."""
     return config.evaluation != "specialist"
+
+
+def has_common_policy(config: CodesignConfig) -> bool:
+    """Whether one policy controls the designs of a generation."""
+    return config.evaluation in ("shared", "few_shot")
 
 
 def check_evaluation(config: CodesignConfig) -> None:
@@ -76,11 +82,13 @@ def check_evaluation(config: CodesignConfig) -> None:
     if not is_screened(config):
         return
     if training.inherit:
-        raise ConfigError(f"training.inherit does not go with {how}: designs share one policy until the end.")
+        raise ConfigError(f"training.inherit does not go with {how}: no design has a policy of its own until the end.")
     if config.evaluation == "shared" and config.executor == "ray":
         raise ConfigError(f"{how} has one policy that learns in one process: executor=local, or evaluation=few_shot.")
     if config.evaluation == "shared" and config.batch is not None:
         raise ConfigError(f"{how} takes all designs of a generation together: leave batch away.")
+    if not has_common_policy(config):
+        return
     check_policy(config.screening.policy)
     if config.screening.policy == MLP:
         raise ConfigError("screening.policy must see voxels to control many bodies: grid, transformer or your own.")
@@ -123,7 +131,7 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
     networks = {}
     if config.policy != MLP:
         networks["policy"] = config.policy, config.network
-    if is_screened(config):
+    if has_common_policy(config):
         config = dataclasses.replace(config, screening=_resolved_screening(config, folder))
         if config.evaluation == "few_shot" and folder is None:
             config = dataclasses.replace(config, pretrained=str(_checkpoint(config)[0].absolute()))
@@ -264,6 +272,7 @@ def evaluator_of(config: CodesignConfig, pretrained: Mapping[str, Any] | None) -
     from warpvox.algos.codesign.finalists import TwoStages
     from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
     from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
+    from warpvox.algos.codesign.waves import WaveEvaluator
     from warpvox.algos.policies.registry import MLP
 
     if config.training.method == "population":
@@ -275,6 +284,8 @@ def evaluator_of(config: CodesignConfig, pretrained: Mapping[str, Any] | None) -
         final = SequentialEvaluator(factory_of(config, "voxel"), config.training, config.seed, *network)
     if not is_screened(config):
         return final
+    if config.evaluation == "waves":
+        return TwoStages(WaveEvaluator(factory_of(config), config.screening.waves, config.seed), final)
     common = dataclasses.replace(factory_of(config, "voxel"), grid=tuple(config.shape))
     if config.evaluation == "shared":
         return TwoStages(SharedEvaluator(common, config.screening, config.seed), final)

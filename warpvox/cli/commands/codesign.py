@@ -28,6 +28,7 @@ from warpvox.cli.evaluations import (
     STEPS,
     check_evaluation,
     evaluator_of,
+    has_common_policy,
     is_screened,
     keep_pretrained,
     read_pretrained,
@@ -127,7 +128,7 @@ def check(config: CodesignConfig, folder: Path | None = None) -> None:
             if getattr(config, key) is not None:
                 raise ConfigError(f"{key} goes with executor=ray.")
         check_search(config, _together(config))
-        if is_screened(config):
+        if has_common_policy(config):
             check_screening(config)
 
 
@@ -142,7 +143,10 @@ def _together(config: CodesignConfig) -> int:
 def _environments(config: CodesignConfig) -> int:
     """Environments that are stepped together at most."""
     own = _together(config) * config.training.envs
-    return max(own, config.search.population * config.screening.envs) if is_screened(config) else own
+    if not is_screened(config):
+        return own
+    how = config.screening
+    return max(own, config.search.population * (how.envs if has_common_policy(config) else how.waves))
 
 
 def resolve(config: CodesignConfig, folder: Path | None = None) -> CodesignConfig:
@@ -313,7 +317,7 @@ def design_config(config: CodesignConfig, candidate: Candidate) -> str:
         "policy": config.policy,
         "network": config.network,
     }
-    if is_screened(config) and candidate.origin != FINALIST:
+    if has_common_policy(config) and candidate.origin != FINALIST:
         values |= screened_values(config, candidate)
     values["obs"] = "task" if values["policy"] == MLP else "voxel"
     return to_yaml(load_values("train", values)) + END
