@@ -23,12 +23,10 @@ settings.register_profile("thorough", deadline=None, max_examples=5000, suppress
 settings.load_profile("repeatable")
 
 LONGEST = (
-    *("test_ray_executor", "test_suites", "test_gpu_check", "test_processes", "test_codesign", "test_moments"),
-    *("test_needs", "test_population_evaluator", "test_protocol", "test_cuda_build", "test_disk", "test_damage"),
-    *("test_signals", "test_files", "test_trust", "test_divergence", "test_bodies", "test_ppo"),
-    *("test_group", "test_commands"),
+    *("test_suites", "test_ray_executor", "test_gpu_check", "test_processes", "test_moments", "test_recordings"),
+    *("test_cuda_build", "test_pages", "test_codesign", "test_trust", "test_commands", "test_needs"),
 )
-"""Files that take ten seconds or more. They go first, so that no process waits for another at the end."""
+"""Files that take longest. They go first, so that no process waits for another at the end."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE = 30.0  # seconds for anything in the browser; a shared machine may stall
 GRAVE = ("error", "warning")

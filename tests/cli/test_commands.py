@@ -47,12 +47,6 @@ def test_a_run_leaves_what_was_promised(train: Callable) -> None:
     assert figures["best_return"] == pytest.approx(read_metrics(folder)[-1]["best_return"], rel=1e-6)
 
 
-def test_the_same_seed_gives_the_same_run(train: Callable) -> None:
-    one, same, other = (train("max_iterations=2", f"seed={seed}") for seed in (1, 1, 2))
-    assert rows(one) == rows(same)
-    assert rows(one) != rows(other)
-
-
 def test_resumed_is_the_same_as_uninterrupted(train: Callable, warpvox: Callable) -> None:
     words = ("task=Catcher-v0", "eval_interval=1", "save_interval=4")  # which draws something in every episode
     whole = train("max_iterations=4", *words)

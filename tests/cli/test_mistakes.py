@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,9 +16,6 @@ MISTAKES = {
     "train task=null": "task must be text",
     "train design=walkr": "Did you mean 'walker'",
     "train design=[[0,0],[0,0]]": "empty",
-    "train design=[[3,0],[0,3]]": "not connected",
-    "train design=[[1,1],[1,2]]": "no actuator",
-    "train design=[[9,1],[1,3]]": "unknown cell type 9",
     "train design=nothing.json": "nothing.json",
     "train design=5": "design must be",
     "train task=Climber-v0 design=random:12x12": "does not fit",
@@ -41,12 +37,10 @@ MISTAKES = {
     "train num_envs=0": "at least 1",
     "train num_envs=3 design=[mini,worm]": "multiple of the number of designs",
     "train physics=papr": "Did you mean 'paper'",
-    "train physics.gravity=heavy": "must be a number or null",
     "train physics.gravity=-1": ">= 0",
     "train rules=papers": "Did you mean 'paper'",
     "train ppo=evogm": "Did you mean 'evogym'",
     "train ppo.schedule=lin": "fixed, linear, adaptive",
-    "train ppo.hidden=[a]": "list of integers",
     "train ppo.hidden=[0]": "at least 1",
     "train ppo.gamma=1.5": "at most 1",
     "train name=a/b": "letters, digits",
@@ -63,9 +57,7 @@ MISTAKES = {
     "train resume=latest": "no run",
     "train resume=nowhere": "no run at nowhere",
     "train resume=.": "not a run",
-    "play": "no run",
     "play run=nowhere": "no run at nowhere",
-    "play run=.": "not a run",
     "play export=[usd,gf]": "Did you mean 'gif'",
     "play agent=sin": "Did you mean 'sine'",
     "play task=Walker-v0": "task goes with agent=",
@@ -95,15 +87,11 @@ MISTAKES = {
     "codesign shape=[5]": "shape must be [rows,columns]",
     "codesign shape=[1,2]": "valid bodies of 1x2",
     "codesign shape=[12,12] task=Climber-v0": "does not fit",
-    "codesign device=gpu": "valid are 'auto', 'cpu'",
     "codesign export=[cvs]": "Did you mean 'csv'",
     "codesign executor=local address=auto": "executor=ray",
     "codesign workers=2": "executor=ray",
-    "codesign resume=latest": "no run",
     "codesign resume=nowhere": "no design search at nowhere",
-    "codesign resume=.": "not a run",
     "codesign report=.": "not a run",
-    "codesign -m seed=1,2 task=Walker-v0,Wolker-v0": "Did you mean 'Walker-v0'",
     "tasks Walkr": "Did you mean 'Walker-v0'",
     "tasks a b": "one task id",
     "tasks rules=paper": "Without an ID `warpvox tasks` takes the keys gallery, design",
@@ -155,29 +143,6 @@ def test_a_folder_with_another_config_is_not_a_run(warpvox: Callable, tmp_path: 
         outcome = warpvox("play", "run=.")
         assert outcome.code == 2
         assert outcome.err.count("\n") == 1
-
-
-def test_a_damaged_checkpoint(train: Callable, warpvox: Callable) -> None:
-    folder = train("max_iterations=1")
-    for content in (b"", b"no checkpoint", (folder / "model_1.pt").read_bytes()[:1000]):
-        (folder / "model_best.pt").write_bytes(content)
-        outcome = warpvox("play", f"run={folder}")
-        assert outcome.code == 2
-        assert "model_best.pt is not a readable checkpoint" in outcome.err
-        assert outcome.err.count("\n") == 1
-    assert not Path("outputs/play").exists()
-
-
-def test_a_checkpoint_holds_nothing_but_data(train: Callable, warpvox: Callable) -> None:
-    folder = train("max_iterations=1")
-
-    class Evil:
-        def __reduce__(self) -> tuple:
-            return os.mkdir, ("evil",)
-
-    torch.save({"policy": Evil(), "actor_state_dict": {}}, folder / "model_best.pt")
-    assert warpvox("play", f"run={folder}").code == 2
-    assert not Path("evil").exists()
 
 
 def test_a_run_that_fails_before_any_result_leaves_nothing(

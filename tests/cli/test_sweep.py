@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import yaml
 
 import warpvox as wv
 from warpvox.algos.training.metrics import read_metrics
@@ -130,16 +129,6 @@ def test_a_summary_says_what_made_it(train: Callable, repository: Path) -> None:
         assert len(summary["commit"].removesuffix("-dirty")) == 40
     else:
         assert summary["commit"] is None
-
-
-def test_a_run_is_made_again_from_its_own_configuration(train: Callable, warpvox: Callable) -> None:
-    first = train("max_iterations=2", "seed=7")
-    assert warpvox("train", f"config={first}", "name=again").code == 0
-    (again,) = Path("outputs/train/Walker-v0").glob("*_again")
-    values = [[row["eval_return"], row["value_loss"]] for row in read_metrics(first)]
-    assert str(values) == str([[row["eval_return"], row["value_loss"]] for row in read_metrics(again)])
-    configs = [yaml.safe_load((folder / "config.yaml").read_text()) for folder in (first, again)]
-    assert {**configs[0], "name": "again"} == configs[1]
 
 
 # -------------------------------------------------------------------------------------------- resuming what is done

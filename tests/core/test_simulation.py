@@ -191,8 +191,7 @@ def test_bad_actions_are_refused():
 def test_actions_are_clipped():
     low, high = (Simulation(worlds(1), device="cpu", lanes=1) for _ in range(2))
     assert torch.equal(
-        run(low, torch.full((5, 1, low.num_actions), 9.0)),
-        run(high, torch.full((5, 1, low.num_actions), 1.6)),
+        run(low, torch.full((5, 1, low.num_actions), 9.0)), run(high, torch.full((5, 1, low.num_actions), 1.6))
     )
 
 

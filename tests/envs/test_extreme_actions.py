@@ -30,10 +30,7 @@ def extreme(step: int, shape: tuple[int, int], rng: np.random.Generator) -> torc
 
 @pytest.mark.parametrize(
     ("task", "steps", "bodies"),
-    [
-        *((task, 100, 1) for task in FAST),
-        *(pytest.param(task, 400, 4, marks=pytest.mark.slow) for task in task_ids()),
-    ],
+    [*((task, 100, 1) for task in FAST), *(pytest.param(task, 400, 4, marks=pytest.mark.slow) for task in task_ids())],
 )
 def test_results_are_finite_and_fixed_points_stay(task: str, steps: int, bodies: int) -> None:
     designs = [sample_design((3 + k % 3, 3 + k % 2), seed=k) for k in range(bodies)]

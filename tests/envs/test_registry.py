@@ -74,10 +74,7 @@ def test_a_specification_can_be_copied_and_sent(task: str) -> None:
     [
         ({"observations": ()}, "needs an observation"),
         ({"max_episode_steps": 0}, "at least one step"),
-        (
-            {"rewards": (rewards(displacement, axis="x"), rewards(displacement, axis="x", weight=2.0))},
-            "several",
-        ),
+        ({"rewards": (rewards(displacement, axis="x"), rewards(displacement, axis="x", weight=2.0))}, "several"),
         ({"observations": (observes(shape), observes(shape))}, "several observations"),
         ({"id": "mine/Walker-v0"}, "letters, digits"),
         ({"memory": (Memory("goal", len), Memory("goal", len))}, "several"),

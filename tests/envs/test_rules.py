@@ -115,8 +115,7 @@ def carried(steps, reward, /, *ends, **printed):
 
 def balancer(x, y):
     return Page(
-        *(600, "th_r c_r", lambda b, a: -away(b, a, 0, x) - away(b, a, 1, y)),
-        printed={"obs": f"{x},{y}-p_r c_r"},
+        *(600, "th_r c_r", lambda b, a: -away(b, a, 0, x) - away(b, a, 1, y)), printed={"obs": f"{x},{y}-p_r c_r"}
     )
 
 
@@ -174,8 +173,7 @@ BOOK = {
     "HeightMaximizer-v0": Page(500, "c_r", lambda b, a: a.extent[1] - b.extent[1]),
     "Flipper-v0": Page(600, "th_r c_r", flip, [(lambda a: a.r[0] < 0.1, 0)], printed={"ends": []}),
     "Jumper-v0": Page(
-        *(500, "v_r c_r floor2", lambda b, a: 10 * dy(b, a) - 5 * abs(dx(b, a))),
-        printed={"obs": "v_r c_r elevation2"},
+        *(500, "v_r c_r floor2", lambda b, a: 10 * dy(b, a) - 5 * abs(dx(b, a))), printed={"obs": "v_r c_r elevation2"}
     ),
     "Balancer-v0": balancer(1.7, 0.5),
     "Balancer-v1": balancer(1.75, 0.6),

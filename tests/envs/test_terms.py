@@ -38,8 +38,7 @@ def test_beyond_is_strict(x: float, expected: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("degrees", "expected"),
-    [(0, False), (75, False), (76, True), (180, True), (284, True), (285, False), (359, False)],
+    ("degrees", "expected"), [(0, False), (75, False), (76, True), (180, True), (284, True), (285, False), (359, False)]
 )
 def test_tilted_is_an_open_interval(degrees: float, expected: bool) -> None:
     state = Moment(orientation_robot=[radians(degrees)])

@@ -22,11 +22,7 @@ SIGNALS = pytest.mark.parametrize(("number", "code"), NUMBERS.items(), ids=lambd
 @pytest.fixture(autouse=True)
 def usual_handlers() -> Iterator[None]:
     """Those of a process that a shell has started; under nohup, or in a script's background, some are ignored."""
-    usual = {
-        signal.SIGINT: signal.default_int_handler,
-        signal.SIGTERM: signal.SIG_DFL,
-        signal.SIGHUP: signal.SIG_DFL,
-    }
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
     before = {number: signal.signal(number, handler) for number, handler in usual.items()}
     yield
     for number, handler in before.items():

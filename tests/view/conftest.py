@@ -40,12 +40,7 @@ def make_scene(bodies: list[np.ndarray], width: int = 24, height: int = 10) -> t
 
 
 def make_rollout(
-    frames: int = 40,
-    envs: int = 2,
-    designs: int = 1,
-    seed: int = 0,
-    noise: float = 0.004,
-    ends: tuple[int, ...] = (),
+    frames: int = 40, envs: int = 2, designs: int = 1, seed: int = 0, noise: float = 0.004, ends: tuple[int, ...] = ()
 ) -> Rollout:
     """Bodies that wobble to the right. ends: steps at which the first environments' episodes end."""
     rng = np.random.default_rng(seed)

@@ -235,8 +235,15 @@ def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path) -> No
 # ----------------------------------------------------------------------------------------------- files
 
 
-@pytest.mark.parametrize("name", NETWORKS)
-def test_a_policy_trains_and_comes_back_from_files(env: VoxelVecEnv, tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "formats"),
+    [
+        ("grid", {"policy.pt": write_script, "policy.onnx": write_onnx}),
+        ("transformer", {"policy.pt": write_script}),
+        pytest.param("transformer", {"policy.onnx": write_onnx}, marks=pytest.mark.slow),
+    ],
+)
+def test_a_policy_trains_and_comes_back_from_files(env: VoxelVecEnv, tmp_path: Path, name: str, formats: dict) -> None:
     runner, obs = make_runner(name, tmp_path, total=1), some_obs(env)
     before = copy.deepcopy(runner.alg.actor.state_dict())
     runner.run()
@@ -246,7 +253,7 @@ def test_a_policy_trains_and_comes_back_from_files(env: VoxelVecEnv, tmp_path: P
     assert torch.equal(controller(obs), runner.controller(obs))
     policy = policy_of(controller)
     torch.testing.assert_close(policy(obs), controller(obs), rtol=0, atol=1e-6)
-    for file, write in (("policy.pt", write_script), ("policy.onnx", write_onnx)):
+    for file, write in formats.items():
         write(policy, tmp_path / file)
         again = read_exported(tmp_path / file)
         assert torch.equal(again(obs), policy(obs))

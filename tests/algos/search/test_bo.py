@@ -12,14 +12,7 @@ from gpytorch.kernels import MaternKernel, ScaleKernel
 
 from warpvox.algos.search import BoSettings, make_search
 from warpvox.algos.search.bo import BayesianSearch
-from warpvox.algos.search.bo_acquire import (
-    ascend,
-    climb,
-    climb_posterior,
-    improve,
-    log_improvement,
-    thompson_starts,
-)
+from warpvox.algos.search.bo_acquire import ascend, climb, climb_posterior, improve, log_improvement, thompson_starts
 from warpvox.algos.search.bo_model import fit_model, from_one_hot, make_model, one_hot, own_torch
 from warpvox.algos.search.bodies import body_key, mutate, neighbours
 from warpvox.design import are_valid, draw_bodies
