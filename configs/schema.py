@@ -305,7 +305,10 @@ class _RolloutConfig:
 
     run: str = key("latest", "latest, the folder of a run, or a checkpoint file", path="read")
     zoo: str | None = key(
-        None, "instead of a run a stored robot: a task's id, or a file; as recorded, arithmetic=exact", path="read"
+        None,
+        "instead of a run a stored robot: a task's id, a file, or one of a data set, robots.parquet:TASK:RANK; as"
+        " recorded, arithmetic=exact",
+        path="read",
     )
     checkpoint: str = key("best", "of that run: best, last, or an iteration")
     size: list[int] | None = key(
@@ -502,14 +505,23 @@ class EvaluateConfig:
 class ZooConfig:
     """Keys of ``warpvox zoo``."""
 
-    task: str | None = key(None, "show the robot of this task in detail")
+    task: str | None = key(None, "show the robot of this task in detail; with file: the best of this task")
+    file: str | None = key(
+        None,
+        "list a released data set of robots instead (EvoGym/robots, EvoGym/robots-with-policies): a Parquet or JSON"
+        " file, or a folder of Parquet files",
+        path="read",
+    )
+    evaluate: bool = key(False, "with file and task: evaluate the policies of the robots that are listed")
     add: list[str] = key(
         [],
         "make entries of these: folders of design searches or runs, checkpoints, or patterns; an entry is replaced only"
         " by one of a higher return",
         path="read",
     )
-    top: int = key(10, "best designs of a search of which add evaluates the policies", low=1)
+    top: int = key(
+        10, "best robots of a task of file that are listed; best designs of a search that add evaluates", low=1
+    )
     folder: str | None = key(None, "folder of entries; null: the one of the package", path="written")
 
 

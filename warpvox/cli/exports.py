@@ -115,7 +115,8 @@ def _load_robot(robot: Robot, config: Any) -> tuple[Any, Any]:
     if config.stochastic:
         raise ConfigError("stochastic=true goes with a run; a stored robot has no exploration to sample from.")
     if robot.policy is None:
-        raise ConfigError(f"This robot has no policy: play agent=sine task={robot.task} design=zoo:... shows its body.")
+        why = robot.about.get("no_policy", "there is a body alone.")
+        raise ConfigError(f"The robot has no policy: {why} play agent=sine task={robot.task} design=zoo:... moves it.")
     count = config.num_envs if draws_at_random(robot.task) else 1  # all episodes would be the same
     options = {
         name: getattr(config, name) for name in ("dtype", "arithmetic", "seed") if getattr(config, name) is not None

@@ -96,11 +96,20 @@ def zoo_tasks() -> list[str]:
 
 
 def find_robot(text: str) -> Robot:
-    """The robot that ``text`` names: a task of the zoo, or a file that :func:`save_robot` has written.
+    """The robot that ``text`` names.
+
+    Args:
+        text: a task of the zoo, a file that :func:`save_robot` has written (``.npz``), or a robot of a released data
+            set: ``robots.parquet:TASK`` (its best), ``robots.parquet:TASK:RANK`` or ``robots.parquet:UID``.
 
     Raises:
         RunError: there is none, or a file that cannot be read.
     """
+    from warpvox.robots.dataset import find_in_dataset, split_place
+
+    place = split_place(text)
+    if place is not None:
+        return find_in_dataset(*place)
     path = Path(text).expanduser()
     return read_robot(path) if path.suffix.lower() == ".npz" else zoo(text)
 

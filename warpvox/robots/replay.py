@@ -70,7 +70,8 @@ def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
         RunError: it has no policy, or one for other environments.
     """
     if robot.policy is None:
-        raise RunError("A robot without a policy cannot be evaluated; train one for its body.")
+        why = robot.about.get("no_policy", "there is a body alone, for which one can be trained.")
+        raise RunError(f"The robot has no policy that could be evaluated: {why}")
     seeds = list(seeds if seeds is not None else SEEDS if draws_at_random(robot.task) else (0,))
     result = evaluate(robot_env(robot, seeds), robot.policy)
     return Judgement([round(value, DIGITS) for value in result.returns.tolist()], result.lengths.tolist(), seeds)
@@ -118,7 +119,7 @@ def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
     """
     network = robot.policy
     if network is None:
-        raise RunError("The robot has a body alone, no policy.")
+        raise RunError(f"The robot has no policy: {robot.about.get('no_policy', 'there is a body alone.')}")
     hidden = [len(bias) for bias in network.biases[:-1]]
     spec = PolicySpec(network.num_obs, network.num_actions, hidden, network.activation, True, network.scale)
     policy = make_policy(spec, {"task": robot.task, "rules": "evogym", "obs": "task", "design": robot.body.tolist()})
