@@ -324,25 +324,6 @@ def test_training_counts_and_names_it() -> None:
         assert env.pop_episodes()["diverged"] == 2
 
 
-@pytest.mark.parametrize("kind", ["reward", "observation"])
-def test_gymnasium_tells_of_it(kind: str) -> None:
-    import gymnasium
-
-    name = register_task(replace(blinking(kind, float("nan"), [0]), id=f"Blink-{kind}-v0"), "blinks")
-    env = gymnasium.make(name, body="mini")
-    env.reset()
-    at = AT if kind == "reward" else AT + 1
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        rows = [env.step(np.full(env.action_space.shape, 1.3)) for _ in range(at + 1)]
-    obs, reward, terminated, _, info = rows[at - 1]
-    assert (reward, terminated, info["unstable"], info["diverged"]) == (BASE.unstable_penalty, True, True, True)
-    assert np.isfinite(obs).all()
-    assert info["reward_terms"]["displacement_robot_x"] == 0.0
-    assert not any(row[4]["diverged"] for row in rows[: at - 1])
-    assert rows[at][1] == 0.0
-
-
 def test_a_first_observation_that_is_not_finite_is_marked() -> None:
     def start(draws: Any) -> torch.Tensor:
         return torch.where(draws.integers(0, 2, 1) == 0, 0.0, 1.0).double()
@@ -371,12 +352,8 @@ def test_a_first_observation_that_is_not_finite_is_marked() -> None:
 
 def test_what_a_term_does_to_its_values_is_its_own_affair() -> None:
     def spoil(state: Any) -> None:
-        for value in (
-            state.com("robot"),
-            state.velocity("robot"),
-            state.relative_positions("robot"),
-            state.memory("m"),
-        ):
+        seen = (quantity("robot") for quantity in (state.com, state.velocity, state.relative_positions))
+        for value in (*seen, state.memory("m")):
             value.mul_(0).add_(7)
 
     def spoiler(state: Any, name: str) -> torch.Tensor:
@@ -438,14 +415,15 @@ def test_a_state_that_does_not_fit_is_refused_by_name(task: str) -> None:
     env.step(acting(env))
     good = env.state()
     flat = [name for name in good if isinstance(good[name], torch.Tensor)]
-    wrong: list[tuple[str, Any]] = [(name, {k: v for k, v in good.items() if k != name}) for name in good]
+    without = lambda values, name: {k: v for k, v in values.items() if k != name}  # noqa: E731
+    wrong: list[tuple[str, Any]] = [(name, without(good, name)) for name in good]
     for name in flat:
         wrong += [(name, good | {name: value}) for value in (None, 3, good[name][:2], good[name].to(torch.float16))]
-    wrong += [(name, good | {name: 7}) for name in ("sim", "memory")]
     for group in ("sim", "memory"):
-        wrong += [(name, good | {group: {k: v for k, v in good[group].items() if k != name}}) for name in good[group]]
-        wrong += [(name, good | {group: good[group] | {name: good[group][name][:2]}}) for name in good[group]]
-        wrong += [(name, good | {group: good[group] | {name: [1.0]}}) for name in good[group]]
+        wrong.append((group, good | {group: 7}))
+        for name, value in good[group].items():
+            wrong.append((name, good | {group: without(good[group], name)}))
+            wrong += [(name, good | {group: good[group] | {name: other}}) for other in (value[:2], [1.0])]
     for field, state in wrong:
         with pytest.raises(SimulationError, match=field):
             env.set_state(state)

@@ -31,6 +31,20 @@ def some_fitness(bodies: np.ndarray) -> list[float]:
     return [float(((body >= 3) * np.arange(1, len(body) + 1)[:, None]).sum() + 10) for body in bodies]
 
 
+def searched(settings: BoSettings, shape: tuple[int, int] = (4, 4), seed: int = 0) -> list[list]:
+    """The generations of a search that is told :func:`some_fitness`."""
+    search, generations = make_search(settings, shape, seed), []
+    while asked := search.ask():
+        generations.append(asked)
+        search.tell(some_fitness(np.stack([candidate.body for candidate in asked])))
+    return generations
+
+
+def hasty(**changes: object) -> BoSettings:
+    """With a quick fit."""
+    return BoSettings(**({"optimizer_restarts": 1, "optimizer_iterations": 10, "candidates": 60} | changes))
+
+
 def matern(one: np.ndarray, other: np.ndarray, variance: float, length: float) -> np.ndarray:
     """Matern 5/2 on one-hot voxels: bodies that differ in k voxels are the root of 2 k apart."""
     differences = (one[:, None] != other[None]).sum((-1, -2))
@@ -281,24 +295,12 @@ def test_torch_is_as_before_whatever_happens() -> None:
 
 @pytest.mark.parametrize("acquisition", ["paper", "pathwise"])
 def test_proposals_do_not_depend_on_the_threads_of_torch(acquisition: str) -> None:
-    settings = BoSettings(
-        acquisition=acquisition,
-        population=6,
-        max_evaluations=12,
-        optimizer_restarts=2,
-        optimizer_iterations=10,
-        candidates=60,
-    )
+    settings = hasty(acquisition=acquisition, population=6, max_evaluations=12)
     found = []
     before = torch.get_num_threads()
     for threads in (1, 2):
         torch.set_num_threads(threads)
-        search = make_search(settings, seed=4)
-        keys = []
-        while asked := search.ask():
-            keys += [body_key(candidate.body) for candidate in asked]
-            search.tell(some_fitness(np.stack([candidate.body for candidate in asked])))
-        found.append(keys)
+        found.append([body_key(candidate.body) for asked in searched(settings, (5, 5), 4) for candidate in asked])
     torch.set_num_threads(before)
     assert found[0] == found[1]
 
@@ -310,11 +312,9 @@ def test_of_the_papers_climbs_each_ends_at_a_body_of_its_own() -> None:
         settings = BoSettings(
             acquisition=acquisition, population=12, max_evaluations=48, optimizer_restarts=1, candidates=100
         )
-        search, origins = make_search(settings, (4, 4), seed=3), []
-        while asked := search.ask():
-            origins += [candidate.origin for candidate in asked if candidate.generation]
-            search.tell(some_fitness(np.stack([candidate.body for candidate in asked])))
-        assert len({body_key(body) for body in search.bodies}) == 48
+        generations = searched(settings, seed=3)
+        assert len({body_key(candidate.body) for asked in generations for candidate in asked}) == 48
+        origins = [candidate.origin for asked in generations[1:] for candidate in asked]
         climbed[acquisition] = origins.count("improvement")
         assert climbed[acquisition] + origins.count("thompson") == 36
     assert climbed["paper"] >= 34
@@ -324,14 +324,7 @@ def test_of_the_papers_climbs_each_ends_at_a_body_of_its_own() -> None:
 def test_with_l_bfgs_alone_proposals_are_ends_or_their_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     from warpvox.algos.search import bo
 
-    settings = BoSettings(
-        acquisition="lbfgs",
-        population=6,
-        max_evaluations=18,
-        optimizer_restarts=1,
-        optimizer_iterations=5,
-        candidates=50,
-    )
+    settings = hasty(acquisition="lbfgs", population=6, max_evaluations=18)
     search = BayesianSearch(settings, (4, 4), seed=1)
     first = search.ask()
     search.tell(some_fitness(np.stack([candidate.body for candidate in first])))
@@ -376,29 +369,17 @@ def test_the_pool_has_random_bodies_and_mutants_of_the_best() -> None:
 
 
 def test_a_descendant_is_near_its_parent_in_the_tree_or_has_none() -> None:
-    settings = BoSettings(
-        acquisition="pathwise",
-        population=8,
-        max_evaluations=24,
-        optimizer_restarts=1,
-        optimizer_iterations=10,
-        candidates=60,
-    )
-    search = BayesianSearch(settings, seed=0)
-    parents = 0
-    while asked := search.ask():
-        for candidate in asked:
-            assert candidate.origin == ("posterior" if candidate.generation else "random")
-            assert len(candidate.parents) <= 1
-            parents += len(candidate.parents)
-        search.tell(some_fitness(np.stack([candidate.body for candidate in asked])))
-    assert parents > 0
+    generations = searched(hasty(acquisition="pathwise", population=8, max_evaluations=24), (5, 5))
+    for candidate in (candidate for asked in generations for candidate in asked):
+        assert candidate.origin == ("posterior" if candidate.generation else "random")
+        assert len(candidate.parents) <= 1
+    assert any(candidate.parents for asked in generations for candidate in asked)
 
 
 def test_replay_fits_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     from warpvox.algos.search import bo
 
-    settings = BoSettings(population=5, max_evaluations=15, optimizer_restarts=1, optimizer_iterations=5, candidates=40)
+    settings = hasty(population=5, max_evaluations=15)
     search, history = BayesianSearch(settings, seed=2), []
     for _ in range(2):
         asked = search.ask()

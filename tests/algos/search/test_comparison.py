@@ -23,6 +23,8 @@ from warpvox.design import check_design, sample_design
 from warpvox.types import Cell
 
 SURE = 0.01
+SIZE = {"population": 12, "max_evaluations": 72}
+QUICK_FIT = {"optimizer_restarts": 1, "optimizer_iterations": 30, "candidates": 150}
 SHAPES = st.tuples(st.integers(3, 7), st.integers(3, 8))
 FLIPS = 200_000
 PASSIVE, ACTUATORS = (Cell.RIGID, Cell.SOFT), (Cell.H_ACT, Cell.V_ACT)
@@ -121,14 +123,9 @@ def test_posterior_samples_are_better_than_the_genetic_algorithm_soon() -> None:
         for seed in range(3)
         for settings in (
             ALGORITHMS["bo"](
-                acquisition="pathwise",
-                population=12,
-                max_evaluations=72,
-                optimizer_restarts=1,
-                optimizer_iterations=30,
-                candidates=150,
+                **SIZE, acquisition="pathwise", optimizer_restarts=1, optimizer_iterations=30, candidates=150
             ),
-            ALGORITHMS["ga"](population=12, max_evaluations=72),
+            ALGORITHMS["ga"](**SIZE),
         )
     ]
     assert np.mean(found[::2]) > np.mean(found[1::2])
