@@ -8,6 +8,7 @@
 #   make lock        make constraints.txt and locks/ anew (UPGRADE=1: with the newest versions)
 #   make ptxas       fetch NVIDIA's assembler into build/ptxas, for tests of CUDA kernels (Linux, x86-64; 52 MB)
 #   make tables      write the keys of all commands into docs/commands.md
+#   make results     renew docs/results.md from the zoo and from design searches (SEARCHES="FOLDER ...")
 #   make docs        build the documentation into site/ and check its links
 #   make gpu_pack    pack what a GPU machine without a package index needs into build/gpu
 #   make clean       remove what builds leave behind (make distclean: .venv as well)
@@ -32,11 +33,11 @@ COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test ptxas fast parity lint format licences packaging audit lock docs tables pictures zoo_picture gpu_pack clean distclean
+.PHONY: help install demo test ptxas fast parity lint format licences packaging audit lock docs tables pictures results zoo_picture gpu_pack clean distclean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,14s/^# *//p' Makefile
+	@sed -n '2,15s/^# *//p' Makefile
 
 install: $(STAMP)
 
@@ -113,6 +114,11 @@ tables: $(STAMP)
 # Makes the pictures of the documentation anew, of three runs of a walker; takes some minutes.
 pictures: $(STAMP)
 	$(BIN)/python docs/pictures.py
+
+# Renews the page of results from the zoo, and from design searches: SEARCHES="FOLDER ...".
+results: $(STAMP)
+	$(BIN)/python docs/results.py export $(SEARCHES)
+	$(BIN)/python docs/results.py
 
 # The robots of the zoo at work; to be made again after entries have changed.
 zoo_picture: $(STAMP)

@@ -1,7 +1,11 @@
-"""Makes ``docs/results.md`` from committed data: ``python docs/results.py``. Not part of the library.
+"""Makes ``docs/results.md`` from committed data; ``make results`` runs it. Not part of the library.
 
-``python docs/results.py random`` measures what random bodies reach under random actions, and writes it into
-``envs/known_returns.csv``.
+    python docs/results.py                       # the page, from docs/results/returns.csv and envs/known_returns.csv
+    python docs/results.py export [FOLDER ...]   # the table from the zoo and from the design searches in folders
+    python docs/results.py random                # what chance reaches, into envs/known_returns.csv; takes minutes
+
+``export`` takes a robot of the zoo before a search: its return is exact and can be replayed. Of several searches of a
+task the one with the best return stays, that of the table included. ``tests/docs`` says when the page is out of date.
 """
 
 from __future__ import annotations
@@ -9,18 +13,188 @@ from __future__ import annotations
 import csv
 import io
 import sys
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import warpvox as wv
+from warpvox.algos.codesign.archive import FILE as ARCHIVE
+from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.evaluate import evaluate
+from warpvox.algos.report.members import Member, archives_in, read_members
+from warpvox.cli.robot_entries import command_of
+from warpvox.cli.runs import find_codesign
 from warpvox.envs import known_returns as known
 from warpvox.envs.registry import task_ids
 from warpvox.io.writing import write_text
+from warpvox.robots import zoo_tasks
 
-ROOT = Path(__file__).resolve().parents[1]
+FOLDER = Path(__file__).resolve().parent
+KNOWN = FOLDER.parent / "envs" / known.FILE
+TABLE, PAGE = FOLDER / "results" / "returns.csv", FOLDER / "results.md"
+COLUMNS = ("task", "return", "episodes", "evaluation", "shape", "control_steps", "seconds", "date", "command")
+"""``return``: of the robot of the zoo; ``evaluation``: the best deterministic evaluation of the search."""
 BODIES = 64
 """Random bodies of 5 x 5 cells, one episode each."""
+HEAD = """# Results
+
+The best robots found so far beside the best published returns with bodies of 5 x 5 cells.
+
+{summary}
+
+| task | our return | | best published | by | its protocol | our control steps | our wall time |
+|---|---:|---|---:|---|---|---:|---:|
+"""
+NOTES = """
+*Our return* is the one that `warpvox play zoo=TASK` repeats in the released simulator's arithmetic
+([the zoo](zoo.md)): one deterministic episode or, in tasks that draw at random, the mean of eight episodes of fresh
+seeds. Where the zoo has no robot yet it is the best deterministic evaluation of a search, in float32, and in italics.
+*Control steps* and *wall time* are those of the whole search or training that the robot comes from: one thread of a
+machine with 2 virtual cores of an AMD EPYC that was busy with other work, so that the time is an upper bound. ▼ marks a
+return below the best published one.
+
+Published returns are the best of anybody. Their protocols differ; most are the best evaluation of several searches. A
+score of 1 in a [comparison of searches](evaluation.md#comparing-searches) is such a return.
+
+## Sources
+"""
+REPEAT = """
+## Commands
+
+Each search or training can be made again: equal seeds give equal results on equal machines.
+
+| task | date | command |
+|---|---|---|
+"""
+
+
+# ------------------------------------------------------------------------------------------------------ the page
+
+
+def page(rows: Sequence[Mapping[str, str]]) -> str:
+    """``docs/results.md`` from the rows of the table."""
+    ours, published = {row["task"]: row for row in rows}, known.known_returns()
+    both = [task for task in ours if published[task].best is not None]
+    below = [task for task in both if _return(ours[task]) < published[task].best]
+    reached = (
+        f"**{len(both) - len(below)}** of the {len(both)} tasks with a published return that have been searched so far"
+    )
+    missing = f"{len(published) - len(ours)} of all {len(published)} tasks are still to be searched."
+    summary = f"{reached} are at or above it; {missing}"
+    lines = [_line(one, ours.get(task)) for task, one in published.items()]
+    return "".join([HEAD.format(summary=summary), *lines, NOTES, *_sources(published.values()), *_commands(ours)])
+
+
+def _return(row: Mapping[str, str]) -> float:
+    return float(row["return"] or row["evaluation"])
+
+
+def _line(one: known.KnownReturn, row: Mapping[str, str] | None) -> str:
+    best = "" if one.best is None else f"{one.best:g}"
+    protocol = f"{one.protocol}; {one.note}" if one.protocol and one.note else one.protocol or one.note
+    cells = ["-", "", best, one.method, protocol, "", ""]
+    if row is not None:
+        value = _return(row)
+        cells[0] = f"{value:.3f}" if row["return"] else f"*{value:.3f}*"
+        cells[1] = "▼" if one.best is not None and value < one.best else ""
+        cells[5:] = [f"{int(row['control_steps']):,}", _duration(row["seconds"])]
+    return f"| {' | '.join([one.task, *cells])} |\n"
+
+
+def _duration(seconds: str) -> str:
+    minutes = round(float(seconds) / 60) if seconds else None
+    return "" if minutes is None else f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
+
+
+def _sources(published: Iterable[known.KnownReturn]) -> list[str]:
+    found: dict[tuple[str, str], list[str]] = {}
+    for one in published:
+        if one.method:
+            found.setdefault((one.method, one.source), []).append(one.task)
+    lines = [
+        f"| {method} | {f'<{source}>' if source.startswith('https:') else source} | {len(tasks)} |\n"
+        for (method, source), tasks in sorted(found.items())
+    ]
+    return ["\n| method | source | tasks |\n|---|---|---:|\n", *lines]
+
+
+def _commands(ours: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """How to make each search again."""
+    lines = [f"| {task} | {ours[task]['date']} | `{ours[task]['command']}` |\n" for task in task_ids() if task in ours]
+    return [REPEAT, *lines]
+
+
+# ----------------------------------------------------------------------------------------------------- the table
+
+
+def read_table(path: Path = TABLE) -> list[dict[str, str]]:
+    """The committed rows; none if there is no file yet."""
+    if not path.is_file():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def write_table(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write rows in the order of the tasks; columns are those of the first."""
+    ordered = sorted(rows, key=lambda row: task_ids().index(row["task"]))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(ordered[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(ordered)
+    write_text(path, text.getvalue())
+
+
+def export(folders: Sequence[Path], before: Sequence[Mapping[str, str]] = ()) -> list[dict[str, str]]:
+    """The rows of the zoo's robots and of the best search of every other task, as text.
+
+    Args:
+        folders: that design searches lie in; those that have not ended, and those by the paper's rules, do not count.
+        before: rows that stay unless there is a better search, or a robot.
+    """
+    rows = {row["task"]: dict(row) for row in before}
+    robots = [task for task in zoo_tasks() if task in task_ids()]
+    members = [one for folder in folders for one in read_members(archives_in(folder)) if _counts(one)]
+    best = {one.task: one for one in sorted(members, key=lambda one: one.winner.fitness)}
+    for task, member in best.items():
+        held = rows.get(task)
+        if task not in robots and (held is None or member.winner.fitness > float(held["evaluation"])):
+            rows[task] = _search(member)
+    return list((rows | {task: _robot(task) for task in robots}).values())
+
+
+def _counts(member: Member) -> bool:
+    done = member.summary.get("status") == "done" and member.winner is not None
+    return done and member.task in task_ids() and member.settings.get("rules") == "evogym"
+
+
+def _search(member: Member) -> dict[str, str]:
+    with Archive.read(member.folder / ARCHIVE) as archive:
+        date = archive.created_at[:10]
+    values = {"evaluation": f"{member.winner.fitness:.9g}", "control_steps": int(member.steps[-1])}
+    values |= {} if member.seconds is None else {"seconds": f"{member.seconds:.0f}"}
+    command = command_of("codesign", find_codesign(str(member.folder), "").config)
+    return _row(member.task, member.winner.candidate.body, command, date, **values)
+
+
+def _robot(task: str) -> dict[str, str]:
+    robot = wv.zoo(task)
+    about = robot.about
+    values = {"return": repr(about["return"]), "episodes": len(about["returns"])}
+    values |= {
+        "control_steps": about["control_steps"],
+        "seconds": "" if about["wall_s"] is None else f"{about['wall_s']:.0f}",
+    }
+    values |= {"evaluation": f"{about['fitness']:.9g}"} if "fitness" in about else {}
+    return _row(task, robot.body, about["command"], about["date"], **values)
+
+
+def _row(task: str, body: Any, command: str, date: str, **values: object) -> dict[str, str]:
+    known_values = {"task": task, "shape": "x".join(map(str, body.shape)), "command": command, "date": date} | values
+    return {name: str(known_values.get(name, "")) for name in COLUMNS}
+
+
+# ------------------------------------------------------------------------------------------------- what chance reaches
 
 
 def random_return(task: str) -> float:
@@ -40,19 +214,17 @@ def random_return(task: str) -> float:
 
 def measure_random() -> None:
     """Renew the column ``random``."""
-    path = ROOT / "envs" / known.FILE
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = {row["task"]: row for row in csv.DictReader(file)}
+    rows = {row["task"]: row for row in read_table(KNOWN)}
     for task in task_ids():
         rows[task]["random"] = f"{random_return(task):.3f}"
         print(task, rows[task]["random"], flush=True)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows["Walker-v0"]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows[task] for task in task_ids())
-    write_text(path, text.getvalue())
+    write_table(KNOWN, rows.values())
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["random"]:
+    if sys.argv[1:2] == ["random"]:
         measure_random()
+    elif sys.argv[1:2] == ["export"]:
+        write_table(TABLE, export([Path(text) for text in sys.argv[2:]], read_table()))
+    else:
+        write_text(PAGE, page(read_table()))

@@ -21,6 +21,7 @@ ORDER = (
     "evaluation",
     "policies",
     "universal",
+    "results",
     "physics",
     "paper",
     "performance",
