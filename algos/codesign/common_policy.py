@@ -216,7 +216,7 @@ class _Course:
             "iterations": total,
             "steps": steps,
             "best": [math.nan] * count,
-            "training": [iteration < total] * count,
+            "training": [True] * count,  # none of them is evaluated yet
         }
 
 

@@ -83,6 +83,13 @@ def test_what_is_typed_goes_before_a_preset(command: str, words: list[str], path
     assert config.rules == ("evogym" if words == ["rules=evogym"] else "paper")
 
 
+def test_a_pretraining_is_a_long_universal_training_on_any_task() -> None:
+    short, long = (load("train", [f"preset={name}", "task=Thrower-v0"]) for name in ("universal", "pretrain"))
+    assert long.max_iterations * long.num_envs * long.ppo.steps == 157_286_400  # as the documentation says
+    lengths = {name: getattr(short, name) for name in ("preset", "max_iterations", "eval_interval", "save_interval")}
+    assert dataclasses.replace(long, **lengths) == short
+
+
 @pytest.mark.parametrize("command", ["train", "codesign"])
 def test_no_preset_and_one_that_does_not_exist(command: str) -> None:
     assert load(command, ["preset=null"]) == load(command, [])
