@@ -16,8 +16,6 @@ from warpvox.robots.replay import SEEDS, draws_at_random, judge, robot_env
 
 LARGEST = 1_200_000  # bytes of the whole zoo, which is in the wheel
 TASKS = zoo_tasks()
-QUICK = TASKS[::8]
-"""Tasks that the default run replays; an episode takes up to half a second."""
 
 
 @pytest.fixture(scope="module")
@@ -28,9 +26,7 @@ def known_platform() -> None:
 
 
 @pytest.mark.usefixtures("known_platform")
-@pytest.mark.parametrize(
-    "task", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in TASKS]
-)
+@pytest.mark.parametrize("task", TASKS)
 def test_a_robot_gets_the_recorded_return(task: str) -> None:
     about, found = zoo(task).about, judge(zoo(task))
     assert (found.returns, found.lengths) == (about["returns"], about["lengths"])

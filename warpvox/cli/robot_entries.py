@@ -131,7 +131,9 @@ def command_of(command: str, config: dict[str, Any]) -> str:
     values = {name: value for name, value in flat_values(config).items() if not name.startswith("physics.")}
     words: list[str] = []
     for group in GROUPS[command]:
-        choices = [[*words, f"{group}={name}"] for name in options_of(group)]
+        only = values.get("search.algorithm") if group == "search" else None
+        names = [name for name in options_of(group) if only in (None, name)]
+        choices = [[*words, f"{group}={name}"] for name in names]
         words = min([words, *choices], key=lambda one: (len(_differences(command, one, values)), len(one)))
     return " ".join(["warpvox", command, *words, *_differences(command, words, values)])
 

@@ -11,7 +11,7 @@ import torch
 
 from warpvox.algos.checkpoints.files import PolicySpec, load_controller
 from warpvox.algos.checkpoints.policy import Policy, make_policy, policy_of
-from warpvox.algos.evaluate import evaluate
+from warpvox.envs.gym import VoxelEnv
 from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
 from warpvox.envs.rsl_rl import ACTION_CENTER
@@ -50,14 +50,17 @@ def robot_env(robot: Robot, seeds: Sequence[int] = (0,), **options: Any) -> Voxe
     defaults = {"device": "cpu", "dtype": "float64", "auto_reset": False, "seed": list(seeds), "num_envs": len(seeds)}
     connections = None if robot.fully_connected else robot.connections
     env = make_vec(robot.task, body=robot.body, connections=connections, **(defaults | options))
-    if robot.policy is not None:
-        sizes = (robot.policy.num_obs, robot.policy.num_actions)
-        if sizes != (env.num_obs, env.num_actions):
-            raise RunError(
-                f"The policy has {sizes[0]} observations and {sizes[1]} actions, but {robot.task} with this body has"
-                f" {env.num_obs} and {env.num_actions}."
-            )
+    _check_sizes(robot, env.num_obs, env.num_actions)
     return env
+
+
+def _check_sizes(robot: Robot, num_obs: int, num_actions: int) -> None:
+    policy = robot.policy
+    if policy is not None and (policy.num_obs, policy.num_actions) != (num_obs, num_actions):
+        raise RunError(
+            f"The policy has {policy.num_obs} observations and {policy.num_actions} actions, but {robot.task} with this"
+            f" body has {num_obs} and {num_actions}."
+        )
 
 
 def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
@@ -73,8 +76,22 @@ def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
         why = robot.about.get("no_policy", "there is a body alone, for which one can be trained.")
         raise RunError(f"The robot has no policy that could be evaluated: {why}")
     seeds = list(seeds if seeds is not None else SEEDS if draws_at_random(robot.task) else (0,))
-    result = evaluate(robot_env(robot, seeds), robot.policy)
-    return Judgement([round(value, DIGITS) for value in result.returns.tolist()], result.lengths.tolist(), seeds)
+    # one at a time, as numpy steps a single environment faster than torch
+    env = VoxelEnv(robot.task, robot.body, None if robot.fully_connected else robot.connections)
+    _check_sizes(robot, *env.observation_space.shape, *env.action_space.shape)
+    returns, lengths = zip(*(_episode(env, robot, seed) for seed in seeds), strict=True)
+    return Judgement(list(returns), list(lengths), seeds)
+
+
+def _episode(env: VoxelEnv, robot: Robot, seed: int) -> tuple[float, int]:
+    """Return and control steps."""
+    obs, _ = env.reset(seed=seed)
+    rewards: list[float] = []
+    terminated, limit = False, get_task(robot.task).max_episode_steps
+    while not terminated and len(rewards) < limit:
+        obs, reward, terminated, _, _ = env.step(robot.policy(obs))
+        rewards.append(reward)
+    return round(sum(rewards), DIGITS), len(rewards)
 
 
 def draws_at_random(task: str) -> bool:
