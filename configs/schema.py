@@ -14,13 +14,16 @@ from typing import Any, get_origin, get_type_hints
 
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
 from warpvox.algos.settings import LOGGERS, REFRESH, PpoConfig, ScreeningConfig, TrainingConfig
+from warpvox.configs.suite_keys import suite_config
 from warpvox.keys import MISSING, key
 from warpvox.types import Physics
 
 __all__ = [
     "COMMANDS",
     "GROUPS",
+    "GROUPS_OF",
     "PRESET",
+    "PRESET_OF",
     "BenchConfig",
     "CodesignConfig",
     "DemoConfig",
@@ -29,6 +32,7 @@ __all__ = [
     "PhysicsConfig",
     "PlayConfig",
     "SearchConfig",
+    "SuiteConfig",
     "TrainConfig",
     "ZooConfig",
 ]
@@ -286,6 +290,10 @@ class CodesignConfig(PresetConfig):
     search: SearchConfig = key(SearchConfig, "search algorithm")
     training: TrainingConfig = key(TrainingConfig, "how a design is trained and judged")
     screening: ScreeningConfig = key(ScreeningConfig, "how evaluation=shared, few_shot and waves compare designs")
+
+
+SuiteConfig = suite_config(CodesignConfig, SearchConfig)
+"""Keys of ``warpvox suite``: what its members are, and what they share."""
 
 
 @dataclass
@@ -546,6 +554,7 @@ COMMANDS: dict[str, type] = {
     "play": PlayConfig,
     "export": ExportConfig,
     "codesign": CodesignConfig,
+    "suite": SuiteConfig,
     "bench": BenchConfig,
     "curves": CurvesConfig,
     "evaluate": EvaluateConfig,
@@ -557,5 +566,11 @@ COMMANDS: dict[str, type] = {
 PRESET = "preset"
 """The key that takes the name of a folder of ``configs/preset``; each has a YAML file for every command it is for."""
 
+PRESET_OF = {"suite": ("suite", "quick")}
+"""Of commands in which that key has another name: the name, and its default."""
+
 GROUPS = ("physics", "ppo", "search", "training")
 """Keys that also take the name of a YAML file in the folder of the same name."""
+
+GROUPS_OF = {"suite": ("physics", "training")}
+"""Of commands in which a name of :data:`GROUPS` has another meaning."""

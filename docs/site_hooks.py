@@ -16,6 +16,7 @@ ORDER = (
     "custom_tasks",
     "observations",
     "codesign",
+    "suite",
     "search",
     "zoo",
     "evaluation",

@@ -17,7 +17,7 @@ from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parent
 from warpvox.algos.codesign.executors import Batch, Report
 from warpvox.errors import ConfigError, RunError, WarpvoxError
 
-__all__ = ["RayExecutor"]
+__all__ = ["RayExecutor", "connect"]
 
 POLL_SECONDS = 0.5
 """How often progress is asked for."""
@@ -74,18 +74,7 @@ class RayExecutor:
         cpus: int = 1,
         gpus: float | None = 0.0,
     ) -> None:
-        self._ray = _start(address, (workers or 1) * cpus)
-        room = self._ray.cluster_resources()
-        if gpus is None:
-            gpus = 1 if room.get("GPU", 0) else 0
-        if workers is None:
-            workers = int(room.get("GPU", 0) // gpus if gpus else room.get("CPU", 0) // cpus)
-        if workers < 1 or room.get("CPU", 0) < cpus or room.get("GPU", 0) < gpus:
-            self.close()
-            raise RunError(
-                f"The cluster has {room.get('CPU', 0):g} CPUs and {room.get('GPU', 0):g} GPUs; a worker takes {cpus}"
-                f" and {gpus:g}."
-            )
+        self._ray, workers, gpus = connect(address, workers, cpus, gpus)
         groups = {"train": 1, "watch": 1}
         remote = self._ray.remote(num_cpus=cpus, num_gpus=gpus, concurrency_groups=groups, max_restarts=0)
         self._class, self._make = remote(_Worker), make
@@ -200,6 +189,27 @@ class _Handle:
         self.place: int | None = None
         self.task: Any = None
         self.news: Any = None
+
+
+def connect(address: str | None, workers: int | None, cpus: int, gpus: float | None) -> tuple[Any, int, float]:
+    """Connect to a cluster, or start Ray here; returns the module, the number of workers, and the GPUs of each.
+
+    Args:
+        workers, address, cpus, gpus: as for :class:`RayExecutor`, which also says what is raised.
+    """
+    ray = _start(address, (workers or 1) * cpus)
+    room = ray.cluster_resources()
+    if gpus is None:
+        gpus = 1 if room.get("GPU", 0) else 0
+    if workers is None:
+        workers = int(room.get("GPU", 0) // gpus if gpus else room.get("CPU", 0) // cpus)
+    if workers < 1 or room.get("CPU", 0) < cpus or room.get("GPU", 0) < gpus:
+        ray.shutdown()
+        raise RunError(
+            f"The cluster has {room.get('CPU', 0):g} CPUs and {room.get('GPU', 0):g} GPUs; a worker takes {cpus}"
+            f" and {gpus:g}."
+        )
+    return ray, workers, gpus
 
 
 def _start(address: str | None, cpus: int) -> Any:

@@ -30,6 +30,7 @@ invocation: ContextVar[tuple[str, ...]] = ContextVar("invocation", default=())
 COMMANDS = {
     "train": "train a controller for a body on a task",
     "codesign": "search for a body and its controller at once",
+    "suite": "make design searches for many tasks, searches and seeds, and compare them",
     "play": "watch a trained controller or a simple agent, print returns, export what it did",
     "export": "write a run's rollout as USD, film, pictures or page",
     "evaluate": "mean returns of trained policies with confidence intervals, and how they compare",
@@ -41,7 +42,7 @@ COMMANDS = {
     "tasks": "list the tasks, or show one in detail",
     "info": "versions, devices, kernel cache",
 }
-WORKING = ("train", "codesign", "play", "export", "demo", "bench")
+WORKING = ("train", "codesign", "suite", "play", "export", "demo", "bench")
 """Commands that make files: they go on when nobody reads what they print, and say so."""
 DONE, BAD_INPUT, INTERRUPTED, SIGNALLED = 0, 2, 130, 128
 

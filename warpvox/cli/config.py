@@ -18,12 +18,12 @@ from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.algos.interrupt import uninterrupted
 from warpvox.cli.config_file import read_config_file
-from warpvox.cli.help import flat_keys, options_of, presets_of
+from warpvox.cli.help import MAPPINGS, flat_keys, options_of, presets_of
 from warpvox.cli.hydra_parts import CFG, INFO, is_plugin_key, one_line
 from warpvox.cli.quoting import as_list, parse, readable
 from warpvox.cli.trust import allow_code
 from warpvox.configs.composition import opened
-from warpvox.configs.schema import COMMANDS, GROUPS, PRESET
+from warpvox.configs.schema import COMMANDS, GROUPS, GROUPS_OF, PRESET, PRESET_OF
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values
 
@@ -155,16 +155,21 @@ def _composed(
     for override in parsed:
         _check_override(override, command, scratch, config_dir)
     named = {override.key_or_group: override.value() for override in parsed}
-    file, preset, stored = named.get("config"), named.get(PRESET), base
-    if file is not None and PRESET in named:
-        raise ConfigError(f"config={file} and {PRESET} both say where to start from: give one of them.")
-    words = [str(override.input_line) for override in parsed if override.key_or_group != PRESET]
+    key_of_preset, usual = PRESET_OF.get(command, (PRESET, None))
+    file, preset, stored = named.get("config"), named.get(key_of_preset, usual), base
+    if file is not None and key_of_preset in named:
+        raise ConfigError(f"config={file} and {key_of_preset} both say where to start from: give one of them.")
+    # Hydra would take a mapping for changes of the one that a file has
+    whole = {key: value for key, value in named.items() if isinstance(value, dict) and key in MAPPINGS}
+    words = [str(override.input_line) for override in parsed if override.key_or_group not in (key_of_preset, *whole)]
     try:
         name = command if preset is None else _preset_config(preset, command, config_dir)
         with opened(config_dir) as (_, search):
             config = compose(name, [*words, *search])
             missing = OmegaConf.missing_keys(config)
             defaults = compose(name, search) if missing or file is not None else None
+        for key, value in whole.items():
+            OmegaConf.update(config, key, value, merge=False)
         for key in missing:  # what a file of the user's own leaves open
             OmegaConf.update(config, key, OmegaConf.select(defaults, key))
         if file is not None:
@@ -206,7 +211,7 @@ def _changed(below: Any, config: Any, parsed: list[Override], brought: list[str]
         OmegaConf.update(below, key, OmegaConf.select(config, key), merge=True)
     for override in parsed:
         if override.key_or_group not in GROUPS:
-            OmegaConf.update(below, override.key_or_group, OmegaConf.select(config, override.key_or_group))
+            OmegaConf.update(below, override.key_or_group, OmegaConf.select(config, override.key_or_group), merge=False)
     return below
 
 
@@ -251,7 +256,7 @@ def _preset_config(preset: str, command: str, config_dir: Path | None) -> str:
     if not isinstance(content, dict):
         raise ConfigError(f"The preset {file} must hold keys with their values.")
     own = yaml.safe_load((files("warpvox.configs") / f"{command}.yaml").read_text(encoding="utf-8"))
-    content = {"defaults": own["defaults"]} | content | {PRESET: preset}
+    content = {"defaults": own["defaults"]} | content | {PRESET_OF.get(command, (PRESET,))[0]: preset}
     ConfigStore.instance().store(name=f"{command}_{PRESET}", node=OmegaConf.create(content))
     return f"{command}_{PRESET}"
 
@@ -291,18 +296,24 @@ def _check_override(override: Override, command: str, scratch: Any, config_dir: 
     ``scratch`` is a configuration of the schema that takes the value.
     """
     key, value, given = override.key_or_group, override.value(), override.get_value_string()
-    if key in GROUPS or (key == PRESET and value is not None):
-        options = options_of(key, config_dir) if key in GROUPS else list(presets_of(command, config_dir))
+    is_group = key in GROUPS_OF.get(command, GROUPS)
+    if is_group or (key == PRESET_OF.get(command, (PRESET,))[0] and value is not None):
+        options = options_of(key, config_dir) if is_group else list(presets_of(command, config_dir))
         if value not in options:
             more = f" Single values are set by {key}.NAME=VALUE." if key in GROUPS else ""
-            null = "" if key in GROUPS else " or null"
+            null = "" if is_group or command in PRESET_OF else " or null"
             hint = did_you_mean(value, options) if isinstance(value, str) else ""
             raise ConfigError(f"{key} must be one of {listing(options)}{null}, got '{value}'.{hint}{more}")
         return
     try:
         OmegaConf.update(scratch, key, value)
     except (OmegaConfBaseException, OverflowError) as error:
-        kind = str(dict(flat_keys(COMMANDS[command]))[key].type)
+        kind = dict(flat_keys(COMMANDS[command]))[key].type
+        if dataclasses.is_dataclass(kind):
+            others = [item.name for item in dataclasses.fields(COMMANDS[command]) if item.name != key]
+            hint = did_you_mean(key, others)
+            raise ConfigError(f"{key} is set by {key}.NAME=VALUE, got '{given}'.{hint}") from None
+        kind = str(kind)
         expected = next((text for name, text in TYPES.items() if name in kind), kind)
         optional = " or null" if "None" in kind else ""
         if "Unsupported interpolation" in str(error):

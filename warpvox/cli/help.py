@@ -10,14 +10,16 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from warpvox.configs.schema import COMMANDS, GROUPS, PRESET
+from warpvox.configs.schema import COMMANDS, GROUPS, GROUPS_OF, PRESET, PRESET_OF
 from warpvox.keys import MISSING
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-__all__ = ["Row", "command_help", "flat_keys", "flat_values", "help_rows", "options_of", "presets_of"]
+__all__ = ["MAPPINGS", "Row", "command_help", "flat_keys", "flat_values", "help_rows", "options_of", "presets_of"]
 
+MAPPINGS = ("design", "evaluations", "control_steps", "shape")
+"""Keys whose value may be a mapping."""
 OPTIONS = """\
 options:
   -h, --help           this text
@@ -71,10 +73,10 @@ def presets_of(command: str, config_dir: Path | None = None) -> dict[str, Traver
 
 
 def flat_values(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested values by their dotted keys; a design is one value, also if it is a mapping."""
+    """Nested values by their dotted keys; a design, and what differs by task, is one value, also if it is a mapping."""
     found = {}
     for name, value in values.items():
-        nested = isinstance(value, dict) and name != "design"
+        nested = isinstance(value, dict) and name not in MAPPINGS
         found |= flat_values(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": value}
     return found
 
@@ -91,11 +93,12 @@ class Row:
 
 def help_rows(command: str, values: dict[str, Any]) -> Iterator[Row]:
     """The keys of a command; ``values``: see :func:`command_help`."""
+    groups = GROUPS_OF.get(command, GROUPS)
     for name, key in flat_keys(COMMANDS[command]):
-        if name in GROUPS:
+        if name in groups:
             yield Row(name, "NAME", f"{key.help}: {', '.join(options_of(name))}", is_group=True)
-        elif name == PRESET:
-            yield Row(name, "null", f"{key.help}: {', '.join(presets_of(command))}")
+        elif name == PRESET_OF.get(command, (PRESET,))[0]:
+            yield Row(name, _text(key.default), f"{key.help}: {', '.join(presets_of(command))}")
         elif not dataclasses.is_dataclass(key.default):
             yield Row(name, _text(values.get(name, key.default)), _meaning(key))
 

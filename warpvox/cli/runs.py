@@ -34,7 +34,10 @@ __all__ = [
     "find_codesign",
     "find_run",
     "find_runs",
+    "find_suite",
+    "going_on",
     "label",
+    "make_folder",
     "new_folder",
     "read_summary",
     "run_folder",
@@ -179,6 +182,27 @@ def find_codesign(text: str, output_dir: str) -> Run:
     return Run(folder, content)
 
 
+def find_suite(text: str, output_dir: str) -> Run:
+    """The suite of design searches that ``text`` names: ``latest`` (which was last begun or resumed) or a folder.
+
+    Raises:
+        RunError: no such folder, or one that is no suite.
+    """
+    if text == "latest":
+        known = sorted(Path(output_dir).glob(f"suite/*/{CONFIG}"), key=lambda file: file.stat().st_mtime_ns)
+        if not known:
+            raise RunError(f"There is no suite in {Path(output_dir) / 'suite'} yet; `warpvox suite` makes one.")
+        folder = known[-1].parent
+    else:
+        folder = Path(text).expanduser()
+    if not folder.is_dir():
+        raise RunError(f"There is no suite at {folder}: expected latest or the folder of one.")
+    content = _read_config(folder, "suite")
+    if not {"tasks", "searches", "seeds"} <= content.keys():
+        raise RunError(f"{folder} is not a suite: its {CONFIG} is that of another run.")
+    return Run(folder, content)
+
+
 def _best_design(folder: Path) -> Path:
     with Archive.read(folder / ARCHIVE) as archive:
         best = [record for record in archive.best() if record.policy is not None]
@@ -218,7 +242,7 @@ def _missing(content: dict[str, Any], command: str) -> list[str]:
     from warpvox.cli.help import flat_keys, flat_values
     from warpvox.configs.schema import COMMANDS
 
-    if not {"task", "seed"} <= content.keys():
+    if not {"tasks", "seeds"} <= content.keys() and not {"task", "seed"} <= content.keys():
         return []
     present = flat_values(content)
     return [name for name, key in flat_keys(COMMANDS[command]) if name not in present and not is_dataclass(key.default)]
@@ -264,7 +288,7 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
             )
     parent = Path(output_dir) / command / task
     made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
-    folder = _make(parent, stamp, "".join(f"_{part}" for part in (name, label.get()) if part))
+    folder = make_folder(parent, stamp, "".join(f"_{part}" for part in (name, label.get()) if part))
     try:
         with _ours(folder):
             write_config(folder, config)
@@ -299,7 +323,7 @@ def as_name(text: str) -> str:
     return name.strip(".")
 
 
-def _make(parent: Path, stamp: str, ending: str) -> Path:
+def make_folder(parent: Path, stamp: str, ending: str = "") -> Path:
     """A new folder; runs that start in the same second get a number."""
     for number in range(1, 1000):
         folder = parent / (stamp + (f"-{number}" if number > 1 else "") + ending)

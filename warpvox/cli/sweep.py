@@ -23,11 +23,13 @@ from warpvox.cli.runs import STAMP, label, read_summary
 from warpvox.errors import RunError, WarpvoxError
 from warpvox.io.writing import write_text
 
-__all__ = ["Member", "Sweep", "attempt", "member_of", "members"]
+__all__ = ["INTERRUPTED", "Member", "Sweep", "attempt", "member_of", "members"]
 
 LONGEST_LABEL = 80
 """Characters of a folder's name that say what its run differs by."""
 UNSAFE = re.compile(r"[^A-Za-z0-9.+]+")
+INTERRUPTED = "interrupted"
+"""Status of a run that was ended by a signal."""
 FIGURES = ("best_return", "best_fitness", "mean_return", "evaluations", "steps", "elapsed_seconds")
 """Entries of ``summary.json`` that the table shows, where there are any."""
 
@@ -88,7 +90,7 @@ def attempt(
     """Make one run of several and note in ``row`` what has come of it; only an interrupt gets through."""
     values = " ".join(f"{key}={value}" for key, value in member.varied.items())
     console.rule(literal(f"run {row['run']}{total}: {values}"))
-    row |= {**member.varied, "status": "interrupted"}
+    row |= {**member.varied, "status": INTERRUPTED}
     token = label.set(member.label)
     try:
         folder = do()

@@ -73,11 +73,15 @@ But for rounding: another device, or other ``torch_threads`` with ``training.met
 
 @dataclass
 class Job:
-    """One search to be made; of the one that it goes on with ``folder`` and configuration."""
+    """One search to be made; of the one that it goes on with ``folder`` and configuration.
+
+    ``place``: the folder of a new one, if it should not be named by date and time; it is there and empty.
+    """
 
     config: CodesignConfig
     folder: Path | None = None
     stored: dict[str, Any] = field(default_factory=dict)
+    place: Path | None = None
 
 
 def run(words: list[str]) -> None:
@@ -203,7 +207,10 @@ def codesign(job: Job, console: Console) -> Path:
         config = dataclasses.replace(config, batch=_batch(config, executor))
         written = as_stored(config, job.stored)
     try:
-        with run_folder(job.folder, written, "codesign", to_yaml(written)) as folder, ExitStack() as opened:
+        with (
+            run_folder(job.folder or job.place, written, "codesign", to_yaml(written)) as folder,
+            ExitStack() as opened,
+        ):
             keep_pretrained(pretrained, folder)
             archive = opened.enter_context(_archive(folder, written))
             keep_code(config, folder, console)

@@ -1,0 +1,390 @@
+"""Suites of design searches: what their members are, what is left of them, and how they go on after an end."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import parallel
+import pytest
+import yaml
+from suite_jobs import act
+
+from warpvox.algos.candidate import Outcome
+from warpvox.algos.codesign.archive import FILE, Archive
+from warpvox.algos.interrupt import Terminated
+from warpvox.algos.settings import TrainingConfig
+from warpvox.cli import codesign_progress
+from warpvox.cli.commands import codesign, suite
+from warpvox.cli.config import load
+from warpvox.cli.suite.members import CURVES, MEMBERS
+from warpvox.cli.suite.plan import BENCHMARK10, plan, steps_of_design, task_names
+from warpvox.cli.suite.pool import LOG, LocalPool
+from warpvox.envs.registry import task_ids
+from warpvox.errors import ConfigError, DivergenceError, WarpvoxError
+
+TINY = (
+    "tasks=[Walker-v0,Thrower-v0] searches=[ga] seeds=2 shape=[3,3] evaluations=8 search.population=5"
+    " search.survivor_rate=0.3 training.envs=8 training.iterations=2 training.eval_interval=2 training.rungs=[]"
+    " training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1 device=cpu threads=1"
+).split()
+MEMBER_KEYS = [(task, "ga", seed) for seed in (0, 1) for task in ("Walker-v0", "Thrower-v0")]
+
+
+def table(folder: Path, file: str = MEMBERS) -> list[dict[str, str]]:
+    return list(csv.DictReader((folder / file).read_text().splitlines()))
+
+
+def states(folder: Path) -> list[str]:
+    return [row["state"] for row in table(folder)]
+
+
+def digests(folder: Path) -> dict[str, str]:
+    found = {}
+    for row in table(folder):
+        with Archive.read(folder / row["folder"] / FILE) as archive:
+            found[row["folder"]] = archive.digest()
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------- members
+
+
+def members(*words: str) -> list[Any]:
+    return plan(load("suite", list(words)))
+
+
+@pytest.fixture(scope="module")
+def quick_keys() -> Any:
+    """The configuration of ``suite=quick`` with one search."""
+    return load("suite", ["searches=[random]"])
+
+
+def test_presets_name_the_tasks_of_the_paper_and_a_quick_look() -> None:
+    paper = members("suite=paper")
+    assert {member.task for member in paper} == set(BENCHMARK10) <= set(task_ids())
+    assert len(paper) == 10 * 3 * 3
+    assert {tuple(member.config.shape) for member in paper if member.task == "Lifter-v0"} == {(5, 7)}
+    assert {tuple(member.config.shape) for member in paper if member.task != "Lifter-v0"} == {(5, 5)}
+    budgets = {member.task: member.config.search.max_evaluations for member in paper}
+    assert [budgets[task] for task in ("Walker-v0", "Climber-v0", "Lifter-v0")] == [250, 500, 750]
+    table6 = load("codesign", ["training=paper"]).training
+    assert all(member.config.training == table6 for member in paper)
+    assert {member.config.search.acquisition for member in paper if member.search == "bo_paper"} == {"paper"}
+    assert len(task_names(["all"])) == 32
+    assert len(members("suite=quick")) == 3 * 2 * 3
+
+
+def test_every_key_of_codesign_reaches_the_members() -> None:
+    words = ["training.ppo.gamma=0.9", "physics.gravity=80", "rules=paper", "reuse=false", "dtype=float64", "top=2"]
+    (member,) = members(*words, "tasks=[Climber-v0]", "searches=[random]", "seeds=[7]")
+    alone = load("codesign", [*words, "task=Climber-v0", "search=random", "seed=7"])
+    for name in ("rules", "reuse", "dtype", "top", "physics", "task", "seed", "executor", "shape"):
+        assert getattr(member.config, name) == getattr(alone, name), name
+    assert member.config.training.ppo.gamma == 0.9
+
+
+def test_settings_go_to_the_searches_that_have_them() -> None:
+    found = members("searches=[ga,random]", "search.mutation_rate=0.3", "search.population=6", "seeds=[4]")
+    rates = {member.search: member.config.search.mutation_rate for member in found}
+    assert rates == {"ga": 0.3, "random": None}
+    assert {member.config.search.population for member in found} == {6}
+
+
+def test_budgets_by_task() -> None:
+    words = ["tasks=[Walker-v0,Climber-v0,Lifter-v0]", "searches=[ga]", "seeds=[0]"]
+    found = members(*words, "evaluations={easy:10,default:20,Lifter-v0:30}")
+    assert [member.config.search.max_evaluations for member in found] == [10, 20, 30]
+    training = load("suite", []).training
+    cost = steps_of_design(training, 8)
+    found = members(*words, f"control_steps={int(cost * 12.5)}", "search.population=8")
+    assert [member.config.search.max_evaluations for member in found] == [12] * 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "phrase"),
+    [
+        ({"tasks": ["benchmark1"]}, "Did you mean 'benchmark10'"),
+        ({"tasks": ["Walker-v0", "Wolker-v0"]}, "Did you mean 'Walker-v0'"),
+        ({"tasks": []}, "got \\[\\]"),
+        ({"searches": ["gaa"]}, "Did you mean 'ga'"),
+        ({"seeds": []}, "seeds must be how many"),
+        ({"seeds": [-1]}, "seeds must be an integer >= 0"),
+        ({"evaluations": {"esay": 3}}, "Did you mean 'easy'"),
+        ({"evaluations": {"hard": 3}}, "says nothing of Walker-v0"),
+        ({"evaluations": 0}, "evaluations must be an integer >= 1"),
+        ({"control_steps": 10}, "must be at least"),
+        ({"control_steps": 10**6, "evaluation": "shared"}, "evaluation=specialist"),
+        ({"shape": [5]}, "shape must be two integers"),
+    ],
+)
+def test_mistakes_in_what_members_are(quick_keys: Any, changes: dict[str, Any], phrase: str) -> None:
+    with pytest.raises(WarpvoxError, match=phrase):
+        plan(dataclasses.replace(quick_keys, **changes))
+
+
+def test_a_setting_that_no_search_has(quick_keys: Any) -> None:
+    settings = dataclasses.replace(quick_keys.search, mutation_rate=0.1)
+    with pytest.raises(ConfigError, match="None of the searches random has the setting"):
+        plan(dataclasses.replace(quick_keys, searches=["random"], search=settings))
+
+
+def test_what_a_design_costs_with_successive_halving() -> None:
+    settings = TrainingConfig(envs=8, iterations=40, eval_interval=10, rungs=[0.25, 0.5], keep=0.5)
+    settings.ppo.steps = 16
+    # of 5 designs all train 10 iterations, 3 ten more, 2 the last 20
+    assert steps_of_design(settings, 5) == (5 * 10 + 3 * 10 + 2 * 20) * 8 * 16 / 5
+
+
+# ------------------------------------------------------------------------------------------------ without training
+
+
+class Evaluator:
+    """Fitness by the number of cells of each type; no policy."""
+
+    def evaluate(self, candidates: Any, parents: Any, report: Any = None, checkpoint: Any = None) -> list[Outcome]:
+        return [Outcome(float((item.body * item.body).sum()), [(8, 1.0)], 8) for item in candidates]
+
+
+class HerePool:
+    """Makes each member in this process as soon as it is begun."""
+
+    def __init__(self, make: Callable, size: int) -> None:
+        self.make, self.size, self.ended = make, size, []
+
+    def begin(self, number: int, job: Any, folder: Path) -> None:
+        self.ended.append((number, self.make(job, folder)))
+
+    def wait(self, seconds: float) -> list:
+        ended, self.ended = self.ended, []
+        return ended
+
+    def stop(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+@pytest.fixture
+def quick(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> Callable:
+    """``warpvox suite`` whose members take a moment, on 2 tasks x 1 search x 2 seeds unless told otherwise."""
+    monkeypatch.setattr(codesign, "make_evaluator", lambda *_: Evaluator())
+    monkeypatch.setattr(codesign_progress, "write_bodies", lambda path, *_: path)
+    monkeypatch.setattr(codesign_progress, "write_report", lambda archive, path, facts: path)
+    monkeypatch.setattr(suite, "LocalPool", HerePool)
+
+    def call(*words: str) -> Any:
+        keys = [word.split("=")[0] for word in words]
+        more = [] if {"resume", "report"} & set(keys) else TINY
+        return warpvox("suite", *(word for word in more if word.split("=")[0] not in keys), *words)
+
+    return call
+
+
+def failing(monkeypatch: pytest.MonkeyPatch, fails: Callable[[Any], Exception | None]) -> None:
+    """Members for which ``fails`` gives an error end with it."""
+    made = codesign.codesign
+
+    def make(job: Any, console: Any) -> Path:
+        error = fails(job.config)
+        if error is not None:
+            raise error
+        return made(job, console)
+
+    monkeypatch.setattr(codesign, "codesign", make)
+
+
+def test_a_suite_leaves_one_folder(quick: Callable) -> None:
+    outcome = quick("name=first")
+    assert outcome.code == 0, outcome.err
+    folder = Path("outputs/suite/first")
+    assert {file.name for file in folder.iterdir()} >= {"config.yaml", MEMBERS, CURVES, "members", "report.html"}
+    rows = table(folder)
+    assert [(row["task"], row["search"], int(row["seed"])) for row in rows] == sorted(
+        MEMBER_KEYS, key=lambda key: (key[0] != "Walker-v0", key[2])
+    )
+    for row in rows:
+        assert (row["state"], row["evaluations"], row["error"]) == ("done", "8", "")
+        assert row["folder"] == f"members/{row['task']}/ga/seed{row['seed']}"
+        config = yaml.safe_load((folder / row["folder"] / "config.yaml").read_text())
+        assert (config["task"], config["seed"]) == (row["task"], int(row["seed"]))
+        with Archive.read(folder / row["folder"] / FILE) as archive:
+            records = archive.records()
+        assert int(row["control_steps"]) == 8 * 8
+        trained = [record.fitness for record in records if record.reused is None]
+        curve = [line for line in table(folder, CURVES) if (line["task"], line["seed"]) == (row["task"], row["seed"])]
+        for line in curve:
+            spent = int(line["evaluations"])
+            assert float(line["best"]) == max(trained[:spent])
+            assert int(line["control_steps"]) == 8 * spent
+        assert int(curve[-1]["evaluations"]) == 8
+        assert curve[-1]["best"] == row["best_fitness"] == str(max(trained))
+    assert "4 members" in outcome.out
+    assert "best fitness, mean" in outcome.out
+    # the folder is in use, and complete
+    assert "exists already" in quick("name=first").err
+    again = quick("resume=latest")
+    assert (again.code, "4 done already" in again.out) == (0, True)
+
+
+def test_more_members_join_and_none_may_leave(quick: Callable) -> None:
+    assert quick("seeds=1", "tasks=[Walker-v0]").code == 0
+    (folder,) = Path("outputs/suite").iterdir()
+    before = digests(folder)
+    assert len(before) == 1
+    outcome = quick("resume=latest", "seeds=2", "tasks=[Walker-v0,Jumper-v0]")
+    assert outcome.code == 0, outcome.err
+    assert states(folder) == ["done"] * 4
+    assert digests(folder).items() >= before.items()
+    for words, phrase in {
+        "tasks=[Jumper-v0]": "tasks may only grow",
+        "evaluations=9": "evaluations cannot change",
+    }.items():
+        outcome = quick("resume=latest", words)
+        assert (outcome.code, phrase in outcome.err) == (2, True), outcome.err
+    assert states(folder) == ["done"] * 4
+
+
+def test_a_member_that_fails_is_told_and_the_others_go_on(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls, errors = [], {"Walker-v0": DivergenceError("it\n diverged"), "Thrower-v0": ValueError("a defect")}
+
+    def fails(config: Any) -> Exception | None:
+        calls.append(config.seed)
+        return errors.get(config.task) if config.seed == 0 else None
+
+    failing(monkeypatch, fails)
+    outcome = quick()
+    (folder,) = Path("outputs/suite").iterdir()
+    last = outcome.err.splitlines()[-1]
+    assert outcome.code == 2
+    assert last.startswith("warpvox: 2 of 4 members failed, the first of them (Walker-v0, ga, seed 0) with:")
+    assert states(folder) == ["failed", "done"] * 2
+    assert [row["error"] for row in table(folder)] == ["it diverged", "", "ValueError: a defect", ""]
+    # failed members are told of again, and tried again once that is asked for
+    assert quick("resume=latest").code == 2
+    assert len(calls) == 4
+    errors.clear()
+    outcome = quick("resume=latest", "retry=true")
+    assert outcome.code == 0, outcome.err
+    assert len(calls) == 6
+    assert states(folder) == ["done"] * 4
+    assert yaml.safe_load((folder / "config.yaml").read_text())["retry"] is False
+
+
+def test_an_interrupt_saves_what_there_is(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(config: Any) -> None:
+        if (config.task, config.seed) == ("Thrower-v0", 0):
+            signal.raise_signal(signal.SIGTERM)
+            raise Terminated
+
+    failing(monkeypatch, stop)
+    outcome = quick()
+    (folder,) = Path("outputs/suite").iterdir()
+    assert outcome.code == 128 + signal.SIGTERM
+    assert states(folder) == ["done", "waiting", "waiting", "waiting"]
+    assert f"resume={folder.absolute()}" in outcome.out
+    monkeypatch.undo()
+
+
+def test_report_again(quick: Callable) -> None:
+    assert quick("seeds=1", "tasks=[Walker-v0]").code == 0
+    (folder,) = Path("outputs/suite").iterdir()
+    before = (folder / CURVES).read_text()
+    for file in (CURVES, "report.html"):
+        (folder / file).unlink()
+    assert quick(f"report={folder}").code == 0
+    assert (folder / CURVES).read_text() == before
+    assert "1 done" in (folder / "report.html").read_text()
+
+
+def test_code_that_a_stored_file_names_is_not_imported(quick: Callable) -> None:
+    Path("evil.py").write_text("open('imported', 'w')\n")
+    assert quick("seeds=1", "tasks=[Walker-v0]").code == 0
+    (folder,) = Path("outputs/suite").iterdir()
+    config = folder / "config.yaml"
+    config.write_text(config.read_text().replace("[Walker-v0]", "[Walker-v0, 'evil.py:X']"))
+    outcome = quick("resume=latest")
+    assert (outcome.code, "only if you name it yourself" in outcome.err) == (2, True), outcome.err
+    assert not Path("imported").exists()
+
+
+# ----------------------------------------------------------------------------------------------------- processes
+
+
+@pytest.fixture
+def pool() -> Iterator[LocalPool]:
+    pool = LocalPool(act, 2)
+    yield pool
+    pool.close()
+
+
+def ended(pool: LocalPool, count: int) -> dict[int, dict[str, Any]]:
+    found: dict[int, dict[str, Any]] = {}
+    while len(found) < count:
+        found |= dict(pool.wait(60))
+    return found
+
+
+def test_a_process_that_dies_takes_no_other_with_it(pool: LocalPool, tmp_path: Path) -> None:
+    for number, job in enumerate(("die", "work")):
+        (tmp_path / job).mkdir()
+        pool.begin(number, job, tmp_path / job)
+    outcomes = ended(pool, 2)
+    assert outcomes[1]["status"] == "done"
+    assert (outcomes[0]["status"], "SIGKILL" in outcomes[0]["error"]) == ("failed", True)
+    assert (tmp_path / "work" / LOG).read_text() == "this is work\n"
+    (tmp_path / "wait").mkdir()
+    pool.begin(2, "wait", tmp_path / "wait")
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "wait" / LOG).exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    pool.stop()
+    assert ended(pool, 1)[2]["status"] == "interrupted"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_a_suite_that_was_ended_goes_on_to_the_same_end(tmp_path: Path, end: int) -> None:
+    words = [*TINY, "training.iterations=30", "workers=2", "name=x"]
+    line = [sys.executable, "-m", "warpvox", "suite"]
+    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+    for name in ("whole", "ended"):
+        (tmp_path / name).mkdir()
+    del words[words.index("training.iterations=2")]
+    subprocess.run([*line, *words], cwd=tmp_path / "whole", env=environment, check=True)
+    with subprocess.Popen([*line, *words], cwd=tmp_path / "ended", env=environment, start_new_session=True) as process:
+        folder = tmp_path / "ended" / "outputs" / "suite" / "x"
+        deadline = time.monotonic() + 300
+        while not list(folder.glob("members/*/*/*/archive.sqlite")) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(1)
+        if end == signal.SIGINT:
+            os.killpg(process.pid, end)  # as the terminal does it
+        else:
+            process.send_signal(end)
+        assert process.wait(120) == (-end if end == signal.SIGKILL else 128 + end)
+    assert "done" not in states(folder)
+    assert set(states(folder)) == ({"running", "waiting"} if end == signal.SIGKILL else {"waiting"})
+    subprocess.run([*line, "resume=latest"], cwd=tmp_path / "ended", env=environment, check=True)
+    assert states(folder) == ["done"] * 4
+    whole = tmp_path / "whole" / "outputs" / "suite" / "x"
+    assert digests(folder) == digests(whole)
+    assert (folder / CURVES).read_text() == (whole / CURVES).read_text()
+
+
+@pytest.mark.slow
+def test_ray_makes_the_same_members(warpvox: Callable) -> None:
+    pytest.importorskip("ray", reason="Ray is not installed")
+    with parallel.turn("ray"):
+        outcome = warpvox("suite", *TINY, "executor=ray", "workers=2", "name=ray")
+    assert outcome.code == 0, outcome.err
+    outcome = warpvox("suite", *TINY, "workers=2", "name=here")
+    assert outcome.code == 0, outcome.err
+    assert digests(Path("outputs/suite/ray")) == digests(Path("outputs/suite/here"))

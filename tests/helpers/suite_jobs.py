@@ -1,0 +1,22 @@
+"""Members of a suite that do as they are told, for other processes to find: imports nothing heavy."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+
+def act(job: str, folder: Path) -> dict[str, Any]:
+    """``die``: be killed; ``wait``: until asked to end; anything else: be done."""
+    print(f"this is {job}")
+    if job == "die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if job == "wait":
+        try:
+            time.sleep(600)
+        except KeyboardInterrupt:
+            return {"status": "interrupted", "error": ""}
+    return {"status": "done", "error": ""}

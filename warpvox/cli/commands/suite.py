@@ -1,0 +1,283 @@
+"""``warpvox suite``: design searches for many tasks, searches and seeds in one folder, gone on with as a whole."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from warpvox.algos.codesign.archive import FILE as ARCHIVE
+from warpvox.algos.interrupt import deferred_interrupts
+from warpvox.cli import sweep
+from warpvox.cli.application import run_command
+from warpvox.cli.build import shown
+from warpvox.cli.commands import codesign
+from warpvox.cli.commands.train import check_unchanged
+from warpvox.cli.config import load, load_values, to_yaml
+from warpvox.cli.console import echo, shell_argument
+from warpvox.cli.evaluations import resolve_evaluation
+from warpvox.cli.runs import STAMP, find_suite, going_on, make_folder
+from warpvox.cli.suite.members import DONE, FAILED, MEMBERS, RUNNING, WAITING, Table
+from warpvox.cli.suite.plan import Member, plan, seeds_of, task_names
+from warpvox.cli.suite.pool import LocalPool, Pool, RayPool
+from warpvox.cli.suite.progress import SuiteProgress, results
+from warpvox.cli.trust import as_stored, keep_code
+from warpvox.configs.schema import CodesignConfig, SuiteConfig
+from warpvox.devices.names import resolve_device
+from warpvox.envs.sources import is_code
+from warpvox.errors import ConfigError, RunError, listing
+from warpvox.io.writing import check_writable
+from warpvox.system import usable_cores
+
+__all__ = ["Job", "make_member", "run", "suite"]
+
+GROWING = ("tasks", "searches", "seeds")
+"""Keys that may get more entries when a suite is resumed."""
+CHANGEABLE = (*GROWING, "retry", *codesign.CHANGEABLE)
+POLL_SECONDS = 0.5
+
+
+@dataclass
+class Job:
+    """A suite to be made: its members; of the one that it goes on with ``folder`` and configuration."""
+
+    config: SuiteConfig
+    members: list[Member] = field(default_factory=list)
+    folder: Path | None = None
+    stored: dict[str, Any] = field(default_factory=dict)
+
+
+def run(words: list[str]) -> None:
+    """Do what ``warpvox suite`` is asked for."""
+    run_command("suite", words, suite, _prepare)
+
+
+def _prepare(config: SuiteConfig, overrides: list[str], config_dir: Path | None) -> Job:
+    """The job of a configuration; with ``resume`` on top of that of the suite that it goes on with.
+
+    Raises:
+        WarpvoxError: what is wrong with it, or with one of its members.
+    """
+    named = {word.partition("=")[0] for word in overrides}
+    if {"evaluations", "control_steps"} <= named:
+        raise ConfigError("evaluations and control_steps are both a budget: give one of them.")
+    if config.report is not None:
+        return Job(config)
+    job = Job(config)
+    if config.resume is not None:
+        job = _resumed(config, named, overrides, config_dir)
+    elif config.retry:
+        raise ConfigError("retry=true goes with resume=latest or resume=FOLDER.")
+    elif config.name and _place(config).exists():
+        raise RunError(
+            f"{_place(config)} exists already: choose another name, or go on with it by resume={_place(config)}."
+        )
+    if config.executor == "local" and config.address is not None:
+        raise ConfigError("address goes with executor=ray.")
+    job.members = plan(job.config, config_dir)
+    _check(job)
+    if job.config.pretrained is not None:  # by its place: the latest may be another one when members begin
+        checkpoint = resolve_evaluation(job.members[0].config, None).pretrained
+        job.config = dataclasses.replace(job.config, pretrained=checkpoint)
+        job.members = plan(job.config, config_dir)
+    return job
+
+
+def _resumed(config: SuiteConfig, named: set[str], overrides: list[str], config_dir: Path | None) -> Job:
+    source = find_suite(config.resume, config.output_dir)
+    check_writable(source.folder)
+    before = load_values("suite", source.config)
+    code = [task for task in before.tasks if is_code(task)]
+    if code and "tasks" not in named:
+        raise ConfigError(
+            f"The configuration in {source.folder} names code: {listing(code)}. Code that a stored file names is"
+            " imported only if you name it yourself: give tasks=[...] again."
+        )
+    config = load("suite", overrides, config_dir, base=source.config, home=source.folder)
+    check_unchanged(source.config, as_stored(config, source.config), CHANGEABLE)
+    for key, old, new in zip(GROWING, _parts(before), _parts(config), strict=True):
+        lost = [entry for entry in old if entry not in new]
+        if lost:
+            raise ConfigError(f"{key} may only grow when a suite is resumed; {listing(lost)} would be left out.")
+    return Job(dataclasses.replace(config, resume=None), folder=source.folder, stored=source.config)
+
+
+def _parts(config: SuiteConfig) -> tuple[list[str], list[str], list[int]]:
+    return task_names(config.tasks), config.searches, seeds_of(config.seeds)
+
+
+def _check(job: Job) -> None:
+    """Find mistakes of members before anything is made: seeds of a task and search are alike."""
+    for member in {(member.task, member.search): member for member in job.members}.values():
+        codesign.check(dataclasses.replace(member.config, executor=job.config.executor))
+
+
+def _place(config: SuiteConfig) -> Path:
+    return Path(config.output_dir) / "suite" / (config.name or datetime.now().strftime(STAMP))
+
+
+# ------------------------------------------------------------------------------------------------------- a suite
+
+
+def suite(job: Job, console: Console) -> Path:
+    """Make a suite, or go on with one; returns its folder.
+
+    Raises:
+        WarpvoxError: something cannot be made; RunError: members have failed, the others are made all the same.
+        KeyboardInterrupt: interrupted; what the members had done has been saved.
+    """
+    if job.config.report is not None:
+        return _write_again(job.config, console)
+    config = dataclasses.replace(job.config, retry=False)
+    with _folder(job, to_yaml(as_stored(config, job.stored))) as folder:
+        keep_code(config, folder, console)
+        table = Table.of_members(folder, job.members, job.config.retry)
+        table.write()
+        echo(console, f"{len(table.rows)} members{_counted(table)}")
+        echo(console, f"folder: {shown(folder)}")
+        if table.of(WAITING):
+            _make(table, job.members, config, console)
+        _write_report(table, config, console)
+        return _conclude(table, console)
+
+
+@contextmanager
+def _folder(job: Job, text: str) -> Iterator[Path]:
+    """The folder of the suite, ours alone, with ``text`` as its ``config.yaml``."""
+    place = job.folder or _place(job.config)
+    folder = job.folder or make_folder(place.parent, place.name)
+    with going_on(folder, text):
+        yield folder
+
+
+def _counted(table: Table) -> str:
+    """What is known of the members of a suite that is resumed."""
+    counts = {state: count for state, count in table.counts.items() if state != WAITING}
+    return f", {', '.join(f'{count} {state}' for state, count in counts.items())} already" if counts else ""
+
+
+def _make(table: Table, members: list[Member], config: SuiteConfig, console: Console) -> None:
+    """Make those ``members`` whose rows in the table wait, several at a time.
+
+    Raises:
+        KeyboardInterrupt: interrupted; the members have saved their states.
+    """
+    waiting, running = deque(number for number, row in enumerate(table.rows) if row.state == WAITING), {}
+    pool, threads = _pool(config, len(waiting), members[waiting[0]].config)
+    echo(console, f"{pool.size} at a time, each with {threads} thread{'s' * (threads > 1)}")
+    try:
+        with deferred_interrupts() as interrupt, SuiteProgress(table, console) as progress:
+            stopping = False
+            while running or (waiting and not interrupt):
+                while waiting and len(running) < pool.size and not interrupt:
+                    number = waiting.popleft()
+                    row = table.rows[number]
+                    row.folder.mkdir(parents=True, exist_ok=True)
+                    pool.begin(number, dataclasses.replace(members[number].config, threads=threads), row.folder)
+                    row.state, running[number] = RUNNING, row
+                for number, outcome in pool.wait(POLL_SECONDS):
+                    row = running.pop(number)
+                    row.state = {"done": DONE, "failed": FAILED}.get(outcome["status"], WAITING)
+                    row.error = outcome.get("error", "")
+                    table.write()
+                    table.write_curves()
+                    progress.ended(row)
+                if interrupt and not stopping:
+                    echo(console, "interrupted: waiting for the members to save their states")
+                    pool.stop()
+                    stopping = True
+                progress.refresh()
+            if interrupt:
+                _stopped(table, console)
+                interrupt.stop()
+    finally:
+        pool.close()
+
+
+def _pool(config: SuiteConfig, members: int, first: CodesignConfig) -> tuple[Pool, int]:
+    """The processes that make the members, and the threads of each."""
+    if config.executor == "ray":
+        threads = config.threads or 1
+        gpus = 0 if config.device == "cpu" else None
+        return RayPool(make_member, config.workers, config.address, threads, gpus), threads
+    cores, envs = usable_cores(), first.search.population * first.training.envs
+    room = cores if resolve_device(config.device, envs) == "cpu" else 1
+    workers = min(config.workers or room, members)
+    return LocalPool(make_member, workers), config.threads or max(1, cores // workers)
+
+
+def make_member(config: CodesignConfig, folder: Path) -> dict[str, Any]:
+    """Make a design search in ``folder``, or go on with the one that is there; returns how it has ended."""
+    row, console = {"run": folder.name}, Console()
+    try:
+        known = (folder / ARCHIVE).is_file()
+        job = codesign.Job(config, folder) if known else codesign.Job(config, place=folder)
+        sweep.attempt(row, sweep.Member([]), lambda: codesign.codesign(job, console), console)
+    except KeyboardInterrupt:
+        pass
+    return {"status": row["status"], "error": row.get("error", "")}
+
+
+# ---------------------------------------------------------------------------------------------------------- after
+
+
+def _write_report(table: Table, config: SuiteConfig, console: Console) -> None:
+    """Write ``curves.csv`` and the page that compares the members, and say where it is."""
+    from warpvox.algos.report.benchmark import write_benchmark
+
+    table.write_curves()
+    archives = table.archives()
+    if archives:
+        states = ", ".join(f"{count} {state}" for state, count in table.counts.items())
+        page = write_benchmark(table.folder, archives, {"suite": config.suite or "", "members": states})
+        echo(console, f"report: {page.resolve().as_uri()}")
+
+
+def _write_again(config: SuiteConfig, console: Console) -> Path:
+    """Make ``curves.csv`` and the report of a suite again, also while it is running.
+
+    Raises:
+        RunError: no such suite.
+    """
+    source = find_suite(config.report, config.output_dir)
+    table = Table.stored(source.folder)
+    _write_report(table, load_values("suite", source.config), console)
+    return source.folder
+
+
+def _stopped(table: Table, console: Console) -> None:
+    for row in table.of(RUNNING):
+        row.state = WAITING
+    table.write()
+    echo(console, f"interrupted, state saved; {len(table.of(DONE))} of {len(table.rows)} members are done")
+    _advise(table, console)
+
+
+def _advise(table: Table, console: Console, more: str = "") -> None:
+    echo(console, f"go on: warpvox suite {shell_argument('resume', table.folder)}{more}")
+
+
+def _conclude(table: Table, console: Console) -> Path:
+    """Say how the suite has ended.
+
+    Raises:
+        RunError: members have failed.
+    """
+    console.print(results(table.rows))
+    echo(console, f"members: {shown(table.folder / MEMBERS)}")
+    failed = table.of(FAILED)
+    if not failed:
+        return table.folder
+    _advise(table, console, " retry=true")
+    task, search, seed = failed[0].key
+    raise RunError(
+        f"{len(failed)} of {len(table.rows)} members failed, the first of them ({task}, {search}, seed {seed}) with:"
+        f" {failed[0].error.rstrip('.')}. All are listed in {table.folder / MEMBERS}."
+    )

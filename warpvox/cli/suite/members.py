@@ -1,0 +1,153 @@
+"""What has come of the members of a suite: their states, ``members.csv`` and ``curves.csv``."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from warpvox.algos.report.members import Member as SearchResult
+from warpvox.algos.report.members import read_members
+from warpvox.cli.evaluations import is_screened
+from warpvox.cli.runs import read_summary
+from warpvox.cli.suite.plan import Member
+from warpvox.errors import RunError
+from warpvox.io.writing import write_text
+
+__all__ = ["CURVES", "DONE", "FAILED", "MEMBERS", "RUNNING", "WAITING", "Row", "Table", "rises"]
+
+MEMBERS, CURVES = "members.csv", "curves.csv"
+WAITING, RUNNING, DONE, FAILED = ("waiting", "running", "done", "failed")
+FIGURES = ("evaluations", "control_steps", "wall_s", "best_fitness")
+COLUMNS = ("task", "search", "seed", "state", *FIGURES, "folder", "error")
+CURVE_COLUMNS = ("task", "search", "seed", "evaluations", "control_steps", "best")
+
+
+@dataclass
+class Row:
+    """A member: its run's folder, the evaluations that it may spend, its state and the error that it has ended with."""
+
+    task: str
+    search: str
+    seed: int
+    folder: Path
+    total: int = 0
+    state: str = WAITING
+    error: str = ""
+    curve: list[tuple[int, int, float]] | None = None
+
+    @property
+    def key(self) -> tuple[str, str, int]:
+        """What no other member has."""
+        return self.task, self.search, self.seed
+
+    def figures(self) -> dict[str, Any]:
+        """``evaluations``, ``control_steps``, ``wall_s`` and ``best_fitness`` so far, of its last whole generation."""
+        summary = read_summary(self.folder)
+        names = {"control_steps": "steps", "wall_s": "elapsed_seconds"}
+        return {name: summary.get(names.get(name, name)) for name in FIGURES}
+
+
+class Table:
+    """The members of a suite and what has come of them, in the order in which they are made."""
+
+    def __init__(self, folder: Path, rows: list[Row]) -> None:
+        self.folder, self.rows = folder, rows
+
+    @classmethod
+    def of_members(cls, folder: Path, members: Iterable[Member], retry: bool = False) -> Table:
+        """The table of a suite in ``folder``, new or gone on with; ``retry``: members that have failed wait again."""
+        before = {row.key: row for row in cls.stored(folder).rows}
+        rows = []
+        for member in members:
+            config = member.config
+            total = config.search.max_evaluations + (config.finalists if is_screened(config) else 0)
+            row = Row(member.task, member.search, member.seed, folder / member.folder, total)
+            known = before.get(row.key)
+            if read_summary(row.folder).get("status") == DONE:
+                row.state = DONE
+            elif known is not None and known.state == FAILED and not retry:
+                row.state, row.error = known.state, known.error
+            rows.append(row)
+        return cls(folder, rows)
+
+    @classmethod
+    def stored(cls, folder: Path) -> Table:
+        """The table as ``members.csv`` has it; without rows if there is no such file."""
+        rows = []
+        try:
+            lines = list(csv.DictReader(io.StringIO((folder / MEMBERS).read_text(encoding="utf-8"))))
+            for line in lines:
+                place = folder / line["folder"]
+                rows.append(
+                    Row(line["task"], line["search"], int(line["seed"]), place, 0, line["state"], line["error"])
+                )
+        except (OSError, UnicodeDecodeError, csv.Error, KeyError, ValueError):
+            return cls(folder, [])
+        return cls(folder, rows)
+
+    def of(self, *states: str) -> list[Row]:
+        """The rows in these states."""
+        return [row for row in self.rows if row.state in states]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many members there are in each state."""
+        return dict(Counter(row.state for row in self.rows))
+
+    def write(self) -> None:
+        """Write ``members.csv``, by task, search and seed."""
+        lines = []
+        for row in self._sorted():
+            figures = {name: "" if value is None else value for name, value in row.figures().items()}
+            place = row.folder.relative_to(self.folder).as_posix()
+            lines.append((*row.key, row.state, *figures.values(), place, row.error))
+        write_text(self.folder / MEMBERS, _csv(COLUMNS, lines), make_folders=False)
+
+    def write_curves(self) -> None:
+        """Write ``curves.csv``: the best fitness so far of each member, a line wherever it rises and one at the end."""
+        lines = [(*row.key, *point) for row in self._sorted() for point in self._curve(row) or ()]
+        write_text(self.folder / CURVES, _csv(CURVE_COLUMNS, lines), make_folders=False)
+
+    def archives(self) -> list[Path]:
+        """The folders of the runs that have an archive which can be read."""
+        return [row.folder for row in self._sorted() if self._curve(row) is not None]
+
+    def _sorted(self) -> list[Row]:
+        """By task, then search, then seed, each in the order in which the suite names them."""
+        orders = [list(dict.fromkeys(row.key[part] for row in self.rows)) for part in range(3)]
+        return sorted(self.rows, key=lambda row: tuple(map(list.index, orders, row.key)))
+
+    def _curve(self, row: Row) -> list[tuple[int, int, float]] | None:
+        """The curve of a member; of one that is done it is read once, as its archive does not change any more."""
+        if row.curve is not None:
+            return row.curve
+        try:
+            (member,) = read_members([row.folder])
+        except RunError:  # no archive yet, or one that is damaged, which its member tells
+            return None
+        curve = rises(member)
+        row.curve = curve if row.state == DONE else None
+        return curve
+
+
+def rises(member: SearchResult) -> list[tuple[int, int, float]]:
+    """``(evaluations, control steps, best fitness so far)`` wherever the best rises, and at the end."""
+    points = zip(member.evaluations.tolist(), member.steps.tolist(), member.best.tolist(), strict=True)
+    last, kept = len(member.best), []
+    for point in points:
+        if not kept or point[2] > kept[-1][2] or point[0] == last:
+            kept.append(point)
+    return kept
+
+
+def _csv(columns: Sequence[str], lines: Iterable[Sequence[Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(lines)
+    return text.getvalue()
