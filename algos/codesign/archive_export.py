@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import Any
 from warpvox.algos.codesign.archive import Archive, Record, body_text
 from warpvox.design import Design, load_design, save_design
 from warpvox.errors import DesignError, RunError, did_you_mean, listing
-from warpvox.io.writing import atomic_path, write_text
+from warpvox.io.writing import atomic_path, write_table, write_text
 
 __all__ = ["FORMATS", "export", "read_designs", "write_csv", "write_designs", "write_parquet"]
 
@@ -52,15 +50,14 @@ def export(archive: Archive, folder: Path, name: str) -> Path:
 
 def write_csv(archive: Archive, path: Path) -> Path:
     """Write the candidates as CSV with the columns :data:`COLUMNS`; empty cells where there is no value."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for record in archive.records():
-        row = _row(record)
-        cells = [json.dumps(value) if isinstance(value, list) else value for value in row.values()]
-        writer.writerow([int(cell) if isinstance(cell, bool) else cell for cell in cells])
-    write_text(path, text.getvalue())
+    write_table(path, COLUMNS, (map(_cell, _row(record).values()) for record in archive.records()))
     return path
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, list):
+        return json.dumps(value)
+    return int(value) if isinstance(value, bool) else value
 
 
 def write_parquet(archive: Archive, path: Path) -> Path:

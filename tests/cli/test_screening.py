@@ -102,7 +102,7 @@ def test_a_search_by_waves(warpvox: Callable) -> None:
 
 def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
     words = "policy=grid", "network={width:8}", "training.method=sequential", "training.inherit=true"
-    folder = search(warpvox, *words)
+    folder = search(warpvox, *words, "search.max_evaluations=3")
     with Archive.read(folder / FILE) as archive:
         best = archive.best()[0]
     assert played(warpvox, folder) == pytest.approx(best.fitness, abs=ROUNDING)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +14,7 @@ from warpvox.algos.training.bodies import Bodies, draw_bodies
 from warpvox.cli.build import load_bodies
 from warpvox.design import Design, load_design
 from warpvox.errors import ConfigError, DesignError
-from warpvox.io.writing import write_text
+from warpvox.io.writing import write_table
 
 if TYPE_CHECKING:
     from warpvox.algos.evaluate import Evaluation, Evaluator
@@ -159,7 +157,7 @@ class HeldOut:
         last = result.fitness.numpy()
         self.best = np.maximum(self.best, last)
         if self.folder is not None:
-            write_text(self.folder / "held_out.csv", self._table(last))
+            self._write(last)
             self._draw(last)
         return result
 
@@ -181,11 +179,9 @@ class HeldOut:
             columns=8,
         )
 
-    def _table(self, last: np.ndarray) -> str:
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(["body", "last_return", "best_return", "cells"])
-        for number, body in enumerate(self.bodies):
-            cells = "/".join("".join(map(str, row)) for row in body.tolist())
-            writer.writerow([number, f"{last[number]:.6g}", f"{self.best[number]:.6g}", cells])
-        return text.getvalue()
+    def _write(self, last: np.ndarray) -> None:
+        """``held_out.csv``."""
+        cells = ["/".join("".join(map(str, row)) for row in body.tolist()) for body in self.bodies]
+        figures = [[f"{value:.6g}" for value in values] for values in (last, self.best)]
+        rows = zip(range(len(cells)), *figures, cells, strict=True)
+        write_table(self.folder / "held_out.csv", ("body", "last_return", "best_return", "cells"), rows)

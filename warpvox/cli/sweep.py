@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import re
 import traceback
 from collections.abc import Callable, Collection, Sequence
@@ -21,7 +19,7 @@ from warpvox.cli.console import echo, literal
 from warpvox.cli.quoting import parse
 from warpvox.cli.runs import STAMP, label, read_summary
 from warpvox.errors import RunError, WarpvoxError
-from warpvox.io.writing import write_text
+from warpvox.io.writing import write_table
 
 __all__ = ["INTERRUPTED", "Member", "Sweep", "attempt", "member_of", "members"]
 
@@ -150,11 +148,8 @@ class Sweep:
 
     def write(self) -> None:
         """Write the table as CSV."""
-        text = io.StringIO()
-        writer = csv.DictWriter(text, self.columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows)
-        write_text(self.file, text.getvalue())
+        columns = self.columns
+        write_table(self.file, columns, ([row.get(name) for name in columns] for row in self.rows))
 
     def _print(self) -> None:
         columns = [name for name in self.columns if name not in ("folder", "error")]

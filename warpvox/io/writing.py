@@ -7,10 +7,12 @@ machine or of the disk's space leaves either the old file or the new one. What a
 
 from __future__ import annotations
 
+import csv
 import errno
+import io
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
@@ -27,6 +29,7 @@ __all__ = [
     "complaint",
     "sweep",
     "write_bytes",
+    "write_table",
     "write_text",
     "writing",
 ]
@@ -91,6 +94,13 @@ def write_bytes(path: str | os.PathLike[str], data: bytes, make_folders: bool = 
 def write_text(path: str | os.PathLike[str], text: str, make_folders: bool = True) -> None:
     """Write ``text`` (UTF-8) to ``path`` atomically; see :func:`atomic_path`."""
     write_bytes(path, text.encode("utf-8"), make_folders)
+
+
+def write_table(path: str | os.PathLike[str], columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+    """Write a table as CSV, atomically; None is an empty cell."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([columns, *rows])
+    write_text(path, text.getvalue())
 
 
 # ----------------------------------------------------------------------------------------------- what can go wrong

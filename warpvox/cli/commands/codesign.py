@@ -50,25 +50,19 @@ if TYPE_CHECKING:
 __all__ = ["Job", "codesign", "make_evaluator", "run"]
 
 CHANGEABLE = (
-    "executor",
-    "address",
-    "workers",
-    "device",
-    "threads",
-    "torch_threads",
-    "top",
-    "export",
-    "name",
-    "training.save_interval",
-    "memory_check",
-    "resume",
-    "report",
-    "output_dir",
-)
+    "executor", "address", "workers", "device", "threads", "torch_threads", "top", "export", "name",
+    "training.save_interval", "memory_check", "resume", "report", "output_dir",
+)  # fmt: skip
 """Keys that do not change what is found: they may differ when a search is resumed.
 
 But for rounding: another device, or other ``torch_threads`` with ``training.method=sequential`` (see ``train``).
 """
+
+OF_DESIGNS = (
+    "task", "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir", "policy",
+    "network",
+)  # fmt: skip
+"""Keys that the configuration of a design has from that of its search."""
 
 
 @dataclass
@@ -302,27 +296,15 @@ def _default(name: str) -> Any:
 def design_config(config: CodesignConfig, candidate: Candidate) -> str:
     """The text of ``config.yaml`` beside the policy of a design: that of a training which ``warpvox play`` can show."""
     training = config.training
-    values = {
-        "task": config.task,
+    values = {name: getattr(config, name) for name in OF_DESIGNS} | {
         "design": candidate.body.tolist(),
-        "rules": config.rules,
         "num_envs": training.envs,
         "max_iterations": training.iterations,
         "eval_interval": training.eval_interval,
         "eval_envs": training.eval_envs,
-        "seed": config.seed,
-        "device": config.device,
-        "dtype": config.dtype,
-        "arithmetic": config.arithmetic,
-        "threads": config.threads,
-        # those of the evaluation that found the fitness, so that playing finds it again
-        "lanes": lanes_for(training.eval_envs),
-        "torch_threads": config.torch_threads,
-        "output_dir": config.output_dir,
+        "lanes": lanes_for(training.eval_envs),  # as in the evaluation that found the fitness
         "physics": dataclasses.asdict(config.physics),
         "ppo": dataclasses.asdict(training.ppo),
-        "policy": config.policy,
-        "network": config.network,
     }
     if has_common_policy(config) and candidate.origin != FINALIST:
         values |= screened_values(config, candidate)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 from collections.abc import Sequence
@@ -23,7 +21,7 @@ from warpvox.cli.run_groups import Group, group_runs
 from warpvox.cli.runs import Run, find_runs
 from warpvox.configs.schema import CurvesConfig
 from warpvox.errors import ConfigError, RunError, listing
-from warpvox.io.writing import atomic_path, write_text
+from warpvox.io.writing import atomic_path, write_table
 
 __all__ = ["Curve", "curves_of", "run", "write_curves"]
 
@@ -161,14 +159,12 @@ def check_file(path: str | os.PathLike[str]) -> Path:
 
 
 def _write_csv(curves: Sequence[Curve], path: Path, x: str) -> None:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["settings", x, "n", "mean", "low", "high"])
+    rows = []
     for curve in curves:
         for numbers in zip(curve.places, curve.mean, curve.low, curve.high, strict=True):
-            place, mean, low, high = (f"{number:.9g}" if math.isfinite(number) else "" for number in numbers)
-            writer.writerow([curve.group.label, place, curve.n, mean, low, high])
-    write_text(path, text.getvalue())
+            place, *others = (f"{number:.9g}" if math.isfinite(number) else "" for number in numbers)
+            rows.append([curve.group.label, place, curve.n, *others])
+    write_table(path, ("settings", x, "n", "mean", "low", "high"), rows)
 
 
 def _print(curves: Sequence[Curve], x: str, console: Console) -> None:

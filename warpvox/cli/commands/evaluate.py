@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -25,7 +23,7 @@ from warpvox.cli.trust import STORED
 from warpvox.configs.schema import EvaluateConfig, PlayConfig
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError
-from warpvox.io.writing import write_text
+from warpvox.io.writing import write_table
 
 if TYPE_CHECKING:
     from warpvox.algos.evaluate import Evaluation
@@ -121,9 +119,8 @@ def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged
 def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> None:
     percent = f"{100 * config.level:g} %"
     kind = "sampled actions" if config.stochastic else "deterministic"
-    table = Table(title=f"mean return, {kind}, {config.episodes} episodes of each run", title_justify="left")
-    for heading in ("settings", "run", "mean", f"{percent} interval", "n", "over"):
-        table.add_column(heading, justify="right" if heading in ("mean", "n") else "left", overflow="fold")
+    title = f"mean return, {kind}, {config.episodes} episodes of each run"
+    table = _table(title, "settings", "run", "mean", f"{percent} interval", "n", "over")
     for entry in judged:
         for each_run, returns in zip(entry.group.runs, entry.returns, strict=True):
             interval = mean_interval(returns, config.level)
@@ -134,19 +131,26 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
     console.print(table)
     pairs = compare(judged, config.level)
     if pairs:
-        table = Table(title=f"differences of mean returns, Welch's {percent} interval", title_justify="left")
-        for heading in ("first", "less second", "difference", f"{percent} interval", "n", "over"):
-            table.add_column(heading, justify="right" if heading in ("difference", "n") else "left", overflow="fold")
+        title = f"differences of mean returns, Welch's {percent} interval"
+        table = _table(title, "first", "less second", "difference", f"{percent} interval", "n", "over")
         for first, second, interval in pairs:
             over = first.over if first.over == second.over else f"{first.over} and {second.over}"
-            cells = _cells(interval)
             sizes = f"{len(first.values)}, {len(second.values)}"
-            table.add_row(*map(literal, (first.group.label, second.group.label, *cells[:2], sizes, over)))
+            cells = (first.group.label, second.group.label, *_cells(interval)[:2], sizes, over)
+            table.add_row(*map(literal, cells))
         console.print(table)
     echo(
         console,
         "Intervals are Student's t. Over runs they tell of other trainings, over episodes of this policy alone.",
     )
+
+
+def _table(title: str, *headings: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
+        right = heading in ("mean", "difference", "n")
+        table.add_column(heading, justify="right" if right else "left", overflow="fold")
+    return table
 
 
 def _say_alike(alike: list[Run], found: list[Run], config: EvaluateConfig, console: Console) -> None:
@@ -179,10 +183,10 @@ def _write(folder: Path, judged: list[Judged], every: dict[int, list[float]], co
         | _row(interval, "difference")
         for first, second, interval in compare(judged, config.level)
     ]
-    _write_csv(folder / "runs.csv", ({name: row[name] for name in row if name != "returns"} for row in runs))
-    _write_csv(folder / "groups.csv", groups)
-    if pairs:
-        _write_csv(folder / "comparisons.csv", pairs)
+    for name, table in {"runs": runs, "groups": groups, "comparisons": pairs}.items():
+        if table:
+            columns = [column for column in table[0] if column != "returns"]
+            write_table(folder / f"{name}.csv", columns, ([row[column] for column in columns] for row in table))
     values = [value for returns in every.values() for value in returns]
     facts = {"command": "evaluate", "checkpoint": config.checkpoint, "stochastic": config.stochastic}
     facts |= {"episodes": config.episodes, "seed": config.seed, "level": config.level, "interval": "Student t, Welch"}
@@ -193,12 +197,3 @@ def _write(folder: Path, judged: list[Judged], every: dict[int, list[float]], co
 def _row(interval: Interval, name: str = "mean") -> dict[str, Any]:
     low, high = ((value if math.isfinite(value) else None) for value in (interval.low, interval.high))
     return {name: interval.mean, "low": low, "high": high, "n": interval.n}
-
-
-def _write_csv(path: Path, rows: Iterable[dict[str, Any]]) -> None:
-    several = list(rows)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(several[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(several)
-    write_text(path, text.getvalue())

@@ -39,21 +39,9 @@ if TYPE_CHECKING:
 __all__ = ["Job", "check_unchanged", "make_job", "run", "train"]
 
 CHANGEABLE = (
-    "max_iterations",
-    "eval_interval",
-    "eval_envs",
-    "stop_return",
-    "save_interval",
-    "device",
-    "threads",
-    "torch_threads",
-    "cuda_graph",
-    "logger",
-    "nan_guard",
-    "memory_check",
-    "resume",
-    "output_dir",
-)
+    "max_iterations", "eval_interval", "eval_envs", "stop_return", "save_interval", "device", "threads",
+    "torch_threads", "cuda_graph", "logger", "nan_guard", "memory_check", "resume", "output_dir",
+)  # fmt: skip
 """Keys that may differ when a run is resumed: they do not change what is learned.
 
 But for rounding: another device, or other ``torch_threads``, adds up the products of matrices in another order.
