@@ -283,7 +283,12 @@ class CodesignConfig(PresetConfig):
     memory_check: bool = key(True, "refuse what does not fit into the memory that is free, before it is allocated")
     resume: str | None = key(None, "go on with a search: latest or its folder", path="read")
     config: str | None = key(None, CONFIG_FILE, path="read")
-    report: str | None = key(None, "only make report and exports of a search again: latest or its folder", path="read")
+    report: Any = key(
+        None,
+        "only make report and exports of a search again: latest or its folder; of several one report that compares"
+        " them: [FOLDER,...], a pattern such as 'outputs/codesign/*/*', or a folder that searches lie in",
+        path="read",
+    )
     name: str | None = key(None, "appended to the name of the run's folder")
     output_dir: str = key("outputs", "folder that runs are written to", path="written")
     physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the dynamics")
@@ -468,10 +473,23 @@ class CurvesConfig:
     """Keys of ``warpvox curves``."""
 
     runs: list[str] = key(
-        ["latest"], "runs of `warpvox train`: latest, folders, patterns such as 'outputs/train/*/*'", path="read"
+        ["latest"],
+        "runs of `warpvox train`: latest, folders, patterns such as 'outputs/train/*/*'; or design searches: these, or"
+        " folders that searches lie in",
+        path="read",
     )
-    x: str = key("steps", "what is to the right", choices=("steps", "elapsed", "iteration"))
-    size: list[int] = key([760, 340], "width and height in pixels", low=64, high=8192, form="[width,height]")
+    x: str = key(
+        "steps",
+        "what is to the right; of trainings steps, elapsed or iteration, of searches steps or evaluations",
+        choices=("steps", "elapsed", "iteration", "evaluations"),
+    )
+    size: list[int] = key(
+        [760, 340],
+        "width and height in pixels; of searches of each task",
+        low=64,
+        high=8192,
+        form="[width,height]",
+    )
     file: str = key("curves.png", "picture to write: .png, .svg or .pdf", path="written")
     output_dir: str = key("outputs", "folder that runs are looked up in", path="written")
 

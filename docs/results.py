@@ -158,7 +158,7 @@ def export(folders: Sequence[Path], before: Sequence[Mapping[str, str]] = ()) ->
     best = {one.task: one for one in sorted(members, key=lambda one: one.winner.fitness)}
     for task, member in best.items():
         held = rows.get(task)
-        if task not in robots and (held is None or member.winner.fitness > float(held["evaluation"])):
+        if task not in robots and (held is None or member.winner.fitness > float(held["evaluation"] or "-inf")):
             rows[task] = _search(member)
     return list((rows | {task: _robot(task) for task in robots}).values())
 

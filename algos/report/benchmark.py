@@ -68,8 +68,9 @@ def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, 
         "generations": "".join(_generations(task, _winners(groups)[task]) for task in groups) or NOTHING,
     } | {x: "".join(f"<div>{one}</div>" for one in charts) or NOTHING for x, charts in panels.items()}
     _write_table(folder / "results.csv", members)
+    names = f"{len(series)} searches" if len(series) != 1 else "1 search"
     title = f"{len(groups)} tasks" if len(groups) != 1 else next(iter(groups))
-    write_text(folder / FILE, page("benchmark.html", f"{title} · {len(series)} searches", slots))
+    write_text(folder / FILE, page("benchmark.html", f"{title} · {names}", slots))
     return folder / FILE
 
 

@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from warpvox.algos.candidate import Candidate, Outcome
+from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.report.gallery import COLUMNS, TILE, draw_gallery, everywhere
 from warpvox.algos.statistics import mean_interval
 from warpvox.cli.commands.curves import _points, curves_of
 from warpvox.cli.runs import Run
+from warpvox.design import sample_design
 from warpvox.envs.registry import task_ids
 from warpvox.errors import RunError
 from warpvox.types import Cell
@@ -123,3 +126,50 @@ def test_the_gallery_shows_a_robot_in_every_task(warpvox: Callable) -> None:
         for cell in (Cell.H_ACT, Cell.V_ACT):  # at rest
             colour = palette()[LEVELS * (cell - 1) + LEVELS // 2].astype(int)
             assert (np.abs(tile - colour).max(axis=-1) < 4).sum() > 60, task_ids()[number]
+
+
+def make_searches(root: Path) -> None:
+    for task in ("Walker-v0", "Carrier-v0"):
+        for seed in range(2):
+            folder = root / task / "ga" / f"seed{seed}"
+            folder.mkdir(parents=True)
+            with Archive.create(folder / FILE, {"task": task, "seed": seed, "search": {"algorithm": "ga"}}) as archive:
+                bodies = [sample_design((3, 3), 10 * seed + k) for k in range(2)]
+                archive.propose([Candidate(k, body) for k, body in enumerate(bodies)], seed)
+                archive.finish([Finished(k, Outcome(seed + 2.0 * k, [(5, 1.0)], 100)) for k in range(2)])
+
+
+def test_curves_of_design_searches_have_a_panel_for_each_task(warpvox: Callable) -> None:
+    pytest.importorskip("matplotlib")
+    make_searches(Path("suite"))
+    outcome = warpvox("curves", "runs=[suite]", "x=evaluations", "size=[300,200]")
+    assert outcome.code == 0, outcome.err
+    with Image.open("curves.png") as picture:
+        assert picture.size == (600, 200)
+    with Path("curves.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    expected = mean_interval([2.0, 3.0])
+    for task in ("Walker-v0", "Carrier-v0"):
+        own = [row for row in rows if row["settings"] == f"{task}, ga"]
+        assert [(row["evaluations"], row["n"], float(row["mean"])) for row in own] == [("1", "2", 0.5), ("2", "2", 2.5)]
+        assert float(own[-1]["low"]) == pytest.approx(expected.low)
+    assert warpvox("curves", "runs='suite/*/*/seed1'", "file=one.svg").code == 0
+    assert len(Path("one.csv").read_text().splitlines()) == 1 + 2 * 2
+    outcome = warpvox("curves", "runs=[suite]", "x=elapsed")
+    assert "x of design searches must be one of steps, evaluations" in outcome.err.replace("\n", " ")
+    make_run(Path("a"), [(10, 0.0)])
+    assert "a is none and has none in it" in warpvox("curves", "runs=[a,suite]").err
+    assert "x of trainings" in warpvox("curves", "runs=[a]", "x=evaluations").err
+
+
+def test_one_report_of_several_searches(warpvox: Callable) -> None:
+    make_searches(Path("suite"))
+    outcome = warpvox("codesign", "report=suite")
+    assert outcome.code == 0, outcome.err
+    assert "report of 4 design searches" in outcome.out
+    assert "2 tasks · 1 search<" in Path("suite/report.html").read_text(encoding="utf-8")
+    outcome = warpvox("codesign", "report=[suite/Walker-v0/ga/seed0,suite/Carrier-v0]")
+    assert outcome.code == 0, outcome.err
+    (page,) = Path("outputs/report/several").glob("*/report.html")
+    assert len((page.parent / "results.csv").read_text().splitlines()) == 1 + 3
+    assert "There is no design search at nowhere" in warpvox("codesign", "report=nowhere").err

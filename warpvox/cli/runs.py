@@ -34,6 +34,7 @@ __all__ = [
     "find_codesign",
     "find_run",
     "find_runs",
+    "find_searches",
     "find_suite",
     "going_on",
     "label",
@@ -201,6 +202,31 @@ def find_suite(text: str, output_dir: str) -> Run:
     if not {"tasks", "searches", "seeds"} <= content.keys():
         raise RunError(f"{folder} is not a suite: its {CONFIG} is that of another run.")
     return Run(folder, content)
+
+
+def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
+    """The folders of the design searches that ``texts`` name, each once; none if they name anything else.
+
+    A text is ``latest``, the folder of a search, one that searches lie in (that of a suite), or a pattern of such.
+
+    Raises:
+        RunError: some of the texts name searches and others do not.
+    """
+    from warpvox.algos.report.members import archives_in
+
+    found: dict[Path, Path] = {}
+    others = []
+    for text in texts:
+        pattern = os.path.expanduser(text)
+        paths = [Path(pattern)] if Path(pattern).exists() else sorted(map(Path, glob.glob(pattern, recursive=True)))
+        if text == "latest":
+            paths = [_latest(Path(output_dir), (*TRAINING, CODESIGN))]
+        folders = [folder for path in paths for folder in archives_in(path)]
+        found |= {folder.resolve(): folder for folder in folders}
+        others += [] if folders else [text]
+    if found and others:
+        raise RunError(f"Some of what is named are design searches; {listing(others)} is none and has none in it.")
+    return list(found.values())
 
 
 def _best_design(folder: Path) -> Path:

@@ -36,11 +36,11 @@ from warpvox.cli.evaluations import (
     screened_values,
 )
 from warpvox.cli.fresh_seeds import evaluate_winner, fresh_text
-from warpvox.cli.runs import CONFIG, END, find_codesign, read_summary, run_folder
+from warpvox.cli.runs import CONFIG, END, find_codesign, find_searches, new_folder, read_summary, run_folder
 from warpvox.cli.trust import STORED, again, as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
-from warpvox.errors import ConfigError, RunError, StorageError
+from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.writing import check_writable
 
 if TYPE_CHECKING:
@@ -381,7 +381,12 @@ def write_again(config: CodesignConfig, console: Console) -> Path:
     from warpvox.cli.build import shown
     from warpvox.cli.codesign_progress import Results
 
-    source = find_codesign(config.report, config.output_dir)
+    texts = [str(text) for text in (config.report if isinstance(config.report, list) else [config.report])]
+    if texts != ["latest"]:
+        searches = find_searches(texts, config.output_dir)
+        if len(texts) > 1 or searches not in ([], [Path(texts[0]).expanduser()]):
+            return compare(config, texts, searches, console)
+    source = find_codesign(texts[0], config.output_dir)
     stored = load_values("codesign", source.config)
     with Archive.read(source.folder / ARCHIVE) as archive:
         results = Results(source.folder, archive, dataclasses.replace(stored, top=config.top))
@@ -390,6 +395,22 @@ def write_again(config: CodesignConfig, console: Console) -> Path:
         echo(console, shown(results.report(read_summary(source.folder) or {"status": "running"})))
         write_exports(archive, source.folder, config.export, console)
     return source.folder
+
+
+def compare(config: CodesignConfig, texts: list[str], searches: list[Path], console: Console) -> Path:
+    """Write one report of several searches: into the folder that they lie in, if one was named, or a new one."""
+    from warpvox.algos.report.benchmark import write_benchmark
+
+    if not searches:
+        raise RunError(f"There is no design search at {listing(texts)}: expected latest, folders or a pattern of some.")
+    home = Path(texts[0]).expanduser()
+    if len(texts) == 1 and home.is_dir():
+        page = write_benchmark(home, searches)
+    else:
+        with new_folder(config.output_dir, "report", "several", config.name, to_yaml(config)) as folder:
+            page = write_benchmark(folder, searches)
+    echo(console, f"report of {len(searches)} design searches: {page.resolve().as_uri()}")
+    return page.parent
 
 
 def conclude(console: Console, summary: dict[str, Any], folder: Path, config: CodesignConfig) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from warpvox.algos.report.members import Member, progress, read_members
 from warpvox.algos.statistics import LEVEL, mean_interval
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.cli.application import run_command
 from warpvox.cli.console import echo, escaped, literal
 from warpvox.cli.run_groups import Group, group_runs
-from warpvox.cli.runs import Run, find_runs
+from warpvox.cli.runs import Run, find_runs, find_searches
 from warpvox.configs.schema import CurvesConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.writing import atomic_path, write_table
@@ -26,7 +27,10 @@ from warpvox.io.writing import atomic_path, write_table
 __all__ = ["Curve", "curves_of", "run", "write_curves"]
 
 SUFFIXES = (".png", ".svg", ".pdf")
-AXES = {"steps": "control steps", "elapsed": "seconds", "iteration": "iterations"}
+AXES = {"steps": "control steps", "elapsed": "seconds", "iteration": "iterations", "evaluations": "designs trained"}
+AXES_OF_RUNS, AXES_OF_SEARCHES = ("steps", "elapsed", "iteration"), ("steps", "evaluations")
+PANELS = 4
+"""Pictures beside each other at most."""
 COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
 STYLES = ("-", "--", ":", "-.")
 """Of groups that the colours do not suffice for."""
@@ -61,17 +65,52 @@ def run(words: list[str]) -> None:
 
 def _draw(config: CurvesConfig, console: Console) -> None:
     check_file(config.file)
+    searches = find_searches(config.runs, config.output_dir)
+    what, axes = ("design searches", AXES_OF_SEARCHES) if searches else ("trainings", AXES_OF_RUNS)
+    if config.x not in axes:
+        raise ConfigError(f"x of {what} must be one of {listing(axes)}, got '{config.x}'.")
+    if searches:
+        _draw_searches(searches, config, console)
+    else:
+        _draw_runs(config, console)
+
+
+def _draw_runs(config: CurvesConfig, console: Console) -> None:
     found = find_runs(config.runs, config.output_dir)
     judged = [each_run for each_run in found if _evaluations(each_run)]
     if not judged:
         raise RunError(f"The run {found[0].folder} has no evaluation yet: there is nothing to draw.")
     curves = curves_of(judged, config.x)
     path = write_curves(curves, config.file, config.x, (config.size[0], config.size[1]))
-    _print(curves, config.x, console)
+    _print({"": curves}, config.x, console)
     if len(judged) < len(found):
         left = listing(each_run.folder.name for each_run in found if each_run not in judged)
         echo(console, f"left out, without an evaluation yet: {left}")
     echo(console, f"curves: {path}\ntable: {path.with_suffix('.csv')}")
+
+
+def _draw_searches(folders: Sequence[Path], config: CurvesConfig, console: Console) -> None:
+    members = [one for one in read_members(folders) if len(one.best)]
+    if not members:
+        raise RunError("None of the design searches has evaluated a design yet: there is nothing to draw.")
+    panels = curves_of_searches(members, config.x)
+    path = write_curves(panels, config.file, config.x, (config.size[0], config.size[1]))
+    _print(panels, config.x, console)
+    echo(console, f"curves: {path}\ntable: {path.with_suffix('.csv')}")
+
+
+def curves_of_searches(members: Sequence[Member], x: str = "steps") -> dict[str, list[Curve]]:
+    """The best return of design searches over ``steps`` or ``evaluations``: by task a curve for each search.
+
+    A search that has ended before others keeps its best return.
+    """
+    panels: dict[str, list[Curve]] = {}
+    for task, name in dict.fromkeys((one.task, one.search) for one in members):
+        runs = [one for one in members if (one.task, one.search) == (task, name)]
+        places, values = progress(runs, x)
+        points = tuple(np.stack([places, column]) for column in values.T)
+        panels.setdefault(task, []).append(_mean_curve(Group(name, tuple(runs)), places, values, points))
+    return panels
 
 
 def curves_of(runs: Sequence[Run], x: str = "steps") -> list[Curve]:
@@ -91,9 +130,14 @@ def _curve(group: Group, runs: list[np.ndarray]) -> Curve:
         return Curve(group, runs[0][0], runs[0][1], unknown, unknown, tuple(runs))
     places = np.linspace(max(points[0, 0] for points in runs), max(points[0, -1] for points in runs), POINTS)
     values = np.stack([np.interp(places, *points) for points in runs], axis=1)
+    return _mean_curve(group, places, values, tuple(runs))
+
+
+def _mean_curve(group: Group, places: np.ndarray, values: np.ndarray, runs: tuple[np.ndarray, ...]) -> Curve:
+    """The curve of values ``[places, runs]``."""
     intervals = [mean_interval(row) for row in values]
     mean, low, high = (np.array([getattr(i, name) for i in intervals]) for name in ("mean", "low", "high"))
-    return Curve(group, places, mean, low, high, tuple(runs))
+    return Curve(group, places, mean, low, high, runs)
 
 
 def _evaluations(found: Run) -> list[dict[str, float]]:
@@ -112,15 +156,18 @@ def _points(found: Run, x: str) -> np.ndarray:
 
 
 def write_curves(
-    curves: Sequence[Curve], path: str | os.PathLike[str], x: str = "steps", size: tuple[int, int] = (760, 340)
+    curves: Sequence[Curve] | Mapping[str, Sequence[Curve]],
+    path: str | os.PathLike[str],
+    x: str = "steps",
+    size: tuple[int, int] = (760, 340),
 ) -> Path:
     """Draw curves: runs thin, their mean thick, its 95 % interval as a band; the same numbers as CSV beside it.
 
     Args:
-        curves: see :func:`curves_of`.
+        curves: see :func:`curves_of`; or those of several pictures beside each other, by their titles.
         path: .png, .svg or .pdf; written whole or not at all.
         x: what they are over.
-        size: in pixels.
+        size: in pixels, of each picture.
 
     Raises:
         ConfigError: another suffix, or matplotlib is not installed.
@@ -131,8 +178,24 @@ def write_curves(
         from matplotlib.figure import Figure
     except ImportError:
         raise ConfigError("Curves need matplotlib, which is not installed: pip install 'warpvox[view]'.") from None
-    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, layout="constrained")
-    axes = figure.add_subplot()
+    panels = curves if isinstance(curves, Mapping) else {"": curves}
+    columns = min(PANELS, len(panels))
+    rows = -(-len(panels) // columns)
+    inches = (columns * size[0] / 100, rows * size[1] / 100)
+    figure = Figure(figsize=inches, dpi=100, layout="constrained")
+    for number, (title, several) in enumerate(panels.items()):
+        axes = figure.add_subplot(rows, columns, number + 1, title=escaped(title))
+        _plot(several, axes)
+        _dress(axes, AXES[x])
+        axes.locator_params(axis="x", nbins=max(2, size[0] // 110))
+    # Equal runs make equal files: names inside an SVG are hashes with a random salt otherwise.
+    with atomic_path(target) as temporary, rc_context({"svg.hashsalt": "warpvox"}):
+        figure.savefig(temporary, format=target.suffix[1:].lower(), metadata=_no_date(target.suffix))
+    _write_csv(panels, target.with_suffix(".csv"), x)
+    return target
+
+
+def _plot(curves: Sequence[Curve], axes: Any) -> None:
     for number, curve in enumerate(curves):
         turn, place = divmod(number, len(COLOURS))
         look = {"color": COLOURS[place], "linestyle": STYLES[turn % len(STYLES)]}
@@ -142,12 +205,6 @@ def write_curves(
                 axes.plot(*points, **look, linewidth=0.8, alpha=0.3)
         label = escaped(curve.group.title).replace("$", r"\$")
         axes.plot(curve.places, curve.mean, **look, linewidth=2.2, label=label)
-    _dress(axes, AXES[x])
-    # Equal runs make equal files: names inside an SVG are hashes with a random salt otherwise.
-    with atomic_path(target) as temporary, rc_context({"svg.hashsalt": "warpvox"}):
-        figure.savefig(temporary, format=target.suffix[1:].lower(), metadata=_no_date(target.suffix))
-    _write_csv(curves, target.with_suffix(".csv"), x)
-    return target
 
 
 def check_file(path: str | os.PathLike[str]) -> Path:
@@ -158,27 +215,29 @@ def check_file(path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def _write_csv(curves: Sequence[Curve], path: Path, x: str) -> None:
+def _write_csv(panels: Mapping[str, Sequence[Curve]], path: Path, x: str) -> None:
     rows = []
-    for curve in curves:
+    for title, curve in ((title, curve) for title, several in panels.items() for curve in several):
+        label = f"{title}, {curve.group.label}" if title else curve.group.label
         for numbers in zip(curve.places, curve.mean, curve.low, curve.high, strict=True):
             place, *others = (f"{number:.9g}" if math.isfinite(number) else "" for number in numbers)
-            rows.append([curve.group.label, place, curve.n, *others])
+            rows.append([label, place, curve.n, *others])
     write_table(path, ("settings", x, "n", "mean", "low", "high"), rows)
 
 
-def _print(curves: Sequence[Curve], x: str, console: Console) -> None:
+def _print(panels: Mapping[str, Sequence[Curve]], x: str, console: Console) -> None:
     """Where the curves end, and the best evaluations, over the runs of each group."""
     percent = f"{100 * LEVEL:g} %"
     table = Table(title=f"deterministic return, mean of n runs [{percent} interval, Student's t]".replace("[", r"\["))
     table.title_justify = "left"
     for heading in ("settings", "n", AXES[x], "last return", "best return"):
         table.add_column(heading, justify="left" if heading == "settings" else "right", overflow="fold")
-    for curve in curves:
+    for title, curve in ((title, curve) for title, several in panels.items() for curve in several):
+        label = f"{title}, {curve.group.label}" if title else curve.group.label
         last = mean_interval([points[1, -1] for points in curve.runs])
         best = mean_interval([points[1].max() for points in curve.runs])
         end = f"{max(points[0, -1] for points in curve.runs):,.0f}"
-        table.add_row(*map(literal, (curve.group.label, curve.n, end, last, best)))
+        table.add_row(*map(literal, (label, curve.n, end, last, best)))
     console.print(table)
 
 
