@@ -19,7 +19,7 @@ from hypothesis.strategies import SearchStrategy
 from warpvox.errors import WarpvoxError
 
 SECONDS = 30
-"""That one input may take; the slowest takes one, but a shared machine may stall."""
+"""Of the processor, that one input may take; the slowest takes one."""
 MEMORY = 64_000_000
 """Bytes that one input (none is longer than a few hundred kilobytes) may take, as Python and numpy take it."""
 ADDRESSES = 2_000_000_000
@@ -35,12 +35,12 @@ def bounded(memory: int | None = MEMORY, seconds: float = SECONDS) -> Iterator[N
     def stop(*_: object) -> None:
         pytest.fail(f"took more than {seconds} s")
 
-    before = signal.signal(signal.SIGALRM, stop), resource.getrlimit(resource.RLIMIT_AS)
+    before = signal.signal(signal.SIGPROF, stop), resource.getrlimit(resource.RLIMIT_AS)
     taken = Path("/proc/self/statm")
     if taken.exists():
         limit = int(taken.read_text().split()[0]) * resource.getpagesize() + ADDRESSES
         resource.setrlimit(resource.RLIMIT_AS, (limit, before[1][1]))
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.setitimer(signal.ITIMER_PROF, seconds)  # of this process alone: a shared machine may stall
     if memory is not None:
         tracemalloc.start()
     try:
@@ -48,8 +48,8 @@ def bounded(memory: int | None = MEMORY, seconds: float = SECONDS) -> Iterator[N
         assert memory is None or tracemalloc.get_traced_memory()[1] < memory, "took too much memory"
     finally:
         tracemalloc.stop()
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before[0])
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before[0])
         resource.setrlimit(resource.RLIMIT_AS, before[1])
 
 
