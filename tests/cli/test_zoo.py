@@ -7,10 +7,13 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from warpvox.algos.candidate import Candidate, Outcome
+from warpvox.algos.codesign.archive import Archive, Finished
 from warpvox.cli.config import load
-from warpvox.cli.robot_entries import command_of
+from warpvox.cli.robot_entries import command_of, trained
 from warpvox.robots.entry import read_robot, save_robot, zoo, zoo_tasks
 from warpvox.view.rollout import Rollout
 
@@ -91,3 +94,14 @@ def test_the_command_of_a_configuration_is_the_shortest(line: str) -> None:
     command, *words = line.split()[1:]
     told = command_of(command, dataclasses.asdict(load(command, words)))
     assert sorted(told.split()) == sorted(line.split())
+
+
+def test_designs_that_were_only_compared_give_no_entry(tmp_path: Path) -> None:
+    rows = [("mutation", 9.0, None), ("finalist", 1.0, "a.pt"), ("finalist", 2.0, "b.pt"), ("random", 8.0, "c.pt")]
+    bodies = [np.array([[3, kind]], np.int8) for kind in range(4)]
+    with Archive.create(tmp_path / "archive.sqlite", {}) as archive:
+        archive.propose([Candidate(k, bodies[k], (), rows[k][0]) for k in range(4)], seed=0)
+        archive.finish([Finished(k, Outcome(rows[k][1]), rows[k][2]) for k in (0, 3)])
+        assert [record.policy for record in trained(archive)] == ["c.pt"]
+        archive.finish([Finished(k, Outcome(rows[k][1]), rows[k][2]) for k in (1, 2)])
+        assert [record.policy for record in trained(archive)] == ["b.pt", "a.pt"]

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE as ARCHIVE
-from warpvox.algos.codesign.archive import Archive
+from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, options_of
 from warpvox.cli.runs import Run, find_codesign, find_run, read_summary
@@ -24,7 +25,7 @@ from warpvox.errors import RunError
 from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.robots.replay import network_of, recorded
 
-__all__ = ["Outcome", "add", "command_of", "find_sources"]
+__all__ = ["Outcome", "add", "command_of", "find_sources", "trained"]
 
 GROUPS = {"train": ("ppo",), "codesign": ("search", "training")}
 """Groups of keys whose YAML files shorten a command."""
@@ -84,12 +85,18 @@ def add(source: Path, folder: Path, top: int) -> Outcome:
 def _of_search(folder: Path, top: int) -> Iterator[Robot]:
     run = find_codesign(str(folder), "")
     with Archive.read(folder / ARCHIVE) as archive:
-        records = [record for record in archive.best(top) if record.policy is not None]
+        records = trained(archive)[:top]
         steps = sum(row["steps"] or 0 for row in archive.generations())
     about = _about(run, "codesign") | {"control_steps": steps}
     for record in records:
         known = about | {"design": record.id, "design_steps": record.steps, "fitness": record.fitness}
         yield _robot(run.config["task"], record.candidate.body, folder / record.policy, known)
+
+
+def trained(archive: Archive) -> list[Record]:
+    """The designs with a policy of their own, the best first; finalists alone, where others were only compared."""
+    records = [record for record in archive.best(max(1, archive.count())) if record.policy is not None]
+    return [record for record in records if record.candidate.origin == FINALIST] or records
 
 
 def _of_run(path: Path) -> Iterator[Robot]:
