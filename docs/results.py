@@ -11,7 +11,6 @@ task the one with the best return stays, that of the table included. ``tests/doc
 from __future__ import annotations
 
 import csv
-import io
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -26,7 +25,7 @@ from warpvox.cli.robot_entries import command_of
 from warpvox.cli.runs import find_codesign
 from warpvox.envs import known_returns as known
 from warpvox.envs.registry import task_ids
-from warpvox.io.writing import write_text
+from warpvox.io import writing
 from warpvox.robots import zoo_tasks
 
 FOLDER = Path(__file__).resolve().parent
@@ -138,11 +137,7 @@ def read_table(path: Path = TABLE) -> list[dict[str, str]]:
 def write_table(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """Write rows in the order of the tasks; columns are those of the first."""
     ordered = sorted(rows, key=lambda row: task_ids().index(row["task"]))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(ordered[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(ordered)
-    write_text(path, text.getvalue())
+    writing.write_table(path, ordered[0], [row.values() for row in ordered])
 
 
 def export(folders: Sequence[Path], before: Sequence[Mapping[str, str]] = ()) -> list[dict[str, str]]:
@@ -227,4 +222,4 @@ if __name__ == "__main__":
     elif sys.argv[1:2] == ["export"]:
         write_table(TABLE, export([Path(text) for text in sys.argv[2:]], read_table()))
     else:
-        write_text(PAGE, page(read_table()))
+        writing.write_text(PAGE, page(read_table()))

@@ -6,8 +6,6 @@ It is made from archives alone, also while the searches are running. Formulas an
 from __future__ import annotations
 
 import base64
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -23,7 +21,7 @@ from warpvox.algos.report.page import fact_list, page, row
 from warpvox.algos.statistics import Interval
 from warpvox.envs.known_returns import known_returns
 from warpvox.envs.registry import task_ids
-from warpvox.io.writing import write_text
+from warpvox.io.writing import write_table, write_text
 from warpvox.view.body_picture import body_svg, write_bodies
 
 __all__ = ["FILE", "write_benchmark"]
@@ -190,17 +188,14 @@ def _gallery(path: Path, groups: Groups) -> str:
 
 def _write_table(path: Path, members: Sequence[Member]) -> None:
     """A row for each search."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    fresh = ("mean", "low", "high", "episodes")
-    names = ("task", "search", "seed", "best_return", "design", "evaluations", "steps", "seconds")
-    writer.writerow([*names, *(f"fresh_{name}" for name in fresh), "folder"])
+    fresh, rows = ("mean", "low", "high", "episodes"), []
     for one in members:
-        winner = [one.winner.fitness, one.winner.id] if one.winner else ["", ""]
+        winner = [one.winner.fitness, one.winner.id] if one.winner else [None, None]
         spent = [len(one.evaluations), int(one.steps[-1]) if len(one.steps) else 0, one.seconds]
-        values = [one.task, one.search, one.seed, *winner, *spent, *(one.fresh.get(name) for name in fresh)]
-        writer.writerow([*values, one.folder])
-    write_text(path, text.getvalue())
+        judged = [one.fresh.get(name) for name in fresh]
+        rows.append([one.task, one.search, one.seed, *winner, *spent, *judged, one.folder])
+    names = ("task", "search", "seed", "best_return", "design", "evaluations", "steps", "seconds")
+    write_table(path, [*names, *(f"fresh_{name}" for name in fresh), "folder"], rows)
 
 
 # --------------------------------------------------------------------------------------------------------- curves

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -14,6 +14,7 @@ RUNS = st.lists(st.floats(-10, 10), min_size=1, max_size=7).map(np.array)
 SCORES = st.dictionaries(st.sampled_from("abcd"), RUNS, min_size=1)
 
 
+@settings(max_examples=40)
 @given(SCORES)
 def test_the_middle_half_is_scipys_trimmed_mean(scores: dict[str, np.ndarray]) -> None:
     runs = np.concatenate(list(scores.values()))
@@ -21,6 +22,7 @@ def test_the_middle_half_is_scipys_trimmed_mean(scores: dict[str, np.ndarray]) -
     assert mean(scores) == pytest.approx(runs.mean(), abs=1e-9)
 
 
+@settings(max_examples=40)
 @given(SCORES, SCORES)
 def test_improvement_is_the_mann_whitney_statistic(first: dict, second: dict) -> None:
     tasks = first.keys() & second.keys()
