@@ -40,7 +40,9 @@ class _SuiteKeys:
         "local", "where members are made: in processes of this machine, or in tasks of Ray", choices=("local", "ray")
     )
     workers: int | None = key(
-        None, "members at a time; null: one for each core (device=cuda: one); executor=ray: what the cluster has", low=1
+        None,
+        "members at a time; null: one a core, as far as memory goes (device=cuda: one; ray: what there is room for)",
+        low=1,
     )
     resume: str | None = key(
         None, "go on with a suite: latest or its folder; more tasks, searches and seeds may be named", path="read"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,7 +35,7 @@ from warpvox.devices.names import resolve_device
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.writing import check_writable
-from warpvox.system import usable_cores
+from warpvox.system import available_memory, usable_cores
 
 __all__ = ["Job", "make_member", "run", "suite"]
 
@@ -42,6 +43,8 @@ GROWING = ("tasks", "searches", "seeds")
 """Keys that may get more entries when a suite is resumed."""
 CHANGEABLE = (*GROWING, "retry", *codesign.CHANGEABLE)
 POLL_SECONDS = 0.5
+PROCESS_BYTES = 1_000_000_000
+"""Of memory that a process should find free: PyTorch, Warp and a small search take half of it."""
 
 
 @dataclass
@@ -181,7 +184,7 @@ def _make(table: Table, members: list[Member], config: SuiteConfig, console: Con
                     row = table.rows[number]
                     row.folder.mkdir(parents=True, exist_ok=True)
                     pool.begin(number, dataclasses.replace(members[number].config, threads=threads), row.folder)
-                    row.state, running[number] = RUNNING, row
+                    row.state, row.began, running[number] = RUNNING, time.monotonic(), row
                 for number, outcome in pool.wait(POLL_SECONDS):
                     row = running.pop(number)
                     row.state = {"done": DONE, "failed": FAILED}.get(outcome["status"], WAITING)
@@ -209,6 +212,8 @@ def _pool(config: SuiteConfig, members: int, first: CodesignConfig) -> tuple[Poo
         return RayPool(make_member, config.workers, config.address, threads, gpus), threads
     cores, envs = usable_cores(), first.search.population * first.training.envs
     room = cores if resolve_device(config.device, envs) == "cpu" else 1
+    free = available_memory()
+    room = room if free is None else max(1, min(room, free // PROCESS_BYTES))
     workers = min(config.workers or room, members)
     return LocalPool(make_member, workers), config.threads or max(1, cores // workers)
 

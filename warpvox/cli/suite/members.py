@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from warpvox.cli.evaluations import is_screened
 from warpvox.cli.runs import read_summary
 from warpvox.cli.suite.plan import Member
 from warpvox.errors import RunError
-from warpvox.io.writing import write_text
+from warpvox.io.writing import check_folder, write_table
 
 __all__ = ["CURVES", "DONE", "FAILED", "MEMBERS", "RUNNING", "WAITING", "Row", "Table", "rises"]
 
@@ -29,7 +29,10 @@ CURVE_COLUMNS = ("task", "search", "seed", "evaluations", "control_steps", "best
 
 @dataclass
 class Row:
-    """A member: its run's folder, the evaluations that it may spend, its state and the error that it has ended with."""
+    """A member: its run's folder, the evaluations that it may spend, its state and the error that it has ended with.
+
+    ``began``: when it was begun or gone on with, by the monotonic clock.
+    """
 
     task: str
     search: str
@@ -39,6 +42,7 @@ class Row:
     state: str = WAITING
     error: str = ""
     curve: list[tuple[int, int, float]] | None = None
+    began: float | None = None
 
     @property
     def key(self) -> tuple[str, str, int]:
@@ -57,6 +61,7 @@ class Table:
 
     def __init__(self, folder: Path, rows: list[Row]) -> None:
         self.folder, self.rows = folder, rows
+        self._written: list[tuple[Any, ...]] | None = None
 
     @classmethod
     def of_members(cls, folder: Path, members: Iterable[Member], retry: bool = False) -> Table:
@@ -101,17 +106,19 @@ class Table:
 
     def write(self) -> None:
         """Write ``members.csv``, by task, search and seed."""
+        check_folder(self.folder)
         lines = []
         for row in self._sorted():
-            figures = {name: "" if value is None else value for name, value in row.figures().items()}
             place = row.folder.relative_to(self.folder).as_posix()
-            lines.append((*row.key, row.state, *figures.values(), place, row.error))
-        write_text(self.folder / MEMBERS, _csv(COLUMNS, lines), make_folders=False)
+            lines.append((*row.key, row.state, *row.figures().values(), place, row.error))
+        if lines != self._written:
+            write_table(self.folder / MEMBERS, COLUMNS, lines)
+            self._written = lines
 
     def write_curves(self) -> None:
         """Write ``curves.csv``: the best fitness so far of each member, a line wherever it rises and one at the end."""
         lines = [(*row.key, *point) for row in self._sorted() for point in self._curve(row) or ()]
-        write_text(self.folder / CURVES, _csv(CURVE_COLUMNS, lines), make_folders=False)
+        write_table(self.folder / CURVES, CURVE_COLUMNS, lines)
 
     def archives(self) -> list[Path]:
         """The folders of the runs that have an archive which can be read."""
@@ -143,11 +150,3 @@ def rises(member: SearchResult) -> list[tuple[int, int, float]]:
         if not kept or point[2] > kept[-1][2] or point[0] == last:
             kept.append(point)
     return kept
-
-
-def _csv(columns: Sequence[str], lines: Iterable[Sequence[Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(lines)
-    return text.getvalue()

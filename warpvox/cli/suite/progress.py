@@ -105,7 +105,8 @@ def _cells(row: Row) -> Iterator[Any]:
     figures = row.figures()
     yield from (*row.key, row.state, f"{figures['evaluations'] or 0}/{row.total}")
     yield from (f"{figures['control_steps'] or 0:,}", figure(_number(figures["best_fitness"])))
-    yield duration(_number(figures["wall_s"], 0.0))
+    spent = _number(figures["wall_s"], 0.0)
+    yield duration(time.monotonic() - row.began if row.state == RUNNING and row.began else spent)
 
 
 def _number(value: Any, default: float = math.nan) -> float:
