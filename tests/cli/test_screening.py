@@ -100,6 +100,7 @@ def test_a_search_by_waves(warpvox: Callable) -> None:
     assert played(warpvox, folder) == pytest.approx(figures["best_fitness"], abs=ROUNDING)
 
 
+@pytest.mark.slow
 def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
     words = "policy=grid", "network={width:8}", "training.method=sequential", "training.inherit=true"
     folder = search(warpvox, *words, "search.max_evaluations=3")
@@ -135,6 +136,7 @@ def test_keys_that_do_not_go_together_are_refused(words: str, says: str) -> None
         check(load("codesign", ["shape=[3,3]", "threads=1", *words.split()]))
 
 
+@pytest.mark.slow
 def test_a_pretrained_policy_that_does_not_fit_is_refused(warpvox: Callable, train: Callable) -> None:
     train(*TRAINED, "designs.held_out=random:2:3x3")
     words = [word for word in TINY if not word.startswith("shape")]

@@ -118,7 +118,12 @@ def test_a_pretrained_policy_for_other_bodies_is_refused(pretrained: dict[str, A
 
 
 @pytest.mark.parametrize(
-    ("kind", "moment"), [("shared", "first"), ("shared", "second"), ("shared", "stored"), ("few_shot", "second")]
+    ("kind", "moment"),
+    [
+        ("shared", "second"),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("shared", "first"), ("few_shot", "second"))),
+        ("shared", "stored"),
+    ],
 )
 def test_killed_at_any_moment_it_is_the_undisturbed_search(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pretrained: dict[str, Any], kind: str, moment: str
