@@ -1,5 +1,8 @@
 """Redraws the pictures of the documentation; ``make pictures`` runs it. Not part of the library.
 
+``python docs/pictures.py RUN`` draws those of a training over many bodies alone: the GIF of held-out bodies under its
+policy, and ``held_out.png``, which it has left.
+
 Trains a walker from three seeds, then draws with the commands that users have. The two screenshots need Playwright and
 a Chromium of the system.
 """
@@ -54,6 +57,17 @@ def draw() -> None:
     photograph(newest("play/UpStepper-v0/*") / "rollout.html")
 
 
+def draw_bodies(run: Path) -> None:
+    """Twelve of the held-out bodies of a run, evenly chosen by their returns, and the sheet of all of them."""
+    from warpvox.cli.exports import tiles_of
+
+    command("play", f"run={run}", "num_envs=32", "export=[]", "window=off", f"output_dir={WORK}")
+    rollout = Rollout.load(newest("play/*/*") / "rollout.npz")
+    film = {"size": (600, 300), "fps": 8, "every": 2, "stop": 260, "voxels": 9}
+    write_gif(rollout, IMAGES / "universal.gif", envs=tiles_of(rollout, 12), **film)
+    shutil.copy(run / "held_out.png", IMAGES / "held_out.png")
+
+
 def photograph(page_file: Path) -> None:
     """Screenshots of the page and of the editor."""
     from playwright.sync_api import sync_playwright
@@ -91,4 +105,7 @@ def save(screenshot: bytes, name: str) -> None:
 
 
 if __name__ == "__main__":
-    draw()
+    if len(sys.argv) > 1:
+        draw_bodies(Path(sys.argv[1]))
+    else:
+        draw()

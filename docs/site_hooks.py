@@ -22,6 +22,7 @@ ORDER = (
     "evaluation",
     "policies",
     "universal",
+    "design_in_episode",
     "results",
     "physics",
     "paper",

@@ -136,7 +136,7 @@ def design_episodes(
     threads: int | None = None,
     max_episode_steps: int | None = None,
     obs: str = "voxel",
-    arithmetic: str | None = None,
+    arithmetic: str = "fast",
     memory_check: bool = True,
 ) -> DesignVecEnv:
     """Make environments in which the body is designed within the episode.
@@ -162,7 +162,8 @@ def design_episodes(
         max_episode_steps: time limit of the control stage.
 
     Raises:
-        ConfigError: a value that is not valid, or a task with several robots. DesignError: a ``start`` that is no grid
+        ConfigError: a value that is not valid, or a task with several robots. SimulationError: exact arithmetic, in
+            which bodies cannot be exchanged. DesignError: a ``start`` that is no grid
             of ``shape``. WorldError: the largest body does not fit. And what ``make_vec`` raises.
     """
     given = {"revise": revise, "actions": actions, "invalid": invalid}

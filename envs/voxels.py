@@ -92,16 +92,16 @@ class VoxelGrid:
         grids = [sim.object_grid(name, design) for design in range(sim.num_designs)]
         corners = np.zeros((len(grids), count, 4), np.int64)
         known = np.zeros((len(grids), count, 9))
-        actions = np.full((len(grids), sim.num_actions), -1, np.int64)
+        actions, spans = np.full((len(grids), sim.num_actions), -1, np.int64), sim.action_columns
         for design, grid in enumerate(grids):
             rows, columns = np.nonzero(grid)
             cells = rows * self.columns + columns
             corners[design, cells] = sim.voxel_corners(name, design)
             known[design, :, : len(CELLS)] = self._types(grid)
             known[design, cells, len(CELLS) :] = _linked(sim.worlds[design].objects[name])[rows, columns]
-            body = next(body for body in sim.designs[design].bodies if body.name == name)
+            first = spans[design][name].start
             driving = np.isin(grid[rows, columns], (int(Cell.H_ACT), int(Cell.V_ACT)))
-            actions[design, body.first_action : body.first_action + driving.sum()] = cells[driving]
+            actions[design, first : first + driving.sum()] = cells[driving]
         index = sim.design_index.cpu()
         action_cell = torch.as_tensor(actions)[index].to(sim.device)
         corners = torch.as_tensor(corners)[index].flatten(1).to(sim.device)  # [num_envs, cells * 4]

@@ -14,7 +14,7 @@ from warpvox.batch.arrays import Buffers, allocate_buffers, put_tables
 from warpvox.batch.objects import CompiledWorlds, Objects
 from warpvox.batch.options import choose_threads, resolve_arithmetic, resolve_layout
 from warpvox.batch.packs import Batch, group
-from warpvox.compile import Body
+from warpvox.compile import Body, mesh
 from warpvox.devices.names import resolve_device
 from warpvox.errors import ActionError, SimulationError
 from warpvox.kernels import reset as reset_stage
@@ -359,7 +359,10 @@ class Simulation(Sensing):
 
     def voxel_corners(self, name: str, design: int = 0) -> np.ndarray:
         """int32 [voxels, 4]: points at the top left, top right, bottom right and bottom left of every voxel."""
-        return np.array(list(self._body(name, design).corners.values()), dtype=np.int32)
+        source = self.worlds[design].objects.get(name)
+        # the object alone: the world's terrain is many times as large
+        body = self._body(name, design) if source is None else mesh(source, self.physics)
+        return np.array(list(body.corners.values()), dtype=np.int32)
 
     def _body(self, name: str, design: int) -> Body:
         self._objects.index(name)

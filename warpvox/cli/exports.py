@@ -183,11 +183,11 @@ def record_agent(config: Any) -> Rollout:
     return record(env, config.agent, config.steps)
 
 
-def tiles_of(rollout: Rollout) -> list[int]:
-    """The environments that a picture shows: the first ones; of many bodies in the order of returns, evenly chosen."""
+def tiles_of(rollout: Rollout, most: int = BODIES) -> list[int]:
+    """The environments that a picture shows: the first ones; of many bodies some, evenly chosen by their returns."""
     if "names" not in rollout.metadata:
         return list(range(min(rollout.num_envs, TILES)))
-    return np.linspace(0, rollout.num_envs - 1, min(rollout.num_envs, BODIES)).round().astype(int).tolist()
+    return np.linspace(0, rollout.num_envs - 1, min(rollout.num_envs, most)).round().astype(int).tolist()
 
 
 def write_exports(
