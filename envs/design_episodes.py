@@ -163,8 +163,8 @@ def design_episodes(
 
     Raises:
         ConfigError: a value that is not valid, or a task with several robots. SimulationError: exact arithmetic, in
-            which bodies cannot be exchanged. DesignError: a ``start`` that is no grid
-            of ``shape``. WorldError: the largest body does not fit. And what ``make_vec`` raises.
+            which bodies cannot be exchanged. DesignError: a ``start`` that is no grid of ``shape``. WorldError: the
+            largest body does not fit. And what ``make_vec`` raises.
     """
     given = {"revise": revise, "actions": actions, "invalid": invalid}
     for name, value in given.items():
@@ -300,7 +300,7 @@ class DesignVecEnv:
         skipped = (lengths - self._length).clamp(min=0).minimum((most - lived).clamp(min=0))
         self._skipped = torch.where(self.designing, skipped, 0)
         self.env.episode_length = torch.where(self.designing, self.env.episode_length, lived + skipped)
-        self._length += torch.where(self.designing, 0, skipped)
+        self._length = self._length + torch.where(self.designing, 0, skipped)
 
     @property
     def action_mask(self) -> torch.Tensor:
@@ -334,7 +334,9 @@ class DesignVecEnv:
 
     def _begin(self, mask: torch.Tensor) -> None:
         """Begin the design stage of environments; the control stage's episode of theirs is over."""
+        # tensors are replaced, not written to: those made in inference mode could not be changed outside of it
         if self._start is None:
+            self.cells = self.cells.clone()
             for number in mask.nonzero()[:, 0].tolist():
                 key, episode = (int(values[number]) for values in (self._starts.keys, self._starts.episode))
                 rng = np.random.default_rng([key % 2**64, episode])
@@ -346,9 +348,8 @@ class DesignVecEnv:
         self._starts.episode.add_(mask.cpu())
         self.designing = self.designing | mask
         self.terminated, self.truncated = self.terminated & ~mask, self.truncated & ~mask
-        self._length.masked_fill_(mask, 0)
-        self._returns.masked_fill_(mask, 0)
-        self._skipped.masked_fill_(mask, 0)
+        self._length, self._skipped = self._length.masked_fill(mask, 0), self._skipped.masked_fill(mask, 0)
+        self._returns = self._returns.masked_fill(mask, 0)
         self.env.episodes.truncated.logical_or_(mask)  # the next step does not move them
 
     def _observe(self, task: torch.Tensor) -> torch.Tensor:
@@ -386,12 +387,12 @@ class DesignVecEnv:
         going = ~self.designing & ~(self.terminated | self.truncated)
         task, reward, terminated, truncated, info = self.env.step(actions[:, :control])
         reward, terminated, truncated = reward.double() * going, terminated & going, truncated & going
-        self._length += designing | going
+        self._length = self._length + (designing | going)
         self.cells = torch.where(designing[:, None, None], self._revised(actions[:, control:]), self.cells)
         complete = designing & (self._length >= self.design_steps)
         valid, paid, task = self._complete(complete, task)
         terminated = terminated | (complete & ~valid if self._invalid == "end" else False)
-        self._returns += reward + paid
+        self._returns = self._returns + reward + paid
         done = terminated | truncated
         obs = self._observe(task)
         terms = {name: values * going for name, values in info["reward_terms"].items()} | {"design": paid}
@@ -468,8 +469,8 @@ class DesignVecEnv:
             first = self.env.set_designs(list(self.cells[begins].cpu().numpy()), begins)
             task = torch.where(begins[:, None], first, task)
             self.env.episode_length = torch.where(begins, self._skipped, self.env.episode_length)
-            self._length += torch.where(begins, self._skipped, 0)
-            self._skipped.masked_fill_(begins, 0)
+            self._length = self._length + torch.where(begins, self._skipped, 0)
+            self._skipped = self._skipped.masked_fill(begins, 0)
             self.designing = self.designing & ~begins
         return valid, paid, task
 

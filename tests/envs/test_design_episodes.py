@@ -200,9 +200,10 @@ def test_starts_and_states() -> None:
     assert torch.equal(again.cells, env.cells[:4])
     assert are_valid(env.cells.numpy()).all()
     assert len(np.unique(env.cells.numpy(), axis=0)) == ENVS
-    env.step(design(env, BODIES))
-    env.step(design(env, BODIES))
-    env.step(control(env, 0))
+    with torch.inference_mode():  # as rsl-rl's runner steps
+        env.step(design(env, BODIES))
+        env.step(design(env, BODIES))
+        env.step(control(env, 0))
     env.reset(mask=torch.arange(ENVS) < 2)
     assert not torch.equal(env.cells[:2], again.cells[:2])  # another episode
     other = make(start="random", seed=5, design_steps=2)
