@@ -337,7 +337,7 @@ def test_a_process_that_dies_takes_no_other_with_it(pool: LocalPool, tmp_path: P
         (tmp_path / job).mkdir()
         pool.begin(number, job, tmp_path / job)
     outcomes = ended(pool, 2)
-    assert outcomes[1]["status"] == "done"
+    assert outcomes[1] == {"status": "done", "error": ""}
     assert (outcomes[0]["status"], "SIGKILL" in outcomes[0]["error"]) == ("failed", True)
     assert (tmp_path / "work" / LOG).read_text() == "this is work\n"
     (tmp_path / "wait").mkdir()

@@ -8,6 +8,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+IGNORED = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+"""Whether Ctrl-C was ignored when the process had just begun."""
+
 
 def act(job: str, folder: Path) -> dict[str, Any]:
     """``die``: be killed; ``wait``: until asked to end; anything else: be done."""
@@ -19,4 +22,4 @@ def act(job: str, folder: Path) -> dict[str, Any]:
             time.sleep(600)
         except KeyboardInterrupt:
             return {"status": "interrupted", "error": ""}
-    return {"status": "done", "error": ""}
+    return {"status": "done", "error": "" if IGNORED else "Ctrl-C would have ended this process at its beginning"}

@@ -9,7 +9,7 @@ import platform
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -126,16 +126,30 @@ class _Worker:
         context = multiprocessing.get_context("spawn")  # a fork would copy threads of torch and Warp half
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, make))
-        process.start()
+        with _ignored(signal.SIGINT, HANGUP):  # from its first moment: the process takes over what is ignored
+            process.start()
         theirs.close()
         return cls(process, ours)
 
 
+@contextlib.contextmanager
+def _ignored(*numbers: int | None) -> Iterator[None]:
+    """Ignore these signals within the block, where signals arrive at all: in the main thread."""
+    here = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers if number is not None and here}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def _serve(pipe: Connection, make: Make) -> None:
-    """The life of a worker: it ends with the process that has started it, and takes orders from nobody else."""
-    for number in (signal.SIGINT, HANGUP):  # which a terminal sends to all processes; SIGTERM is what `stop` sends
-        if number is not None:
-            signal.signal(number, signal.SIG_IGN)
+    """The life of a worker: it ends with the process that has started it, and takes orders from nobody else.
+
+    What a terminal sends to all processes, SIGINT and SIGHUP, it ignores; SIGTERM is what :meth:`LocalPool.stop` sends.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Windows does not hand down what is ignored
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt, EOFError), terminable():
         while True:
