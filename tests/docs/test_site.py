@@ -21,7 +21,7 @@ SPEC = importlib.util.spec_from_file_location("key_tables", ROOT / "docs" / "key
 key_tables = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(key_tables)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
-MEGABYTES = 2.0
+MEGABYTES = 5  # of which up to 3 are the animation of the zoo
 """Of all pictures together: everybody who clones the repository gets them."""
 
 
