@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MAPPINGS", "Row", "command_help", "flat_keys", "flat_values", "help_rows", "options_of", "presets_of"]
 
-MAPPINGS = ("design", "evaluations", "control_steps", "shape")
+MAPPINGS = ("design", "evaluations", "control_steps", "shape", "network", "screening.network", "screening.ppo")
 """Keys whose value may be a mapping."""
 OPTIONS = """\
 options:
@@ -73,11 +73,12 @@ def presets_of(command: str, config_dir: Path | None = None) -> dict[str, Traver
 
 
 def flat_values(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested values by their dotted keys; a design, and what differs by task, is one value, also if it is a mapping."""
+    """Nested values by their dotted keys; what :data:`MAPPINGS` names is one value, also if it is a mapping."""
     found = {}
     for name, value in values.items():
-        nested = isinstance(value, dict) and name not in MAPPINGS
-        found |= flat_values(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": value}
+        key = prefix + name
+        nested = isinstance(value, dict) and key not in MAPPINGS
+        found |= flat_values(value, f"{key}.") if nested else {key: value}
     return found
 
 
