@@ -92,4 +92,8 @@ class ScreeningConfig:
     eval_envs: int = key(1, "environments of the evaluation after them, for each design", low=1)
     save_interval: int = key(10, "iterations between checkpoints of an evaluation under way", low=1)
     ppo: Any = key(None, "settings of PPO that differ from training.ppo: {epochs:4,schedule:adaptive}")
-    waves: int = key(16, "evaluation=waves: travelling waves of actuation that a design is tried with", low=1)
+    waves: int = key(
+        16,
+        "evaluation=waves: poses (the first four) and travelling waves of actuation that a design is tried with",
+        low=1,
+    )

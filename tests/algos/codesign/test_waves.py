@@ -27,12 +27,13 @@ def test_fitness_is_that_of_the_best_wave() -> None:
     returns, over = np.zeros(COUNT), np.zeros(COUNT, bool)
     for step in range(env.max_episode_steps):
         actions = np.ones((COUNT, env.num_actions), np.float32)
-        for k, (period, turn_x, turn_y, lead, gain) in enumerate(zip(*waves, strict=True)):
+        for k, (period, turn_x, turn_y, lead, gain, *rest) in enumerate(zip(*waves, strict=True)):
             driving = [cell for cell in cells if candidate.body[cell] in (Cell.H_ACT, Cell.V_ACT)]
             for action, (row, column) in enumerate(driving):
                 phase = 2 * math.pi * step / period + turn_x * (column - x0) + turn_y * (-row - y0)
-                phase += lead * (candidate.body[row, column] == Cell.V_ACT)
-                actions[k, action] = 1.1 + 0.5 * min(1.0, max(-1.0, gain * math.sin(phase)))
+                vertical = int(candidate.body[row, column] == Cell.V_ACT)
+                value = gain * math.sin(phase + lead * vertical) + rest[vertical]
+                actions[k, action] = 1.1 + 0.5 * min(1.0, max(-1.0, value))
         _, rewards, terminated, truncated, _ = env.step(torch.as_tensor(actions))
         returns += np.where(over, 0.0, rewards.numpy())
         over |= (terminated | truncated).numpy()
@@ -60,5 +61,7 @@ def test_more_waves_are_more_of_the_same() -> None:
     for one, other in zip(few, many, strict=True):
         np.testing.assert_array_equal(one, other[:4])
     assert not np.array_equal(few.period, draw_waves(4, 4).period)
+    poses = {(x, y) for x, y, gain in zip(many.rest_x, many.rest_y, many.gain, strict=True) if gain == 0}
+    assert poses == {(1, 1), (-1, -1), (1, -1), (-1, 1)}
     assert many.period.min() >= 5
     assert many.period.max() <= 40
