@@ -60,8 +60,8 @@ score of 1 in a [comparison of searches](evaluation.md#comparing-searches) is su
 REPEAT = """
 ## Commands
 
-Each search or training can be made again with the version that made it (`warpvox zoo task=TASK` names its commit): equal seeds
-give equal results on equal machines.
+Each search or training can be made again with the version that made it (`warpvox zoo task=TASK` names its
+commit): equal seeds give equal results on equal machines.
 
 | task | date | command |
 |---|---|---|

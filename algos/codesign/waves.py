@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,14 +109,15 @@ class WaveEvaluator:
         bodies = [candidate.body for candidate in candidates]
         seeds = [candidate_seed(self.seed, candidate.id) for candidate in candidates]
         hint = f"Take less at once: screening.waves is {self.count} for each of {len(candidates)} designs (batch)."
+        if report is not None:
+            report(_progress(0, 0, [math.nan] * len(bodies)))
         with enough_memory(hint):
             env = self.factory.make(bodies, self.count, seeds, auto_reset=False)
             result = evaluate(env, self._controller(bodies, env.num_actions, env.device), seed=seeds)
         returns = result.returns.view(len(bodies), self.count).max(1).values.tolist()
         steps = result.lengths.view(len(bodies), self.count).sum(1).tolist()
         if report is not None:
-            ended = {"iteration": 1, "iterations": 1, "training": [False] * len(bodies)}
-            report(ended | {"steps": sum(steps), "best": returns})
+            report(_progress(1, sum(steps), returns))
         return [Outcome(value, [(spent, value)], spent) for value, spent in zip(returns, steps, strict=True)]
 
     def _controller(self, bodies: Sequence[Design], num_actions: int, device: str) -> Callable:
@@ -143,3 +145,13 @@ class WaveEvaluator:
             return actions.to(obs.dtype)
 
         return act
+
+
+def _progress(iteration: int, steps: int, best: list[float]) -> dict[str, Any]:
+    return {
+        "iteration": iteration,
+        "iterations": 1,
+        "steps": steps,
+        "best": best,
+        "training": [not iteration] * len(best),
+    }
