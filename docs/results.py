@@ -79,8 +79,9 @@ def page(rows: Sequence[Mapping[str, str]]) -> str:
     reached = (
         f"**{len(both) - len(below)}** of the {len(both)} tasks with a published return that have been searched so far"
     )
-    missing = f"{len(published) - len(ours)} of all {len(published)} tasks are still to be searched."
-    summary = f"{reached} are at or above it; {missing}"
+    left = len(published) - len(ours)
+    missing = f"; {left} of all {len(published)} tasks are still to be searched" if left else ""
+    summary = f"{reached} are at or above it{missing}."
     lines = [_line(one, ours.get(task)) for task, one in published.items()]
     return "".join([HEAD.format(summary=summary), *lines, NOTES, *_sources(published.values()), *_commands(ours)])
 

@@ -63,16 +63,16 @@ def _entries(folder: Path) -> dict[str, Path]:
 
 def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None:
     table = Table()
-    for heading in ("task", "return", "steps", "trained", "body", "kB", "date"):
-        table.add_column(heading, justify="left" if heading in ("task", "body", "date") else "right", no_wrap=True)
+    for heading in ("task", "return", "steps", "trained", "body"):  # on a narrow terminal the body takes several lines
+        side = "left" if heading in ("task", "body") else "right"
+        table.add_column(heading, justify=side, no_wrap=heading != "body", overflow="fold")
     for name, path in entries.items():
         robot = read_robot(path)
         about, lengths = robot.about, robot.about.get("lengths") or []
         mean = f"{sum(lengths) / len(lengths):.0f}" if lengths else "-"
         spent = about.get("control_steps")
-        size = f"{path.stat().st_size / 1e3:.0f}"
-        cells = (name, figure(robot.mean_return), mean, "-" if spent is None else f"{spent:,}", _cells(robot), size)
-        table.add_row(*map(literal, (*cells, about.get("date", "-"))))
+        cells = (name, figure(robot.mean_return), mean, "-" if spent is None else f"{spent:,}", _cells(robot))
+        table.add_row(*map(literal, cells))
     console.print(table)
     total = sum(path.stat().st_size for path in entries.values())
     echo(console, f"{len(entries)} robots in {folder}, {total / 1e6:.2f} MB")
