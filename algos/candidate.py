@@ -100,7 +100,7 @@ class Search(Protocol):
 
 
 class DesignEvaluator(Protocol):
-    """Trains a policy for each design and returns its fitness."""
+    """Finds the fitness of designs, by training a policy for each of them or in another way."""
 
     def evaluate(
         self,

@@ -239,7 +239,7 @@ class CodesignConfig(PresetConfig):
     evaluation: str = key(
         "specialist",
         "what a design's fitness is: of a policy of its own (specialist); of one policy that learns on all designs of"
-        " each generation (shared); of a pretrained one, tuned anew for each generation (few_shot); the best that some"
+        " each generation (shared); of a pretrained one, tuned for each generation (few_shot); the best that some"
         " poses and travelling waves of actuation get, without learning (waves)",
         choices=("specialist", "shared", "few_shot", "waves"),
     )

@@ -153,7 +153,7 @@ def design_episodes(
             or ``logits``, five numbers, of which the largest (the first of equals) names the type.
         start: what a design begins with: ``empty``, ``random`` (a valid random body, drawn with ``seed``, another one
             in every episode) or a grid of cell types, which need not be a valid body.
-        invalid: what becomes of a completed body that is not valid (without voxels, in pieces, or without an actuator):
+        invalid: how a completed body that is not valid is treated (without voxels, in pieces, or without an actuator):
             ``repair``: :func:`warpvox.design.repair_design` makes a valid one of it; ``end``: the episode terminates.
         penalty: taken off the reward of the last design step if the completed body is not valid.
         cost: of material, taken off the reward of the last design step: for each voxel of the body that the control

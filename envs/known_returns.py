@@ -22,7 +22,7 @@ class KnownReturn:
         best: the best published return, None if there is none.
         method: who found it.
         source: where the number is found.
-        protocol: how it was found, as far as it is told.
+        protocol: how it was found, as far as the source says.
         note: what else to know about it.
     """
 

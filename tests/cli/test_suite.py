@@ -267,7 +267,7 @@ def test_a_member_that_fails_is_told_and_the_others_go_on(quick: Callable, monke
     assert last.startswith("warpvox: 2 of 4 members failed, the first of them (Walker-v0, ga, seed 0) with:")
     assert states(folder) == ["failed", "done"] * 2
     assert [row["error"] for row in table(folder)] == ["it diverged", "", "ValueError: a defect", ""]
-    # failed members are told of again, and tried again once that is asked for
+    # failed members are reported again, and run again only when asked for
     assert quick("resume=latest").code == 2
     assert len(calls) == 4
     errors.clear()

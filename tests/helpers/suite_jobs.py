@@ -1,4 +1,4 @@
-"""Members of a suite that do as they are told, for other processes to find: imports nothing heavy."""
+"""Members of a suite with outcomes of the test's choice, importable by other processes: imports nothing heavy."""
 
 from __future__ import annotations
 

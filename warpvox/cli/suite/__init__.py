@@ -1,1 +1,1 @@
-"""Many design searches as one job: which they are, what has come of them, and the processes that make them."""
+"""Many design searches as one job: which they are, their states and results, and the processes that run them."""

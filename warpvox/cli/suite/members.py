@@ -1,4 +1,4 @@
-"""What has come of the members of a suite: their states, ``members.csv`` and ``curves.csv``."""
+"""The states and results of the members of a suite, ``members.csv`` and ``curves.csv``."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Row:
 
 
 class Table:
-    """The members of a suite and what has come of them, in the order in which they are made."""
+    """The members of a suite with their states and results, in the order in which they are run."""
 
     def __init__(self, folder: Path, rows: list[Row]) -> None:
         self.folder, self.rows = folder, rows

@@ -87,7 +87,7 @@ class LocalPool:
         return ended
 
     def _lost(self, worker: _Worker) -> Outcome:
-        """What is told of a member whose process has ended without a word."""
+        """The error of a member whose process has ended without a result."""
         self._workers.remove(worker)
         worker.process.join()
         if self._stopping:
