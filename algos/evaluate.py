@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 
-__all__ = ["Evaluation", "Evaluator", "Policy", "evaluate", "evaluator"]
+__all__ = ["Evaluation", "Evaluator", "Policy", "StatefulEvaluator", "evaluate", "evaluator"]
 
 Policy = Callable[[torch.Tensor], torch.Tensor]
 """Observations ``[num_envs, num_obs]`` to actions ``[num_envs, num_actions]`` in [0.6, 1.6]."""
@@ -51,6 +51,17 @@ class Evaluator(Protocol):
 
     def __call__(self, policy: Policy) -> Evaluation:
         """Evaluate ``policy``; must not touch the environments that it is trained in."""
+
+
+@runtime_checkable
+class StatefulEvaluator(Evaluator, Protocol):
+    """An evaluator whose results depend on earlier evaluations; a checkpoint stores its state."""
+
+    def state(self) -> dict[str, Any]:
+        """The state, as tensors, numbers and strings."""
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from :meth:`state`."""
 
 
 def evaluate(

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from warpvox.algos.checkpoints.files import Controller, PolicySpec, load_checkpoint, save_checkpoint, spec_dict, spec_of
-from warpvox.algos.evaluate import Evaluation, Evaluator
+from warpvox.algos.evaluate import Evaluation, Evaluator, StatefulEvaluator
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.bodies import Bodies
@@ -69,7 +69,8 @@ class Runner:
         ppo: settings of the method.
         schedule: when to evaluate, save and stop.
         folder: of the run; must exist.
-        evaluator: says how good the policy is without exploration; None: no evaluations.
+        evaluator: says how good the policy is without exploration; None: no evaluations. The state of a
+            :class:`StatefulEvaluator` is saved and restored with that of training.
         report: called after every iteration with its row of ``metrics.csv``.
         on_save: called where ``state.pt`` would be written, instead; :meth:`state` is what there is to save.
         memory_hint: what to do if learning takes too much memory.
@@ -372,6 +373,8 @@ class Runner:
         }
         if self.bodies is not None:
             own["bodies"] = self.bodies.state(self.env)
+        if isinstance(self.evaluator, StatefulEvaluator):
+            own["evaluator"] = self.evaluator.state()
         return self._policy_content() | own
 
     def state_file(self, path: Path) -> Path:
@@ -410,6 +413,8 @@ class Runner:
         torch.set_rng_state(content["random"]["cpu"].cpu())
         if "cuda" in content["random"] and torch.device(self.device).type == "cuda":
             torch.cuda.set_rng_state(content["random"]["cuda"].cpu(), self.device)
+        if isinstance(self.evaluator, StatefulEvaluator) and "evaluator" in content:
+            self.evaluator.set_state(content["evaluator"])
         self.elapsed = content["elapsed"]
         self.best_return, self.best_iteration = content["best_return"], content["best_iteration"]
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 
 from warpvox.algos.settings import REFRESH
 from warpvox.algos.training.bodies import Bodies, draw_bodies
@@ -160,6 +161,14 @@ class HeldOut:
             self._write(last)
             self._draw(last)
         return result
+
+    def state(self) -> dict[str, Any]:
+        """Best returns so far, as :class:`warpvox.algos.evaluate.StatefulEvaluator` has it."""
+        return {"best": torch.from_numpy(self.best.copy())}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from :meth:`state`."""
+        self.best = state["best"].cpu().numpy().copy()
 
     def _draw(self, last: np.ndarray) -> None:
         """``held_out.png``: the bodies, the best first, on paper that is the greener the better they are."""

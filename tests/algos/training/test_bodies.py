@@ -15,6 +15,7 @@ from warpvox.algos.policies.layout import layout_of
 from warpvox.algos.training.bodies import Bodies, draw_bodies
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
+from warpvox.cli.designs import HeldOut
 from warpvox.errors import ConfigError
 
 LIMIT, SHAPE = 8, (3, 3)
@@ -29,7 +30,7 @@ def make_runner(refresh: str, total: int, folder: Path | None = None, seed: int 
     bodies = Bodies(pool, refresh, np.random.default_rng(seed), HELD_OUT)
     options = dict(max_episode_steps=LIMIT, obs="voxel", grid=SHAPE)
     env = small_env(designs=bodies.first(ENVS), **options)
-    judge = evaluator(small_env(len(HELD_OUT), designs=HELD_OUT, auto_reset=False, **options))
+    judge = HeldOut(evaluator(small_env(len(HELD_OUT), designs=HELD_OUT, auto_reset=False, **options)), HELD_OUT)
     voxels = {"network": "grid", "settings": {"width": 4, "summary": 4, "heads": 2}, "layout": layout_of(env).dict()}
     ppo, about = ppo_settings(epochs=1, normalize_reward=True), {"designs": "random:12"}
     return Runner(
@@ -47,10 +48,13 @@ def in_use(runner: Runner) -> list[bytes]:
 def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path, refresh: str) -> None:
     whole = make_runner(refresh, 4)
     whole.run()
-    make_runner(refresh, 2, tmp_path).run()
+    first = make_runner(refresh, 2, tmp_path)
+    first.run()
     second = make_runner(refresh, 4, seed=5)
     second.resume(tmp_path / STATE)
+    assert second.evaluator.best.tolist() == first.evaluator.best.tolist()  # of each held-out body
     second.run()
+    assert second.evaluator.best.tolist() == whole.evaluator.best.tolist()
     assert in_use(whole) == in_use(second)
     assert_same_weights(whole, second)
     assert whole.last_return == second.last_return
