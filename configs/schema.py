@@ -41,7 +41,7 @@ EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
 POLICY_EXPORTS = ("onnx", "jit")
 AGENTS = ("random", "sine", "zero")
 SHOW = ("auto", "on", "off")
-OBSERVATIONS = ("task", "voxel")
+OBSERVATIONS = ("task", "timed", "voxel")
 ARCHIVE_EXPORTS = ("csv", "parquet", "npz", "json")
 AUTO = "auto"
 MOST_THREADS = 1024
@@ -163,7 +163,7 @@ class _TrainingRunConfig:
         path="read",
     )
     network: Any = key(None, "settings of another policy than mlp: {width:32}; null: its own")
-    obs: str = key("task", "what is observed: task (as the task has it) or voxel (cell by cell)", choices=OBSERVATIONS)
+    obs: str = key("task", "task (what the task has), timed (and the time) or voxel (by cell)", choices=OBSERVATIONS)
     num_envs: int = key(MISSING, "environments stepped together", low=1)
     max_iterations: int = key(MISSING, "iterations in all, those before a resume included", low=1)
     eval_interval: int = key(MISSING, "iterations between deterministic evaluations", low=1)

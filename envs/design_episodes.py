@@ -301,6 +301,7 @@ class DesignVecEnv:
         self._skipped = torch.where(self.designing, skipped, 0)
         self.env.episode_length = torch.where(self.designing, self.env.episode_length, lived + skipped)
         self._length = self._length + torch.where(self.designing, 0, skipped)
+        self._task = self.env.retimed(self._task)
 
     @property
     def action_mask(self) -> torch.Tensor:
@@ -469,10 +470,16 @@ class DesignVecEnv:
             first = self.env.set_designs(list(self.cells[begins].cpu().numpy()), begins)
             task = torch.where(begins[:, None], first, task)
             self.env.episode_length = torch.where(begins, self._skipped, self.env.episode_length)
+            task = self.env.retimed(task)
             self._length = self._length + torch.where(begins, self._skipped, 0)
             self._skipped = self._skipped.masked_fill(begins, 0)
             self.designing = self.designing & ~begins
         return valid, paid, task
+
+    def retimed(self, obs: torch.Tensor) -> torch.Tensor:
+        """See :meth:`VoxelVecEnv.retimed`."""
+        task = torch.where(self.designing[:, None], 0.0, self._task)
+        return torch.cat([task.to(obs.dtype), obs[:, self.layout.task :]], dim=1)
 
     def not_finite(self) -> dict[str, int]:
         """See :meth:`VoxelVecEnv.not_finite`."""

@@ -84,6 +84,7 @@ class RslRlVecEnv(VecEnv):
     @episode_length_buf.setter
     def episode_length_buf(self, lengths: torch.Tensor) -> None:
         self.env.episode_length = lengths.to(self.env.episode_length)
+        self._obs = self.env.retimed(self._obs)
         self._shortened = torch.ones_like(self._shortened)
 
     def get_observations(self) -> TensorDict:

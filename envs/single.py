@@ -373,6 +373,7 @@ class SingleStepper:
         """One control step: what :meth:`warpvox.envs.vec_env.VoxelVecEnv.step_one` returns; ``action`` is finite."""
         self._actions[:] = action
         self._sim.advance()
+        self._length[0] = self._length.item() + 1  # before it is observed
         self._sensors.moved = True
         before, after = self._before, Snapshot(self._sensors, self._before.memory_values)
         obs = self._terms.observe(after)
@@ -387,7 +388,6 @@ class SingleStepper:
         if diverged:
             terms |= dict.fromkeys(self._terms.reward_names, 0.0)
         self._before = after
-        self._length[0] = self._length.item() + 1
         self._return[0] = self._return.item() + sum(terms.values())
         if ended:
             self._terminated[0] = True

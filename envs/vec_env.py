@@ -27,6 +27,7 @@ from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
 from warpvox.envs.snapshot import Quantity, Snapshot
 from warpvox.envs.spec import ROBOT, TaskSpec
+from warpvox.envs.terms.elapsed import retimed, timed_observations
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, did_you_mean, known_arguments, listing
@@ -35,7 +36,7 @@ from warpvox.types import Physics
 
 __all__ = ["VoxelVecEnv", "make_vec", "one_body"]
 
-OBSERVATIONS = ("task", "voxel")
+OBSERVATIONS = ("task", "timed", "voxel")
 
 StepResult = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
@@ -83,8 +84,9 @@ def make_vec(
         lanes, threads: see :class:`warpvox.Simulation`.
         connections: for each design EvoGym's ``[2, k]`` index pairs, or None to connect all neighbours.
         max_episode_steps: another time limit than the task's.
-        obs: ``task`` (what the task observes) or ``voxel`` (every cell of the body, then the rest of what the task
-            observes; see :mod:`warpvox.envs.voxels`).
+        obs: ``task`` (what the task observes), ``timed`` (the same, then the control steps since the episode began)
+            or ``voxel`` (every cell of the body, then the rest of what the task observes; see
+            :mod:`warpvox.envs.voxels`).
         cuda_graph: on CUDA launch a whole control step, from the physics to rewards and resets, as one graph (see
             :mod:`warpvox.envs.graph`). Means nothing on the CPU.
         nan_guard: ``on``: a simulation that diverges is ended and reset, which costs nothing and cannot be switched
@@ -178,14 +180,16 @@ class VoxelVecEnv:
         if not isinstance(obs, str) or obs not in OBSERVATIONS:
             hint = did_you_mean(obs, OBSERVATIONS)
             raise ConfigError(f"obs must be one of {listing(OBSERVATIONS)}, got {obs!r:.80}.{hint}")
-        if obs == "voxel":
+        self.episodes = Episodes(sim.num_envs, sim.device, spec.max_episode_steps)
+        if obs == "timed":
+            spec = replace(spec, observations=timed_observations(spec.observations, self.episodes))
+        elif obs == "voxel":
             spec = replace(spec, observations=voxel_observations(spec.observations, tuple(spec.robots), sim))
         self.spec, self.rules, self.sim, self.seed, self.auto_reset = spec, rules, sim, seed, auto_reset
         self._has_code = spec.has_code
         self.designs = designs
         self.num_envs = sim.num_envs
         self.device, self.dtype = sim.device, sim.dtype
-        self.episodes = Episodes(sim.num_envs, sim.device, spec.max_episode_steps)
         self._limit = spec.max_episode_steps
         block = sim.num_envs // len(designs)
         self._blocks = len(designs)  # of environments that may have seeds of their own
@@ -233,7 +237,7 @@ class VoxelVecEnv:
     def episode_length(self) -> torch.Tensor:
         """long ``[num_envs]``, control steps of the episode so far: the tensor in use, which steps write to.
 
-        May be assigned, or written to.
+        May be assigned, or written to; :meth:`retimed` brings earlier observations up to date.
         """
         return self.episodes.length
 
@@ -436,7 +440,6 @@ class VoxelVecEnv:
             for term in self.spec.rewards:
                 terms[term.name] = terms[term.name].masked_fill(idle | odd, 0.0)
             reward = sum(terms.values())
-        episodes.length.add_(1 if going is None else going)
         episodes.returns.add_(reward)
         truncated = episodes.length >= episodes.limit
         done = terminated | truncated
@@ -469,6 +472,7 @@ class VoxelVecEnv:
     def _advance(self, going: torch.Tensor | None):
         """The step without what follows at the end of an episode."""
         self.sim.advance()
+        self.episodes.length.add_(1 if going is None else going)  # before it is observed
         before, after = self._snapshot(self.episodes.before), self._snapshot()
         obs = self.observe(after)
         memory_values = after.update(self.spec.memory)
@@ -496,7 +500,6 @@ class VoxelVecEnv:
                 values["unstable"] = self.spec.unstable_penalty
         if diverged:
             values |= {term.name: 0.0 for term in self.spec.rewards}
-        self.episodes.length.add_(1)
         self.episodes.returns.add_(sum(values.values()))
         self.episodes.terminated.logical_or_(terminated)
         torch.ge(self.episodes.length, self.episodes.limit, out=self.episodes.truncated)
@@ -512,6 +515,10 @@ class VoxelVecEnv:
     def observe(self, state: Snapshot) -> torch.Tensor:
         """The observation ``[num_envs, num_obs]`` that a state gives, as it is: also what is not finite."""
         return self._layout.observe(state)
+
+    def retimed(self, obs: torch.Tensor) -> torch.Tensor:
+        """The last observation ``[num_envs, num_obs]``, with ``obs="timed"`` after episode lengths were assigned."""
+        return retimed(self, obs)
 
     def judge(
         self, before: Snapshot, after: Snapshot, unstable: torch.Tensor, going: torch.Tensor | None = None

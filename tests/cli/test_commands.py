@@ -13,6 +13,7 @@ import torch
 import yaml
 from learning import rows
 
+import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.cli import main
@@ -185,6 +186,15 @@ def test_tasks_of_ones_own_with_several_robots_cell_by_cell(train: Callable, war
     assert config["design"][1] == {
         name: example_design(body).tolist() for name, body in (("robot", "worm"), ("mate", "mini"))
     }
+
+
+def test_a_policy_that_sees_the_time_is_resumed_played_and_loaded(train: Callable, warpvox: Callable) -> None:
+    folder = train("obs=timed", "max_iterations=1")
+    assert warpvox("train", f"resume={folder}", "max_iterations=2").code == 0
+    assert warpvox("play", f"run={folder}", "steps=2", "threads=1").code == 0
+    policy = wv.load_policy(folder)
+    env = wv.make_vec("Walker-v0", body=policy.metadata["design"], device="cpu", obs=policy.metadata["obs"])
+    assert (policy.metadata["obs"], policy.spec.num_obs) == ("timed", env.num_obs)
 
 
 def test_info_names_versions_devices_and_the_cache(warpvox: Callable) -> None:

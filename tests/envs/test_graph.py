@@ -226,7 +226,7 @@ def test_replays_are_equal_to_plain_steps(task: str, auto_reset: bool, monkeypat
     assert all(equal(*results) for results in kept), "results must stay as they were returned"
 
 
-@pytest.mark.parametrize("obs", ["task", "voxel"])
+@pytest.mark.parametrize("obs", ["task", "timed", "voxel"])
 def test_other_bodies_are_seen_by_a_recording(obs: str, monkeypatch: pytest.MonkeyPatch) -> None:
     envs = [
         made("Walker-v0", grid=(5, 7), obs=obs) for made in (make, functools.partial(graphed, monkeypatch=monkeypatch))

@@ -52,7 +52,8 @@ pytestmark = [
 
 
 @pytest.mark.parametrize(
-    ("task", "obs"), [*((task, "task") for task in task_ids()), *((task, "voxel") for task in task_ids()[::6])]
+    ("task", "obs"),
+    [*((task, "task") for task in task_ids()), *((task, "voxel") for task in task_ids()[::6]), ("Walker-v0", "timed")],
 )
 def test_gymnasium_accepts_the_environment(task: str, obs: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pictures = stand_in(monkeypatch)

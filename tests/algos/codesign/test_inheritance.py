@@ -133,6 +133,13 @@ def test_every_column_of_a_task_has_a_meaning_of_its_own(task: str) -> None:
     assert len(anatomy.actuators) == len(set(anatomy.actuators)) == env.num_actions
 
 
+def test_the_time_is_one_column_in_all_bodies() -> None:
+    timed = dataclasses.replace(factory(), obs="timed")
+    old, new = (BodyLayout.of(timed.make([body], 2, [0], auto_reset=False), 0) for body in (PARENT, GROWN))
+    assert old.columns[-1] == new.columns[-1]
+    assert new.columns[:-1] == BodyLayout.of(env_of(GROWN), 0).columns
+
+
 def test_of_several_parents_the_fittest_is_taken() -> None:
     parents = {3: parent_of(PARENT, 1.0), 5: parent_of(GROWN, 2.0), 7: parent_of(TURNED, 9.0)}
     assert best_parent(Candidate(9, PARENT, (3, 5)), parents) is parents[5]

@@ -216,4 +216,5 @@ def _print_observation(task: Any, design: str, points: dict[str, int], console: 
     used = {row.unit for row in rows}
     echo(console, "; ".join(f"{unit}: {meaning}" for unit, meaning in UNITS.items() if unit in used))
     echo(console, "x, y: centre of mass; v: its velocity; θ: turn since the beginning; p: (x, y); 0:2 is [0] and [1]")
+    echo(console, "obs=timed: one number more at the end: the control steps since the episode began")
     echo(console, "obs=voxel: 25 numbers for every cell of the body instead of c, before the others\n")

@@ -1,0 +1,49 @@
+"""The time as an observation: ``make_vec(..., obs="timed")``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+
+from warpvox.envs.about import About
+from warpvox.envs.spec import Observation
+
+if TYPE_CHECKING:
+    from warpvox.envs.episodes import Episodes
+    from warpvox.envs.snapshot import Snapshot
+    from warpvox.envs.vec_env import VoxelVecEnv
+
+__all__ = ["ElapsedSteps", "retimed", "timed_observations"]
+
+NAME = "elapsed_steps"
+
+
+class ElapsedSteps:
+    """The observation term ``[num_envs, 1]`` with the control steps since an episode began, as its time limit counts.
+
+    With it the end of an episode by the time limit can be foreseen (Pardo et al. 2018, "Time Limits in Reinforcement
+    Learning", section 3).
+    """
+
+    __name__ = NAME
+    about = About("control steps since the episode began", low=0.0)
+
+    def __init__(self, episodes: Episodes) -> None:
+        self._length = episodes.length  # one tensor for good, which a captured step may read
+
+    def __call__(self, state: Snapshot) -> torch.Tensor:
+        return self._length[:, None]
+
+
+def timed_observations(terms: tuple[Observation, ...], episodes: Episodes) -> tuple[Observation, ...]:
+    """What the task observes, then the time."""
+    return (*terms, Observation(ElapsedSteps(episodes)))
+
+
+def retimed(env: VoxelVecEnv, obs: torch.Tensor) -> torch.Tensor:
+    """Observations ``[num_envs, num_obs]`` with the lengths that episodes have now; without the time as they are."""
+    if NAME not in env.obs_columns[0]:
+        return obs
+    column = torch.tensor([columns[NAME].start for columns in env.obs_columns], device=obs.device)[env.design_index]
+    return obs.scatter(1, column[:, None], env.episode_length[:, None].to(obs.dtype))
