@@ -220,6 +220,27 @@ def test_hydras_own_views(capsys: pytest.CaptureFixture) -> None:
 
 
 @pytest.mark.parametrize(
+    ("words", "key", "value"),
+    [
+        ("train preset=pretrain", "max_iterations", 9600),
+        ("suite", "evaluations", 24),
+        ("suite suite=paper", "seeds", 3),
+    ],
+)
+def test_hydras_own_views_are_those_of_the_preset(
+    words: str, key: str, value: int, capsys: pytest.CaptureFixture
+) -> None:
+    command, *rest = words.split()
+    assert main([command, "--cfg", "all", *rest]) == 0
+    shown = yaml.safe_load(capsys.readouterr().out)
+    assert main([command, "--cfg", "job", *rest]) == 0
+    used = yaml.safe_load(capsys.readouterr().out)
+    assert shown[key] == used[key] == value
+    assert main([command, "--info", "config", *rest]) == 0
+    assert f"\n{key}: {value}\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
     ("line", "expected"),
     [
         ("warpvox tr", {"train"}),

@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from warpvox.cli import COMMANDS
-from warpvox.cli.config import Arguments, expand, load, parse_overrides, read_arguments, to_yaml
+from warpvox.cli.config import Arguments, composition, expand, load, parse_overrides, read_arguments, to_yaml
 from warpvox.cli.help import command_help, flat_values
 from warpvox.cli.hydra_parts import multirun, show
 from warpvox.cli.runs import check_output
@@ -54,8 +54,9 @@ def run_command(
         defaults = dataclasses.asdict(load(command, []))
         print(command_help(command, COMMANDS[command], flat_values(defaults)))
     elif arguments.info or arguments.cfg in ("hydra", "all"):
-        overrides = [str(override.input_line) for override in parse_overrides(arguments, command)]
-        show(command, [*overrides, *arguments.plugins], arguments.config_dir, arguments.cfg, arguments.info)
+        for overrides in expand(arguments, command):
+            name, words = composition(command, overrides, arguments.config_dir)
+            show(name, [*words, *arguments.plugins], arguments.config_dir, arguments.cfg, arguments.info)
     elif arguments.cfg:
         for overrides in expand(arguments, command):
             print(to_yaml(load(command, overrides, arguments.config_dir)), end="")

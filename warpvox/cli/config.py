@@ -27,7 +27,17 @@ from warpvox.configs.schema import COMMANDS, GROUPS, GROUPS_OF, PRESET, PRESET_O
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values
 
-__all__ = ["Arguments", "check_values", "expand", "load", "load_values", "parse_overrides", "read_arguments", "to_yaml"]
+__all__ = [
+    "Arguments",
+    "check_values",
+    "composition",
+    "expand",
+    "load",
+    "load_values",
+    "parse_overrides",
+    "read_arguments",
+    "to_yaml",
+]
 
 # the first that occurs in the name of a type
 TYPES = {
@@ -145,25 +155,33 @@ def load(
     return allow_code(result, stored, named, home or Path.cwd())
 
 
+def composition(command: str, overrides: list[str], config_dir: Path | None) -> tuple[str, list[str]]:
+    """What Hydra composes for one run: the name of a configuration (the command's or a preset's) and its overrides.
+
+    Raises:
+        ConfigError: a key or value that is not valid, or ``config``, whose values are no part of Hydra's composition.
+    """
+    parsed = _checked(command, overrides, config_dir)
+    if any(override.key_or_group == "config" and override.value() is not None for override in parsed):
+        raise ConfigError("--info and --cfg hydra|all do not show the values of config=FILE; --cfg job does.")
+    return _entry(command, parsed, config_dir)
+
+
 @uninterrupted()  # OmegaConf's clean-up turns an interrupt into errors of its own
 def _composed(
     command: str, overrides: list[str], config_dir: Path | None, base: dict | None
 ) -> tuple[Any, dict | None, dict[str, Any]]:
     """The dataclass of a command, unchecked; the stored values that lie below it; the values of the overrides."""
-    parsed = parse_overrides(Arguments(overrides), command)
-    scratch = OmegaConf.structured(COMMANDS[command])
-    for override in parsed:
-        _check_override(override, command, scratch, config_dir)
+    parsed = _checked(command, overrides, config_dir)
     named = {override.key_or_group: override.value() for override in parsed}
-    key_of_preset, usual = PRESET_OF.get(command, (PRESET, None))
-    file, preset, stored = named.get("config"), named.get(key_of_preset, usual), base
+    key_of_preset, _ = PRESET_OF.get(command, (PRESET, None))
+    file, stored = named.get("config"), base
     if file is not None and key_of_preset in named:
         raise ConfigError(f"config={file} and {key_of_preset} both say where to start from: give one of them.")
     # Hydra would take a mapping for changes of the one that a file has
     whole = {key: value for key, value in named.items() if isinstance(value, dict) and key in MAPPINGS}
-    words = [str(override.input_line) for override in parsed if override.key_or_group not in (key_of_preset, *whole)]
     try:
-        name = command if preset is None else _preset_config(preset, command, config_dir)
+        name, words = _entry(command, [item for item in parsed if item.key_or_group not in whole], config_dir)
         with opened(config_dir) as (_, search):
             config = compose(name, [*words, *search])
             missing = OmegaConf.missing_keys(config)
@@ -177,7 +195,7 @@ def _composed(
             below = OmegaConf.merge(defaults, stored)
             config = _changed(below, config, parsed, _brought(parsed, defaults, config))
         elif base is not None:
-            below = OmegaConf.merge(scratch, base)
+            below = OmegaConf.merge(OmegaConf.structured(COMMANDS[command]), base)
             config = _changed(below, config, parsed, [])
         result = OmegaConf.to_object(config)
     except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
@@ -244,6 +262,23 @@ _Dumper.add_representer(list, _represent_list)
 
 
 # ----------------------------------------------------------------------------------------------- overrides
+
+
+def _checked(command: str, overrides: list[str], config_dir: Path | None) -> list[Override]:
+    """The overrides of a single run, each with a known key and a value of its type."""
+    parsed = parse_overrides(Arguments(overrides), command)
+    scratch = OmegaConf.structured(COMMANDS[command])
+    for override in parsed:
+        _check_override(override, command, scratch, config_dir)
+    return parsed
+
+
+def _entry(command: str, parsed: list[Override], config_dir: Path | None) -> tuple[str, list[str]]:
+    """The name of the configuration that the overrides start from, and those that change it."""
+    key, preset = PRESET_OF.get(command, (PRESET, None))
+    preset = next((override.value() for override in parsed if override.key_or_group == key), preset)
+    name = command if preset is None else _preset_config(preset, command, config_dir)
+    return name, [str(override.input_line) for override in parsed if override.key_or_group != key]
 
 
 def _preset_config(preset: str, command: str, config_dir: Path | None) -> str:

@@ -39,16 +39,16 @@ def one_line(error: Exception) -> str:
     return " ".join([line.strip() for line in str(error).splitlines() if line.strip()][:2])
 
 
-def show(command: str, overrides: list[str], config_dir: Path | None, cfg: str | None, info: str | None) -> None:
-    """Print what Hydra's own ``--cfg`` or ``--info`` prints."""
+def show(name: str, overrides: list[str], config_dir: Path | None, cfg: str | None, info: str | None) -> None:
+    """Print what Hydra's own ``--cfg`` or ``--info`` prints of the configuration ``name``."""
     log = logging.getLogger()
     handlers, level = list(log.handlers), log.level
     try:
         with _errors(), opened(config_dir) as (hydra, search):
             if info:  # by messages of a log that it sends to the output
-                hydra.show_info(info, command, [*overrides, *search])
+                hydra.show_info(info, name, [*overrides, *search])
             else:
-                hydra.show_cfg(command, [*overrides, *search], cfg, package=None)
+                hydra.show_cfg(name, [*overrides, *search], cfg, package=None)
     finally:
         log.handlers[:] = handlers
         log.setLevel(level)
