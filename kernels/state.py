@@ -12,7 +12,8 @@ an int for lane k of the pack, -1 for all (see :mod:`warpvox.batch.grid_mesh`, a
 
 The arithmetic is ``fast`` or ``exact``; exact repeats every sum and product of the released simulator in its order, in
 float64. Three fields mean something else there, because it works on positions where fast works on displacements since
-the sub-step's start: ``disp`` is the position, ``sum_bend`` the sum of the paths, and ``pull`` the equilibrium length.
+the sub-step's start: ``disp`` is the position, ``stages`` holds velocities and the sums of velocities and paths, and
+``equilibrium_offset`` is the equilibrium length.
 """
 
 import functools
@@ -147,9 +148,13 @@ DATA = {
     "hit_rank": (int, "pack hit lane", "the contact with that key"),
     "node_box": (STATE, "pack 4*node lane", "bounds of the nodes of bodies, as box"),
     "goal": (STATE, "pack spring lane", "length toward which that of a spring relaxes"),
-    "span": (REAL, "pack 2*spring lane", "spring vector at the sub-step's start"),
+    "spring_vector": (REAL, "pack 2*spring lane", "spring vector at the sub-step's start"),
     "length": (REAL, "pack spring lane", "its length"),
-    "pull": (REAL, "pack spring lane", "equilibrium length minus length, exact: the former; constant in a sub-step"),
+    "equilibrium_offset": (
+        REAL,
+        "pack spring lane",
+        "equilibrium length minus length, exact: the former; constant in a sub-step",
+    ),
     "box": (STATE, "pack 4*voxel lane", "bounds of surface voxels: x min, x max, y min, y max"),
     "action": (STATE, "pack action lane", "clipped actions"),
     "folds": (int, "pack robot lane", "overlapping pairs of distant voxels, both orders"),

@@ -80,7 +80,7 @@ class Sensing:
         objects = self._objects
         inputs = [objects.index(name), what]
         shape = (self.num_envs, objects.num_points[name], 2)
-        if name in objects.mobile:
+        if name in objects.movable:
             found = self._sense(("points", *inputs), "points", self.num_envs, [shape], torch.float64, *inputs)[0]
             out = found.to(self.dtype, copy=True)
         else:

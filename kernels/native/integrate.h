@@ -16,16 +16,16 @@ const auto start_vel = values(data.start_vel);
 const auto stages = values(data.stages);  // accelerations of the first three stages
 const auto contact = values(data.contact);
 const auto tension = values(data.tension);
-const auto span = values(data.span);
+const auto vec = values(data.spring_vector);
 const auto rest = values(data.length);
-const auto pull = values(data.pull);
+const auto offset = values(data.equilibrium_offset);
 const auto goal = wides(data.goal);
 const auto pos = wides(data.pos);
 const auto vel = wides(data.vel);
 const auto move = wides(data.move);
 
 // Vector, length and equilibrium length of every spring, and its force on its first end: Hooke's k (l - l_eq) with
-// l - l_eq = -pull. Lengths are subtracted in float64: their rounding would act like another goal.
+// l - l_eq = -offset. Lengths are subtracted in float64: their rounding would act like another goal.
 auto relax_springs = [&]() {
     for (int s = 0; s < springs; ++s) {
         const unsigned a = 2 * spring_ends[s][0], b = 2 * spring_ends[s][1];
@@ -33,10 +33,10 @@ auto relax_springs = [&]() {
         const Value dx = narrow(x), dy = narrow(y), start = narrow(length);
         const Value change = narrow((goal[s] - length) * model.actuation_rate);
         const Value force = -change * spring_k[s] / (start + tiny);
-        span[2 * s] = dx;
-        span[2 * s + 1] = dy;
+        vec[2 * s] = dx;
+        vec[2 * s + 1] = dy;
         rest[s] = start;
-        pull[s] = change;
+        offset[s] = change;
         tension[2 * s] = force * dx;
         tension[2 * s + 1] = force * dy;
     }
@@ -46,7 +46,7 @@ auto stretch_springs = [&]() {
         const unsigned a = 2 * spring_ends[s][0], b = 2 * spring_ends[s][1];
         const Value ux = disp[b] - disp[a], uy = disp[b + 1] - disp[a + 1];
         spring_force(
-            span[2 * s], span[2 * s + 1], ux, uy, rest[s], pull[s], spring_k[s], tension[2 * s], tension[2 * s + 1]
+            vec[2 * s], vec[2 * s + 1], ux, uy, rest[s], offset[s], spring_k[s], tension[2 * s], tension[2 * s + 1]
         );
     }
 };

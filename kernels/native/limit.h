@@ -10,7 +10,7 @@ const wp::vec_t<2, int>* twin = &wp::index(model.twin, mesh, 0);
 const double* spring_rest = &wp::index(model.spring_rest, mesh, 0);
 
 const auto disp = values(data.disp);
-const auto span = values(data.span);
+const auto vec = values(data.spring_vector);
 const auto moved = values(data.stages);  // corrections of a pass; what Runge-Kutta left there is not needed any more
 const auto move = wides(data.move);
 const auto pos = wides(data.pos);
@@ -20,7 +20,7 @@ const auto true_vel = wides(data.true_vel);
 // the spring is too long.
 auto correction = [&](int s, int lanes, Real bound, Real share, Value& dx, Value& dy) -> bool {
     const unsigned a = 2 * spring_ends[s][0], b = 2 * spring_ends[s][1];
-    const Value ex = span[2 * s] + (disp[b] - disp[a]), ey = span[2 * s + 1] + (disp[b + 1] - disp[a + 1]);
+    const Value ex = vec[2 * s] + (disp[b] - disp[a]), ey = vec[2 * s + 1] + (disp[b + 1] - disp[a + 1]);
     const Value square = ex * ex + ey * ey;
     const Real rest = static_cast<Real>(spring_rest[s]);
     const Real longest = rest * (Real(1) + bound), shortest = rest * (Real(1) - bound);

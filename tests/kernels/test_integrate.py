@@ -37,7 +37,7 @@ def test_a_sub_step_is_one_of_runge_and_kutta(scenes, dtype, drop):
     pos, vel = (scene.read(name)[:, : scene.points] for name in ("pos", "vel"))
     assert (pos[..., 1] < 0).any() == (drop > 0)
     step.launch(sim._state, "runge_kutta")
-    rest = (scene.read("length", 1) + scene.read("pull", 1))[:, : scene.springs]
+    rest = (scene.read("length", 1) + scene.read("equilibrium_offset", 1))[:, : scene.springs]
 
     dt, path, gain = sim.physics.dt, 0.0, 0.0
     x, v = pos, vel

@@ -47,7 +47,7 @@ class Objects:
 
     Attributes:
         names: robots first, then by name.
-        mobile: names of those that can move in some world; ``terrain``: of those that never move in some.
+        movable: names of those that can move in some world; ``terrain``: of those that never move in some.
         num_points: by name the most points that an object has in any world (or may have, given ``batch.grid``).
         rows: int ``[num_envs, points]``: the rows of an environment's points in the order of observations, padded with
             the last of them.
@@ -57,8 +57,8 @@ class Objects:
     def __init__(self, batch: Batch, state: Buffers) -> None:
         self._batch, self._state = batch, state
         self.names = batch.object_names
-        self.mobile = {body.name for world in batch.compiled for body in world.bodies}
-        self.mobile |= {name for frame in batch.frames for name in frame.names}
+        self.movable = {body.name for world in batch.compiled for body in world.bodies}
+        self.movable |= {name for frame in batch.frames for name in frame.names}
         self.terrain = {body.name for world in batch.compiled for body in world.statics}
         self.device = state.device
         self.refresh()
@@ -96,7 +96,7 @@ class Objects:
             SimulationError: there is no such object, or it never moves.
         """
         index = self.index(name)
-        if name not in self.mobile:
+        if name not in self.movable:
             raise SimulationError(f"The object {name!r} is made of fixed cells only: it never moves.")
         return index
 
@@ -171,7 +171,7 @@ class Objects:
             listed = [body for body in compiled.statics if objects is None or body.name in objects]
             points = [(x / VOXEL, y / VOXEL) for body in listed for x, y in body.points]
             still.append(sorted(points, key=lambda p: round(p[0])))
-        moving = [self.index(name) for name in objects or () if name in self.mobile]
+        moving = [self.index(name) for name in objects or () if name in self.movable]
         columns = max(compiled.width for compiled in self._batch.compiled) + 1
         start = np.zeros((len(still), columns + 1), dtype=np.int32)
         table = np.zeros((len(still), max(1, *(len(points) for points in still)), 2))

@@ -85,7 +85,7 @@ auto limit_strain = [&]() {
         COUNT(limit);
         const Spring spring = at.spring[part + PARTS * j];
         const Pair a = at.disp[spring.ends & 0xffff], b = at.disp[spring.ends >> 16];
-        const Real ex = span[j].x + (b.x - a.x), ey = span[j].y + (b.y - a.y), square = ex * ex + ey * ey;
+        const Real ex = vec[j].x + (b.x - a.x), ey = vec[j].y + (b.y - a.y), square = ex * ex + ey * ey;
         beyond |= square >= spring.longest || square <= spring.shortest;
     }
     int first = some(beyond) ? 0 : 1;

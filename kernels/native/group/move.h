@@ -1,8 +1,8 @@
 // Springs and motion of a sub-step: relaxation of lengths, the classical Runge-Kutta method over displacements, as
 // in integrate.h. Formulas and the order of sums are those of integrate.h.
 
-Pair span[SPRING_ROUNDS];                       // spring vector at the sub-step's start
-Real rest[SPRING_ROUNDS], pull[SPRING_ROUNDS];  // its length, l_eq - length
+Pair vec[SPRING_ROUNDS];                          // spring vector at the sub-step's start
+Real rest[SPRING_ROUNDS], offset[SPRING_ROUNDS];  // its length, l_eq - length
 double move[POINT_ROUNDS][2];
 const Real tiny = Real(1e-30);
 
@@ -40,22 +40,22 @@ auto relax = [&](int j) {
     const Real stiffness = at.spring[s].stiffness;
     const Place a = at.pos[ends & 0xffff], b = at.pos[ends >> 16];
     const double x = b.x - a.x, y = b.y - a.y, aim = s < springs ? goal[s] : 0.0;
-    span[j] = Pair{Real(x), Real(y)};
+    vec[j] = Pair{Real(x), Real(y)};
 #if APPROXIMATE
-    const Real near_square = span[j].x * span[j].x + span[j].y * span[j].y, over = inverse_root(near_square);
+    const Real near_square = vec[j].x * vec[j].x + vec[j].y * vec[j].y, over = inverse_root(near_square);
     rest[j] = near_square * over;
     // The square of the length minus that of `rest`, from which the length follows to double precision.
     const double wide = double(rest[j]);
     const Real left = Real(fused_wide(-wide, wide, fused_wide(x, x, y * y))) * Real(0.5) * over;
-    pull[j] = Real((aim - wide) * model.actuation_rate) - left * Real(model.actuation_rate);
-    const Real force = -pull[j] * stiffness * over;
+    offset[j] = Real((aim - wide) * model.actuation_rate) - left * Real(model.actuation_rate);
+    const Real force = -offset[j] * stiffness * over;
 #else
     const double length = wp::sqrt(x * x + y * y);
     rest[j] = Real(length);
-    pull[j] = Real((aim - length) * model.actuation_rate);
-    const Real force = -pull[j] * stiffness / (rest[j] + tiny);
+    offset[j] = Real((aim - length) * model.actuation_rate);
+    const Real force = -offset[j] * stiffness / (rest[j] + tiny);
 #endif
-    return Pair{force * span[j].x, force * span[j].y};
+    return Pair{force * vec[j].x, force * vec[j].y};
 };
 // Hooke force k (l - l_eq) of a spring on its first end.
 auto stretch = [&](int j) {
@@ -64,12 +64,12 @@ auto stretch = [&](int j) {
     const Real stiffness = at.spring[part + PARTS * j].stiffness;
     const Pair a = at.disp[ends & 0xffff], b = at.disp[ends >> 16];
     Pair force;
-    spring_force(span[j].x, span[j].y, b.x - a.x, b.y - a.y, rest[j], pull[j], stiffness, force.x, force.y);
+    spring_force(vec[j].x, vec[j].y, b.x - a.x, b.y - a.y, rest[j], offset[j], stiffness, force.x, force.y);
     return force;
 };
 
 auto runge_kutta = [&]() {
-    Pair start_vel[POINT_ROUNDS], stage_vel[POINT_ROUNDS], sum_vel[POINT_ROUNDS], sum_bend[POINT_ROUNDS];
+    Pair start_vel[POINT_ROUNDS], stage_vel[POINT_ROUNDS], sum_vel[POINT_ROUNDS], sum_acc[POINT_ROUNDS];
     Real height[POINT_ROUNDS];
     int row = pack;
     HIDE(row);
@@ -79,7 +79,7 @@ auto runge_kutta = [&]() {
         start_vel[j] = stage_vel[j] = Pair{Real(vel[j][0]), Real(vel[j][1])};
         height[j] = Real(at.pos[part + PARTS * j].y);
         at.disp[part + PARTS * j] = Pair{Real(0), Real(0)};
-        sum_vel[j] = sum_bend[j] = Pair{Real(0), Real(0)};
+        sum_vel[j] = sum_acc[j] = Pair{Real(0), Real(0)};
     }
     ROLL for (int stage = 0; stage < 4; ++stage) {
         COUNT(stage);
@@ -131,7 +131,7 @@ auto runge_kutta = [&]() {
                 continue;
             }
             const Real weight = stage ? Real(2) : Real(1);
-            sum_bend[j] = Pair{sum_bend[j].x + ax, sum_bend[j].y + ay};
+            sum_acc[j] = Pair{sum_acc[j].x + ax, sum_acc[j].y + ay};
             sum_vel[j] = Pair{fused(ax, weight, sum_vel[j].x), fused(ay, weight, sum_vel[j].y)};
             at.disp[p] = Pair{v.x * ahead, v.y * ahead};
             stage_vel[j] = Pair{fused(ax, ahead, start_vel[j].x), fused(ay, ahead, start_vel[j].y)};
@@ -143,8 +143,8 @@ auto runge_kutta = [&]() {
     // the stages; only its update is dropped.
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
         const double free = loose >> j & 1 ? 1.0 : 0.0, sixth = free * dt / 6.0;
-        move[j][0] = vel[j][0] * (free * dt) + double(sum_bend[j].x) * (sixth * dt);
-        move[j][1] = vel[j][1] * (free * dt) + double(sum_bend[j].y) * (sixth * dt);
+        move[j][0] = vel[j][0] * (free * dt) + double(sum_acc[j].x) * (sixth * dt);
+        move[j][1] = vel[j][1] * (free * dt) + double(sum_acc[j].y) * (sixth * dt);
         vel[j][0] = vel[j][0] + double(sum_vel[j].x) * sixth;
         vel[j][1] = vel[j][1] + double(sum_vel[j].y) * sixth;
         at.disp[part + PARTS * j] = Pair{Real(move[j][0]), Real(move[j][1])};
