@@ -29,12 +29,13 @@ class EnvFactory:
     arithmetic: str | None = None
     obs: str = "task"
     grid: tuple[int, int] | None = None
+    lanes: int | None = None
 
     def make(self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool) -> VoxelVecEnv:
         """``envs`` environments of each body; random tasks draw as if each body were alone with its seed."""
         # Lanes follow from `envs` alone, however often a body occurs, so that all batches run the same kernels.
         device = resolve_device(self.device, envs * len(bodies))
-        lanes = lanes_for(envs) if device == "cpu" else None
+        lanes = (self.lanes or lanes_for(envs)) if device == "cpu" else None
         return make_vec(
             self.task,
             list(bodies),

@@ -239,9 +239,9 @@ class CodesignConfig(PresetConfig):
     evaluation: str = key(
         "specialist",
         "what a design's fitness is: of a policy of its own (specialist); of one policy that learns on all designs of"
-        " each generation (shared); of a pretrained one, tuned for each generation (few_shot); the best that some"
-        " poses and travelling waves of actuation get, without learning (waves)",
-        choices=("specialist", "shared", "few_shot", "waves"),
+        " each generation (shared); of a pretrained one, tuned for each generation (few_shot); the best that open-loop"
+        " gaits get, which evolve with the designs (gaits)",
+        choices=("specialist", "shared", "few_shot", "gaits"),
     )
     policy: str = key(
         "mlp",
@@ -257,7 +257,7 @@ class CodesignConfig(PresetConfig):
         path="read",
     )
     finalists: int = key(
-        4, "evaluation=shared, few_shot, waves: best designs that get a training of their own in the end", low=1
+        4, "evaluation=shared, few_shot, gaits: best designs that get a training of their own in the end", low=1
     )
     reuse: bool = key(True, "a body that was evaluated before is not trained again")
     batch: int | None = key(
@@ -294,7 +294,7 @@ class CodesignConfig(PresetConfig):
     physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the dynamics")
     search: SearchConfig = key(SearchConfig, "search algorithm")
     training: TrainingConfig = key(TrainingConfig, "how a design is trained and judged")
-    screening: ScreeningConfig = key(ScreeningConfig, "how evaluation=shared, few_shot and waves compare designs")
+    screening: ScreeningConfig = key(ScreeningConfig, "how evaluation=shared, few_shot and gaits compare designs")
 
 
 SuiteConfig = suite_config(CodesignConfig, SearchConfig)

@@ -17,6 +17,7 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch.func import functional_call
 
+from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.layout import VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
@@ -28,6 +29,10 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["Controller", "PolicySpec", "load_checkpoint", "load_controller", "read_tensors", "save_checkpoint"]
 
+KINDS = ("voxels", "gait")
+"""Of :class:`PolicySpec`: what a policy of fully connected layers has not."""
+LARGEST_GAIT = 1 << 10
+"""Stages, rows or columns of a gait."""
 WIDEST = 1 << 16
 """Observations, actions or units of a layer that a policy may have."""
 
@@ -38,6 +43,8 @@ class PolicySpec:
 
     ``voxels``: of a policy for voxels, the ``network``, ``settings`` and ``layout`` that
     :class:`warpvox.algos.policies.model.VoxelModel` takes; None: fully connected layers.
+    ``gait``: of an open-loop gait, the ``stages``, ``rows`` and ``columns`` that
+    :class:`warpvox.algos.policies.gait.GaitModel` takes.
     """
 
     num_obs: int
@@ -47,6 +54,7 @@ class PolicySpec:
     normalize_obs: bool
     action_scale: float
     voxels: dict[str, Any] | None = None
+    gait: dict[str, int] | None = None
 
 
 class Controller:
@@ -192,7 +200,10 @@ def check_spec(spec: PolicySpec, weights: object) -> None:
         raise ValueError("the weights are no tensors")
     if not all(value.is_contiguous() for value in weights.values()):  # one number can pose as a million
         raise ValueError("the weights are views of other tensors")
-    _check_voxels(spec, weights) if spec.voxels is not None else _check_layers(sizes, weights)
+    if spec.gait is not None:
+        _check_gait(spec, weights)
+    else:
+        _check_voxels(spec, weights) if spec.voxels is not None else _check_layers(sizes, weights)
     if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
         raise ValueError("the weights are not finite numbers")
 
@@ -219,13 +230,32 @@ def _check_voxels(spec: PolicySpec, weights: dict[str, torch.Tensor]) -> None:
         raise ValueError("the weights are those of another network")
 
 
-def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel:
+def _check_gait(spec: PolicySpec, weights: dict[str, torch.Tensor]) -> None:
+    shape = spec.gait if isinstance(spec.gait, dict) else {}
+    if shape.keys() != {"stages", "rows", "columns"} or not all(
+        type(size) is int and 0 < size <= LARGEST_GAIT for size in shape.values()
+    ):
+        raise ValueError(f"a gait has stages, rows and columns, 1 to {LARGEST_GAIT}; got {spec.gait!r:.100}")
+    state = build_actor(spec, "meta").state_dict()
+    expected = {name: (value.shape, value.dtype) for name, value in state.items()}
+    if expected != {name: (value.shape, value.dtype) for name, value in weights.items()}:
+        raise ValueError("the values are those of another gait")
+    cells, last = weights["cells"], shape["rows"] * shape["columns"]
+    if not bool((cells[1:] > cells[:-1]).all() & (cells >= 0).all() & (cells < last).all()):
+        raise ValueError(f"the cells of a gait must rise, from 0 to {last - 1}; got {cells.tolist()!r:.100}")
+    if not bool((weights["period"] > 0).all()):
+        raise ValueError("the periods of a gait must be above 0")
+
+
+def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel | GaitModel:
     """A policy network with fresh weights."""
     with torch.device(device):
         return _build_actor(spec)
 
 
-def _build_actor(spec: PolicySpec) -> MLPModel:
+def _build_actor(spec: PolicySpec) -> MLPModel | GaitModel:
+    if spec.gait is not None:
+        return GaitModel(spec.num_actions, **spec.gait)
     obs = TensorDict({OBS_GROUP: torch.zeros(1, spec.num_obs)}, batch_size=[1])
     places = (obs, {"actor": [OBS_GROUP]}, "actor", spec.num_actions)
     if spec.voxels is not None:
@@ -251,7 +281,7 @@ def spec_of(values: Mapping[str, Any]) -> PolicySpec:
 
 def spec_dict(spec: PolicySpec) -> dict[str, Any]:
     """The form in which a specification stands in a checkpoint."""
-    return {name: value for name, value in asdict(spec).items() if name != "voxels" or value is not None}
+    return {name: value for name, value in asdict(spec).items() if name not in KINDS or value is not None}
 
 
 def _first_line(error: Exception) -> str:

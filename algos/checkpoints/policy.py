@@ -77,7 +77,7 @@ class Policy(nn.Module):
     def act(self, obs: np.ndarray) -> np.ndarray:
         """:meth:`forward` for numpy arrays, as gymnasium's environments have them."""
         with torch.no_grad():
-            device = next(self.parameters()).device
+            device = next(iter(self.state_dict().values())).device
             return self(torch.as_tensor(np.asarray(obs), device=device)).cpu().numpy()
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
@@ -107,17 +107,35 @@ class VoxelPolicy(Policy):
         return torch.cat([cells.flatten(1), torch.randn((rows, layout.rest), generator=generator)], dim=1)
 
 
+class GaitPolicy(Policy):
+    """An open-loop gait: as :class:`Policy`, of observations whose last number is the time (``obs=timed``)."""
+
+    def _build(self) -> None:
+        self.model = build_actor(self.spec)
+
+    def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
+        return (self.center + self.scale * self.model.outputs(obs).float()).clamp(self.low, self.high)
+
+    def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
+        """Observations ``[rows, num_obs]`` at random times."""
+        return torch.randint(0, 1000, (rows, self.num_obs), generator=generator).float()
+
+
 def make_policy(spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> Policy:
     """A policy of the kind that ``spec`` describes, with fresh weights."""
+    if spec.gait is not None:
+        return GaitPolicy(spec, metadata)
     return (Policy if spec.voxels is None else VoxelPolicy)(spec, metadata)
 
 
 def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None) -> Policy:
     """The policy of a checkpoint's controller; its numbers are copies."""
     policy = make_policy(controller.spec, metadata)
-    if isinstance(policy, VoxelPolicy):
-        policy.model.load_state_dict(controller.actor.state_dict())
-        return policy.to(next(controller.actor.parameters()).device)
+    if isinstance(policy, VoxelPolicy | GaitPolicy):
+        state = controller.actor.state_dict()
+        policy.model.load_state_dict(state)
+        return policy.to(next(iter(state.values())).device)
     weights = {f"mlp.{name}": value for name, value in controller.actor.mlp.state_dict().items()}
     if controller.spec.normalize_obs:
         normalizer = controller.actor.obs_normalizer
@@ -142,7 +160,7 @@ def policy_text(policy: Policy) -> str:
     """A policy as one line of JSON; its numbers are float32, little-endian, in base64."""
     weights = {
         name: base64.b64encode(value.detach().cpu().numpy().astype("<f4").tobytes()).decode()
-        for name, value in (policy.model if isinstance(policy, VoxelPolicy) else policy).state_dict().items()
+        for name, value in getattr(policy, "model", policy).state_dict().items()
     }
     content = {"format": FORMAT, "version": VERSION, "policy": asdict(policy.spec), "metadata": policy.metadata}
     return json.dumps(content | {"weights": weights})
@@ -165,7 +183,7 @@ def parse_policy(text: str, source: object) -> Policy:
         weights = _weights(spec, content.get("weights"))
         check_spec(spec, weights)
         policy = make_policy(spec, metadata)
-        (policy.model if isinstance(policy, VoxelPolicy) else policy).load_state_dict(weights)
+        getattr(policy, "model", policy).load_state_dict(weights)
     except (Unreadable, TypeError, ValueError, RuntimeError) as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise RunError(f"{source} holds no policy that can be read ({reason:.200}).") from None
@@ -180,7 +198,7 @@ def _weights(spec: PolicySpec, given: Any) -> dict[str, torch.Tensor]:
     if not all(type(size) is int and size > 0 for size in sizes):
         raise ValueError(f"sizes must be integers, got {sizes!r:.100}")
     weights: dict[str, torch.Tensor] = {}
-    shapes = {} if spec.voxels is None else _voxel_shapes(spec)
+    known = {} if spec.voxels is None and spec.gait is None else build_actor(spec, "meta").state_dict()
     for name, value in given.items():
         try:
             numbers = np.frombuffer(base64.b64decode(value, validate=True), "<f4").astype(np.float32)
@@ -191,13 +209,8 @@ def _weights(spec: PolicySpec, given: Any) -> dict[str, torch.Tensor]:
         shape = (spec.num_obs,)
         if 0 <= layer < len(sizes) - 1:
             shape = (sizes[layer + 1], sizes[layer]) if part == "weight" else (sizes[layer + 1],)
-        shape = shapes.get(name, shape)
+        shape = tuple(known[name].shape) if name in known else shape
         if numbers.size != int(np.prod(shape)):
             raise ValueError(f"'{name:.40}' has {numbers.size} numbers, not {int(np.prod(shape))}")
-        weights[name] = torch.from_numpy(numbers.reshape(shape))
+        weights[name] = torch.from_numpy(numbers.reshape(shape)).to(known[name].dtype if name in known else None)
     return weights
-
-
-def _voxel_shapes(spec: PolicySpec) -> dict[str, tuple[int, ...]]:
-    """The shapes of the weights of a policy for voxels."""
-    return {name: tuple(value.shape) for name, value in build_actor(spec, "meta").state_dict().items()}

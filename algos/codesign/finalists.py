@@ -1,4 +1,4 @@
-"""The end of a search whose designs were compared by a common policy: its best get a policy each."""
+"""The end of a search whose designs were compared without a training for each: its best get one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Outcome, Parent, Search
 
-__all__ = ["Finalists", "TwoStages"]
+__all__ = ["BestOf", "Finalists", "TwoStages"]
 
 
 class Finalists:
@@ -76,3 +76,35 @@ class TwoStages:
         """See :class:`DesignEvaluator`."""
         finalists = bool(candidates) and candidates[0].origin == FINALIST
         return (self.final if finalists else self.screening).evaluate(candidates, parents, report, checkpoint)
+
+
+@dataclasses.dataclass(frozen=True)
+class BestOf:
+    """Evaluates candidates by gaits and by a training of their own; the better of both counts."""
+
+    gaits: DesignEvaluator
+    training: DesignEvaluator
+
+    def evaluate(
+        self,
+        candidates: Sequence[Candidate],
+        parents: Mapping[int, Parent],
+        report: Callable[[dict[str, Any]], None] | None = None,
+        checkpoint: Path | None = None,
+    ) -> list[Outcome]:
+        """See :class:`DesignEvaluator`. Gaits come from the parents; the trainings begin with new networks."""
+        moved = self.gaits.evaluate(candidates, parents, report)
+        spent = sum(outcome.steps for outcome in moved)
+
+        def tell(event: dict[str, Any]) -> None:
+            report(event | {"steps": spent + event["steps"]})
+
+        trained = self.training.evaluate(candidates, {}, report and tell, checkpoint)
+        return [_better(*pair) for pair in zip(moved, trained, strict=True)]
+
+
+def _better(moved: Outcome, trained: Outcome) -> Outcome:
+    """The better outcome, with the control steps of both."""
+    best = moved if moved.fitness >= trained.fitness else trained
+    later = [(moved.steps + steps, value) for steps, value in trained.curve]
+    return dataclasses.replace(best, curve=moved.curve + later, steps=moved.steps + trained.steps)

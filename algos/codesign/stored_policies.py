@@ -24,10 +24,10 @@ class StoredPolicies:
     Args:
         folder: of the run.
         ppo: what the networks were built by.
-        config: gives the text of ``config.yaml`` for a body.
+        config: gives the text of ``config.yaml`` for a body with such a policy.
     """
 
-    def __init__(self, folder: Path, ppo: PpoConfig, config: Callable[[Candidate], str]) -> None:
+    def __init__(self, folder: Path, ppo: PpoConfig, config: Callable[[Candidate, Outcome], str]) -> None:
         self.folder, self.ppo, self.config = folder, ppo, config
 
     def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
@@ -39,7 +39,7 @@ class StoredPolicies:
             "eval_return": outcome.fitness,
             "infos": {"candidate": candidate.id, "steps": outcome.steps},
         }
-        write_text(self.folder / place / "config.yaml", self.config(candidate))
+        write_text(self.folder / place / "config.yaml", self.config(candidate, outcome))
         save_checkpoint(self.folder / place / BEST, content)
         return (place / BEST).as_posix(), policy_sha256(outcome.policy)
 

@@ -40,6 +40,8 @@ PRETRAINED = Path("training") / "pretrained" / "policy.pt"
 STEPS = "pretraining_steps"
 """In this copy: control steps of the pretraining, if they are known."""
 FULL = Cell.H_ACT
+EPISODES = 4
+"""Of a gait, in tasks that draw at random."""
 
 
 def is_screened(config: CodesignConfig) -> bool:
@@ -272,7 +274,6 @@ def evaluator_of(config: CodesignConfig, pretrained: Mapping[str, Any] | None) -
     from warpvox.algos.codesign.finalists import TwoStages
     from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
     from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
-    from warpvox.algos.codesign.waves import WaveEvaluator
     from warpvox.algos.policies.registry import MLP
 
     if config.training.method == "population":
@@ -284,9 +285,22 @@ def evaluator_of(config: CodesignConfig, pretrained: Mapping[str, Any] | None) -
         final = SequentialEvaluator(factory_of(config, "voxel"), config.training, config.seed, *network)
     if not is_screened(config):
         return final
-    if config.evaluation == "waves":
-        return TwoStages(WaveEvaluator(factory_of(config), config.screening.waves, config.seed), final)
+    if config.evaluation == "gaits":
+        return _by_gaits(config, final)
     common = dataclasses.replace(factory_of(config, "voxel"), grid=tuple(config.shape))
     if config.evaluation == "shared":
         return TwoStages(SharedEvaluator(common, config.screening, config.seed), final)
     return TwoStages(FewShotEvaluator(common, config.screening, config.seed, pretrained), final)
+
+
+def _by_gaits(config: CodesignConfig, training: DesignEvaluator) -> DesignEvaluator:
+    """Designs are compared by gaits, finalists get longer ones and a training."""
+    from warpvox.algos.codesign.finalists import BestOf, TwoStages
+    from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
+    from warpvox.robots.replay import draws_at_random
+
+    how = config.screening
+    # the best of many noisy returns would be a lucky one
+    episodes = EPISODES if draws_at_random(config.task) else 1
+    gaits = GaitEvaluator(factory_of(config), how.gaits, how.rounds, config.seed, episodes)
+    return TwoStages(gaits, BestOf(dataclasses.replace(gaits, rounds=how.final_rounds), training))

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from warpvox.algos.candidate import FINALIST, Candidate
+from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.codesign.archive import FILE as ARCHIVE
 from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.codesign.archive_export import export
 from warpvox.algos.policies.registry import MLP
 from warpvox.algos.search import make_search, settings_from
-from warpvox.batch.options import lanes_for
+from warpvox.batch.options import MAX_WIDTH, lanes_for
 from warpvox.cli.application import run_command
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
@@ -144,7 +144,7 @@ def _environments(config: CodesignConfig) -> int:
     if not is_screened(config):
         return own
     how = config.screening
-    return max(own, config.search.population * (how.envs if has_common_policy(config) else how.waves))
+    return max(own, config.search.population * (how.envs if has_common_policy(config) else how.gaits))
 
 
 def resolve(config: CodesignConfig, folder: Path | None = None) -> CodesignConfig:
@@ -223,7 +223,7 @@ def codesign(job: Job, console: Console) -> Path:
                 checkpoints=folder / "training",
                 batch=config.batch,
                 reuse=config.reuse,
-                inherit=config.training.inherit,
+                inherit=config.training.inherit or config.evaluation == "gaits",
                 listener=watch,
             )
             done = f", {archive.trained()} of {total} designs done" if job.folder else ""
@@ -293,7 +293,7 @@ def _default(name: str) -> Any:
     return dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value
 
 
-def design_config(config: CodesignConfig, candidate: Candidate) -> str:
+def design_config(config: CodesignConfig, candidate: Candidate, outcome: Outcome) -> str:
     """The text of ``config.yaml`` beside the policy of a design: that of a training which ``warpvox play`` can show."""
     training = config.training
     values = {name: getattr(config, name) for name in OF_DESIGNS} | {
@@ -309,6 +309,8 @@ def design_config(config: CodesignConfig, candidate: Candidate) -> str:
     if has_common_policy(config) and candidate.origin != FINALIST:
         values |= screened_values(config, candidate)
     values["obs"] = "task" if values["policy"] == MLP else "voxel"
+    if outcome.spec and outcome.spec.get("gait"):
+        values |= {"policy": MLP, "network": None, "obs": "timed", "lanes": MAX_WIDTH}
     return to_yaml(load_values("train", values)) + END
 
 

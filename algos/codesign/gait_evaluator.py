@@ -1,0 +1,183 @@
+"""Evaluation of designs without a policy: a few gaits are tried with each, and handed on to its descendants."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.checkpoints.files import PolicySpec, actions_of, spec_dict
+from warpvox.algos.codesign.gaits import STAGES, Gait, draw_gait, mutate_gait
+from warpvox.algos.env_factory import EnvFactory
+from warpvox.algos.evaluate import evaluate
+from warpvox.algos.policies.gait import AMPLITUDE, gait_outputs
+from warpvox.batch.options import MAX_WIDTH
+from warpvox.devices.out_of_memory import enough_memory
+from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.types import Cell
+
+__all__ = ["GaitEvaluator"]
+
+FRESH = 0.125
+"""Share of the first gaits of a design with a parent that owe nothing to it."""
+STREAM = 0x6A17
+"""Keeps the random numbers of gaits apart from those of the environments."""
+
+
+@dataclass(frozen=True)
+class GaitEvaluator:
+    """The fitness of a design is the best return of some open-loop gaits, and the best gait is its policy.
+
+    The first ones are that of its best parent with mutants of it; random ones, if it has none. In each further round
+    mutants of the best so far are tried. It takes ``count * rounds`` episodes for a design, where a training of
+    512,000 control steps has a thousand.
+
+    Attributes:
+        factory: makes environments.
+        count: gaits that each design is tried with in a round.
+        rounds: of gaits.
+        seed: of the experiment.
+        episodes: of each gait, whose mean counts; more than one for tasks that draw at random.
+    """
+
+    factory: EnvFactory
+    count: int
+    rounds: int = 1
+    seed: int = 0
+    episodes: int = 1
+
+    def evaluate(
+        self,
+        candidates: Sequence[Candidate],
+        parents: Mapping[int, Parent],
+        report: Callable[[dict[str, Any]], None] | None = None,
+        checkpoint: Path | None = None,
+    ) -> list[Outcome]:
+        """See :class:`warpvox.algos.candidate.DesignEvaluator`; it takes seconds, and keeps no checkpoint.
+
+        Raises:
+            DeviceError: memory has run out.
+        """
+        if not candidates:
+            return []
+        hint = f"Take less at once: screening.gaits is {self.count} for each of {len(candidates)} designs (batch)."
+        with enough_memory(hint):
+            return _Rounds(self, candidates, parents).run(report)
+
+
+class _Rounds:
+    """The gaits of some candidates, round by round."""
+
+    def __init__(self, how: GaitEvaluator, candidates: Sequence[Candidate], parents: Mapping[int, Parent]) -> None:
+        self.how, self.bodies = how, [candidate.body for candidate in candidates]
+        self.seeds = [candidate_seed(how.seed, candidate.id) for candidate in candidates]
+        self.random = [np.random.default_rng([STREAM, how.seed, candidate.id]) for candidate in candidates]
+        self.inherited = [_inherited(candidate, parents) for candidate in candidates]
+        factory = replace(how.factory, lanes=MAX_WIDTH)  # bodies share packs: results do not depend on the company
+        self.env = factory.make(self.bodies, how.count * how.episodes, self.seeds, auto_reset=False)
+        self.best: list[tuple[float, Gait]] = []
+        self.curves: list[list[tuple[int, float]]] = [[] for _ in candidates]
+        self.spent = [0] * len(candidates)
+
+    def run(self, report: Callable[[dict[str, Any]], None] | None) -> list[Outcome]:
+        self._tell(report, 0)
+        for number in range(self.how.rounds):
+            gaits = [self._gaits(place) for place in range(len(self.bodies))]
+            returns, steps = self._play(gaits)
+            found = [(float(values.max()), tried[int(values.argmax())]) for values, tried in zip(returns, gaits, strict=True)]
+            self.best = [max(pair, key=lambda one: one[0]) for pair in zip(self.best or found, found, strict=True)]
+            for place, (value, _) in enumerate(self.best):
+                self.spent[place] += int(steps[place])
+                self.curves[place].append((self.spent[place], value))
+            self._tell(report, number + 1)
+        return [self._outcome(place) for place in range(len(self.bodies))]
+
+    def _gaits(self, place: int) -> list[Gait]:
+        """What a design is tried with next."""
+        rng, body, count = self.random[place], self.bodies[place], self.how.count
+        steps = self.env.max_episode_steps
+        parent, gaits = self.inherited[place], []
+        if self.best:
+            parent, fresh = self.best[place][1], 0
+        elif parent is None:
+            fresh = count
+        else:
+            fresh, gaits = math.ceil(FRESH * (count - 1)), [parent]
+        gaits += [draw_gait(rng, body, steps) for _ in range(fresh)]
+        return gaits + [mutate_gait(rng, parent, body, steps) for _ in range(count - len(gaits))]
+
+    def _play(self, gaits: Sequence[Sequence[Gait]]) -> tuple[np.ndarray, np.ndarray]:
+        """Returns ``[designs, count]`` and control steps ``[designs]`` of an episode of each gait."""
+        env, how = self.env, self.how
+        result = evaluate(env, _controller(env, self.bodies, gaits, how.episodes), seed=self.seeds)
+        returns = result.returns.view(len(self.bodies), how.count, how.episodes).mean(2).numpy()
+        return returns, result.lengths.view(len(self.bodies), -1).sum(1).numpy()
+
+    def _outcome(self, place: int) -> Outcome:
+        (value, gait), body = self.best[place], self.bodies[place]
+        columns = self.env.obs_columns[place].values()
+        spec = PolicySpec(
+            num_obs=sum(part.stop - part.start for part in columns) + 1,  # the time
+            num_actions=int((body >= Cell.H_ACT).sum()),
+            hidden=[],
+            activation="",
+            normalize_obs=False,
+            action_scale=AMPLITUDE,
+            gait=dict(zip(("stages", "rows", "columns"), gait.phase.shape, strict=True)),
+        )
+        state = {name: torch.as_tensor(values) for name, values in vars(gait).items()}
+        state["cells"] = torch.as_tensor(np.flatnonzero(body >= Cell.H_ACT))
+        return Outcome(value, self.curves[place], self.spent[place], state, spec=spec_dict(spec))
+
+    def _tell(self, report: Callable[[dict[str, Any]], None] | None, rounds: int) -> None:
+        if report is not None:
+            report(
+                {
+                    "iteration": rounds,
+                    "iterations": self.how.rounds,
+                    "steps": sum(self.spent),
+                    "best": [value for value, _ in self.best] or [math.nan] * len(self.bodies),
+                    "training": [rounds < self.how.rounds] * len(self.bodies),
+                }
+            )
+
+
+def _inherited(candidate: Candidate, parents: Mapping[int, Parent]) -> Gait | None:
+    """The gait of the best of a candidate's parents."""
+    known = [parents[number] for number in candidate.parents if number in parents]
+    if not known:
+        return None
+    policy = max(known, key=lambda parent: parent.fitness).policy
+    return Gait(**{name: policy[name].numpy() for name in Gait.__dataclass_fields__})
+
+
+def _controller(
+    env: VoxelVecEnv, bodies: Sequence[np.ndarray], gaits: Sequence[Sequence[Gait]], episodes: int
+) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Actions of all environments by the number of calls: those of a design, gait by gait, one after another."""
+    count = len(gaits[0])
+    values = np.zeros((3, STAGES, len(bodies), count, episodes, env.num_actions))
+    timing = np.zeros((2, STAGES, len(bodies), count, episodes, 1))
+    for place, body in enumerate(bodies):
+        driven = body >= Cell.H_ACT  # row by row, the order of actions
+        for k, gait in enumerate(gaits[place]):
+            timing[:, :, place, k] = np.stack([gait.begin, gait.period])[:, :, None, None]
+            cells = np.stack([gait.amplitude, gait.phase, gait.rest])[:, :, driven]
+            values[:, :, place, k, :, : cells.shape[-1]] = cells[:, :, None]
+    parts = [
+        torch.as_tensor(array.reshape(STAGES, env.num_envs, -1), device=env.device) for array in (*timing, *values)
+    ]
+    time = torch.zeros(env.num_envs, 1, dtype=torch.float64, device=env.device)
+
+    def act(obs: torch.Tensor) -> torch.Tensor:
+        outputs = gait_outputs(time, *parts).float()  # as the stored policy has them
+        time.add_(1.0)
+        return actions_of(outputs, AMPLITUDE)
+
+    return act

@@ -1,0 +1,144 @@
+"""Open-loop gaits as a design search evolves them: random ones, and mutants."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from warpvox.design import Design
+from warpvox.types import Cell
+
+__all__ = ["STAGES", "Gait", "draw_gait", "mutate_gait"]
+
+STAGES = 2
+"""Parts of an episode with a motion each: to take a run and to jump."""
+PERIODS = (5.0, 40.0)
+"""Control steps of a travelling wave."""
+SLOW_PERIODS = (8.0, 200.0)
+"""Control steps of a wave about the centre, once per turn of a rolling body."""
+SHORTEST, LONGEST = 3.0, 400.0
+"""Control steps; limits of mutated periods."""
+MOST_TURN = 1.6
+"""Radians from a voxel to the next: waves of four voxels and longer."""
+GAINS = (1.0, 4.5)
+"""From a sine to nearly a square wave, for values are cut at -1 and 1."""
+MOST_REST = 2.0
+"""A rest beyond 1 holds an actuator still for a part of the period."""
+STEP_SIZES = (0.02, 1.0)
+"""Of mutations: as often small as large, on a logarithmic scale."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gait:
+    """Motion without feedback, for any body of a grid: a sinusoid for each cell, another one in each stage.
+
+    In control step t, of stage s, the action of an actuator in cell c is
+    ``1.1 + 0.5 * clip(rest[s, c] + amplitude[s, c] * sin(2 pi t / period[s] + phase[s, c]), -1, 1)``.
+    Cells without an actuator have values, too: a mutant of the body may have one there. All values are numbers of
+    float32, so that no file format changes them.
+
+    Attributes:
+        begin: control step in which each stage begins, float64 ``[stages]``; the first is 0.
+        period: control steps, float64 ``[stages]``.
+        amplitude, phase, rest: float64 ``[stages, rows, columns]``; phases in radians.
+    """
+
+    begin: np.ndarray
+    period: np.ndarray
+    amplitude: np.ndarray
+    phase: np.ndarray
+    rest: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name, values in vars(self).items():
+            object.__setattr__(self, name, values.astype(np.float32).astype(np.float64))
+
+
+def draw_gait(rng: np.random.Generator, body: Design, steps: int) -> Gait:
+    """A random gait: each stage a wave or a pose, or one motion for the whole episode.
+
+    Args:
+        steps: control steps of an episode.
+    """
+    stages = [_wave(rng, body) if rng.random() < 0.7 else _pose(rng, body) for _ in range(STAGES)]
+    if rng.random() < 0.5:
+        stages = stages[:1] * STAGES
+    begin = np.sort(np.exp(rng.uniform(np.log(3.0), np.log(max(steps, 4)), STAGES)).round())
+    begin[0] = 0.0
+    return Gait(begin, *(np.array(values) for values in zip(*stages, strict=True)))
+
+
+Stage = tuple[float, np.ndarray, np.ndarray, np.ndarray]
+
+
+def _wave(rng: np.random.Generator, body: Design) -> Stage:
+    """A wave that travels through the body in some direction, or round its centre."""
+    x, y = _places(body)
+    vertical = body == Cell.V_ACT
+    gain = np.full(body.shape, _log_uniform(rng, GAINS))
+    if rng.random() < 0.25:
+        phase = rng.choice([-1, 1]) * np.arctan2(y, x) + rng.integers(4) * np.pi / 2 * vertical
+        return _log_uniform(rng, SLOW_PERIODS), gain, phase + rng.uniform(0, 2 * np.pi), np.zeros(body.shape)
+    turn_x, turn_y = rng.uniform(-MOST_TURN, MOST_TURN, 2)
+    phase = turn_x * x + turn_y * y + rng.uniform(0, 2 * np.pi) * vertical
+    return _log_uniform(rng, PERIODS), gain, phase, np.zeros(body.shape)
+
+
+def _pose(rng: np.random.Generator, body: Design) -> Stage:
+    """Each actuator at its longest or shortest; as often all of a kind alike as each at random."""
+    rest = rng.choice([-1.0, 1.0], body.shape)
+    if rng.random() < 0.5:
+        rest = np.where(body == Cell.V_ACT, *rng.choice([-1.0, 1.0], 2))
+    return _log_uniform(rng, PERIODS), np.zeros(body.shape), rng.uniform(0, 2 * np.pi, body.shape), rest
+
+
+def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
+    """A gait that differs from ``gait`` in one to three ways, in one stage or in all of them."""
+    stages = len(gait.begin)
+    for _ in range(rng.integers(1, 4)):
+        chosen = np.zeros(stages, bool)
+        chosen[rng.integers(stages)] = True
+        chosen |= rng.random() < 0.4
+        gait = replace(gait, **_change(rng, gait, body, steps, chosen))
+    return gait
+
+
+def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chosen: np.ndarray) -> dict:
+    """The changed fields of ``gait``; ``chosen``: stages that change, bool ``[stages]``."""
+    size = _log_uniform(rng, STEP_SIZES)
+    cells = chosen[:, None, None] * (rng.random(body.shape) < rng.choice([0.08, 0.3, 1.0]))
+    noise = size * cells * rng.normal(size=body.shape)
+    kind = rng.integers(7)
+    if kind == 0:
+        factor = np.exp(0.5 * size * rng.normal() * chosen)
+        return {"period": np.clip(gait.period * factor, SHORTEST, LONGEST)}
+    if kind == 1:
+        begin = gait.begin.copy()
+        begin[1:] *= np.exp(size * rng.normal(size=len(begin) - 1))
+        begin[1:] += rng.integers(-2, 3, len(begin) - 1)
+        return {"begin": np.sort(np.clip(begin.round(), 0.0, steps))}
+    if kind == 2:  # another direction or length of the wave
+        x, y = _places(body)
+        turn = rng.normal() * x + rng.normal() * y + 2 * rng.normal() * (body == Cell.V_ACT)
+        return {"phase": gait.phase + size * chosen[:, None, None] * turn}
+    if kind == 3:
+        return {"phase": gait.phase + 2 * noise}
+    if kind == 4:
+        return {"rest": np.clip(gait.rest + 1.5 * noise, -MOST_REST, MOST_REST)}
+    if kind == 5:
+        return {"amplitude": np.clip(gait.amplitude + 1.5 * noise, 0.0, 2 * GAINS[1])}
+    # a few cells at their longest or shortest
+    few = chosen[:, None, None] & (rng.random(body.shape) < 0.15)
+    return {"rest": np.where(few, rng.choice([-1.0, 1.0], body.shape), gait.rest)}
+
+
+def _places(body: Design) -> tuple[np.ndarray, np.ndarray]:
+    """x (to the right) and y (up) of each cell, from the middle of the body's voxels."""
+    rows, columns = np.nonzero(body)
+    row, column = np.mgrid[: body.shape[0], : body.shape[1]]
+    return column - columns.mean(), rows.mean() - row
+
+
+def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    return float(np.exp(rng.uniform(*np.log(limits))))

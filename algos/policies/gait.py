@@ -1,0 +1,67 @@
+"""An open-loop gait as a policy: the actions follow from the time alone, which ``obs=timed`` observes last."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import torch
+from torch import nn
+
+from warpvox.envs.rsl_rl import OBS_GROUP
+
+__all__ = ["AMPLITUDE", "GaitModel", "gait_outputs"]
+
+AMPLITUDE = 0.5
+"""Of the actions, about 1.1: from the shortest to the longest."""
+
+
+class GaitModel(nn.Module):
+    """The motion that :class:`warpvox.algos.codesign.gaits.Gait` states, for one body; used as rsl-rl's actors are.
+
+    Its state are the fields of the gait and ``cells``, long ``[actuators]``: their places in the grid, counted row by
+    row, in the order of actions.
+
+    Args:
+        actuators: how many.
+        stages: parts of the episode.
+        rows, columns: of the grid.
+    """
+
+    def __init__(self, actuators: int, stages: int, rows: int, columns: int) -> None:
+        super().__init__()
+        self.register_buffer("begin", torch.zeros(stages, dtype=torch.float64))
+        self.register_buffer("period", torch.ones(stages, dtype=torch.float64))
+        for name in ("amplitude", "phase", "rest"):
+            self.register_buffer(name, torch.zeros(stages, rows, columns, dtype=torch.float64))
+        self.register_buffer("cells", torch.zeros(actuators, dtype=torch.int64))
+
+    def forward(self, obs: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Outputs float64 ``[n, actuators]`` in [-1, 1] of the group of observations ``[n, num_obs]``."""
+        return self.outputs(obs[OBS_GROUP])
+
+    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
+        """As :meth:`forward`, of ``obs`` ``[..., num_obs]``."""
+        values = (value.flatten(1)[:, self.cells] for value in (self.amplitude, self.phase, self.rest))
+        return gait_outputs(obs[..., -1:].double(), self.begin, self.period, *values)
+
+
+def gait_outputs(
+    time: torch.Tensor,
+    begin: torch.Tensor,
+    period: torch.Tensor,
+    amplitude: torch.Tensor,
+    phase: torch.Tensor,
+    rest: torch.Tensor,
+) -> torch.Tensor:
+    """What the actuators do at ``time`` ``[..., 1]``: ``[..., actuators]`` in [-1, 1].
+
+    ``begin`` and ``period`` are ``[stages]``, or ``[stages, n, 1]`` for a gait of each row; the others
+    ``[stages, actuators]``, or ``[stages, n, actuators]``.
+    """
+    values = rest[0]
+    for stage in range(len(begin)):
+        turn = 2 * math.pi * time / period[stage] + phase[stage]
+        motion = rest[stage] + amplitude[stage] * torch.sin(turn)
+        values = motion if stage == 0 else torch.where(time >= begin[stage], motion, values)
+    return values.clamp(-1.0, 1.0)
