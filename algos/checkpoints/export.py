@@ -59,7 +59,7 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
 
 
 def _program(policy: Policy) -> torch.jit.ScriptModule:
-    if policy.spec.voxels is None:
+    if policy.spec.voxels is None and policy.spec.gait is None:
         return torch.jit.script(policy)
     return torch.jit.trace(policy, torch.zeros(2, policy.num_obs))  # networks of the user's may not be scriptable
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from warpvox.algos.checkpoints.files import Controller, actions_of
+from warpvox.errors import ConfigError
 
 __all__ = ["SampledController"]
 
@@ -15,10 +16,15 @@ class SampledController:
     Args:
         controller: the policy.
         seed: of the draws; equal seeds give equal actions for equal observations on the same device.
+
+    Raises:
+        ConfigError: the policy is an open-loop gait, which was found without exploration.
     """
 
     def __init__(self, controller: Controller, seed: int = 0) -> None:
         self.controller, self.spec = controller, controller.spec
+        if self.spec.gait is not None:
+            raise ConfigError("stochastic=true goes with a trained policy; this one is an open-loop gait.")
         distribution = controller.actor.distribution
         low, high = distribution.log_std_range
         self._std = distribution.log_std_param.detach().clamp(low, high).exp()

@@ -61,7 +61,8 @@ def gait_outputs(
     """
     values = rest[0]
     for stage in range(len(begin)):
-        turn = 2 * math.pi * time / period[stage] + phase[stage]
+        # of the time within its period, which is exact, float32 keeps all digits, too
+        turn = 2 * math.pi * torch.remainder(time, period[stage]) / period[stage] + phase[stage]
         motion = rest[stage] + amplitude[stage] * torch.sin(turn)
         values = motion if stage == 0 else torch.where(time >= begin[stage], motion, values)
     return values.clamp(-1.0, 1.0)

@@ -57,6 +57,8 @@ class Member:
     @cached_property
     def _screened(self) -> list[Record]:
         """Designs that a common policy has compared, where finalists were trained; no curve shows their fitness."""
+        if self.settings.get("evaluation") == "gaits":  # each gait is a policy of the design's own
+            return []
         done = [record for record in self.records if record.fitness is not None and record.reused is None]
         screened = [record for record in done if record.candidate.origin != FINALIST]
         return screened if len(screened) < len(done) else []

@@ -99,14 +99,21 @@ def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
 
 
-def test_a_search_by_waves(warpvox: Callable) -> None:
-    folder = search(warpvox, "evaluation=waves", "screening.waves=8")
+def test_a_search_by_gaits(warpvox: Callable) -> None:
+    folder = search(warpvox, "evaluation=gaits", "screening.gaits=8", "screening.final_rounds=2")
     records, figures = records_of(folder), summary(folder)
     assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
-    assert [record.policy is None for record in records] == [True] * 5 + [False] * 2
     assert figures["screened_fitness"] == max(record.fitness for record in records[:5])
-    assert figures["best_fitness"] == max(record.fitness for record in records[5:])
-    assert played(warpvox, folder) == pytest.approx(figures["best_fitness"], abs=ROUNDING)
+    for record in records[5:]:
+        (parent,) = record.candidate.parents
+        assert record.fitness >= records[parent].fitness  # its gait is the first that is tried
+        assert record.steps == 2 * 8 * 50 + 8 * 4
+    # both kinds of policies are played
+    for record in records[0], max(records[5:], key=lambda one: one.fitness):
+        assert played(warpvox, folder / "designs" / str(record.id)) == pytest.approx(record.fitness, abs=ROUNDING)
+    outcome = warpvox("play", f"run={folder}/designs/0", "stochastic=true", "export=[]", "device=cpu")
+    assert "open-loop gait" in outcome.err
+    assert warpvox("export", f"run={folder}/designs/0", "format=[jit]").code == 0
 
 
 @pytest.mark.slow
@@ -128,8 +135,8 @@ def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
         ("evaluation=few_shot", "evaluation=few_shot and pretrained go together"),
         ("pretrained=latest", "evaluation=few_shot and pretrained go together"),
         ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
-        ("evaluation=waves training.inherit=true", "training.inherit does not go with evaluation=waves"),
-        ("evaluation=waves pretrained=latest", "evaluation=few_shot and pretrained go together"),
+        ("evaluation=gaits training.inherit=true", "training.inherit does not go with evaluation=gaits"),
+        ("evaluation=gaits pretrained=latest", "evaluation=few_shot and pretrained go together"),
         ("evaluation=shared executor=ray", "one policy that learns in one process"),
         ("evaluation=shared batch=2", "leave batch away"),
         ("evaluation=shared screening.policy=mlp", "screening.policy must see voxels"),

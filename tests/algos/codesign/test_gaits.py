@@ -1,0 +1,133 @@
+"""Designs compared by open-loop gaits: the formula, what descends from what, and that no design depends on others."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+from population_cases import LIMIT, candidates, factory
+
+from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.checkpoints.files import Controller, build_actor, check_spec, spec_of
+from warpvox.algos.codesign.finalists import BestOf
+from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
+from warpvox.algos.codesign.gaits import LONGEST, SHORTEST, draw_gait, mutate_gait
+from warpvox.algos.evaluate import evaluate
+from warpvox.types import Cell
+
+COUNT = 8
+
+
+def evaluator(rounds: int = 1, seed: int = 0) -> GaitEvaluator:
+    return GaitEvaluator(factory(), COUNT, rounds, seed)
+
+
+def parent_of(candidate: Candidate, outcome: Outcome) -> Parent:
+    return Parent(candidate.body, outcome.policy, outcome.fitness)
+
+
+def test_fitness_is_the_return_of_the_gait_that_is_kept() -> None:
+    (candidate,) = candidates(1)
+    (outcome,) = evaluator(rounds=2).evaluate([candidate], {})
+    env = factory().make([candidate.body], 1, [candidate_seed(0, 0)], auto_reset=False)
+    gait = {name: value.numpy() for name, value in outcome.policy.items()}
+    driven = [cell for cell in np.ndindex(3, 3) if candidate.body[cell] in (Cell.H_ACT, Cell.V_ACT)]
+    assert gait["cells"].tolist() == [3 * row + column for row, column in driven]
+    env.reset()
+    total = 0.0
+    for step in range(env.max_episode_steps):
+        stage = sum(1 for begin in gait["begin"] if begin <= step) - 1
+        wave = [
+            gait["rest"][(stage, *cell)]
+            + gait["amplitude"][(stage, *cell)]
+            * math.sin(2 * math.pi * step / gait["period"][stage] + gait["phase"][(stage, *cell)])
+            for cell in driven
+        ]
+        actions = torch.tensor([[1.1 + 0.5 * min(1.0, max(-1.0, value)) for value in wave]], dtype=torch.float32)
+        total += float(env.step(actions)[1])
+    assert outcome.fitness == pytest.approx(total, abs=1e-4)
+    assert outcome.steps == 2 * COUNT * env.max_episode_steps
+    assert [steps for steps, _ in outcome.curve] == [outcome.steps // 2, outcome.steps]
+    assert outcome.curve[0][1] <= outcome.curve[1][1] == outcome.fitness
+
+
+def test_the_stored_policy_repeats_the_fitness() -> None:
+    (candidate,) = candidates(1)
+    (outcome,) = evaluator().evaluate([candidate], {})
+    spec = spec_of(outcome.spec)
+    check_spec(spec, outcome.policy)
+    actor = build_actor(spec)
+    actor.load_state_dict(outcome.policy)
+    controller = Controller(actor, spec)
+    where = dataclasses.replace(factory(), obs="timed", lanes=32)
+    env = where.make([candidate.body], 1, [candidate_seed(0, 0)], auto_reset=False)
+    controller.check(env)
+    assert evaluate(env, controller).returns.tolist() == [outcome.fitness]
+
+
+def test_a_design_does_not_depend_on_its_company() -> None:
+    found, events = candidates(3), []
+    together = [outcome.fitness for outcome in evaluator(seed=1).evaluate(found, {}, events.append)]
+    assert together == [evaluator(seed=1).evaluate([candidate], {})[0].fitness for candidate in found]
+    assert len(set(together)) == 3
+    assert [event["steps"] for event in events] == [0, 3 * COUNT * LIMIT]
+    assert (events[1]["best"], events[1]["training"]) == (together, [False] * 3)
+    assert [outcome.fitness for outcome in evaluator(seed=2).evaluate(found, {})] != together
+
+
+def test_a_child_is_never_worse_for_having_its_parents_gait() -> None:
+    mother, father = candidates(2)
+    outcomes = evaluator(rounds=3).evaluate([mother, father], {})
+    parents = {0: parent_of(mother, outcomes[0]), 1: parent_of(father, outcomes[1])}
+    best = max(parents, key=lambda number: parents[number].fitness)
+    same = Candidate(2, parents[best].body, (0, 1), "mutation", 1)
+    (outcome,) = evaluator().evaluate([same], parents)
+    assert outcome.fitness >= parents[best].fitness
+    assert outcome.fitness > evaluator().evaluate([dataclasses.replace(same, parents=())], {})[0].fitness
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_gaits_and_mutants_stay_within_their_limits(seed: int) -> None:
+    rng, body = np.random.default_rng(seed), candidates(1)[0].body
+    gait = draw_gait(rng, body, 100)
+    for _ in range(200):
+        before = gait
+        gait = mutate_gait(rng, gait, body, 100)
+        assert gait.begin[0] == 0
+        assert (np.diff(gait.begin) >= 0).all()
+        assert gait.begin[-1] <= 100
+        assert (gait.begin == gait.begin.round()).all()
+        assert SHORTEST <= gait.period.min() <= gait.period.max() <= LONGEST
+        assert np.abs(gait.rest).max() <= 2
+        assert gait.amplitude.min() >= 0
+        for name, values in vars(gait).items():
+            assert values.shape == getattr(before, name).shape
+            np.testing.assert_array_equal(values, values.astype(np.float32))
+
+
+class Fixed:
+    """An evaluator whose outcomes are known."""
+
+    def __init__(self, *fitness: float) -> None:
+        self.outcomes = [Outcome(value, [(10, value)], 10) for value in fitness]
+
+    def evaluate(self, candidates, parents, report=None, checkpoint=None):  # noqa: ANN001, ANN201
+        self.parents = parents
+        if report is not None:
+            report({"steps": 20})
+        return self.outcomes
+
+
+def test_of_gait_and_training_the_better_one_counts() -> None:
+    found, events = candidates(2), []
+    gaits, training = Fixed(1.0, 4.0), Fixed(3.0, 2.0)
+    parents = {0: Parent(found[0].body, {}, 0.0)}
+    outcomes = BestOf(gaits, training).evaluate(found, parents, events.append)
+    assert [outcome.fitness for outcome in outcomes] == [3.0, 4.0]
+    assert [outcome.steps for outcome in outcomes] == [20, 20]
+    assert outcomes[0].curve == [(10, 1.0), (20, 3.0)]
+    assert (gaits.parents, training.parents) == (parents, {})
+    assert [event["steps"] for event in events] == [20, 40]
