@@ -90,7 +90,9 @@ class _Rounds:
         for number in range(self.how.rounds):
             gaits = [self._gaits(place) for place in range(len(self.bodies))]
             returns, steps = self._play(gaits)
-            found = [(float(values.max()), tried[int(values.argmax())]) for values, tried in zip(returns, gaits, strict=True)]
+            found = [
+                (float(values.max()), tried[int(values.argmax())]) for values, tried in zip(returns, gaits, strict=True)
+            ]
             self.best = [max(pair, key=lambda one: one[0]) for pair in zip(self.best or found, found, strict=True)]
             for place, (value, _) in enumerate(self.best):
                 self.spent[place] += int(steps[place])

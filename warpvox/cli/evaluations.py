@@ -84,7 +84,9 @@ def check_evaluation(config: CodesignConfig) -> None:
     if not is_screened(config):
         return
     if training.inherit:
-        raise ConfigError(f"training.inherit does not go with {how}: the trainings of the finalists begin with new networks.")
+        raise ConfigError(
+            f"training.inherit does not go with {how}: the trainings of the finalists begin with new networks."
+        )
     if config.evaluation == "shared" and config.executor == "ray":
         raise ConfigError(f"{how} has one policy that learns in one process: executor=local, or evaluation=few_shot.")
     if config.evaluation == "shared" and config.batch is not None:

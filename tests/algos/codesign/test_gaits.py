@@ -114,7 +114,7 @@ class Fixed:
     def __init__(self, *fitness: float) -> None:
         self.outcomes = [Outcome(value, [(10, value)], 10) for value in fitness]
 
-    def evaluate(self, candidates, parents, report=None, checkpoint=None):  # noqa: ANN001, ANN201
+    def evaluate(self, candidates, parents, report=None, checkpoint=None):
         self.parents = parents
         if report is not None:
             report({"steps": 20})
