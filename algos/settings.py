@@ -92,8 +92,8 @@ class ScreeningConfig:
     eval_envs: int = key(1, "environments of the evaluation after them, for each design", low=1)
     save_interval: int = key(10, "iterations between checkpoints of an evaluation under way", low=1)
     ppo: Any = key(None, "settings of PPO that differ from training.ppo: {epochs:4,schedule:adaptive}")
-    gaits: int = key(16, "evaluation=gaits: open-loop gaits that a design is tried with in a round", low=1)
+    gaits: int = key(8, "evaluation=gaits: open-loop gaits that a design is tried with in a round", low=1)
     rounds: int = key(
-        1, "evaluation=gaits: rounds of them; in each further one, mutants of the best gait so far are tried", low=1
+        2, "evaluation=gaits: rounds of them; in each further one, mutants of the best gait so far are tried", low=1
     )
-    final_rounds: int = key(50, "evaluation=gaits: the same for finalists, before their training", low=1)
+    final_rounds: int = key(40, "evaluation=gaits: the same for finalists, before their training", low=1)

@@ -100,7 +100,7 @@ def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -
 
 
 def test_a_search_by_gaits(warpvox: Callable) -> None:
-    folder = search(warpvox, "evaluation=gaits", "screening.gaits=8", "screening.final_rounds=2")
+    folder = search(warpvox, "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", "screening.final_rounds=2")
     records, figures = records_of(folder), summary(folder)
     assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
     assert figures["screened_fitness"] == max(record.fitness for record in records[:5])
