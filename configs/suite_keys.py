@@ -21,12 +21,14 @@ BY_MEMBER = ("preset", "task", "seed")
 class _SuiteKeys:
     """Keys of ``warpvox suite`` that a single design search does not have, or has with another meaning."""
 
-    suite: str = key("quick", "tasks, searches, seeds and budgets at once, over which keys that are given win")
+    suite: str = key(
+        "quick", "a named set of tasks, searches, seeds and budgets, which the keys that are given override"
+    )
     tasks: list[str] = key(
         [], "task ids, all (the 32) or benchmark10 (the ten of the paper's main comparison)", path="read"
     )
-    searches: list[str] = key([], "searches to compare, by the names that codesign's search has")
-    seeds: Any = key(3, "seeds of each task and search: [0,1,2], or how many, counted from 0")
+    searches: list[str] = key([], "searches to compare, named as for search of codesign")
+    seeds: Any = key(3, "seeds of each task and search: [0,1,2], or their number, counted from 0")
     evaluations: Any = key(
         250, "designs that a search may train: a number, or by task, difficulty and default: {easy:250,Lifter-v0:750}"
     )
@@ -37,17 +39,20 @@ class _SuiteKeys:
         None, "rows and columns of the bodies, or by task; null: the paper's, [5,5] and [5,7] for Lifter-v0"
     )
     executor: str = key(
-        "local", "where members are made: in processes of this machine, or in tasks of Ray", choices=("local", "ray")
+        "local",
+        "where members run: in processes of this machine (local) or in tasks of Ray (ray)",
+        choices=("local", "ray"),
     )
     workers: int | None = key(
         None,
-        "members at a time; null: one a core, as far as memory goes (device=cuda: one; ray: what there is room for)",
+        "members that run at the same time; null: one per core as far as memory allows (device=cuda: one;"
+        " executor=ray: as many as there is room for)",
         low=1,
     )
     resume: str | None = key(
-        None, "go on with a suite: latest or its folder; more tasks, searches and seeds may be named", path="read"
+        None, "continue a suite: latest or its folder; tasks, searches and seeds may be added", path="read"
     )
-    retry: bool = key(False, "with resume: try members that have failed once more")
+    retry: bool = key(False, "with resume: run failed members again")
     report: str | None = key(
         None, "only make curves.csv and the report of a suite again: latest or its folder", path="read"
     )
@@ -66,7 +71,7 @@ def suite_config(codesign: type, search: type) -> type:
     for item in dataclasses.fields(codesign):
         if item.name == "search":
             settings = _optional(search)
-            fields.append(("search", settings, key(settings, "settings of those searches that have them")))
+            fields.append(("search", settings, key(settings, "settings for the searches that have them")))
         elif item.name not in own:
             meaning = {"help": THREADS} if item.name == "threads" else {}
             copied = field(

@@ -43,7 +43,7 @@ class SearchSettings:
     algorithm: ClassVar[str]
 
     population: int = key(25, "designs of a generation", low=2)
-    max_evaluations: int = key(250, "different designs to evaluate in all; the paper has 250, 500 or 750", low=1)
+    max_evaluations: int = key(250, "number of different designs to evaluate; in the paper 250, 500 or 750", low=1)
 
     def __post_init__(self) -> None:
         _check_types(self)
@@ -64,9 +64,9 @@ class GaSettings(SearchSettings):
     algorithm: ClassVar[str] = "ga"
 
     mutation_rate: float = key(0.1, "probability that a mutation changes a voxel", above=0, high=1)
-    survivor_rate: float = key(0.6, "share of the population that survives, at the start", low=0, high=1)
+    survivor_rate: float = key(0.6, "fraction of the population that survives, at the start", low=0, high=1)
     final_survivor_rate: float = key(0.0, "the same at the end; linear between", low=0, high=1)
-    min_survivors: int = key(2, "fewest survivors of a generation", low=1)
+    min_survivors: int = key(2, "smallest number of survivors of a generation", low=1)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -85,15 +85,16 @@ class BoSettings(SearchSettings):
 
     acquisition: str = key(
         "paper",
-        "pathwise: climb samples of the posterior over valid designs; paper: expected improvement by L-BFGS, then"
-        " voxel by voxel over new valid designs; lbfgs: by L-BFGS alone",
+        "how designs are proposed: pathwise (hill climbing on samples of the posterior, over valid designs),"
+        " paper (expected improvement by L-BFGS, then voxel by voxel over new valid designs), lbfgs (expected"
+        " improvement by L-BFGS alone)",
         choices=("pathwise", "paper", "lbfgs"),
     )
-    kernel_variance: float = key(1.0, "variance of the Matern 5/2 kernel, where its fit starts", above=0)
-    kernel_length_scale: float = key(1.0, "length scale of the kernel, where its fit starts", above=0)
+    kernel_variance: float = key(1.0, "initial variance of the Matern 5/2 kernel", above=0)
+    kernel_length_scale: float = key(1.0, "initial length scale of the kernel", above=0)
     optimizer_iterations: int = key(100, "iterations of L-BFGS, for the kernel and for the acquisition", low=1)
-    optimizer_restarts: int = key(5, "starts of the kernel's fit, of which the best counts", low=1)
-    candidates: int = key(1000, "designs among which a posterior sample finds its start", low=1)
+    optimizer_restarts: int = key(5, "number of starts of the kernel's fit, of which the best is used", low=1)
+    candidates: int = key(1000, "number of designs among which the starts of climbs are chosen", low=1)
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,9 @@ class CppnNeatSettings(SearchSettings):
 
     algorithm: ClassVar[str] = "cppn_neat"
 
-    neat_config: str | None = key(None, "file with another configuration of neat-python; null: Table 5", path="read")
+    neat_config: str | None = key(
+        None, "another configuration file of neat-python; null: Table 5 of the paper", path="read"
+    )
 
 
 @dataclass(frozen=True)
@@ -112,8 +115,10 @@ class MapElitesSettings(SearchSettings):
     algorithm: ClassVar[str] = "map_elites"
 
     mutation_rate: float = key(0.1, "probability that a mutation changes a voxel", above=0, high=1)
-    descriptors: tuple[str, ...] = key(("actuators", "empty"), "what kinds of bodies differ by", choices=DESCRIPTORS)
-    bins: int = key(5, "parts into which the range of each descriptor is cut", low=1)
+    descriptors: tuple[str, ...] = key(
+        ("actuators", "empty"), "descriptors that span the cells of the archive", choices=DESCRIPTORS
+    )
+    bins: int = key(5, "bins of each descriptor", low=1)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "descriptors", _as_tuple(self.descriptors))
@@ -129,7 +134,7 @@ class CustomSettings(SearchSettings):
     algorithm: ClassVar[str] = "custom"
 
     make: str | None = key(
-        None, "your search: FILE.py:NAME or MODULE:NAME, called with settings, shape and seed", path="read"
+        None, "a search of your own: FILE.py:NAME or MODULE:NAME, called with settings, shape and seed", path="read"
     )
 
     def __post_init__(self) -> None:
