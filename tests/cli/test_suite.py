@@ -107,6 +107,13 @@ def test_budgets_by_task() -> None:
     cost = steps_of_design(training, 8)
     found = members(*words, f"control_steps={int(cost * 12.5)}", "search.population=8")
     assert [member.config.search.max_evaluations for member in found] == [12] * 3
+    # of search=auto the finalists take gaits and trainings; Walker-v0 has 500, Catcher-v0 400 steps, four at random
+    words = ["tasks=[Walker-v0,Catcher-v0]", "searches=[auto,ga]", "seeds=[0]", "control_steps=5000000"]
+    walker, _, catcher, plain = members(*words, "screening.gaits=10", "screening.rounds=2", "screening.final_rounds=5")
+    last = [2 * (5 * 10 * steps + steps_of_design(training, 2)) for steps in (500, 4 * 400)]
+    budgets = [int((5_000_000 - spent) // (2 * 10 * steps)) for spent, steps in zip(last, (500, 4 * 400), strict=True)]
+    assert [walker.config.search.max_evaluations, catcher.config.search.max_evaluations] == budgets
+    assert (walker.config.evaluation, plain.config.evaluation) == ("gaits", "specialist")
 
 
 @pytest.mark.parametrize(
@@ -122,7 +129,7 @@ def test_budgets_by_task() -> None:
         ({"evaluations": {"hard": 3}}, "says nothing of Walker-v0"),
         ({"evaluations": 0}, "evaluations must be an integer >= 1"),
         ({"control_steps": 10}, "must be at least"),
-        ({"control_steps": 10**6, "evaluation": "shared"}, "evaluation=specialist"),
+        ({"control_steps": 10**6, "evaluation": "shared"}, "evaluation=specialist or gaits"),
         ({"shape": [5]}, "shape must be two integers"),
     ],
 )

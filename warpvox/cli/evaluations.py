@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "STEPS",
     "check_evaluation",
+    "episodes_of",
     "evaluator_of",
     "has_common_policy",
     "is_screened",
@@ -299,10 +300,14 @@ def _by_gaits(config: CodesignConfig, training: DesignEvaluator) -> DesignEvalua
     """Designs are compared by gaits, finalists get longer ones and a training."""
     from warpvox.algos.codesign.finalists import BestOf, TwoStages
     from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
-    from warpvox.robots.replay import draws_at_random
 
     how = config.screening
-    # the best of many noisy returns would be a lucky one
-    episodes = EPISODES if draws_at_random(config.task) else 1
-    gaits = GaitEvaluator(factory_of(config), how.gaits, how.rounds, config.seed, episodes)
+    gaits = GaitEvaluator(factory_of(config), how.gaits, how.rounds, config.seed, episodes_of(config.task))
     return TwoStages(gaits, BestOf(dataclasses.replace(gaits, rounds=how.final_rounds), training))
+
+
+def episodes_of(task: str) -> int:
+    """Of a gait: several where the task draws at random, or the best of many returns would be a lucky one."""
+    from warpvox.robots.replay import draws_at_random
+
+    return EPISODES if draws_at_random(task) else 1

@@ -14,7 +14,7 @@ from warpvox.algos.search.settings import ALGORITHMS
 from warpvox.algos.settings import TrainingConfig
 from warpvox.checks import check_integer, check_shape, is_integer
 from warpvox.cli.config import load
-from warpvox.cli.evaluations import is_screened
+from warpvox.cli.evaluations import episodes_of, has_common_policy, is_screened
 from warpvox.cli.help import options_of
 from warpvox.configs.paper import shape_of
 from warpvox.configs.schema import CodesignConfig, SuiteConfig
@@ -41,6 +41,8 @@ NAMED = {"all": task_ids, "benchmark10": lambda: BENCHMARK10}
 DIFFICULTIES, DEFAULT = ("easy", "medium", "hard"), "default"
 OF_SUITES = ("executor", "address", "workers", "resume", "report", "name", "config", "search", "shape")
 """Keys that a design search has, too, with another meaning or value than in a suite."""
+OF_RECIPES = ("evaluation", "finalists", "screening")
+"""Keys that the file of a search may set besides ``search.*``; other members keep the suite's values."""
 
 
 @dataclass(frozen=True)
@@ -72,17 +74,18 @@ def plan(config: SuiteConfig, config_dir: Path | None = None) -> list[Member]:
     Raises:
         WarpvoxError: a task, search, seed or budget that does not exist or does not go with the others.
     """
-    tasks, searches, seeds = _tasks(config.tasks), _searches(config, config_dir), seeds_of(config.seeds)
+    tasks, seeds = _tasks(config.tasks), seeds_of(config.seeds)
+    searches, recipes = _searches(config, config_dir)
     own = {item.name for item in dataclasses.fields(SuiteConfig)} - set(OF_SUITES)
     shared = {item.name: getattr(config, item.name) for item in dataclasses.fields(CodesignConfig) if item.name in own}
     members = []
     for seed, (task, spec), (search, settings) in itertools.product(seeds, tasks.items(), searches.items()):
         shape = _of_task("shape", config.shape, spec)
         shape = shape_of(spec.id) if shape is None else list(check_shape("shape", shape))
-        evaluations = _evaluations(config, spec, settings.population)
-        values = shared | {"task": task, "shape": shape, "seed": seed}
-        values["search"] = dataclasses.replace(settings, max_evaluations=evaluations)
-        members.append(Member(spec.id, search, seed, CodesignConfig(**values)))
+        values = shared | {"task": task, "shape": shape, "seed": seed} | recipes[search]
+        member = CodesignConfig(**values, search=settings)
+        settings = dataclasses.replace(settings, max_evaluations=_evaluations(config, spec, member))
+        members.append(Member(spec.id, search, seed, dataclasses.replace(member, search=settings)))
     return members
 
 
@@ -115,23 +118,33 @@ def _tasks(names: list[str]) -> dict[str, TaskSpec]:
     return tasks
 
 
-def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Any]:
-    """The settings of each search by its name: those of its file, and those that the suite changes."""
+def _searches(config: SuiteConfig, config_dir: Path | None) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """Of each search by its name the settings, and how its file evaluates designs.
+
+    Settings are those of its file and those that the suite changes; of other keys a file has its way with
+    :data:`OF_RECIPES`.
+    """
     known = options_of("search", config_dir)
     if not config.searches:
         raise ConfigError(f"searches must name one search or more of {listing(known)}, got [].")
     for name in config.searches:
         if name not in known:
             raise ConfigError(f"searches must be of {listing(known)}; got '{name}'.{did_you_mean(name, known)}")
-    found = {name: load("codesign", [f"search={name}"], config_dir).search for name in dict.fromkeys(config.searches)}
+    files = {name: load("codesign", [f"search={name}"], config_dir) for name in dict.fromkeys(config.searches)}
+    found, usual = {name: file.search for name, file in files.items()}, CodesignConfig()
+    recipes = {
+        name: {key: getattr(file, key) for key in OF_RECIPES if getattr(file, key) != getattr(usual, key)}
+        for name, file in files.items()
+    }
     given = {name: value for name, value in dataclasses.asdict(config.search).items() if value is not None}
     for name in given:
         if not any(_has(settings, name) for settings in found.values()):
             raise ConfigError(f"None of the searches {listing(found)} has the setting search.{name}.")
-    return {
+    changed = {
         search: dataclasses.replace(settings, **{name: given[name] for name in given if _has(settings, name)})
         for search, settings in found.items()
     }
+    return changed, recipes
 
 
 def _has(settings: Any, name: str) -> bool:
@@ -172,19 +185,33 @@ def _of_task(key: str, value: Any, task: TaskSpec) -> Any:
     return value[found]
 
 
-def _evaluations(config: SuiteConfig, task: TaskSpec, population: int) -> int:
-    """How many designs a search on ``task`` may train."""
+def _evaluations(config: SuiteConfig, task: TaskSpec, member: CodesignConfig) -> int:
+    """How many designs a search on ``task`` may evaluate."""
     if config.control_steps is None:
         return check_integer("evaluations", _of_task("evaluations", config.evaluations, task), 1)
-    if is_screened(config):
-        raise ConfigError("control_steps goes with evaluation=specialist, where a design takes a known number of them.")
-    steps = check_integer("control_steps", _of_task("control_steps", config.control_steps, task), 1)
-    cost = steps_of_design(config.training, population)
-    if steps < cost:
+    if has_common_policy(member):
         raise ConfigError(
-            f"control_steps must be at least {cost:,}, which a design takes; got {steps:,} for {task.id}."
+            "control_steps goes with evaluation=specialist or gaits, where a design takes a known number of them."
         )
-    return int(steps // cost)
+    steps = check_integer("control_steps", _of_task("control_steps", config.control_steps, task), 1)
+    cost, last = _costs(member, task)
+    if steps < cost + last:
+        what = "which a design takes" if not last else "for a design and the finalists"
+        raise ConfigError(
+            f"control_steps must be at least {math.ceil(cost + last):,}, {what}; got {steps:,} for {task.id}."
+        )
+    return int((steps - last) // cost)
+
+
+def _costs(member: CodesignConfig, task: TaskSpec) -> tuple[float, float]:
+    """Control steps that a design takes at most, and those of all finalists."""
+    training, how, count = member.training, member.screening, member.finalists
+    if not is_screened(member):
+        return steps_of_design(training, member.search.population), 0
+    episodes = how.gaits * episodes_of(member.task)
+    round_of_gaits = episodes * task.max_episode_steps
+    last = how.final_rounds * round_of_gaits + steps_of_design(training, count)
+    return how.rounds * round_of_gaits, count * last
 
 
 def steps_of_design(training: TrainingConfig, population: int) -> float:
