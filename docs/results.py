@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import warpvox as wv
+from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.codesign.archive import FILE as ARCHIVE
 from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.evaluate import evaluate
@@ -26,13 +27,15 @@ from warpvox.cli.runs import find_codesign
 from warpvox.envs import known_returns as known
 from warpvox.envs.registry import task_ids
 from warpvox.io import writing
-from warpvox.robots import zoo_tasks
+from warpvox.robots import Gait, zoo_tasks
 
 FOLDER = Path(__file__).resolve().parent
 KNOWN = FOLDER.parent / "envs" / known.FILE
 TABLE, PAGE = FOLDER / "results" / "returns.csv", FOLDER / "results.md"
-COLUMNS = ("task", "return", "episodes", "evaluation", "shape", "control_steps", "seconds", "date", "command")
-"""``return``: of the robot of the zoo; ``evaluation``: the best deterministic evaluation of the search."""
+COLUMNS = ("task", "return", "episodes", "evaluation", "shape", "policy", "control_steps", "seconds", "date", "command")
+"""``return``: of the robot of the zoo; ``evaluation``: the best deterministic evaluation of the search; ``policy``:
+``gait``, open loop; else a network, without a name."""
+GAIT = "gait"
 BODIES = 64
 """Random bodies of 5 x 5 cells, one episode each."""
 HEAD = """# Results
@@ -50,7 +53,8 @@ NOTES = """
 seeds. Where the zoo has no robot yet it is the best deterministic evaluation of a search, in float32, and in italics.
 *Control steps* and *wall time* are those of the whole search or training that the robot comes from: one thread of a
 machine with 2 virtual cores of an AMD EPYC that was busy with other work, so that the time is an upper bound. ▼ marks a
-return below the best published one.
+return below the best published one, ○ an open-loop policy: a [gait](zoo.md#gaits), whose actions depend on the time
+alone. All others are networks that see what the task observes.
 
 Published returns are the best of anybody. Their protocols differ; most are the best evaluation of several searches. A
 score of 1 in a [comparison of searches](evaluation.md#comparing-searches) is such a return.
@@ -97,7 +101,8 @@ def _line(one: known.KnownReturn, row: Mapping[str, str] | None) -> str:
     if row is not None:
         value = _return(row)
         cells[0] = f"{value:.3f}" if row["return"] else f"*{value:.3f}*"
-        cells[1] = "▼" if one.best is not None and value < one.best else ""
+        below = one.best is not None and value < one.best
+        cells[1] = "▼" * below + "○" * (row["policy"] == GAIT)
         cells[5:] = [f"{int(row['control_steps']):,}", _duration(row["seconds"])]
     return f"| {' | '.join([one.task, *cells])} |\n"
 
@@ -149,7 +154,7 @@ def export(folders: Sequence[Path], before: Sequence[Mapping[str, str]] = ()) ->
         folders: that design searches lie in; those that have not ended, and those by the paper's rules, do not count.
         before: rows that stay unless there is a better search, or a robot.
     """
-    rows = {row["task"]: dict(row) for row in before}
+    rows = {row["task"]: {name: row.get(name, "") for name in COLUMNS} for row in before}
     robots = [task for task in zoo_tasks() if task in task_ids()]
     members = [one for folder in folders for one in read_members(archives_in(folder)) if _counts(one)]
     best = {one.task: one for one in sorted(members, key=lambda one: one.winner.fitness)}
@@ -169,6 +174,9 @@ def _search(member: Member) -> dict[str, str]:
     with Archive.read(member.folder / ARCHIVE) as archive:
         date = archive.created_at[:10]
     values = {"evaluation": f"{member.winner.fitness:.9g}", "control_steps": int(member.steps[-1])}
+    if member.winner.policy is not None:
+        policy = load_checkpoint(member.folder / member.winner.policy)["policy"]
+        values |= {"policy": GAIT} if policy.get("gait") else {}
     values |= {} if member.seconds is None else {"seconds": f"{member.seconds:.0f}"}
     command = command_of("codesign", find_codesign(str(member.folder), "").config)
     return _row(member.task, member.winner.candidate.body, command, date, **values)
@@ -178,6 +186,7 @@ def _robot(task: str) -> dict[str, str]:
     robot = wv.zoo(task)
     about = robot.about
     values = {"return": repr(about["return"]), "episodes": len(about["returns"])}
+    values |= {"policy": GAIT} if isinstance(robot.policy, Gait) else {}
     values |= {
         "control_steps": about["control_steps"],
         "seconds": "" if about["wall_s"] is None else f"{about['wall_s']:.0f}",

@@ -12,9 +12,13 @@ import pytest
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.codesign.archive import Archive, Finished
+from warpvox.api import load_policy
 from warpvox.cli.config import load
 from warpvox.cli.robot_entries import command_of, trained
-from warpvox.robots.entry import read_robot, save_robot, zoo, zoo_tasks
+from warpvox.design import full_connections, load_design
+from warpvox.robots.entry import Robot, read_robot, save_robot, zoo, zoo_tasks
+from warpvox.robots.gait import Gait
+from warpvox.robots.replay import recorded
 from warpvox.view.rollout import Rollout
 
 TASK = min(zoo_tasks(), key=lambda task: sum(zoo(task).about["lengths"]))
@@ -81,6 +85,39 @@ def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Calla
     evaluated = warpvox("evaluate", "zoo=[mine/Walker-v0.npz]")
     assert evaluated.code == 0, evaluated.err
     assert summary("evaluate/*/*/summary.json")["mean_return"] == pytest.approx(robot.mean_return, abs=1e-9)
+
+
+def test_a_gait_is_listed_shown_played_and_loaded(warpvox: Callable) -> None:
+    body, wave = load_design("mini"), np.linspace(0, 2 * np.pi, 16).reshape(2, 8)
+    gait = Gait([0, 10], [20, 12], np.full((2, 8), 0.9), wave, np.zeros((2, 8)))
+    robot = Robot("Balancer-v0", body, full_connections(body).T, gait)
+    robot = recorded(robot, {"command": "none", "control_steps": 1})
+    save_robot("mine/Balancer-v0.npz", robot)
+    assert "○" in warpvox("zoo", "folder=mine").out.split("return: ")[0]
+    shown = warpvox("zoo", "folder=mine", "task=Balancer-v0")
+    assert "gait, open loop: 51 parameters, 2 stages" in shown.out, shown.err
+    played = warpvox("play", "zoo=mine/Balancer-v0.npz", "window=off", "export=[]")
+    assert played.code == 0, played.err
+    assert round(summary("play/Balancer-v0/*/summary.json")["mean_return"], 9) == robot.mean_return
+    policy = load_policy("zoo:mine/Balancer-v0.npz")
+    assert (policy.metadata["obs"], policy.num_actions) == ("timed", 8)
+
+
+@pytest.mark.slow
+def test_a_search_by_gaits_becomes_an_open_loop_entry(warpvox: Callable) -> None:
+    small = "search.max_evaluations=8 search.population=4 screening.gaits=4 screening.final_rounds=2 finalists=1"
+    small += " training.iterations=1 training.envs=4 training.ppo.steps=4 device=cpu threads=1 shape=[3,3]"
+    found = warpvox("codesign", "evaluation=gaits", "task=UpStepper-v0", *small.split())
+    assert found.code == 0, found.err
+    added = warpvox("zoo", "add=outputs/codesign/UpStepper-v0/*", "folder=mine")
+    assert "no entry before; written to" in added.out, added.err
+    robot = read_robot("mine/UpStepper-v0.npz")
+    assert isinstance(robot.policy, Gait)
+    assert robot.mean_return == pytest.approx(robot.about["fitness"], abs=0.2)  # that of float32
+    exported = warpvox("export", "zoo=mine/UpStepper-v0.npz", "format=[gif,usd,onnx]", "steps=5")
+    assert exported.code == 0, exported.err
+    (file,) = Path("outputs").glob("export/*/*/policy.onnx")
+    assert load_policy(file).metadata["obs"] == "timed"
 
 
 @pytest.mark.parametrize(

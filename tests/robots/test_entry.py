@@ -17,7 +17,7 @@ from warpvox.design import full_connections, load_design
 from warpvox.errors import RunError
 from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.robots.network import HIGH, LOW, STEP, Network
-from warpvox.robots.replay import network_of
+from warpvox.robots.replay import policy_of_checkpoint
 
 SIZES = (7, 5, 4, 3)
 
@@ -102,7 +102,7 @@ def test_the_policy_of_a_checkpoint_acts_as_its_controller(activation: str, tmp_
     file = tmp_path / "model_best.pt"
     save_checkpoint(file, {"policy": spec_dict(spec), "actor_state_dict": actor.state_dict()})
     obs = 3 * torch.randn(50, 7, dtype=torch.float64)
-    np.testing.assert_allclose(network_of(file)(obs), load_controller(file)(obs), atol=STEP)
+    np.testing.assert_allclose(policy_of_checkpoint(file)(obs), load_controller(file)(obs), atol=STEP)
 
 
 def test_an_activation_that_is_not_known_is_named() -> None:

@@ -10,12 +10,15 @@ import os
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from warpvox.bench.reference import reference_folder
+from warpvox.design import full_connections, load_design
 from warpvox.envs.registry import released_id
-from warpvox.robots.entry import zoo, zoo_tasks
-from warpvox.robots.replay import draws_at_random, robot_env
+from warpvox.robots.entry import Robot, zoo, zoo_tasks
+from warpvox.robots.gait import Gait
+from warpvox.robots.replay import draws_at_random, recorded, robot_env
 from warpvox.system import python_of
 from warpvox.view.rollout import record
 
@@ -44,17 +47,27 @@ pytestmark = [
 ]
 
 
-@pytest.mark.parametrize("task", [name for name in zoo_tasks() if not draws_at_random(name)])
-def test_the_reference_gives_the_recorded_return(task: str) -> None:
-    robot = zoo(task)
+def check(robot: Robot) -> None:
+    """Replay the actions of ``robot`` in the reference."""
     rollout = record(robot_env(robot), robot.policy)
-    given = {"task": released_id(task), "body": robot.body.tolist(), "connections": robot.connections.tolist()}
+    given = {"task": released_id(robot.task), "body": robot.body.tolist(), "connections": robot.connections.tolist()}
     given["actions"] = rollout.actions[:, 0].astype(float).tolist()
     done = subprocess.run([REFERENCE, "-I", "-c", PROGRAM], input=json.dumps(given), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     (answer,) = (line for line in done.stdout.splitlines() if line.startswith("["))  # the simulator greets after it
     total, steps, over = json.loads(answer)
-    tolerance = 5e-3 if task == "Flipper-v0" else ROUNDING
+    tolerance = 5e-3 if robot.task == "Flipper-v0" else ROUNDING
     assert total == pytest.approx(robot.mean_return, abs=tolerance)
     assert [steps] == robot.about["lengths"]
     assert over
+
+
+@pytest.mark.parametrize("task", [name for name in zoo_tasks() if not draws_at_random(name)])
+def test_the_reference_gives_the_recorded_return(task: str) -> None:
+    check(zoo(task))
+
+
+def test_the_reference_gives_the_return_of_a_gait() -> None:
+    body, wave = load_design("mini"), np.linspace(0, 2 * np.pi, 16).reshape(2, 8)
+    gait = Gait([0, 100], [20, 12], np.full((2, 8), 0.9), wave, np.zeros((2, 8)))
+    check(recorded(Robot("UpStepper-v0", body, full_connections(body).T, gait), {}))

@@ -23,7 +23,8 @@ from warpvox.configs.schema import PRESET
 from warpvox.design import check_design, full_connections
 from warpvox.errors import RunError
 from warpvox.robots.entry import Robot, read_robot, save_robot
-from warpvox.robots.replay import network_of, recorded
+from warpvox.robots.network import Network
+from warpvox.robots.replay import policy_of_checkpoint, recorded
 
 __all__ = ["Outcome", "add", "command_of", "find_sources", "trained"]
 
@@ -110,9 +111,11 @@ def _of_run(path: Path) -> Iterator[Robot]:
 
 
 def _robot(task: str, body: np.ndarray, checkpoint: Path, about: dict[str, Any]) -> Robot:
-    network = network_of(checkpoint)
-    arrays = {name: tuple(map(_shorter, getattr(network, name))) for name in ("weights", "biases")}
-    return Robot(task, body, full_connections(body).T, dataclasses.replace(network, **arrays), about)
+    policy = policy_of_checkpoint(checkpoint)
+    if isinstance(policy, Network):
+        arrays = {name: tuple(map(_shorter, getattr(policy, name))) for name in ("weights", "biases")}
+        policy = dataclasses.replace(policy, **arrays)
+    return Robot(task, body, full_connections(body).T, policy, about)
 
 
 def _shorter(values: np.ndarray) -> np.ndarray:

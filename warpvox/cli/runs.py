@@ -23,6 +23,7 @@ from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.reading import Unreadable, read_facts, read_text
 from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
 from warpvox.robots.entry import Robot, find_robot
+from warpvox.robots.gait import Gait
 
 __all__ = [
     "ADDED",
@@ -132,7 +133,8 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
 def _stored_robot(text: str) -> Run:
     """A stored robot as a run: its configuration says what it is a policy for."""
     robot = find_robot(text.removeprefix(ZOO))
-    config = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "policy": "mlp", "obs": "task"}
+    config = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs}
+    config["policy"] = "gait" if isinstance(robot.policy, Gait) else "mlp"
     return Run(Path(text), config, robot=robot)
 
 

@@ -7,6 +7,7 @@ from .entry import read_robot as read_robot
 from .entry import save_robot as save_robot
 from .entry import zoo as zoo
 from .entry import zoo_tasks as zoo_tasks
+from .gait import Gait as Gait
 from .network import Network as Network
 from .replay import Judgement as Judgement
 from .replay import judge as judge

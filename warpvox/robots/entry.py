@@ -2,7 +2,9 @@
 
 The file holds ``header`` (JSON in UTF-8, uint8: ``format``, ``version``, ``task``, ``network``, ``about``, ``sha256``),
 ``body`` int8 ``[rows, columns]``, ``connections`` int32 ``[2, k]`` and, if there is a policy, ``mean``, ``deviation``
-(float32 ``[num_obs]``), ``weight_0``, ``bias_0``, ... (float32, see :class:`warpvox.robots.network.Network`).
+(float32 ``[num_obs]``), ``weight_0``, ``bias_0``, ... (float32, see :class:`warpvox.robots.network.Network`). Where
+``network`` is ``{"kind": "gait"}`` the policy is open loop instead: ``begin``, ``period`` (float64 ``[stages]``),
+``amplitude``, ``phase`` and ``rest`` (float64 ``[stages, actuators]``, see :class:`warpvox.robots.gait.Gait`).
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from warpvox.design import Design, check_design, full_connections
 from warpvox.errors import RunError, did_you_mean, listing
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
+from warpvox.robots.gait import ARRAYS, Gait
 from warpvox.robots.network import Network
 
 __all__ = ["DIGITS", "FOLDER", "Robot", "find_robot", "read_robot", "save_robot", "zoo", "zoo_tasks"]
@@ -30,6 +33,8 @@ FOLDER = Path(__file__).with_name("data")
 """The zoo: an entry for every task, ``TASK.npz``."""
 DIGITS = 9
 """Decimals of recorded returns. Rewards are sums over points, which round differently (about 1e-15) on other CPUs."""
+GAIT = {"kind": "gait"}
+"""What the header of a file says of an open-loop policy; its numbers are in the arrays."""
 LARGEST, LARGEST_HEADER = 1 << 26, 1 << 20
 """Bytes of a file's arrays, and of its header."""
 
@@ -42,7 +47,7 @@ class Robot:
         task: id of the task.
         body: int8 ``[rows, columns]``.
         connections: EvoGym's index pairs, int32 ``[2, k]``.
-        policy: observations to actions; None: a body alone.
+        policy: observations, those of :attr:`obs`, to actions; None: a body alone.
         about: of an entry of the zoo ``return`` (mean over ``returns``), ``returns``, ``lengths``, ``seeds`` (one an
             episode), ``control_steps`` and ``wall_s`` (of the search or training that it comes from), ``command``,
             ``config``, ``date``, ``version``, ``commit``; of a released robot ``return``, ``generated_by``, ``uid``.
@@ -52,7 +57,7 @@ class Robot:
     task: str
     body: Design
     connections: np.ndarray
-    policy: Network | None
+    policy: Network | Gait | None
     about: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -60,6 +65,11 @@ class Robot:
         """The recorded return; NaN: none is known."""
         value = self.about.get("return")
         return float("nan") if value is None else float(value)
+
+    @property
+    def obs(self) -> str:
+        """What its policy observes, as ``make_vec`` names it: ``timed`` for a gait, else ``task``."""
+        return "timed" if isinstance(self.policy, Gait) else "task"
 
     @property
     def fully_connected(self) -> bool:
@@ -158,8 +168,10 @@ def _check_header(header: Any) -> None:
 
 def _robot(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Robot:
     network, count = header["network"], sum(name.startswith("weight_") for name in arrays)
-    policy = None
-    if network is not None:
+    policy: Network | Gait | None = None
+    if network == GAIT:
+        policy = Gait(**{name: arrays[name] for name in ARRAYS})
+    elif network is not None:
         weights, biases = ([arrays[f"{kind}_{k}"] for k in range(count)] for kind in ("weight", "bias"))
         parts = {name: arrays[name].astype(np.float32) for name in ("mean", "deviation")}
         policy = Network(tuple(weights), tuple(biases), **parts, **network)
@@ -167,15 +179,19 @@ def _robot(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Robot:
     return Robot(header["task"], check_design(arrays["body"]), connections, policy, header["about"])
 
 
-def _network(policy: Network | None) -> dict[str, Any] | None:
+def _network(policy: Network | Gait | None) -> dict[str, Any] | None:
     if policy is None:
         return None
+    if isinstance(policy, Gait):
+        return GAIT
     return {"activation": policy.activation, "scale": float(policy.scale), "center": float(policy.center)}
 
 
 def _arrays(robot: Robot) -> dict[str, np.ndarray]:
     arrays = {"body": robot.body, "connections": robot.connections.astype(np.int32)}
-    if robot.policy is not None:
+    if isinstance(robot.policy, Gait):
+        arrays |= {name: getattr(robot.policy, name) for name in ARRAYS}
+    elif robot.policy is not None:
         arrays |= {"mean": robot.policy.mean, "deviation": robot.policy.deviation}
         for layer, (weight, bias) in enumerate(zip(robot.policy.weights, robot.policy.biases, strict=True)):
             arrays |= {f"weight_{layer}": weight, f"bias_{layer}": bias}

@@ -12,7 +12,7 @@ import numpy as np
 from warpvox.errors import RunError, did_you_mean, listing
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["ACTIVATIONS", "STEP", "Network"]
+__all__ = ["ACTIVATIONS", "STEP", "Network", "as_observations", "rounded"]
 
 STEP = 2.0**-16
 """Actions are multiples of it.
@@ -95,10 +95,19 @@ class Network:
 
     def __call__(self, obs: Any) -> np.ndarray:
         """``obs`` ``[..., num_obs]``, array or torch tensor, to actions float64 ``[..., num_actions]``."""
-        values = np.asarray(obs.detach().cpu() if hasattr(obs, "detach") else obs, dtype=np.float64)
-        values = (values - self.mean) / self.deviation
+        values = (as_observations(obs) - self.mean) / self.deviation
         last = len(self.weights) - 1
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             values = values @ weight.T.astype(np.float64) + bias
             values = values if layer == last else ACTIVATIONS[self.activation](values)
-        return np.clip(np.round((self.center + self.scale * values) / STEP) * STEP, LOW, HIGH)
+        return rounded(self.center + self.scale * values)
+
+
+def as_observations(obs: Any) -> np.ndarray:
+    """An array or a torch tensor as float64."""
+    return np.asarray(obs.detach().cpu() if hasattr(obs, "detach") else obs, dtype=np.float64)
+
+
+def rounded(actions: np.ndarray) -> np.ndarray:
+    """Multiples of :data:`STEP` within the range of actions."""
+    return np.clip(np.round(actions / STEP) * STEP, LOW, HIGH)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from warpvox.algos.checkpoints.files import PolicySpec, load_controller
@@ -18,10 +20,14 @@ from warpvox.envs.rsl_rl import ACTION_CENTER
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import RunError
 from warpvox.robots.entry import DIGITS, Robot
+from warpvox.robots.gait import SCALE, Gait
 from warpvox.robots.network import Network
+from warpvox.types import Cell
 
-__all__ = ["SEEDS", "Judgement", "judge", "network_of", "recorded", "robot_env", "torch_policy"]
+__all__ = ["SEEDS", "Judgement", "judge", "policy_of_checkpoint", "recorded", "robot_env", "torch_policy"]
 
+BY_CELL = ("amplitude", "phase", "rest")
+"""What a gait has for each actuator, and a checkpoint of it for each cell of a grid."""
 SEEDS = tuple(range(1000, 1008))
 """Of the episodes of a task that draws something at random; other tasks have one episode."""
 
@@ -43,20 +49,25 @@ class Judgement:
 def robot_env(robot: Robot, seeds: Sequence[int] = (0,), **options: Any) -> VoxelVecEnv:
     """Environments with the body of ``robot``, one a seed; exact and on the CPU unless ``options`` say otherwise.
 
+    They give the observations that its policy takes (:attr:`Robot.obs`).
+
     Raises:
         TaskError, DesignError, WorldError: as :func:`warpvox.make_vec`. RunError: another number of observations or
             actions than the policy has.
     """
     defaults = {"device": "cpu", "dtype": "float64", "auto_reset": False, "seed": list(seeds), "num_envs": len(seeds)}
     connections = None if robot.fully_connected else robot.connections
-    env = make_vec(robot.task, body=robot.body, connections=connections, **(defaults | options))
+    env = make_vec(robot.task, body=robot.body, connections=connections, obs=robot.obs, **(defaults | options))
     _check_sizes(robot, env.num_obs, env.num_actions)
     return env
 
 
 def _check_sizes(robot: Robot, num_obs: int, num_actions: int) -> None:
     policy = robot.policy
-    if policy is not None and (policy.num_obs, policy.num_actions) != (num_obs, num_actions):
+    if isinstance(policy, Gait):
+        if policy.num_actions != num_actions:
+            raise RunError(f"The gait has {policy.num_actions} actions, but this body has {num_actions} actuators.")
+    elif policy is not None and (policy.num_obs, policy.num_actions) != (num_obs, num_actions):
         raise RunError(
             f"The policy has {policy.num_obs} observations and {policy.num_actions} actions, but {robot.task} with this"
             f" body has {num_obs} and {num_actions}."
@@ -77,7 +88,7 @@ def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
         raise RunError(f"The robot has no policy that could be evaluated: {why}")
     seeds = list(seeds if seeds is not None else SEEDS if draws_at_random(robot.task) else (0,))
     # one at a time, as numpy steps a single environment faster than torch
-    env = VoxelEnv(robot.task, robot.body, None if robot.fully_connected else robot.connections)
+    env = VoxelEnv(robot.task, robot.body, None if robot.fully_connected else robot.connections, obs=robot.obs)
     _check_sizes(robot, *env.observation_space.shape, *env.action_space.shape)
     returns, lengths = zip(*(_episode(env, robot, seed) for seed in seeds), strict=True)
     return Judgement(list(returns), list(lengths), seeds)
@@ -109,15 +120,21 @@ def recorded(robot: Robot, about: dict[str, Any]) -> Robot:
     return replace(robot, about=found | about | {"date": date})
 
 
-def network_of(checkpoint: Any) -> Network:
-    """The policy of a checkpoint file of fully connected layers.
+def policy_of_checkpoint(checkpoint: Path) -> Network | Gait:
+    """The policy of a checkpoint file, as a stored robot has it.
 
     Raises:
-        RunError: no such file, or a policy of another kind.
+        RunError: no such file, or a policy that is neither a gait nor one of fully connected layers.
     """
     policy = policy_of(load_controller(checkpoint))
+    if policy.spec.gait is not None:
+        state = {name: value.numpy() for name, value in policy.model.state_dict().items()}
+        by_cell = {name: state[name].reshape(len(state["begin"]), -1)[:, state["cells"]] for name in BY_CELL}
+        return Gait(state["begin"], state["period"], **by_cell)
     if policy.spec.voxels is not None:
-        raise RunError(f"{checkpoint} holds a policy for voxels; the zoo has policies of fully connected layers (mlp).")
+        raise RunError(
+            f"{checkpoint} holds a policy for voxels; the zoo has gaits and policies of fully connected layers (mlp)."
+        )
     state = {name: value.numpy() for name, value in policy.state_dict().items()}
     layers = sorted((name for name in state if name.endswith(".weight")), key=lambda name: int(name.split(".")[1]))
     weights = tuple(state[name] for name in layers)
@@ -135,11 +152,14 @@ def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
         RunError: it has none.
     """
     network = robot.policy
+    about = {"task": robot.task, "rules": "evogym", "obs": robot.obs, "design": robot.body.tolist()}
     if network is None:
         raise RunError(f"The robot has no policy: {robot.about.get('no_policy', 'there is a body alone.')}")
+    if isinstance(network, Gait):
+        return _gait_module(robot, network, about).to(device)
     hidden = [len(bias) for bias in network.biases[:-1]]
     spec = PolicySpec(network.num_obs, network.num_actions, hidden, network.activation, True, network.scale)
-    policy = make_policy(spec, {"task": robot.task, "rules": "evogym", "obs": "task", "design": robot.body.tolist()})
+    policy = make_policy(spec, about)
     state = {"mean": network.mean, "deviation": network.deviation}
     for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         last = layer == len(network.weights) - 1
@@ -148,3 +168,17 @@ def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
         state |= {f"mlp.{2 * layer}.weight": weight, f"mlp.{2 * layer}.bias": moved}
     policy.load_state_dict({name: torch.as_tensor(value, dtype=torch.float32) for name, value in state.items()})
     return policy.to(device)
+
+
+def _gait_module(robot: Robot, gait: Gait, about: dict[str, Any]) -> Policy:
+    sizes = {"stages": gait.num_stages, "rows": robot.body.shape[0], "columns": robot.body.shape[1]}
+    num_obs = robot_env(robot).num_obs
+    policy = make_policy(PolicySpec(num_obs, gait.num_actions, [], "", False, SCALE, gait=sizes), about)
+    cells = np.flatnonzero(robot.body >= Cell.H_ACT)
+    state = {"begin": gait.begin, "period": gait.period, "cells": cells}
+    for name in BY_CELL:
+        state[name] = np.zeros((gait.num_stages, robot.body.size))
+        state[name][:, cells] = getattr(gait, name)
+        state[name] = state[name].reshape(gait.num_stages, *robot.body.shape)
+    policy.model.load_state_dict({name: torch.as_tensor(values) for name, values in state.items()})
+    return policy

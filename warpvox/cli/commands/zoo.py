@@ -17,6 +17,8 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import ConfigError, RunError, WarpvoxError, did_you_mean, listing
 from warpvox.robots.dataset import DataSet
 from warpvox.robots.entry import FOLDER, Robot, read_robot
+from warpvox.robots.gait import Gait
+from warpvox.robots.network import Network
 from warpvox.robots.replay import judge
 
 __all__ = ["run", "zoo"]
@@ -63,7 +65,8 @@ def _entries(folder: Path) -> dict[str, Path]:
 
 def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None:
     table = Table()
-    for heading in ("task", "return", "steps", "trained", "body"):  # on a narrow terminal the body takes several lines
+    # on a narrow terminal the body takes several lines
+    for heading in ("task", "return", "", "steps", "trained", "body"):
         side = "left" if heading in ("task", "body") else "right"
         table.add_column(heading, justify=side, no_wrap=heading != "body", overflow="fold")
     for name, path in entries.items():
@@ -71,13 +74,15 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
         about, lengths = robot.about, robot.about.get("lengths") or []
         mean = f"{sum(lengths) / len(lengths):.0f}" if lengths else "-"
         spent = about.get("control_steps")
-        cells = (name, figure(robot.mean_return), mean, "-" if spent is None else f"{spent:,}", _cells(robot))
-        table.add_row(*map(literal, cells))
+        mark = "○" if isinstance(robot.policy, Gait) else ""
+        trained = "-" if spent is None else f"{spent:,}"
+        table.add_row(*map(literal, (name, figure(robot.mean_return), mark, mean, trained, _cells(robot))))
     console.print(table)
     total = sum(path.stat().st_size for path in entries.values())
     echo(console, f"{len(entries)} robots in {folder}, {total / 1e6:.2f} MB")
     echo(console, "return: in exact arithmetic, as EvoGym itself gives it; steps: control steps of the episode")
     echo(console, "trained: control steps of the whole search; body: cell types, rows from the top")
+    echo(console, "○: open loop, a gait whose actions depend on the time alone; all others observe what the task has")
     echo(console, "`warpvox zoo task=ID` shows one in detail, `warpvox play zoo=ID` plays it.")
 
 
@@ -85,12 +90,10 @@ def _print_one(path: Path, console: Console) -> None:
     robot = read_robot(path)
     console.print(body_rows([robot.body], [robot.task], console))
     about = robot.about
-    network = robot.policy
-    layers = [network.num_obs, *(len(bias) for bias in network.biases)] if network else []
     rows: list[tuple[str, Any]] = [
         ("return", _returns(about)),
         ("control steps", f"{listing(about.get('lengths', []))} of at most {get_task(robot.task).max_episode_steps}"),
-        ("policy", f"{'-'.join(map(str, layers))}, {network.activation}" if network else "none"),
+        ("policy", _policy(robot.policy)),
         ("training", _training(about)),
         ("command", about.get("command", "unknown")),
         (
@@ -104,6 +107,16 @@ def _print_one(path: Path, console: Console) -> None:
     for name, value in rows:
         table.add_row(name, literal(value))
     console.print(table)
+
+
+def _policy(policy: Network | Gait | None) -> str:
+    if policy is None:
+        return "none"
+    if isinstance(policy, Gait):
+        stages = "1 stage" if policy.num_stages == 1 else f"{policy.num_stages} stages"
+        return f"gait, open loop: {policy.num_parameters} parameters, {stages}"
+    sizes = [policy.num_obs, *(len(bias) for bias in policy.biases)]
+    return f"{'-'.join(map(str, sizes))}, {policy.activation}"
 
 
 def _returns(about: dict[str, Any]) -> str:
