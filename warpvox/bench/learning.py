@@ -97,6 +97,6 @@ def _show(config: Any, report: Report, figures: dict[str, Any]) -> None:
     title = f"{config.task}, {config.threads} threads, {config.device}: time to a return of {goal:g}"
     report.table(title, headings, rows)
     report.note(
-        "Seconds of the wall's clock, evaluations included, kernels loaded; medians of the runs that got there."
+        "Seconds of wall-clock time, evaluations included, kernels loaded; medians of the runs that got there."
         f" Others ended with the settings' own number of iterations or after {config.learning.seconds:g} s."
     )

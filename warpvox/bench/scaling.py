@@ -186,7 +186,7 @@ def scale_envs(config: Any, report: Report) -> list[dict[str, Any]]:
 
 
 def scale_threads(config: Any, report: Report) -> dict[str, Any]:
-    """One thread and all: control steps per second of the wall's clock, in turns."""
+    """One thread and all: control steps per second of wall-clock time, alternating."""
     body, runners = one_body(config), {}
     with report.status("threads"):
         for count in sorted({1, usable_cores()}):
