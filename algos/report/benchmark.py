@@ -193,8 +193,9 @@ def _write_table(path: Path, members: Sequence[Member]) -> None:
         winner = [one.winner.fitness, one.winner.id] if one.winner else [None, None]
         spent = [len(one.evaluations), int(one.steps[-1]) if len(one.steps) else 0, one.seconds]
         judged = [one.fresh.get(name) for name in fresh]
-        rows.append([one.task, one.search, one.seed, *winner, *spent, *judged, one.folder])
+        rows.append([one.task, one.search, one.seed, *winner, *spent, *one.diversity, *judged, one.folder])
     names = ("task", "search", "seed", "best_return", "design", "evaluations", "steps", "seconds")
+    names += ("diversity_first", "diversity_last")
     write_table(path, [*names, *(f"fresh_{name}" for name in fresh), "folder"], rows)
 
 

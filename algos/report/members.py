@@ -13,6 +13,7 @@ import numpy as np
 
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE, Archive, Record
+from warpvox.algos.search.bodies import diversity
 from warpvox.io.reading import read_facts
 
 __all__ = ["Member", "archives_in", "progress", "read_members"]
@@ -87,6 +88,16 @@ class Member:
     def best_at(self, steps: float) -> float:
         """The best return within so many control steps; that of the first design if there was none by then."""
         return float(self.best[max(0, np.searchsorted(self.steps, steps, "right") - 1)])
+
+    @property
+    def diversity(self) -> tuple[float, float]:
+        """Of the bodies that were proposed in the first and in the last generation, see :func:`diversity`."""
+        searched = [record.candidate for record in self.records if record.candidate.origin != FINALIST]
+        last = max((candidate.generation for candidate in searched), default=0)
+        first, end = (
+            diversity(np.array([one.body for one in searched if one.generation == number])) for number in (0, last)
+        )
+        return first, end
 
     @property
     def seconds(self) -> float | None:

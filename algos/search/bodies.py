@@ -8,7 +8,7 @@ import numpy as np
 
 from warpvox.design import SAMPLING_WEIGHTS, are_valid
 
-__all__ = ["CELL_TYPES", "body_key", "count_valid", "first_valid", "mutate", "neighbours"]
+__all__ = ["CELL_TYPES", "body_key", "count_valid", "diversity", "first_valid", "mutate", "neighbours"]
 
 CELL_TYPES = len(SAMPLING_WEIGHTS)
 """A robot's voxel is one of these many types; they count from 0."""
@@ -20,6 +20,12 @@ MAX_VOXELS = 2_000_000
 def body_key(body: np.ndarray) -> bytes:
     """A key that identifies a body among those of its shape."""
     return np.ascontiguousarray(body, dtype=np.int8).tobytes()
+
+
+def diversity(bodies: np.ndarray) -> float:
+    """The mean share of cells in which two of the bodies differ; NaN for a single one."""
+    pairs = np.triu_indices(len(bodies), 1)
+    return float((bodies[pairs[0]] != bodies[pairs[1]]).mean()) if len(bodies) > 1 else float("nan")
 
 
 def mutate(rng: np.random.Generator, bodies: np.ndarray, rate: float | np.ndarray) -> np.ndarray:

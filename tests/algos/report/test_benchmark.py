@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import re
 import xml.etree.ElementTree as ET
@@ -68,6 +69,10 @@ def test_the_page_says_what_the_archives_say(suite: Path, tmp_path: Path) -> Non
         table = list(csv.DictReader(file))
     assert len(table) == 12
     assert [row["fresh_mean"] for row in table if row["fresh_mean"]] == ["0.25"]
+    first = [sample_design((5, 5), k) for k in range(POPULATION)]  # of seed 0
+    apart = [np.mean(one != other) for one, other in itertools.combinations(first, 2)]
+    row = next(row for row in table if row["seed"] == "0")
+    assert float(row["diversity_first"]) == pytest.approx(np.mean(apart))
     for name in ("evaluations.svg", "steps.svg", "comparison.svg"):
         text = (tmp_path / name).read_text()
         assert "var(" not in text
