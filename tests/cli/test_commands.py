@@ -49,7 +49,8 @@ def test_a_run_leaves_what_was_promised(train: Callable) -> None:
 
 
 def test_resumed_is_the_same_as_uninterrupted(train: Callable, warpvox: Callable) -> None:
-    words = ("task=Catcher-v0", "eval_interval=1", "save_interval=4")  # which draws something in every episode
+    # Catcher draws something in every episode, and the time must go on where it was
+    words = ("task=Catcher-v0", "obs=timed", "eval_interval=1", "save_interval=4")
     whole = train("max_iterations=4", *words)
     parts = train("max_iterations=2", *words)
     assert warpvox("train", "resume=latest", "max_iterations=4").code == 0
@@ -188,9 +189,8 @@ def test_tasks_of_ones_own_with_several_robots_cell_by_cell(train: Callable, war
     }
 
 
-def test_a_policy_that_sees_the_time_is_resumed_played_and_loaded(train: Callable, warpvox: Callable) -> None:
+def test_a_policy_that_sees_the_time_is_played_and_loaded(train: Callable, warpvox: Callable) -> None:
     folder = train("obs=timed", "max_iterations=1")
-    assert warpvox("train", f"resume={folder}", "max_iterations=2").code == 0
     assert warpvox("play", f"run={folder}", "steps=2", "threads=1").code == 0
     policy = wv.load_policy(folder)
     env = wv.make_vec("Walker-v0", body=policy.metadata["design"], device="cpu", obs=policy.metadata["obs"])

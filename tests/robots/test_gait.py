@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warpvox.algos.checkpoints.files import PolicySpec, save_checkpoint, spec_dict
@@ -47,6 +47,7 @@ def expected(gait: Gait, time: float) -> list[float]:
     return actions
 
 
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(1, 4))
 def test_actions_are_sinusoids_of_the_time_alone(seed: int, stages: int) -> None:
     gait = random_gait(seed, stages)
