@@ -14,9 +14,10 @@ from typing import Any, get_origin, get_type_hints
 
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
 from warpvox.algos.settings import LOGGERS, REFRESH, PpoConfig, ScreeningConfig, TrainingConfig
+from warpvox.configs.bench_keys import COLUMNS, SUITES, LearningConfig, PeerConfig, ScalingConfig
+from warpvox.configs.physics_keys import PhysicsConfig
 from warpvox.configs.suite_keys import suite_config
 from warpvox.keys import MISSING, key
-from warpvox.types import Physics
 
 __all__ = [
     "COMMANDS",
@@ -47,7 +48,6 @@ AUTO = "auto"
 MOST_THREADS = 1024
 """More than any machine has cores; a stored file may not make a process start a million."""
 ARITHMETICS = ("fast", "exact")
-PPO = ("parallel", "evogym")
 DEVICES = "auto (CUDA if there is a device and 1,000 environments or more), cpu, cuda, cuda:<index>"
 CONFIG_FILE = "file to take values from, such as a run's config.yaml (or its folder); keys that are given override them"
 
@@ -68,51 +68,6 @@ def _own_policy() -> Any:
 
 def _arithmetic(default: str) -> Any:
     return key(None, f"fast, or exact (float64, bit for bit as released); null: {default}", choices=ARITHMETICS)
-
-
-CONSTANTS = {
-    "dt": "time step of a sub-step, 1e-8 to 0.01; stable up to about 1.3e-4 with the default constants",
-    "substeps": "sub-steps of a control step, 1 to 10000",
-    "point_mass": "mass of every point, 0.001 to 1e6",
-    "gravity": "downward acceleration, in simulator units",
-    "drag": "drag force on a point per unit of velocity",
-    "contact_stiffness": "contact force per unit of penetration depth",
-    "contact_depth": "length added to the penetration depth",
-    "contact_damping": "damping force per unit of approach velocity",
-    "friction": "friction coefficient between voxels",
-    "friction_multiplier": "friction force per unit of sliding velocity, up to the limit set by friction",
-    "floor_stiffness": "force of the floor per unit of depth below y = 0",
-    "floor_friction": "friction of the floor at y = 0, as a multiple of friction",
-    "actuation_rate": "fraction of the gap to its target length that a spring closes in a sub-step",
-    "strain_limit": "strain of a spring beyond which its two ends are moved back, 0.001 to 0.99",
-    "strain_share": "fraction of half the excess length by which each end is moved, 0 (no limit) to 1",
-    "rigid_strain_limit": "strain_limit of the sides of rigid voxels",
-    "rigid_strain_share": "strain_share of the sides of rigid voxels",
-    "rigid_main": "stiffness of the sides of rigid voxels",
-    "rigid_structural": "stiffness of the diagonals of rigid voxels",
-    "soft_main": "stiffness of the sides of soft voxels",
-    "soft_structural": "stiffness of the diagonals of soft voxels",
-    "actuator_main": "stiffness of the sides of actuators",
-    "actuator_structural": "stiffness of the diagonals of actuators",
-    "shared_edge": "which voxel sets the stiffness of a shared side: last or stiffest",
-}
-"""Meanings of the constants of the physics."""
-
-
-def _physics_fields() -> list[tuple[str, Any, Any]]:
-    """One optional key per constant of :class:`warpvox.types.Physics`; null keeps the preset's value."""
-    presets = (AUTO, *Physics.presets())
-    fields = [("preset", str, key(AUTO, "preset to start from; auto: the one that belongs to rules", choices=presets))]
-    for constant in dataclasses.fields(Physics):
-        if constant.name == "name":
-            continue
-        meaning = CONSTANTS.get(constant.name, constant.name.replace("_", " ")) + "; null: the preset's value"
-        fields.append((constant.name, type(constant.default) | None, key(None, meaning)))
-    return fields
-
-
-PhysicsConfig = make_dataclass("PhysicsConfig", _physics_fields(), namespace={"__module__": __name__})
-"""Keys ``physics.*``: a preset, and constants that differ from it (paper section A, Table 1)."""
 
 
 @dataclass
@@ -430,52 +385,6 @@ class ExportConfig(_RolloutConfig):
         " policy onnx, jit",
         choices=(*EXPORTS, *POLICY_EXPORTS),
     )
-
-
-SUITES = {
-    "peer": "speed beside the reference",
-    "tasks": "each task by itself, beside the reference if there is one",
-    "mixed": "a different body in every environment, compared with one body in all",
-    "scaling": "bodies of n x n voxels, numbers of environments, threads",
-    "learning": "time to a return",
-    "kernels": "times of the stages, memory, compilation",
-    "cuda": "the CUDA kernel without a GPU: limits, instructions by stage, predicted speed",
-    "gpu": "checks and measurements of a CUDA device in one command",
-}
-"""What ``warpvox bench`` measures."""
-COLUMNS = ("step", "inference", "training")
-"""Columns of a table of speeds: random actions, actions of a policy, whole iterations of PPO."""
-
-
-@dataclass
-class PeerConfig:
-    """Keys ``peer.*``: the reference implementation to compare with."""
-
-    python: str | None = key(
-        None, "Python interpreter with evogym 2.0.0; null: the one that peer.make has made, if any", path="read"
-    )
-    make: bool = key(False, "first make an environment for the reference (needs Python 3.10 and a package index)")
-
-
-@dataclass
-class ScalingConfig:
-    """Keys ``scaling.*``: what the suite of that name varies."""
-
-    sizes: list[int] = key(list(range(5, 36)), "sizes n of the bodies of n x n voxels", low=2, high=60)
-    bodies: int = key(10, "number of robots of each size", low=1)
-    seconds: float = key(10.0, "simulated seconds for each robot, 50 control steps per second", above=0)
-    quick: bool = key(False, "only every fifth size, at most 3 robots of each, for at most 2 simulated seconds")
-    envs: list[int] = key([1, 8, 64, 512, 4096, 16384, 65536], "numbers of environments", low=1)
-
-
-@dataclass
-class LearningConfig:
-    """Keys ``learning.*``: who learns, until when."""
-
-    ppo: list[str] = key(["parallel", "evogym"], "settings to compare: names of configs/ppo", choices=PPO)
-    seeds: int = key(3, "number of runs of each", low=1)
-    stop_return: float = key(10.0, "return to reach in a deterministic evaluation")
-    seconds: float = key(150.0, "time limit of a run, in seconds", above=0)
 
 
 @dataclass

@@ -17,7 +17,8 @@ from warpvox.bench.case import Case, full_body, sampled_or_full
 from warpvox.bench.ptxas import find_program
 from warpvox.bench.report import number
 from warpvox.bench.runner import Runner
-from warpvox.configs.schema import BenchConfig, ScalingConfig
+from warpvox.configs.bench_keys import ScalingConfig
+from warpvox.configs.schema import BenchConfig
 from warpvox.design import check_design
 from warpvox.errors import ConfigError, SimulationError, WarpvoxError
 from warpvox.kernels.state import DATA

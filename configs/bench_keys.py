@@ -1,0 +1,59 @@
+"""What ``warpvox bench`` measures, and the keys of some of its suites."""
+
+# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from warpvox.keys import key
+
+__all__ = ["COLUMNS", "PPO", "SUITES", "LearningConfig", "PeerConfig", "ScalingConfig"]
+
+PPO = ("parallel", "evogym")
+"""Names of configs/ppo."""
+
+SUITES = {
+    "peer": "speed beside the reference",
+    "tasks": "each task by itself, beside the reference if there is one",
+    "mixed": "a different body in every environment, compared with one body in all",
+    "scaling": "bodies of n x n voxels, numbers of environments, threads",
+    "learning": "time to a return",
+    "kernels": "times of the stages, memory, compilation",
+    "cuda": "the CUDA kernel without a GPU: limits, instructions by stage, predicted speed",
+    "gpu": "checks and measurements of a CUDA device in one command",
+}
+"""What ``warpvox bench`` measures."""
+COLUMNS = ("step", "inference", "training")
+"""Columns of a table of speeds: random actions, actions of a policy, whole iterations of PPO."""
+
+
+@dataclass
+class PeerConfig:
+    """Keys ``peer.*``: the reference implementation to compare with."""
+
+    python: str | None = key(
+        None, "Python interpreter with evogym 2.0.0; null: the one that peer.make has made, if any", path="read"
+    )
+    make: bool = key(False, "first make an environment for the reference (needs Python 3.10 and a package index)")
+
+
+@dataclass
+class ScalingConfig:
+    """Keys ``scaling.*``: what the suite of that name varies."""
+
+    sizes: list[int] = key(list(range(5, 36)), "sizes n of the bodies of n x n voxels", low=2, high=60)
+    bodies: int = key(10, "number of robots of each size", low=1)
+    seconds: float = key(10.0, "simulated seconds for each robot, 50 control steps per second", above=0)
+    quick: bool = key(False, "only every fifth size, at most 3 robots of each, for at most 2 simulated seconds")
+    envs: list[int] = key([1, 8, 64, 512, 4096, 16384, 65536], "numbers of environments", low=1)
+
+
+@dataclass
+class LearningConfig:
+    """Keys ``learning.*``: who learns, until when."""
+
+    ppo: list[str] = key(["parallel", "evogym"], "settings to compare: names of configs/ppo", choices=PPO)
+    seeds: int = key(3, "number of runs of each", low=1)
+    stop_return: float = key(10.0, "return to reach in a deterministic evaluation")
+    seconds: float = key(150.0, "time limit of a run, in seconds", above=0)
