@@ -87,11 +87,11 @@ class FiniteGuard:
     def _counts(self) -> dict[str, int]:
         """In how many environments each term was not finite so far, all terms."""
         found = dict(zip((f"reward {name}" for name in self._rewards), self._of_rewards.tolist(), strict=True))
+        found |= {f"observation {name}": 0 for name in self._columns[0]}
         every = self._of_columns.cpu()
-        for row, (columns, counted) in enumerate(zip(self._columns, every.any(1).tolist(), strict=False)):
-            for name, place in columns.items():
-                count = int(every[row, place].max()) if counted and place.stop > place.start else 0
-                found[f"observation {name}"] = found.get(f"observation {name}", 0) + count
+        for row in every.any(1).nonzero()[:, 0].tolist():
+            for name, place in self._columns[row].items():
+                found[f"observation {name}"] += int(every[row, place].max()) if place.stop > place.start else 0
         return {name: count + self._earlier.get(name, 0) for name, count in found.items()}
 
     def report(self) -> dict[str, int]:

@@ -341,10 +341,13 @@ class VoxelVecEnv:
         for term in self.spec.observations:
             if isinstance(term.function, VoxelGrid):
                 term.function.refresh()
-        teams = [{name: world.objects[name].grid for name in self.spec.robots} for world in self.sim.worlds]
-        self.designs = teams if self.spec.partners else [team[ROBOT] for team in teams]
+        worlds = self.sim.worlds
+        if self.spec.partners:
+            self.designs = [{name: world.objects[name].grid for name in self.spec.robots} for world in worlds]
+        else:
+            self.designs = [world.objects[ROBOT].grid for world in worlds]
         self.design_index.copy_(self.sim.design_index)
-        self._describe(torch.arange(len(teams), device=self.device))
+        self._describe(torch.arange(len(worlds), device=self.device))
         if self.dump is not None:
             self.dump.refresh()
         return self.reset(mask=mask)[0]

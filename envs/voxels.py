@@ -8,6 +8,7 @@ task's own observations without c, the shape of the body, which the grid holds a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -18,6 +19,7 @@ from warpvox.envs.spec import Observation
 from warpvox.envs.terms.observations import shape
 from warpvox.simulation import Simulation
 from warpvox.types import Cell
+from warpvox.world import WorldObject
 
 __all__ = ["FEATURES", "NUM_FEATURES", "VoxelGrid", "VoxelLayout", "voxel_layouts", "voxel_observations"]
 
@@ -78,6 +80,7 @@ class VoxelGrid:
         count = self.rows * self.columns
         self.about = About("voxels of {name}: corners, velocities, type, neighbours", NUMBER, count * NUM_FEATURES)
         self._sim, self._name = sim, name
+        self._cells: dict[int, _Cells] = {}
         self._tables = self._make_tables()
         self.action_cell, self._corners, self._known, self._filled = self._tables
 
@@ -88,25 +91,32 @@ class VoxelGrid:
 
     def _make_tables(self) -> tuple[torch.Tensor, ...]:
         """For every environment: the cells of its actions, the points of its cells, and what is known of them."""
-        sim, name, count = self._sim, self._name, self.rows * self.columns
-        grids = [sim.object_grid(name, design) for design in range(sim.num_designs)]
-        corners = np.zeros((len(grids), count, 4), np.int64)
-        known = np.zeros((len(grids), count, 9))
-        actions, spans = np.full((len(grids), sim.num_actions), -1, np.int64), sim.action_columns
-        for design, grid in enumerate(grids):
-            rows, columns = np.nonzero(grid)
-            cells = rows * self.columns + columns
-            corners[design, cells] = sim.voxel_corners(name, design)
-            known[design, :, : len(CELLS)] = self._types(grid)
-            known[design, cells, len(CELLS) :] = _linked(sim.worlds[design].objects[name])[rows, columns]
-            first = spans[design][name].start
-            driving = np.isin(grid[rows, columns], (int(Cell.H_ACT), int(Cell.V_ACT)))
-            actions[design, first : first + driving.sum()] = cells[driving]
+        sim, name, earlier = self._sim, self._name, self._cells
+        sources = [world.objects[name] for world in sim.worlds]
+        # Bodies that stay keep their entries: going through a body cell by cell is slow.
+        found = [earlier.get(id(source)) or self._cells_of(source, design) for design, source in enumerate(sources)]
+        self._cells = {id(body.source): body for body in found}
+        actions, spans = np.full((len(found), sim.num_actions), -1, np.int64), sim.action_columns
+        for row, body, span in zip(actions, found, spans, strict=True):
+            first = span[name].start
+            row[first : first + len(body.driving)] = body.driving
         index = sim.design_index.cpu()
         action_cell = torch.as_tensor(actions)[index].to(sim.device)
+        corners = np.stack([body.corners for body in found])
         corners = torch.as_tensor(corners)[index].flatten(1).to(sim.device)  # [num_envs, cells * 4]
-        known = torch.as_tensor(known)[index].to(sim.device, sim.dtype)
+        known = torch.as_tensor(np.stack([body.known for body in found]))[index].to(sim.device, sim.dtype)
         return action_cell, corners, known, (known[..., :1] == 0).to(sim.dtype)
+
+    def _cells_of(self, source: WorldObject, design: int) -> _Cells:
+        rows, columns = np.nonzero(source.grid)
+        cells = rows * self.columns + columns
+        corners = np.zeros((self.rows * self.columns, 4), np.int64)
+        corners[cells] = self._sim.voxel_corners(self._name, design)
+        known = np.zeros((self.rows * self.columns, NUM_FEATURES - FEATURES["type"].start))
+        known[:, : len(CELLS)] = self._types(source.grid)
+        known[cells, len(CELLS) :] = _linked(source)[rows, columns]
+        driving = np.isin(source.grid[rows, columns], (int(Cell.H_ACT), int(Cell.V_ACT)))
+        return _Cells(source, corners, known, cells[driving])
 
     def _types(self, grid: np.ndarray) -> np.ndarray:
         """``[cells, 5]``: the types of a padded body, one 1 in every row."""
@@ -124,7 +134,16 @@ class VoxelGrid:
         return torch.cat([*parts, self._known], dim=2).flatten(1)
 
 
-def _linked(source: object) -> np.ndarray:
+class _Cells(NamedTuple):
+    """The cells of a body on the grid: their points, type and neighbours, and those that actions drive, in order."""
+
+    source: WorldObject
+    corners: np.ndarray
+    known: np.ndarray
+    driving: np.ndarray
+
+
+def _linked(source: WorldObject) -> np.ndarray:
     """bool ``[rows, columns, 4]``: whether a cell is connected with its neighbour above, right, below, left."""
     rows, columns = source.grid.shape
     out = np.zeros((rows, columns, 4), bool)

@@ -323,24 +323,18 @@ class Simulation(Sensing):
     @property
     def action_mask(self) -> torch.Tensor:
         """bool [num_designs, num_actions]: which actions a design has."""
-        counts = [sum(obj.num_actuators for obj in world.objects.values()) for world in self.worlds]
-        counts = torch.tensor(counts, device=self.device)
+        total = {sizes: sum(count for _, count in sizes) for sizes in set(self._batch.actuators)}
+        counts = torch.tensor([total[sizes] for sizes in self._batch.actuators], device=self.device)
         return torch.arange(self.num_actions, device=self.device) < counts[:, None]
 
     @property
     def action_columns(self) -> list[dict[str, slice]]:
         """For each design where the actions of its robots lie, ``{name: slice}``."""
-        columns: dict[tuple[tuple[str, int], ...], dict[str, slice]] = {}  # designs of one size have one entry
-        found = []
-        for world in self.worlds:
-            sizes = tuple(sorted((obj.name, obj.num_actuators) for obj in world.objects.values() if obj.is_robot))
-            if sizes not in columns:
-                stops = [0, *itertools.accumulate(count for _, count in sizes)]
-                columns[sizes] = {
-                    name: slice(*at) for (name, _), at in zip(sizes, itertools.pairwise(stops), strict=True)
-                }
-            found.append(columns[sizes])
-        return found
+        columns = {}  # designs of one size have one entry
+        for sizes in set(self._batch.actuators):
+            stops = [0, *itertools.accumulate(count for _, count in sizes)]
+            columns[sizes] = {name: slice(*at) for (name, _), at in zip(sizes, itertools.pairwise(stops), strict=True)}
+        return [columns[sizes] for sizes in self._batch.actuators]
 
     def num_points(self, name: str) -> int:
         """Points of an object, the most over the designs."""
@@ -378,15 +372,19 @@ class Simulation(Sensing):
 
         Positions and velocities list the points as observations do, x and y alternately, padded with 0.
         """
-        pack, lane = self._env
+        return self._read(slice(None))
+
+    def _read(self, envs: torch.Tensor | slice) -> dict[str, torch.Tensor]:
+        """Rows of :meth:`state`."""
+        pack, lane = (index[envs] for index in self._env)
         state = {}
         for name in STATE_FIELDS:
             view = self._views[name]
             if view.ndim == 2:
                 state[name] = view[pack, lane]
             else:
-                values = view[pack[:, None], self._rows, lane[:, None]]
-                state[name] = values.masked_fill(~self._has_row, 0.0)
+                values = view[pack[:, None], self._rows[envs], lane[:, None]]
+                state[name] = values.masked_fill(~self._has_row[envs], 0.0)
         return state
 
     @property
@@ -426,13 +424,13 @@ class Simulation(Sensing):
         self._write(state, torch.arange(self.num_envs, device=self.device))
 
     def _write(self, state: dict[str, torch.Tensor], envs: torch.Tensor) -> None:
-        """Put rows of a state into environments, whose other points stay as they are."""
+        """Put a state with a row for each of some environments into them; their other points stay as they are."""
         pack, lane = (index[envs] for index in self._env)
         rows, real = self._rows[envs], self._has_row[envs]
         env, column = real.nonzero(as_tuple=True)
         place = pack[env], rows[env, column], lane[env]
         for name in STATE_FIELDS:
-            view, values = self._views[name], state[name][envs]
+            view, values = self._views[name], state[name]
             if view.ndim == 2:
                 view[pack, lane] = values
             else:
@@ -460,13 +458,14 @@ class Simulation(Sensing):
         if not len(envs):
             return
         packs = self._batch.replace(envs.tolist(), worlds)
-        before = self.state()
+        touched = torch.isin(self._env[0], torch.as_tensor(packs, device=self.device))
+        others = (touched & ~mask).nonzero()[:, 0]  # of the same packs, whose tables may change
+        before = self._read(others)
         tables, which = self._batch.tables(packs)
         put_tables(self._state, {name: values[which] for name, values in tables.items()}, packs)
         self._follow_worlds()
-        touched = torch.isin(self._env[0], torch.as_tensor(packs, device=self.device))
         self.reset(touched)
-        self._write(before, (touched & ~mask).nonzero()[:, 0])
+        self._write(before, others)
 
     def _follow_worlds(self) -> None:
         """Update everything that depends on where the points of the environments' worlds lie."""

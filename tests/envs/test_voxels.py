@@ -12,6 +12,7 @@ from warpvox.envs.terms.observations import shape
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
 from warpvox.errors import ConfigError
+from warpvox.simulation import Simulation
 
 EXACT = 1e-12
 SIDES = {(-1, 0): 0, (0, 1): 1, (1, 0): 2, (0, -1): 3}
@@ -134,3 +135,14 @@ def test_float32_and_the_default() -> None:
     assert make("Walker-v0", ["walker"], 1, obs="task").voxels == {}
     with pytest.raises(ConfigError, match=r"obs must be one of task, timed, voxel, got 'voxels'. Did you mean 'voxel'"):
         make("Walker-v0", ["walker"], 1, obs="voxels")
+
+
+def test_bodies_that_stay_are_not_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    bodies = [sample_design((3, 3), seed=seed) for seed in range(6)]
+    env = make("Walker-v0", bodies[:4], 4, grid=(3, 3), dtype="float32", lanes=8)
+    looked, corners = [], Simulation.voxel_corners
+    monkeypatch.setattr(Simulation, "voxel_corners", lambda sim, *place: looked.append(place) or corners(sim, *place))
+    env.set_designs(bodies[4:], np.array([True, False, True, False]))
+    assert len(looked) == 2
+    fresh = make("Walker-v0", [bodies[4], bodies[1], bodies[5], bodies[3]], 4, grid=(3, 3), dtype="float32", lanes=8)
+    assert torch.equal(env.reset()[0], fresh.reset()[0])

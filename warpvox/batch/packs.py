@@ -34,6 +34,10 @@ def group(worlds: Sequence[World]) -> tuple[list[World], list[int]]:
     return different, index
 
 
+def _actuators(world: World) -> tuple[tuple[str, int], ...]:
+    return tuple(sorted((obj.name, obj.num_actuators) for obj in world.objects.values() if obj.is_robot))
+
+
 @dataclass
 class Batch:
     """Which world every environment has, and in which lane of which pack it lies.
@@ -50,6 +54,7 @@ class Batch:
         env_pack, env_lane: int ``[num_envs]``.
         lane_world: int ``[packs, lanes]``; lanes without an environment repeat the one before them.
         object_names: of all worlds, robots first, then by name.
+        actuators: of each world, the name and the number of actuators of each robot, by name.
     """
 
     worlds: list[World]
@@ -64,7 +69,8 @@ class Batch:
     pack_group: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        worlds, self._keys = self.worlds, {}
+        worlds, self._keys = self.worlds, []
+        self.actuators = [_actuators(world) for world in worlds]
         if self.grid is not None and self.arithmetic == "exact":
             raise SimulationError("Packs of exact arithmetic hold one world each: grid needs arithmetic='fast'.")
         if self.arithmetic == "exact":
@@ -124,11 +130,13 @@ class Batch:
         if self.grid is None:
             raise SimulationError("Worlds can be exchanged in a simulation made with grid=(rows, columns) only.")
         known = {frame_key(self.worlds[self.group_of.index(k)]): k for k in range(len(self.frames))}
-        old = {self._key(world): k for k, world in enumerate(self.worlds)}
+        self._keys = self._keys or [world.key() for world in self.worlds]
         added: dict[int, list[tuple[bytes, World]]] = {}
-        seen, chosen = set(old), []
+        keys = {id(world): world for world in worlds}
+        keys = {number: world.key() for number, world in keys.items()}
+        seen, chosen = set(self._keys), []
         for env, world in zip(envs, worlds, strict=True):
-            key = self._key(world)
+            key = keys[id(world)]
             chosen.append(key)
             if key not in seen:
                 group = known.get(frame_key(world))
@@ -142,16 +150,11 @@ class Batch:
         for group, new in added.items():
             self.local = np.append(self.local, self.frames[group].add([world for _, world in new]))
             self.worlds = [*self.worlds, *(world for _, world in new)]
+            self.actuators = [*self.actuators, *(_actuators(world) for _, world in new)]
+            self._keys = [*self._keys, *(key for key, _ in new)]
             self.group_of = [*self.group_of, *[group] * len(new)]
-        place = {key: k for k, key in enumerate([*old, *(key for new in added.values() for key, _ in new)])}
+        place = {key: k for k, key in enumerate(self._keys)}
         return self._assign(envs, [place[key] for key in chosen])
-
-    def _key(self, world: World) -> bytes:
-        """``world.key()``, looked up where the world is in use already."""
-        kept = self._keys.get(id(world))
-        if kept is None or kept[0] is not world:
-            kept = self._keys[id(world)] = world, world.key()
-        return kept[1]
 
     def _check_bodies(self, world: World) -> None:
         rows, columns = self.grid
@@ -179,7 +182,8 @@ class Batch:
         self.lane_world = np.searchsorted(used, self.lane_world)
         self.index = inverse.tolist()
         self.worlds = [self.worlds[k] for k in used]
-        self._keys = {id(world): (world, self._key(world)) for world in self.worlds}
+        self.actuators = [self.actuators[k] for k in used]
+        self._keys = [self._keys[k] for k in used]
         self.group_of = [self.group_of[k] for k in used]
         groups = np.asarray(self.group_of)
         local = self.local[used]
