@@ -98,4 +98,5 @@ class ScreeningConfig:
     rounds: int = key(
         2, "evaluation=gaits: number of rounds; from the second on mutants of the best gait so far are tried", low=1
     )
+    stages: int = key(4, "evaluation=gaits: parts of an episode in which a gait has a motion each", low=1, high=100)
     final_rounds: int = key(40, "evaluation=gaits: number of rounds for finalists, before their training", low=1)

@@ -13,16 +13,16 @@ import torch
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.checkpoints.files import PolicySpec, actions_of, spec_dict
-from warpvox.algos.codesign.gaits import STAGES, Gait, draw_gait, mutate_gait
+from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.gait import AMPLITUDE, gait_outputs
-from warpvox.batch.options import MAX_WIDTH
+from warpvox.batch.options import MAX_WIDTH, lanes_for, resolve_arithmetic
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.types import Cell
 
-__all__ = ["GaitEvaluator"]
+__all__ = ["GaitEvaluator", "gait_lanes"]
 
 FRESH = 0.125
 """Share of the first gaits of a design with a parent that owe nothing to it."""
@@ -42,6 +42,7 @@ class GaitEvaluator:
         factory: makes environments.
         count: gaits that each design is tried with in a round.
         rounds: of gaits.
+        stages: parts of an episode in which a gait has a motion each.
         seed: of the experiment.
         episodes: of each gait, whose mean counts; more than one for tasks that draw at random.
     """
@@ -49,6 +50,7 @@ class GaitEvaluator:
     factory: EnvFactory
     count: int
     rounds: int = 1
+    stages: int = 2
     seed: int = 0
     episodes: int = 1
 
@@ -79,7 +81,7 @@ class _Rounds:
         self.seeds = [candidate_seed(how.seed, candidate.id) for candidate in candidates]
         self.random = [np.random.default_rng([STREAM, how.seed, candidate.id]) for candidate in candidates]
         self.inherited = [_inherited(candidate, parents) for candidate in candidates]
-        factory = replace(how.factory, lanes=MAX_WIDTH)  # bodies share packs: results do not depend on the company
+        factory = replace(how.factory, lanes=gait_lanes(how.factory, how.count * how.episodes))
         self.env = factory.make(self.bodies, how.count * how.episodes, self.seeds, auto_reset=False)
         self.best: list[tuple[float, Gait]] = []
         self.curves: list[list[tuple[int, float]]] = [[] for _ in candidates]
@@ -111,7 +113,7 @@ class _Rounds:
             fresh = count
         else:
             fresh, gaits = math.ceil(FRESH * (count - 1)), [parent]
-        gaits += [draw_gait(rng, body, steps) for _ in range(fresh)]
+        gaits += [draw_gait(rng, body, steps, self.how.stages) for _ in range(fresh)]
         return gaits + [mutate_gait(rng, parent, body, steps) for _ in range(count - len(gaits))]
 
     def _play(self, gaits: Sequence[Sequence[Gait]]) -> tuple[np.ndarray, np.ndarray]:
@@ -150,6 +152,15 @@ class _Rounds:
             )
 
 
+def gait_lanes(factory: EnvFactory, envs: int) -> int:
+    """Lanes of a pack with ``envs`` environments of a design, whatever designs are evaluated with it.
+
+    In fast arithmetic different bodies share packs, in exact arithmetic they do not.
+    """
+    fast = resolve_arithmetic(factory.arithmetic, factory.dtype) == "fast"
+    return MAX_WIDTH if fast else lanes_for(envs)
+
+
 def _inherited(candidate: Candidate, parents: Mapping[int, Parent]) -> Gait | None:
     """The gait of the best of a candidate's parents."""
     known = [parents[number] for number in candidate.parents if number in parents]
@@ -163,9 +174,9 @@ def _controller(
     env: VoxelVecEnv, bodies: Sequence[np.ndarray], gaits: Sequence[Sequence[Gait]], episodes: int
 ) -> Callable[[torch.Tensor], torch.Tensor]:
     """Actions of all environments by the number of calls: those of a design, gait by gait, one after another."""
-    count = len(gaits[0])
-    values = np.zeros((3, STAGES, len(bodies), count, episodes, env.num_actions))
-    timing = np.zeros((2, STAGES, len(bodies), count, episodes, 1))
+    count, stages = len(gaits[0]), len(gaits[0][0].begin)
+    values = np.zeros((3, stages, len(bodies), count, episodes, env.num_actions))
+    timing = np.zeros((2, stages, len(bodies), count, episodes, 1))
     for place, body in enumerate(bodies):
         driven = body >= Cell.H_ACT  # row by row, the order of actions
         for k, gait in enumerate(gaits[place]):
@@ -173,7 +184,7 @@ def _controller(
             cells = np.stack([gait.amplitude, gait.phase, gait.rest])[:, :, driven]
             values[:, :, place, k, :, : cells.shape[-1]] = cells[:, :, None]
     parts = [
-        torch.as_tensor(array.reshape(STAGES, env.num_envs, -1), device=env.device) for array in (*timing, *values)
+        torch.as_tensor(array.reshape(stages, env.num_envs, -1), device=env.device) for array in (*timing, *values)
     ]
     time = torch.zeros(env.num_envs, 1, dtype=torch.float64, device=env.device)
 

@@ -9,10 +9,8 @@ import numpy as np
 from warpvox.design import Design
 from warpvox.types import Cell
 
-__all__ = ["STAGES", "Gait", "draw_gait", "mutate_gait"]
+__all__ = ["Gait", "draw_gait", "mutate_gait"]
 
-STAGES = 2
-"""Parts of an episode with a motion each: to take a run and to jump."""
 PERIODS = (5.0, 40.0)
 """Control steps of a travelling wave."""
 SLOW_PERIODS = (8.0, 200.0)
@@ -55,18 +53,19 @@ class Gait:
             object.__setattr__(self, name, values.astype(np.float32).astype(np.float64))
 
 
-def draw_gait(rng: np.random.Generator, body: Design, steps: int) -> Gait:
+def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -> Gait:
     """A random gait: each stage a wave or a pose, or one motion for the whole episode.
 
     Args:
         steps: control steps of an episode.
+        stages: how many.
     """
-    stages = [_wave(rng, body) if rng.random() < 0.7 else _pose(rng, body) for _ in range(STAGES)]
+    motions = [_wave(rng, body) if rng.random() < 0.7 else _pose(rng, body) for _ in range(stages)]
     if rng.random() < 0.5:
-        stages = stages[:1] * STAGES
-    begin = np.sort(np.exp(rng.uniform(np.log(3.0), np.log(max(steps, 4)), STAGES)).round())
+        motions = motions[:1] * stages
+    begin = np.sort(np.exp(rng.uniform(np.log(3.0), np.log(max(steps, 4)), stages)).round())
     begin[0] = 0.0
-    return Gait(begin, *(np.array(values) for values in zip(*stages, strict=True)))
+    return Gait(begin, *(np.array(values) for values in zip(*motions, strict=True)))
 
 
 Stage = tuple[float, np.ndarray, np.ndarray, np.ndarray]

@@ -31,6 +31,7 @@ __all__ = [
     "has_common_policy",
     "is_screened",
     "keep_pretrained",
+    "lanes_of_gaits",
     "read_pretrained",
     "resolve_evaluation",
     "screened_values",
@@ -302,8 +303,15 @@ def _by_gaits(config: CodesignConfig, training: DesignEvaluator) -> DesignEvalua
     from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
     how = config.screening
-    gaits = GaitEvaluator(factory_of(config), how.gaits, how.rounds, config.seed, episodes_of(config.task))
+    gaits = GaitEvaluator(factory_of(config), how.gaits, how.rounds, how.stages, config.seed, episodes_of(config.task))
     return TwoStages(gaits, BestOf(dataclasses.replace(gaits, rounds=how.final_rounds), training))
+
+
+def lanes_of_gaits(config: CodesignConfig) -> int:
+    """Lanes of the environments in which gaits are evaluated."""
+    from warpvox.algos.codesign.gait_evaluator import gait_lanes
+
+    return gait_lanes(factory_of(config), config.screening.gaits * episodes_of(config.task))
 
 
 def episodes_of(task: str) -> int:

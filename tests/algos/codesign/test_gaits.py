@@ -22,7 +22,7 @@ COUNT = 8
 
 
 def evaluator(rounds: int = 1, seed: int = 0) -> GaitEvaluator:
-    return GaitEvaluator(factory(), COUNT, rounds, seed)
+    return GaitEvaluator(factory(), COUNT, rounds, seed=seed)
 
 
 def parent_of(candidate: Candidate, outcome: Outcome) -> Parent:
@@ -92,7 +92,7 @@ def test_a_child_is_never_worse_for_having_its_parents_gait() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_gaits_and_mutants_stay_within_their_limits(seed: int) -> None:
     rng, body = np.random.default_rng(seed), candidates(1)[0].body
-    gait = draw_gait(rng, body, 100)
+    gait = draw_gait(rng, body, 100, 3)
     for _ in range(200):
         before = gait
         gait = mutate_gait(rng, gait, body, 100)

@@ -19,7 +19,7 @@ from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.codesign.archive_export import export
 from warpvox.algos.policies.registry import MLP
 from warpvox.algos.search import make_search, settings_from
-from warpvox.batch.options import MAX_WIDTH, lanes_for
+from warpvox.batch.options import lanes_for
 from warpvox.cli.application import run_command
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
@@ -31,6 +31,7 @@ from warpvox.cli.evaluations import (
     has_common_policy,
     is_screened,
     keep_pretrained,
+    lanes_of_gaits,
     read_pretrained,
     resolve_evaluation,
     screened_values,
@@ -310,7 +311,8 @@ def design_config(config: CodesignConfig, candidate: Candidate, outcome: Outcome
         values |= screened_values(config, candidate)
     values["obs"] = "task" if values["policy"] == MLP else "voxel"
     if outcome.spec and outcome.spec.get("gait"):
-        values |= {"policy": MLP, "network": None, "obs": "timed", "lanes": MAX_WIDTH}
+        values |= {"policy": MLP, "network": None, "obs": "timed"}
+        values["lanes"] = lanes_of_gaits(config)  # as in the evaluation that found the fitness
     return to_yaml(load_values("train", values)) + END
 
 

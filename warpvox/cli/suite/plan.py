@@ -41,7 +41,7 @@ NAMED = {"all": task_ids, "benchmark10": lambda: BENCHMARK10}
 DIFFICULTIES, DEFAULT = ("easy", "medium", "hard"), "default"
 OF_SUITES = ("executor", "address", "workers", "resume", "report", "name", "config", "search", "shape")
 """Keys that a design search has, too, with another meaning or value than in a suite."""
-OF_RECIPES = ("evaluation", "finalists", "screening")
+OF_RECIPES = ("evaluation", "finalists", "screening", "dtype")
 """Keys that the file of a search may set besides ``search.*``; other members keep the suite's values."""
 
 
