@@ -18,7 +18,7 @@ LEVEL = 0.95
 class Interval:
     """A mean (a difference of two, another estimate), its confidence interval, and how many values it is of.
 
-    ``low`` and ``high`` are NaN where the values are too few to tell.
+    ``low`` and ``high`` are NaN where there are too few values.
     """
 
     mean: float

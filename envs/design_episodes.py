@@ -110,7 +110,7 @@ class DesignLayout:
         return torch.cat([control, designing.expand(*designing.shape[:-1], self.design)], dim=-1)
 
     def dict(self) -> dict[str, Any]:
-        """As it stands in a checkpoint."""
+        """The layout as stored in a checkpoint."""
         return asdict(self)
 
 

@@ -29,7 +29,7 @@ REWARD_EPS = 1e-8
 
 
 class RslRlVecEnv(VecEnv):
-    """Adapter: scales outputs of the policy to actions, scales rewards, and tells time limits from terminations.
+    """Adapter: scales outputs of the policy to actions, scales rewards, and separates time limits from terminations.
 
     ``extras`` of a step hold ``log`` (means of this step for TensorBoard), ``returns`` (of the episodes so far,
     ``[num_envs]``) and, if time limits are to be bootstrapped, ``time_outs`` (bool ``[num_envs]``: ended by the time

@@ -76,7 +76,7 @@ def make_vec(
         device: ``auto`` (CUDA where there is one, from 1,000 environments on), ``cpu``, ``cuda`` or ``cuda:<index>``.
         rules: ``evogym`` (as released) or ``paper`` (section B as printed).
         dtype: ``float32`` or ``float64``, of the simulation, observations and rewards.
-        seed: governs everything random in a task (nothing in the deterministic ones). The numbers of environment k
+        seed: of all random numbers of a task (there are none in the deterministic ones). The numbers of environment k
             do not depend on the other environments. Or one seed for each design, whose environments then draw as if
             they were alone; or one for each environment.
         auto_reset: reset environments in the step in which they end; otherwise they stay as they ended.

@@ -85,7 +85,7 @@ class VoxelGrid:
         self.action_cell, self._corners, self._known, self._filled = self._tables
 
     def refresh(self) -> None:
-        """Look again at the bodies of the simulation."""
+        """Update the tables after bodies of the simulation have changed."""
         for table, new in zip(self._tables, self._make_tables(), strict=True):
             table.copy_(new)  # in place: a captured step may read it
 

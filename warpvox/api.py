@@ -168,7 +168,7 @@ def _literal(value: Any, key: str, top: bool = False) -> str:
 
 @contextmanager
 def _own_torch() -> Iterator[None]:
-    """Training sets torch's threads and seed for its process; whoever calls it from Python gets theirs back."""
+    """Training sets torch's threads and seed for its process; after a call from Python the caller's are restored."""
     import torch
 
     threads, state = torch.get_num_threads(), torch.get_rng_state()

@@ -104,7 +104,7 @@ class DisplayError(WarpvoxError, RuntimeError):
 
 
 class SearchError(WarpvoxError, RuntimeError):
-    """A design search used out of turn, told what it cannot use, or out of new designs."""
+    """A design search was used in the wrong order or with unusable values, or has run out of new designs."""
 
 
 class SimulationError(WarpvoxError, RuntimeError):

@@ -42,7 +42,7 @@ HANGUP: int | None = getattr(signal, "SIGHUP", None)
 def stop_signals() -> tuple[int, ...]:
     """The signals that ask a process to end, Ctrl-C aside.
 
-    SIGTERM; where there is one SIGHUP, unless this process was told to ignore it (``nohup``); on Windows SIGBREAK,
+    SIGTERM; where there is one SIGHUP, unless this process ignores it (``nohup``); on Windows SIGBREAK,
     which closing the console's window, logging off and shutting down send.
     """
     found = [signal.SIGTERM]
@@ -166,7 +166,7 @@ def has_display(*variables: str) -> bool:
 
 
 def available_memory() -> int | None:
-    """Bytes that this process can still allocate without swapping; None where the system does not tell.
+    """Bytes that this process can still allocate without swapping; None where the system does not report it.
 
     On Linux the least of what the machine has available, what is left below the limits of its control groups
     (containers, jobs of clusters) and below its limit of addresses (``ulimit -v``).

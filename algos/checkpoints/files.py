@@ -271,7 +271,7 @@ def _build_actor(spec: PolicySpec) -> MLPModel | GaitModel:
 
 
 def spec_of(values: Mapping[str, Any]) -> PolicySpec:
-    """The specification that stands in a checkpoint.
+    """The specification stored in a checkpoint.
 
     Raises:
         TypeError: it has other entries.
@@ -280,7 +280,7 @@ def spec_of(values: Mapping[str, Any]) -> PolicySpec:
 
 
 def spec_dict(spec: PolicySpec) -> dict[str, Any]:
-    """The form in which a specification stands in a checkpoint."""
+    """The form in which a checkpoint stores a specification."""
     return {name: value for name, value in asdict(spec).items() if name not in KINDS or value is not None}
 
 

@@ -473,7 +473,7 @@ def _record(row: Sequence[Any], parents: Sequence[int], curve: list[tuple[int, f
 
 
 def body_text(body: np.ndarray) -> str:
-    """A body as it stands in the archive: JSON without blanks."""
+    """A body as the archive stores it: JSON without blanks."""
     return json.dumps(np.asarray(body).tolist(), separators=(",", ":"))
 
 

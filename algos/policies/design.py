@@ -170,7 +170,7 @@ class DesignDistribution(Distribution):
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
         """``[rows]`` of actions ``[rows, actions]``."""
         control = self.layout.control
-        # what stands in entries that do not count may be anything, also no type
+        # entries that do not count may hold anything, also values that are no type
         types = torch.where(self._designing[:, None], outputs[:, control:], 0.0).long()
         design = self._log_p.gather(2, types[..., None])[..., 0].sum(1)
         return self.gaussian.log_prob(outputs[:, :control]) + design

@@ -63,7 +63,7 @@ class VoxelGaussian(Gaussian):
 
     @property
     def kept_std(self) -> torch.Tensor:
-        """``[kinds]``: what :meth:`mean_divergence` wants of an earlier distribution."""
+        """``[kinds]``: what :meth:`mean_divergence` needs of an earlier distribution."""
         return self._log_kinds.exp()
 
     @property

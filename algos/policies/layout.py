@@ -66,7 +66,7 @@ class VoxelLayout:
         return self.cells * NUM_FEATURES + self.rest
 
     def dict(self) -> dict[str, Any]:
-        """As it stands in a checkpoint."""
+        """The layout as stored in a checkpoint."""
         return asdict(self)
 
 

@@ -72,7 +72,7 @@ def _tile(task: Any, body: np.ndarray) -> Image.Image:
 
 def write_gallery(path: str | os.PathLike[str], shown: Sequence[tuple[str, Design, str]]) -> Path:
     """Write what :func:`draw_gallery` draws as PNG; returns the path."""
-    # Few colours: as a palette the picture takes a fraction of the room, and nobody sees a difference.
+    # Few colours: as a palette the picture takes a fraction of the room, without a visible difference.
     sheet = draw_gallery(shown).quantize(128, dither=Image.Dither.NONE)
     with atomic_path(path) as temporary:
         sheet.save(temporary, "PNG", optimize=True)

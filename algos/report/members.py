@@ -1,4 +1,4 @@
-"""Several design searches as their archives tell them: what is compared on a page and in curves."""
+"""Several design searches, read from their archives: what is compared on a page and in curves."""
 
 from __future__ import annotations
 

@@ -48,16 +48,16 @@ class BaseSearch(ABC):
 
     A subclass says what to propose (:meth:`propose`) and, if it keeps more than the record of all designs, what
     to learn (:meth:`learn`). It draws from the Generator it is given, which follows from the seed and the number
-    of the generation: a search is a function of its settings, its seed and the fitness it was told.
+    of the generation: a search is a function of its settings, its seed and the fitness it was given.
 
     Args:
         settings: of the algorithm.
         shape: ``(rows, columns)`` of the bodies.
-        seed: governs everything random, >= 0.
+        seed: of all random numbers, >= 0.
 
     Attributes:
-        generation: number of the generation that is asked for next, or was asked for last and is not told yet.
-        bodies: all bodies that were told, by id, int8 ``[rows, columns]``.
+        generation: number of the next generation, or of the last one while its fitness is awaited.
+        bodies: all bodies with a known fitness, by id, int8 ``[rows, columns]``.
         fitness: of each of them.
 
     Raises:
@@ -81,7 +81,7 @@ class BaseSearch(ABC):
         """At most ``count`` new bodies, at least one; make each sure by :meth:`claim`."""
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:  # noqa: B027  (a choice)
-        """Update the model with the generation just told; ``bodies`` and ``fitness`` contain it already."""
+        """Update the model with a generation and its fitness; ``bodies`` and ``fitness`` contain it already."""
 
     def claim(self, body: np.ndarray) -> bool:
         """Whether ``body`` was never proposed before; from now on it was."""
@@ -132,7 +132,7 @@ class BaseSearch(ABC):
         """The next generation, every body valid and never proposed before; empty when all evaluations are spent.
 
         Raises:
-            SearchError: the last generation has not been told yet, no new body can be found, or a subclass has
+            SearchError: the fitness of the last generation is missing, no new body can be found, or a subclass has
                 proposed what no candidate may be.
         """
         if self._asked is not None:

@@ -52,8 +52,8 @@ class BayesianSearch(BaseSearch):
 
     ``acquisition="paper"``: of random designs, batch Thompson sampling picks the starts; from each, L-BFGS climbs
     expected improvement. Nearly all ends, rounded to voxels, are one and the same body or not valid; so a climb goes
-    on voxel by voxel, from its end or its start, over valid bodies that nobody has proposed, and each start leads to
-    a body of its own.
+    on voxel by voxel, from its end or its start, over valid bodies that have not been proposed yet, and each start
+    leads to a body of its own.
 
     ``acquisition="lbfgs"``: the same with L-BFGS alone; where its end is not valid or not new, the start is taken.
 

@@ -27,7 +27,7 @@ def make_search(settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed:
     Args:
         settings: their class says which algorithm; :func:`settings_from` makes them from plain values.
         shape: ``(rows, columns)`` of the bodies.
-        seed: governs everything random; same seed and same fitness, same proposals.
+        seed: of all random numbers; the same seed and fitness give the same proposals.
 
     Raises:
         ConfigError: settings of no known algorithm, a bad shape or seed, or a library that is not installed.

@@ -43,10 +43,10 @@ def _name(body: Design) -> tuple[Any, ...]:
 
 
 class Bodies:
-    """Gives environments whose episode has ended another body.
+    """Gives another body to environments whose episode has ended.
 
     Bodies are exchanged between two rollouts, so that no rollout holds a jump from one body to another; an episode
-    that has begun since its environment's last end is given up.
+    that has begun in the meantime is discarded.
 
     Args:
         bodies: of the training.
@@ -81,7 +81,7 @@ class Bodies:
         return self._seen
 
     def record(self, ended: torch.Tensor, returns: torch.Tensor) -> None:
-        """Take in the returns ``[num_envs]`` of episodes, where they have ended (bool)."""
+        """Record the returns ``[num_envs]`` of episodes that have ended (bool)."""
         for env in ended.nonzero()[:, 0].tolist():
             body, value = self._which[env], float(returns[env])
             if body >= 0:

@@ -127,7 +127,7 @@ class PPO(RslRlPPO):
     ) -> None:
         """Record a step; where only the time limit has ended an episode, add the value of its final state.
 
-        rsl-rl would add the value of the state before the step, because it is not told the final one.
+        rsl-rl would add the value of the state before the step, because it does not get the final one.
         """
         storage = self.storage
         if "time_outs" in extras:

@@ -144,7 +144,7 @@ class Frame:
         return rank
 
     def add(self, worlds: Sequence[World]) -> np.ndarray:
-        """Take in the bodies of more worlds, which fit the grid; return their numbers."""
+        """Add the bodies of more worlds, which fit the grid; return their numbers."""
         count = len(self.bodies[0].height)
         for k, (name, bodies) in enumerate(zip(self.names, self.bodies, strict=True)):
             self.bodies[k] = bodies.join(Bodies.of([world.objects[name] for world in worlds], bodies.cells.shape[1:]))

@@ -65,7 +65,7 @@ class Objects:
         self.num_points = {name: self._most(name) for name in self.names}
 
     def refresh(self) -> None:
-        """Look again at which points the environments have."""
+        """Update which points the environments have."""
         state = self._state
         pack, lane = (wp.to_torch(array).long() for array in (state.env_pack, state.env_lane))
         mesh = wp.to_torch(state.arrays["pack_mesh"]).long()[pack]

@@ -42,6 +42,6 @@ def machine_line(facts: dict[str, Any]) -> str:
 
 
 def available_memory(device: str) -> float:
-    """Bytes that can still be had on the device; infinite where the system does not tell."""
+    """Bytes that can still be allocated on the device; infinite where the system does not report it."""
     free = free_memory(device)
     return float("inf") if free is None else float(free)

@@ -1,4 +1,4 @@
-"""``warpvox bench suite=peer``: ours and the reference in turns, on the same body, task and kind of actions."""
+"""``warpvox bench suite=peer``: ours and the reference alternately, on the same body, task and kind of actions."""
 
 from __future__ import annotations
 

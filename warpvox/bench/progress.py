@@ -17,7 +17,7 @@ __all__ = ["Progress"]
 class Progress:
     """What the parts of a check have found so far.
 
-    Files are written whole or not at all, so whoever reads the folder meanwhile, or after the process was killed, finds
+    Files are written whole or not at all, so a reader of the folder, meanwhile or after the process was killed, finds
     everything up to the last row.
 
     Args:

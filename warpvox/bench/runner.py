@@ -1,4 +1,4 @@
-"""The runner of cases: environments that are checked when they are made, and rates measured in turns."""
+"""The runner of cases: environments that are checked when they are made, and rates measured alternately."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def measure(
     repeats: int,
     others: Mapping[str, Callable[[], float]] | None = None,
 ) -> dict[str, dict[str, list[float]]]:
-    """Rates by name and column, repetition by repetition, all in turns; ``others`` give rates of step only.
+    """Rates by name and column, repetition by repetition, alternating; ``others`` give rates of step only.
 
     Raises:
         SimulationError: a state is not finite at the end.

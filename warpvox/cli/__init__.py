@@ -43,7 +43,7 @@ COMMANDS = {
     "info": "versions, devices, kernel cache",
 }
 WORKING = ("train", "codesign", "suite", "play", "export", "demo", "bench")
-"""Commands that make files: they go on when nobody reads what they print, and say so."""
+"""Commands that make files: they continue when the reader of their output has gone, and say so."""
 DONE, BAD_INPUT, INTERRUPTED, SIGNALLED = 0, 2, 130, 128
 
 
@@ -65,7 +65,7 @@ def _run(arguments: list[str]) -> int:
     try:
         with terminable(), enough_memory("Ask for less at once, such as a smaller num_envs."):
             code = _dispatch(arguments)
-            sys.stdout.flush()  # here a full disk can still be told of
+            sys.stdout.flush()  # here a full disk can still be reported
             return code
     except WarpvoxError as error:
         return _complain(error)

@@ -113,7 +113,7 @@ def _launch(command: str, arguments: Arguments, do: Do, prepare: Prepare, check:
         try:
             multirun(command, [*arguments.plugins, *swept], folder, arguments.config_dir, task)
         except RunError:
-            pass  # of a run, which its row tells
+            pass  # of a run; its row has the error
         finally:
             rows = [json.loads(file.read_text(encoding="utf-8")) for file in folder.glob("run_*.json")]
             sweep.rows = sorted(rows, key=lambda row: row["run"])

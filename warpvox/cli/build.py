@@ -27,7 +27,7 @@ __all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "shown
 
 
 class _Console(logging.Handler):
-    """What the library tells goes to the output, as everything that commands say."""
+    """Messages of the library go to the output, like those of the commands."""
 
     def emit(self, record: logging.LogRecord) -> None:
         print(record.getMessage(), flush=True)

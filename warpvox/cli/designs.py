@@ -138,11 +138,11 @@ def trained_on(config: Any) -> dict[str, Any]:
 
 
 class HeldOut:
-    """An evaluator on held-out bodies, which keeps what became of each in ``held_out.csv`` and ``held_out.png``.
+    """An evaluator on held-out bodies, which writes the return of each to ``held_out.csv`` and ``held_out.png``.
 
     Args:
         judge: evaluates a policy on the bodies.
-        bodies: these.
+        bodies: those that it is evaluated on.
 
     Attributes:
         folder: of the run; None: nothing is written.

@@ -38,7 +38,7 @@ WEIGHT_BITS = 8
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a folder: the robot found there, and the return of the entry that was there before, if any."""
+    """The result for a folder: the robot found there, and the return of the entry that was there before, if any."""
 
     robot: Robot
     before: float | None

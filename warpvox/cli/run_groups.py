@@ -1,4 +1,4 @@
-"""Runs that differ by nothing but their seed, and what tells such groups apart."""
+"""Runs that differ only in their seed, and labels that distinguish such groups."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _labels(groups: list[dict[str, Any]]) -> list[str]:
     named = [_presets(values, differing) for values in groups]
     short = _differing(named)
     labels = [_label(values, short) for values in named]
-    if len(set(labels)) < len(labels):  # the first few settings do not tell them apart
+    if len(set(labels)) < len(labels):  # the first few settings do not distinguish them
         labels = [f"{label} #{number + 1}" for number, label in enumerate(labels)]
     return labels
 
@@ -126,7 +126,7 @@ def _text(value: Any) -> str:
 
 
 def _design(body: Any) -> str:
-    """The name of an example, or the size of a body and what tells it from others of this size."""
+    """The name of an example, or the size of a body and what distinguishes it from others of this size."""
     for name in example_designs():
         if example_design(name).tolist() == body:
             return name

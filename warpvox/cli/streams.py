@@ -28,7 +28,7 @@ SUBSTITUTES = {"θ": "theta", "Δ": "d", "°": " deg", "·": "-", "…": "...", 
 
 
 class _Lasting:
-    """A text stream that goes on silently when nobody reads it any more; otherwise the stream that it wraps."""
+    """A text stream that discards output once its reader has gone; until then the stream that it wraps."""
 
     def __init__(self, stream: Any, told: str | None = None) -> None:
         self._stream, self._told, self._silent = stream, told, False

@@ -1,4 +1,4 @@
-"""Several runs one after another (``--multirun``): what they differ by, and what has come of them."""
+"""Several runs one after another (``--multirun``): what they differ by, and their results."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _value(word: str) -> str:
 def attempt(
     row: dict[str, Any], member: Member, do: Callable[[], Path | None], console: Console, total: str = ""
 ) -> None:
-    """Make one run of several and note in ``row`` what has come of it; only an interrupt gets through."""
+    """Make one run of several and note its result in ``row``; only an interrupt is passed on."""
     values = " ".join(f"{key}={value}" for key, value in member.varied.items())
     console.rule(literal(f"run {row['run']}{total}: {values}"))
     row |= {**member.varied, "status": INTERRUPTED}

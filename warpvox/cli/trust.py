@@ -2,7 +2,7 @@
 
 A run keeps a copy of the code of its own task and search in the folder ``code``, so that it can be played from
 anywhere. On the command line ``task=stored`` names that copy, ``task=FILE.py:NAME`` another place; the same holds for
-``search.make``. Whoever gets a run from somebody else thus decides whether code that came with it is run.
+``search.make``. A user who gets a run from somebody else thus decides whether its code is executed.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ def _ask(key: str, text: str, home: Path) -> str:
     """Where the code is to be imported from, if the user agrees.
 
     Raises:
-        ConfigError: there is nobody to ask, or the answer is no.
+        ConfigError: there is no terminal to ask on, or the answer is no.
     """
     copy = _copy(home, key, text)
     name = copy or text
@@ -171,7 +171,7 @@ def _beside(source: Path | None) -> list[str]:
 
 
 def _check_address(config: Any, stored: Mapping[str, Any], named: Mapping[str, Any]) -> None:
-    """A cluster runs what it likes in whoever connects to it: the same holds for its address."""
+    """A cluster can run code in every process that connects to it: the same holds for its address."""
     address = _value(stored, "address")
     if address is None or "address" in named or getattr(config, "executor", None) != "ray":
         return
@@ -184,7 +184,7 @@ def _check_address(config: Any, stored: Mapping[str, Any], named: Mapping[str, A
 
 
 def _agreed(what: str, question: str) -> bool:
-    """Whether the user says yes; no where there is nobody to be asked."""
+    """Whether the user says yes; no if there is no terminal to ask on."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return False
     print(f"{what} It can do whatever you can do on this machine.", file=sys.stderr)

@@ -25,7 +25,7 @@ SENTENCE = re.compile(r"(?<=[.!])\s+(?=[A-Z])")
 
 
 def shortage(error: BaseException) -> str | None:
-    """What an error says of memory that could not be had, in a sentence's words; None if it is about something else."""
+    """What could not be allocated according to an error, as part of a sentence; None if it is another error."""
     if not isinstance(error, (MemoryError, RuntimeError)):
         return None
     text = " ".join(str(error).split())
@@ -40,7 +40,7 @@ def shortage(error: BaseException) -> str | None:
 
 
 def free_memory(device: str) -> int | None:
-    """Bytes that can still be allocated on a device (``cpu``, ``cuda:<index>``); None where nothing tells."""
+    """Bytes that can still be allocated on a device (``cpu``, ``cuda:<index>``); None where that is unknown."""
     if device == "cpu":
         return available_memory()
     import torch

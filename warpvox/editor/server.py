@@ -1,4 +1,4 @@
-"""The server of the design editor: this machine only, for whoever holds the token.
+"""The server of the design editor: this machine only, for those who have the token.
 
 It listens on the loopback address. Every address begins with a token that is drawn at each start, so that
 other users of the machine and pages of other sites cannot guess it. A request whose Host is not this server's is

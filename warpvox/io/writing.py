@@ -161,7 +161,7 @@ def claimed(folder: Path) -> Iterator[None]:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what killed processes have left half written in ``folder`` and below; nobody else may be writing there."""
+    """Remove what killed processes have left half written in ``folder`` and below, where no other process may write."""
     for file in folder.rglob(f"{MARK}*"):
         with suppress(OSError):
             file.unlink()

@@ -314,7 +314,7 @@ def write_mp4(
                     encoder.send(film.array(frame))
                     if on_frame:
                         on_frame(number + 1, len(frames))
-            written, _ = imageio_ffmpeg.count_frames_and_secs(temporary)  # it does not tell when it has failed
+            written, _ = imageio_ffmpeg.count_frames_and_secs(temporary)  # it does not report a failure
         except (OSError, RuntimeError):
             written = None
         if written != len(frames):

@@ -11,7 +11,7 @@ k of the rollout at time code k. The default prim ``/World`` holds an Xform ``en
 - ``terrain``: one Mesh of everything that never moves, a hair behind the voxels.
 
 Beside them: ``camera`` (follows the robot of the first environment), ``overview`` (all environments), ``sun``
-and ``sky``. Task, rules and returns stand in the custom data of ``/World`` and of every environment.
+and ``sky``. Task, rules and returns are in the custom data of ``/World`` and of every environment.
 """
 
 from __future__ import annotations

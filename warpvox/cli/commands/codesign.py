@@ -251,7 +251,7 @@ def _search(loop: Any, watch: Any, config: CodesignConfig, console: Console) -> 
         conclude(console, watch.results.write("interrupted"), watch.results.folder, config)
         raise
     except BaseException:
-        # a search that has failed may have failed because nothing can be written; that is what should be told
+        # a search that has failed may have failed because nothing can be written; that is the error to report
         with suppress(StorageError, RunError):
             conclude(console, watch.results.write("failed"), watch.results.folder, config)
         raise
@@ -334,7 +334,7 @@ def make_evaluator(config: CodesignConfig, pretrained: dict[str, Any] | None = N
 
 
 def make_executor(config: CodesignConfig, pretrained: dict[str, Any] | None = None) -> Executor:
-    """Where the configuration wants designs to be trained.
+    """Where designs are trained, by the configuration.
 
     Raises:
         ConfigError, RunError: Ray is missing or cannot be reached.

@@ -141,7 +141,7 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
         console.print(table)
     echo(
         console,
-        "Intervals are Student's t. Over runs they tell of other trainings, over episodes of this policy alone.",
+        "Intervals are Student's t. Over runs they cover other trainings, over episodes this policy alone.",
     )
 
 
@@ -154,7 +154,7 @@ def _table(title: str, *headings: str) -> Table:
 
 
 def _say_alike(alike: list[Run], found: list[Run], config: EvaluateConfig, console: Console) -> None:
-    """Tell of runs whose episodes are one and the same, so that their number tells nothing."""
+    """Report runs whose episodes are all the same, so that more of them add no information."""
     if alike:
         which = "all runs" if len(alike) == len(found) else f"{len(alike)} of {len(found)} runs"
         echo(

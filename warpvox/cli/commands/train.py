@@ -293,7 +293,7 @@ def _learn(runner: Any, console: Console, folder: Path, command: str, config: Tr
             }
             summary |= runner.summary()
             summary["steps_per_second"] = round((runner.steps - started_at) / seconds, 1)
-            # a run that has failed may have failed because nothing can be written; that is what should be told
+            # a run that has failed may have failed because nothing can be written; that is the error to report
             with suppress(StorageError) if status == "failed" else nullcontext():
                 write_summary(folder, summary)
             _conclude(console, runner, summary, seconds, folder, again(config))

@@ -170,7 +170,7 @@ def _cells(robot: Robot) -> str:
 
 
 def _add(config: ZooConfig, folder: Path, console: Console) -> None:
-    """Add what can be added, and tell of each; raises for the first that could not, when all have had their turn."""
+    """Add what can be added and report each; raises the first error after all have been tried."""
     from warpvox.cli.build import prepare
     from warpvox.cli.robot_entries import add, find_sources
 

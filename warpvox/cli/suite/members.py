@@ -135,7 +135,7 @@ class Table:
             return row.curve
         try:
             (member,) = read_members([row.folder])
-        except RunError:  # no archive yet, or one that is damaged, which its member tells
+        except RunError:  # no archive yet, or one that is damaged, which its member reports
             return None
         curve = rises(member)
         row.curve = curve if row.state == DONE else None

@@ -41,7 +41,7 @@ class Pool(Protocol):
         """The members that have ended, by number, as soon as there is one or the time is over."""
 
     def stop(self) -> None:
-        """Ask all members that are being made to save their state and end; :meth:`wait` tells when they have."""
+        """Ask all members that are being made to save their state and end; :meth:`wait` returns when they have."""
 
     def close(self) -> None:
         """Release the processes; what still runs is ended at once."""
@@ -145,7 +145,7 @@ def _ignored(*numbers: int | None) -> Iterator[None]:
 
 
 def _serve(pipe: Connection, make: Make) -> None:
-    """The life of a worker: it ends with the process that has started it, and takes orders from nobody else.
+    """The main loop of a worker: it ends with the process that has started it.
 
     What a terminal sends to all processes, SIGINT and SIGHUP, it ignores; SIGTERM is what :meth:`LocalPool.stop` sends.
     """
