@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from warpvox.errors import RunError
-from warpvox.robots.network import WIDEST, as_observations, rounded
+from warpvox.robots.network import WIDEST, as_observations
 
 __all__ = ["ARRAYS", "Gait"]
 
 ARRAYS = ("begin", "period", "amplitude", "phase", "rest")
 """The arrays of a gait, by their names in files."""
-CENTER, SCALE = 1.1, 0.5
+CENTER, SCALE = np.float32(1.1), np.float32(0.5)
 """Of the range of actions: its middle, and half its width."""
 
 
@@ -22,10 +22,11 @@ CENTER, SCALE = 1.1, 0.5
 class Gait:
     """Sinusoids of the time in one stage or several: observations of ``obs="timed"`` to actions, in float64.
 
-    ``action = 1.1 + 0.5 * clip(rest + amplitude * sin(2 pi t / period + phase), -1, 1)``, rounded as those of
-    :class:`warpvox.robots.network.Network`, with the values of the last stage that begins at ``t`` or before. ``t`` is
-    the control steps since the episode began, the last number of the observation; nothing else of it is read. The
-    numbers of a gait are rounded to those of float32, which all files of policies hold.
+    ``action = 1.1 + 0.5 * clip(rest + amplitude * sin(2 pi t / period + phase), -1, 1)`` with the values of the last
+    stage that begins at ``t`` or before. ``t`` is the control steps since the episode began, the last number of the
+    observation; nothing else of it is read. What is cut is rounded to float32, and so is the action, as in the search
+    that finds a gait: on all machines, but for the sines (one in 1e9) that lie just between two numbers of float32. The
+    numbers of a gait are those of float32, too, which all files of policies hold.
 
     Attributes:
         begin: control step at which each stage begins, float64 ``[stages]``: 0 first, never decreasing.
@@ -88,4 +89,4 @@ class Gait:
         period = self.period[stage]
         angle = (2 * np.pi * np.remainder(time, period) / period)[..., None] + self.phase[stage]
         outputs = self.rest[stage] + self.amplitude[stage] * np.sin(angle)
-        return rounded(CENTER + SCALE * np.clip(outputs, -1.0, 1.0))
+        return (CENTER + SCALE * np.clip(outputs, -1.0, 1.0).astype(np.float32)).astype(np.float64)
