@@ -79,7 +79,7 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
         table.add_row(*map(literal, (name, figure(robot.mean_return), mark, mean, trained, _cells(robot))))
     console.print(table)
     total = sum(path.stat().st_size for path in entries.values())
-    echo(console, f"{len(entries)} robots in {folder}, {total / 1e6:.2f} MB")
+    echo(console, f"{len(entries)} robot{'s' * (len(entries) != 1)} in {folder}, {total / 1e6:.2f} MB")
     echo(console, "return: in exact arithmetic, as EvoGym itself gives it; steps: control steps of the episode")
     echo(console, "trained: control steps of the whole search; body: cell types, rows from the top")
     echo(console, "○: open loop, a gait whose actions depend on the time alone; all others observe what the task has")
