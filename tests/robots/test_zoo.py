@@ -76,5 +76,5 @@ def test_a_robot_that_is_not_there_is_named_with_the_nearest() -> None:
 
 def test_a_policy_for_another_body_is_refused() -> None:
     first = zoo(TASKS[0])
-    with pytest.raises(RunError, match="observations and"):
+    with pytest.raises(RunError, match="actions"):
         robot_env(Robot(first.task, load_design("mini"), np.zeros((2, 0), np.int32), first.policy))
