@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from warpvox.algos.candidate import FINALIST
+from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.cli.commands.codesign import check
 from warpvox.cli.config import load
@@ -99,7 +100,8 @@ def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
 
 
-def test_a_search_by_gaits(warpvox: Callable) -> None:
+def test_a_search_by_gaits(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)  # of packs: what other tests have compiled
     folder = search(warpvox, "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", "screening.final_rounds=2")
     records, figures = records_of(folder), summary(folder)
     assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2

@@ -12,13 +12,20 @@ from population_cases import LIMIT, candidates, factory
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.checkpoints.files import Controller, build_actor, check_spec, spec_of
+from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.finalists import BestOf
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 from warpvox.algos.codesign.gaits import LONGEST, SHORTEST, draw_gait, mutate_gait
 from warpvox.algos.evaluate import evaluate
 from warpvox.types import Cell
 
-COUNT = 8
+COUNT, LANES = 8, 8
+
+
+@pytest.fixture(autouse=True)
+def narrow_packs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Packs of the width that other tests have compiled; results hold for any."""
+    monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", LANES)
 
 
 def evaluator(rounds: int = 1, seed: int = 0) -> GaitEvaluator:
@@ -62,7 +69,7 @@ def test_the_stored_policy_repeats_the_fitness() -> None:
     actor = build_actor(spec)
     actor.load_state_dict(outcome.policy)
     controller = Controller(actor, spec)
-    where = dataclasses.replace(factory(), obs="timed", lanes=32)
+    where = dataclasses.replace(factory(), obs="timed", lanes=LANES)
     env = where.make([candidate.body], 1, [candidate_seed(0, 0)], auto_reset=False)
     controller.check(env)
     assert evaluate(env, controller).returns.tolist() == [outcome.fitness]
