@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warpvox.algos.checkpoints.files import PolicySpec, save_checkpoint, spec_dict
+from warpvox.algos.checkpoints.policy import parse_policy, policy_text
 from warpvox.design import full_connections, load_design
 from warpvox.envs.gym import VoxelEnv
 from warpvox.errors import RunError
@@ -139,6 +140,8 @@ def test_as_a_torch_module_it_acts_the_same() -> None:
     assert policy.num_obs == VoxelEnv("Walker-v0", BODY, obs="timed").observation_space.shape[0]
     obs = policy.random_obs(64, torch.Generator().manual_seed(0)).numpy()
     np.testing.assert_array_equal(policy.act(obs), gait(obs))  # as the search that found it
+    again = parse_policy(policy_text(policy), "a file")  # what exports hold
+    np.testing.assert_array_equal(again.act(obs), gait(obs))
 
 
 def test_the_gait_of_a_checkpoint_has_the_values_of_its_actuators(tmp_path: Path) -> None:

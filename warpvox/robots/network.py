@@ -12,7 +12,7 @@ import numpy as np
 from warpvox.errors import RunError, did_you_mean, listing
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["ACTIVATIONS", "STEP", "Network", "as_observations", "rounded"]
+__all__ = ["ACTIVATIONS", "STEP", "Network", "as_observations"]
 
 STEP = 2.0**-16
 """Actions are multiples of it.
@@ -100,14 +100,9 @@ class Network:
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             values = values @ weight.T.astype(np.float64) + bias
             values = values if layer == last else ACTIVATIONS[self.activation](values)
-        return rounded(self.center + self.scale * values)
+        return np.clip(np.round((self.center + self.scale * values) / STEP) * STEP, LOW, HIGH)
 
 
 def as_observations(obs: Any) -> np.ndarray:
     """An array or a torch tensor as float64."""
     return np.asarray(obs.detach().cpu() if hasattr(obs, "detach") else obs, dtype=np.float64)
-
-
-def rounded(actions: np.ndarray) -> np.ndarray:
-    """Multiples of :data:`STEP` within the range of actions."""
-    return np.clip(np.round(actions / STEP) * STEP, LOW, HIGH)

@@ -13,6 +13,7 @@ import torch
 
 from warpvox.algos.checkpoints.files import PolicySpec, load_controller
 from warpvox.algos.checkpoints.policy import Policy, make_policy, policy_of
+from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.envs.gym import VoxelEnv
 from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
@@ -20,7 +21,7 @@ from warpvox.envs.rsl_rl import ACTION_CENTER
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import RunError
 from warpvox.robots.entry import DIGITS, Robot
-from warpvox.robots.gait import SCALE, Gait
+from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
 from warpvox.types import Cell
 
@@ -173,7 +174,7 @@ def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
 def _gait_module(robot: Robot, gait: Gait, about: dict[str, Any]) -> Policy:
     sizes = {"stages": gait.num_stages, "rows": robot.body.shape[0], "columns": robot.body.shape[1]}
     num_obs = robot_env(robot).num_obs
-    policy = make_policy(PolicySpec(num_obs, gait.num_actions, [], "", False, SCALE, gait=sizes), about)
+    policy = make_policy(PolicySpec(num_obs, gait.num_actions, [], "", False, AMPLITUDE, gait=sizes), about)
     cells = np.flatnonzero(robot.body >= Cell.H_ACT)
     state = {"begin": gait.begin, "period": gait.period, "cells": cells}
     for name in BY_CELL:
