@@ -13,7 +13,7 @@ import yaml
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.archive import FILE, Archive, Record
-from warpvox.cli.commands.codesign import check
+from warpvox.cli.commands.codesign import check, environments
 from warpvox.cli.config import load
 from warpvox.envs import registry
 from warpvox.envs.registry import get_task
@@ -116,6 +116,22 @@ def test_a_search_by_gaits(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -
     outcome = warpvox("play", f"run={folder}/designs/0", "stochastic=true", "export=[]", "device=cpu")
     assert "open-loop gait" in outcome.err
     assert warpvox("export", f"run={folder}/designs/0", "format=[jit]").code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "count"),
+    [
+        ("", 3 * 8),
+        ("evaluation=shared screening.envs=16", 3 * 16),
+        ("evaluation=gaits screening.gaits=7", 3 * 7),
+        ("evaluation=gaits screening.gaits=7 task=Catcher-v0", 3 * 7 * 4),  # a random task: four episodes of each gait
+        ("evaluation=gaits screening.gaits=9 finalists=6", 6 * 9),
+        ("evaluation=gaits screening.gaits=9 finalists=6 batch=2", 2 * 9),
+    ],
+)
+def test_environments_that_are_stepped_together(words: str, count: int) -> None:
+    keys = {word.split("=")[0]: word for word in [*TINY, *words.split()]}
+    assert environments(load("codesign", list(keys.values()))) == count
 
 
 @pytest.mark.slow

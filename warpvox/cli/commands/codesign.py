@@ -27,6 +27,7 @@ from warpvox.cli.console import echo, shell_argument
 from warpvox.cli.evaluations import (
     STEPS,
     check_evaluation,
+    episodes_of,
     evaluator_of,
     has_common_policy,
     is_screened,
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
     from warpvox.algos.candidate import DesignEvaluator
     from warpvox.algos.codesign.executors import Executor
 
-__all__ = ["Job", "codesign", "make_evaluator", "run"]
+__all__ = ["Job", "check", "codesign", "environments", "make_evaluator", "run"]
 
 CHANGEABLE = (
     "executor", "address", "workers", "device", "threads", "torch_threads", "top", "export", "name",
@@ -139,13 +140,17 @@ def _together(config: CodesignConfig) -> int:
     return min(config.batch or most, most) if is_screened(config) else config.batch or most
 
 
-def _environments(config: CodesignConfig) -> int:
+def environments(config: CodesignConfig) -> int:
     """Environments that are stepped together at most."""
     own = _together(config) * config.training.envs
     if not is_screened(config):
         return own
-    how = config.screening
-    return max(own, config.search.population * (how.envs if has_common_policy(config) else how.gaits))
+    how, most = config.screening, config.search.population or 1
+    if has_common_policy(config):
+        each = how.envs
+    else:
+        each, most = how.gaits * episodes_of(config.task), max(most, config.finalists)
+    return max(own, min(config.batch or most, most) * each)
 
 
 def resolve(config: CodesignConfig, folder: Path | None = None) -> CodesignConfig:
@@ -161,7 +166,7 @@ def resolve(config: CodesignConfig, folder: Path | None = None) -> CodesignConfi
     preset = constants.pop("name")
     config = resolve_evaluation(config, folder)
     # designs on workers run on the devices of the workers
-    device = resolve_device(config.device, _environments(config)) if config.executor == "local" else config.device
+    device = resolve_device(config.device, environments(config)) if config.executor == "local" else config.device
     return dataclasses.replace(
         config,
         physics=type(config.physics)(preset=preset, **constants),
@@ -329,7 +334,7 @@ def make_evaluator(config: CodesignConfig, pretrained: dict[str, Any] | None = N
     from warpvox.devices.names import resolve_device
 
     prepare(config.torch_threads, config.seed)
-    device = resolve_device(config.device, _environments(config))
+    device = resolve_device(config.device, environments(config))
     return evaluator_of(dataclasses.replace(config, device=device), pretrained)
 
 
