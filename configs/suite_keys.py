@@ -10,11 +10,13 @@ from typing import Any, get_type_hints
 
 from warpvox.keys import key
 
-__all__ = ["suite_config"]
+__all__ = ["OF_RECIPES", "suite_config"]
 
 THREADS = "threads of a member's simulation; null: cores / workers (executor=ray: one)"
 BY_MEMBER = ("preset", "task", "seed")
 """Keys of a design search that a suite sets for each member."""
+OF_RECIPES = ("evaluation", "finalists", "screening", "dtype")
+"""Keys that the file of a search may set besides ``search.*``; what the suite says of them holds for all searches."""
 
 
 @dataclass
@@ -72,6 +74,8 @@ def suite_config(codesign: type, search: type) -> type:
         if item.name == "search":
             settings = _optional(search)
             fields.append(("search", settings, key(settings, "settings for the searches that have them")))
+        elif item.name in OF_RECIPES:
+            fields.append(_open(item, types[item.name]))
         elif item.name not in own:
             meaning = {"help": THREADS} if item.name == "threads" else {}
             copied = field(
@@ -79,6 +83,18 @@ def suite_config(codesign: type, search: type) -> type:
             )
             fields.append((item.name, types[item.name], copied))
     return make_dataclass("SuiteConfig", fields, bases=(_SuiteKeys,), namespace={"__module__": codesign.__module__})
+
+
+def _open(item: dataclasses.Field, kind: Any) -> tuple[str, Any, Any]:
+    """A field of a recipe: null leaves it to the file of each search."""
+    if dataclasses.is_dataclass(kind):
+        types = get_type_hints(kind)
+        fields = [_open(inner, types[inner.name]) for inner in dataclasses.fields(kind)]
+        settings = make_dataclass(f"Suite{kind.__name__}", fields, namespace={"__module__": kind.__module__})
+        return item.name, settings, field(default_factory=settings, metadata=item.metadata)
+    usual = "" if item.default is None else f" (null: that of the search's file, or {item.default})"
+    meaning = f"{item.metadata['help']}{usual}"
+    return item.name, kind | None, field(default=None, metadata={**item.metadata, "help": meaning})
 
 
 def _optional(search: type) -> type:

@@ -24,7 +24,7 @@ from warpvox.algos.interrupt import Terminated
 from warpvox.algos.settings import TrainingConfig
 from warpvox.cli import codesign_progress
 from warpvox.cli.commands import codesign, suite
-from warpvox.cli.config import load
+from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.suite.members import CURVES, MEMBERS
 from warpvox.cli.suite.plan import BENCHMARK10, plan, steps_of_design, task_names
 from warpvox.cli.suite.pool import LOG, LocalPool
@@ -97,6 +97,15 @@ def test_settings_go_to_the_searches_that_have_them() -> None:
     rates = {member.search: member.config.search.mutation_rate for member in found}
     assert rates == {"ga": 0.3, "random": None}
     assert {member.config.search.population for member in found} == {6}
+
+
+@pytest.mark.parametrize("words", [["finalists=4", "dtype=float32", "screening.gaits=3"], ["evaluation=specialist"]])
+def test_what_a_suite_says_holds_against_the_file_of_a_search(words: list[str]) -> None:
+    config = load("suite", ["searches=[auto]", "tasks=[Climber-v0]", "seeds=[2]", *words])
+    assert load_values("suite", yaml.safe_load(to_yaml(config))) == config  # when it is resumed
+    (member,), alone = plan(config), load("codesign", ["search=auto", *words])
+    for name in ("evaluation", "finalists", "screening", "dtype"):
+        assert getattr(member.config, name) == getattr(alone, name), name
 
 
 def test_budgets_by_task() -> None:
@@ -239,6 +248,30 @@ def test_a_suite_leaves_one_folder(quick: Callable) -> None:
     assert "exists already" in quick("name=first").err
     again = quick("resume=latest")
     assert (again.code, "4 done already" in again.out) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("words", "phrase"),
+    [
+        ("training.inherit=true", "auto: training.inherit does not go with evaluation=gaits"),
+        ("evaluation=few_shot", "few_shot and pretrained go together"),
+    ],
+)
+def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(
+    quick: Callable, words: str, phrase: str
+) -> None:
+    outcome = quick("searches=[ga,auto]", words)
+    assert (outcome.code, phrase in outcome.err) == (2, True), outcome.err
+    assert not Path("outputs").exists()
+
+
+def test_a_suite_counts_environments_as_its_members_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With device=auto: 16 environments for each training, and of gaits 32 designs x 8 gaits x 4 episodes."""
+    asked = []
+    monkeypatch.setattr(suite, "resolve_device", lambda device, envs: asked.append(envs) or "cpu")
+    config = load("suite", ["tasks=[Catcher-v0]", "searches=[ga,auto]", "search.population=32", "workers=1"])
+    suite._pool(config, [member.config for member in plan(config)])[0].close()
+    assert asked == [32 * 8 * 4]
 
 
 def test_more_members_join_and_none_may_leave(quick: Callable) -> None:

@@ -117,9 +117,17 @@ def _parts(config: SuiteConfig) -> tuple[list[str], list[str], list[int]]:
 
 
 def _check(job: Job) -> None:
-    """Find mistakes of members before anything is made: seeds of a task and search are alike."""
+    """Find mistakes of members before anything is made: seeds of a task and search are alike.
+
+    Raises:
+        ConfigError: keys that do not go together, and for which of several searches. WarpvoxError: another mistake.
+    """
+    several = len({member.search for member in job.members}) > 1
     for member in {(member.task, member.search): member for member in job.members}.values():
-        codesign.check(dataclasses.replace(member.config, executor=job.config.executor))
+        try:
+            codesign.check(dataclasses.replace(member.config, executor=job.config.executor))
+        except ConfigError as error:
+            raise ConfigError(f"{member.search}: {error}" if several else str(error)) from None
 
 
 def _place(config: SuiteConfig) -> Path:
@@ -173,7 +181,7 @@ def _make(table: Table, members: list[Member], config: SuiteConfig, console: Con
         KeyboardInterrupt: interrupted; the members have saved their states.
     """
     waiting, running = deque(number for number, row in enumerate(table.rows) if row.state == WAITING), {}
-    pool, threads = _pool(config, len(waiting), members[waiting[0]].config)
+    pool, threads = _pool(config, [members[number].config for number in waiting])
     echo(console, f"{pool.size} at a time, each with {threads} thread{'s' * (threads > 1)}")
     try:
         with deferred_interrupts() as interrupt, SuiteProgress(table, console) as progress:
@@ -204,17 +212,17 @@ def _make(table: Table, members: list[Member], config: SuiteConfig, console: Con
         pool.close()
 
 
-def _pool(config: SuiteConfig, members: int, first: CodesignConfig) -> tuple[Pool, int]:
+def _pool(config: SuiteConfig, members: list[CodesignConfig]) -> tuple[Pool, int]:
     """The processes that make the members, and the threads of each."""
     if config.executor == "ray":
         threads = config.threads or 1
         gpus = 0 if config.device == "cpu" else None
         return RayPool(make_member, config.workers, config.address, threads, gpus), threads
-    cores, envs = usable_cores(), first.search.population * first.training.envs
+    cores, envs = usable_cores(), max(map(codesign.environments, members))
     room = cores if resolve_device(config.device, envs) == "cpu" else 1
     free = available_memory()
     room = room if free is None else max(1, min(room, free // PROCESS_BYTES))
-    workers = min(config.workers or room, members)
+    workers = min(config.workers or room, len(members))
     return LocalPool(make_member, workers), config.threads or max(1, cores // workers)
 
 

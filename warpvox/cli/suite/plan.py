@@ -18,6 +18,7 @@ from warpvox.cli.evaluations import episodes_of, has_common_policy, is_screened
 from warpvox.cli.help import options_of
 from warpvox.configs.paper import shape_of
 from warpvox.configs.schema import CodesignConfig, SuiteConfig
+from warpvox.configs.suite_keys import OF_RECIPES
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing
@@ -41,8 +42,6 @@ NAMED = {"all": task_ids, "benchmark10": lambda: BENCHMARK10}
 DIFFICULTIES, DEFAULT = ("easy", "medium", "hard"), "default"
 OF_SUITES = ("executor", "address", "workers", "resume", "report", "name", "config", "search", "shape")
 """Keys that a design search has, too, with another meaning or value than in a suite."""
-OF_RECIPES = ("evaluation", "finalists", "screening", "dtype")
-"""Keys that the file of a search may set besides ``search.*``; other members keep the suite's values."""
 
 
 @dataclass(frozen=True)
@@ -119,10 +118,9 @@ def _tasks(names: list[str]) -> dict[str, TaskSpec]:
 
 
 def _searches(config: SuiteConfig, config_dir: Path | None) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Of each search by its name the settings, and how its file evaluates designs.
+    """Of each search by its name the settings, and how designs are evaluated (the keys :data:`OF_RECIPES`).
 
-    Settings are those of its file and those that the suite changes; of other keys a file has its way with
-    :data:`OF_RECIPES`.
+    Both are those of its file with what the suite says instead.
     """
     known = options_of("search", config_dir)
     if not config.searches:
@@ -131,12 +129,8 @@ def _searches(config: SuiteConfig, config_dir: Path | None) -> tuple[dict[str, A
         if name not in known:
             raise ConfigError(f"searches must be of {listing(known)}; got '{name}'.{did_you_mean(name, known)}")
     files = {name: load("codesign", [f"search={name}"], config_dir) for name in dict.fromkeys(config.searches)}
-    found, usual = {name: file.search for name, file in files.items()}, CodesignConfig()
-    recipes = {
-        name: {key: getattr(file, key) for key in OF_RECIPES if getattr(file, key) != getattr(usual, key)}
-        for name, file in files.items()
-    }
-    given = {name: value for name, value in dataclasses.asdict(config.search).items() if value is not None}
+    found = {name: file.search for name, file in files.items()}
+    given = _given(config.search)
     for name in given:
         if not any(_has(settings, name) for settings in found.values()):
             raise ConfigError(f"None of the searches {listing(found)} has the setting search.{name}.")
@@ -144,7 +138,20 @@ def _searches(config: SuiteConfig, config_dir: Path | None) -> tuple[dict[str, A
         search: dataclasses.replace(settings, **{name: given[name] for name in given if _has(settings, name)})
         for search, settings in found.items()
     }
-    return changed, recipes
+    return changed, {name: {key: _said(config, file, key) for key in OF_RECIPES} for name, file in files.items()}
+
+
+def _said(config: SuiteConfig, file: CodesignConfig, key: str) -> Any:
+    """The value of ``key`` for the members of one search: the suite's, or else that of its file."""
+    value, usual = getattr(config, key), getattr(file, key)
+    if dataclasses.is_dataclass(value):
+        return dataclasses.replace(usual, **_given(value))
+    return usual if value is None else value
+
+
+def _given(settings: Any) -> dict[str, Any]:
+    """The settings of a suite that are not left to the files of the searches."""
+    return {name: value for name, value in vars(settings).items() if value is not None}
 
 
 def _has(settings: Any, name: str) -> bool:
