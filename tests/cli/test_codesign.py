@@ -327,9 +327,11 @@ def test_killed_three_times_the_real_search_is_the_undisturbed_one(tmp_path: Pat
 
 
 @pytest.mark.slow  # tests/algos/codesign/test_ray_executor.py compares in the default run
-def test_ray_finds_what_one_process_finds(search: Callable) -> None:
+@pytest.mark.parametrize("words", ["", "evaluation=gaits screening.gaits=4 screening.final_rounds=3 finalists=3"])
+def test_ray_finds_what_one_process_finds(search: Callable, words: str) -> None:
     pytest.importorskip("ray", reason="Ray is not installed")
-    local = search("batch=2")
+    local = search("batch=2", *words.split())
     with parallel.turn("ray"):
-        spread = search("batch=2", "executor=ray", "workers=2")
+        spread = search("batch=2", "executor=ray", "workers=2", *words.split())
     assert digest(spread) == digest(local)
+    assert summary(spread)["best_fitness"] == summary(local)["best_fitness"]
