@@ -22,7 +22,10 @@ import torch
 from warpvox.cli import main
 
 TINY = "device=cpu task=Walker-v0"
-TRAIN = "design=mini num_envs=16 ppo.steps=4 ppo.hidden=[8] ppo.epochs=2 max_iterations=3 eval_interval=1 seed=4"
+TRAIN = (
+    "design=mini num_envs=16 lanes=8 ppo.steps=4 ppo.hidden=[8] ppo.epochs=2 max_iterations=3 eval_interval=1"
+    " seed=4"  # two packs, one for each of two threads
+)
 SEARCH = (
     "shape=[3,3] search.population=4 search.max_evaluations=6 training.envs=8 training.iterations=2"
     " training.eval_interval=1 training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1 seed=4"

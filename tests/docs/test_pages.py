@@ -39,6 +39,7 @@ def run_command(line: str) -> None:
 def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("SB3_LOGDIR", str(tmp_path / "sb3"))  # or Stable-Baselines3 logs beside all temporary files
     names: dict[str, object] = {}
     ran = 0
     blocks = BLOCK.findall((ROOT / "docs" / page).read_text(encoding="utf-8"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -54,7 +56,8 @@ def test_seeds_reach_each_environment_once() -> None:
     assert not np.array_equal(env.reset(), first)
 
 
-def test_its_ppo_learns_on_it_and_is_evaluated() -> None:
+def test_its_ppo_learns_on_it_and_is_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SB3_LOGDIR", str(tmp_path))
     env = VecNormalize(make(max_episode_steps=8))
     model = PPO("MlpPolicy", env, n_steps=16, batch_size=24, n_epochs=1, device="cpu", seed=0)
     model.learn(total_timesteps=96)

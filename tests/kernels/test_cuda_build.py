@@ -19,16 +19,20 @@ FAST, EXACT = ("fast", "float32"), ("exact", "float64")
 CASES = pytest.mark.parametrize(("arithmetic", "precision"), [FAST, ("fast", "float64"), EXACT])
 
 
-def kernels_of_cuda(arithmetic, precision):
-    """Every kernel that is launched on CUDA: the control step, its actions, resets and all sensing."""
+def kernels_of_steps(arithmetic, precision):
+    """The control step, its actions and resets."""
     walker = choose(36, 104, precision, "cuda:0")
     return [
         step_kernel(arithmetic, precision, 1),
         *([group_kernel(walker)] if arithmetic == "fast" else []),
         action_kernel(precision),
         reset_kernel(precision),
-        *sensing.KERNELS.values(),
     ]
+
+
+def kernels_of_cuda(arithmetic, precision):
+    """Every kernel that is launched on CUDA: those of steps and all sensing."""
+    return [*kernels_of_steps(arithmetic, precision), *sensing.KERNELS.values()]
 
 
 def build(kernel, architecture, folder):
@@ -40,7 +44,15 @@ def build(kernel, architecture, folder):
     ("arithmetic", "precision"), [FAST, pytest.param("fast", "float64", marks=pytest.mark.slow), EXACT]
 )
 def test_every_kernel_of_a_step_becomes_ptx(arithmetic, precision, tmp_path):
-    for number, kernel in enumerate(kernels_of_cuda(arithmetic, precision)):
+    check(kernels_of_steps(arithmetic, precision), tmp_path)
+
+
+def test_every_kernel_of_sensing_becomes_ptx(tmp_path):
+    check(sensing.KERNELS.values(), tmp_path)
+
+
+def check(kernels, tmp_path):
+    for number, kernel in enumerate(kernels):
         text = build(kernel, HOPPER, tmp_path / str(number))
         assert kernel.func.__name__ in text
         assert f".target sm_{HOPPER}" in text
