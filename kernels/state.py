@@ -1,19 +1,19 @@
 """What the kernels read and write: Model (what bodies and worlds are) and Data (state, per environment).
 
 The tables below say every array's type, shape and meaning once; structs and allocations follow from them. Shape
-symbols: a ``mesh`` is what one pack holds, or several alike; ``point, active, joint, spring, link, rigid, twin, voxel,
-movable, robot, row, object, cell, action`` are capacities over the meshes of a model; a ``frame`` is a terrain;
+symbols: a ``mesh`` is what one pack holds, or several alike; ``point, active, joint, spring, link, rigid, twin, twin_end,
+voxel, movable, robot, row, object, cell, action`` are capacities over the meshes of a model; a ``frame`` is a terrain;
 ``pack, lane`` number environments (see :mod:`warpvox.kernels.lanes`); ``unit`` is one thread's share of a pack;
-``pair, entry, slot, word`` are capacities of the broad phase. ``2*`` rows hold x and y alternately.
+``pair, entry, slot, word`` are capacities of the broad phase; ``pulled`` are points, in exact arithmetic springs. ``2*`` rows hold x and y alternately.
 ``node, leaf, plot, hit`` are capacities of what keeps the released order of contacts, in exact arithmetic only.
 
 Lanes of a pack may hold different bodies. A mesh lists what some lane has; fields named ``lanes`` are masks, bit k of
 an int for lane k of the pack, -1 for all (see :mod:`warpvox.batch.grid_mesh`, also for twins). Not in exact arithmetic.
 
 The arithmetic is ``fast`` or ``exact``; exact repeats every sum and product of the released simulator in its order, in
-float64. Three fields mean something else there, because it works on positions where fast works on displacements since
-the sub-step's start: ``disp`` is the position, ``stages`` holds velocities and the sums of velocities and paths, and
-``equilibrium_offset`` is the equilibrium length.
+float64. Four fields mean something else there, because it works on positions where fast works on displacements since
+the sub-step's start: ``disp`` is the position, ``stages`` holds velocities and the sums of velocities and paths, ``force``
+is that of a spring, and ``equilibrium_offset`` is the equilibrium length.
 """
 
 import functools
@@ -74,8 +74,13 @@ MODEL = {
     "spring_k": (REAL, "mesh spring lane", "stiffness; 0 where there is no spring"),
     "spring_drive": (int, "mesh spring lane", "the one or two actions that drive its length, plus 1, 16 bits each"),
     "link_start": (int, "mesh joint", "where in `link` the springs of a point begin; one entry more than points"),
-    "link": (int, "mesh link", "springs of the points in a fixed order: s where it pulls on, -1 - s where off"),
-    "link_lanes": (int, "mesh link", "where it pulls at this point; -1 also where there is no such spring"),
+    "link": (int, "mesh link", "springs of the points, fast: ascending: s where it pulls on, -1 - s where off"),
+    "twin_ends": (int, "mesh", "entries of twin_end in use"),
+    "twin_end": (
+        wp.vec4i,
+        "mesh twin_end",
+        "springs, ascending, that pull at a twin of an end: spring, twin, end, lanes",
+    ),
     "rigid_spring": (int, "mesh rigid", "sides of rigid voxels in the order of the second strain pass"),
     "rigid_lanes": (int, "mesh rigid", "where the voxel is rigid and has this side"),
     "corner": (
@@ -133,7 +138,7 @@ DATA = {
     "disp": (REAL, "pack 2*point lane", "displacement since the sub-step's start; exact: the position"),
     "start_vel": (REAL, "pack 2*point lane", "velocity at the sub-step's start"),
     "height": (REAL, "pack point lane", "y at the sub-step's start"),
-    "tension": (REAL, "pack 2*spring lane", "force of a spring on its first end"),
+    "force": (REAL, "pack 2*pulled lane", "force on a point; exact: of a spring on its first end"),
     "contact": (REAL, "pack 2*point lane", "contact force, constant during a sub-step"),
     "stages": (
         REAL,

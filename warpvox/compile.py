@@ -263,7 +263,6 @@ def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
     out |= dict(
         free_lanes=np.where(out.pop("fixed") == 0, -1, 0).astype(np.int32),
         spring_lanes=np.full(springs, -1, np.int32),
-        link_lanes=np.full(len(out["link"]), -1, np.int32),
         rigid_lanes=np.full(len(out["rigid_spring"]), -1, np.int32),
         side_lanes=(-bits).astype(np.int32),
         rest_pos=in_lanes(out["rest_pos"]),
@@ -275,8 +274,9 @@ def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
         twin_range=np.zeros((points, 2), np.int32),
         twin=np.zeros((0, 2), np.int32),
         twin_lanes=np.zeros(0, np.int32),
+        twin_end=np.zeros((0, 4), np.int32),
     )
-    scalars = dict(twins=0, first_other=0, actions=int(out["actions"]))
+    scalars = dict(twins=0, twin_ends=0, first_other=0, actions=int(out["actions"]))
     return out | tree | {name: np.asarray(value, np.int32) for name, value in scalars.items()}
 
 

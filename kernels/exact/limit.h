@@ -3,7 +3,7 @@
 const int* rigid_spring = &wp::index(model.rigid_spring, mesh, 0);
 const double* spring_rest = &wp::index(model.spring_rest, mesh, 0);
 const auto place = values(data.disp);
-const auto correction = values(data.tension);
+const auto correction = values(data.force);
 const auto pos = values(data.pos);
 const auto true_vel = values(data.true_vel);
 

@@ -4,6 +4,8 @@
 // product is taken in its order. At a point that is the springs that begin there, those that end there (the order of
 // link), drag, gravity, contact, floor.
 
+const int* link = &wp::index(model.link, mesh, 0);
+const int* link_start = &wp::index(model.link_start, mesh, 0);
 const auto place = values(data.disp);
 const int rows = 2 * wp::index(model.points, mesh);
 const auto stages = values(data.stages);
@@ -11,7 +13,7 @@ auto stage_vel = [&](unsigned r) -> Value& { return stages[r]; };
 auto sum_vel = [&](unsigned r) -> Value& { return stages[rows + r]; };
 auto sum_path = [&](unsigned r) -> Value& { return stages[2 * rows + r]; };
 const auto contact = values(data.contact);
-const auto tension = values(data.tension);
+const auto tension = values(data.force);
 const auto equilibrium = values(data.equilibrium_offset);
 const auto goal = values(data.goal);
 const auto pos = values(data.pos);

@@ -6,8 +6,8 @@
 // The unknown is the displacement since the sub-step's start, never the position: a spring's stretch comes from
 // small differences, so that float32 keeps its relative precision wherever the robot stands.
 
-const int* link_lanes = &wp::index(model.link_lanes, mesh, 0);
-const int twins = wp::index(model.twins, mesh);
+const int twins = wp::index(model.twins, mesh), twin_ends = wp::index(model.twin_ends, mesh);
+const wp::vec_t<4, int>* twin_end = &wp::index(model.twin_end, mesh, 0);
 const Real tiny = Real(1e-30);  // where there is no spring its length may be 0
 
 const auto disp = values(data.disp);
@@ -15,7 +15,7 @@ const auto height = values(data.height);
 const auto start_vel = values(data.start_vel);
 const auto stages = values(data.stages);  // accelerations of the first three stages
 const auto contact = values(data.contact);
-const auto tension = values(data.tension);
+const auto force = values(data.force);
 const auto vec = values(data.spring_vector);
 const auto rest = values(data.length);
 const auto offset = values(data.equilibrium_offset);
@@ -24,31 +24,50 @@ const auto pos = wides(data.pos);
 const auto vel = wides(data.vel);
 const auto move = wides(data.move);
 
-// Vector, length and equilibrium length of every spring, and its force on its first end: Hooke's k (l - l_eq) with
-// l - l_eq = -offset. Lengths are subtracted in float64: their rounding would act like another goal.
-auto relax_springs = [&]() {
-    for (int s = 0; s < springs; ++s) {
-        const unsigned a = 2 * spring_ends[s][0], b = 2 * spring_ends[s][1];
-        const Wide x = pos[b] - pos[a], y = pos[b + 1] - pos[a + 1], length = root_wide(x * x + y * y);
-        const Value dx = narrow(x), dy = narrow(y), start = narrow(length);
-        const Value change = narrow((goal[s] - length) * model.actuation_rate);
-        const Value force = -change * spring_k[s] / (start + tiny);
-        vec[2 * s] = dx;
-        vec[2 * s + 1] = dy;
-        rest[s] = start;
-        offset[s] = change;
-        tension[2 * s] = force * dx;
-        tension[2 * s + 1] = force * dy;
+// Adds the forces of all springs to those at their ends, at every point in the order of springs. Springs are in the order
+// of their first ends, whose force stays in registers.
+auto add_springs = [&](auto force_of) __attribute__((always_inline)) {
+    int e = 0, at_twin = twin_ends ? twin_end[0][0] : -1;
+    for (int s = 0; s < springs;) {
+        const unsigned a = 2 * spring_ends[s][0];
+        Value ax = force[a], ay = force[a + 1];
+        do {
+            const unsigned b = 2 * spring_ends[s][1];
+            Value fx, fy;
+            force_of(s, a, b, fx, fy);
+            ax = ax + fx;
+            ay = ay + fy;
+            force[b] = force[b] - fx;
+            force[b + 1] = force[b + 1] - fy;
+            while (s == at_twin) {
+                const unsigned t = 2 * twin_end[e][1];
+                const Value part = weights(twin_end[e][3]) * (twin_end[e][2] ? Real(-1) : Real(1));
+                force[t] = force[t] + fx * part;
+                force[t + 1] = force[t + 1] + fy * part;
+                at_twin = ++e < twin_ends ? twin_end[e][0] : -1;
+            }
+        } while (++s < springs && 2 * spring_ends[s][0] == a);
+        force[a] = ax;
+        force[a + 1] = ay;
     }
 };
-auto stretch_springs = [&]() {
-    for (int s = 0; s < springs; ++s) {
-        const unsigned a = 2 * spring_ends[s][0], b = 2 * spring_ends[s][1];
-        const Value ux = disp[b] - disp[a], uy = disp[b + 1] - disp[a + 1];
-        spring_force(
-            vec[2 * s], vec[2 * s + 1], ux, uy, rest[s], offset[s], spring_k[s], tension[2 * s], tension[2 * s + 1]
-        );
-    }
+// Vector, length and equilibrium length of every spring, and its force on its first end: Hooke's k (l - l_eq) with
+// l - l_eq = -offset. Lengths are subtracted in float64: their rounding would act like another goal.
+auto relax = [&](int s, unsigned a, unsigned b, Value& fx, Value& fy) __attribute__((always_inline)) {
+    const Wide x = pos[b] - pos[a], y = pos[b + 1] - pos[a + 1], length = root_wide(x * x + y * y);
+    const Value dx = narrow(x), dy = narrow(y), start = narrow(length);
+    const Value change = narrow((goal[s] - length) * model.actuation_rate);
+    const Value pull = -change * spring_k[s] / (start + tiny);
+    vec[2 * s] = dx;
+    vec[2 * s + 1] = dy;
+    rest[s] = start;
+    offset[s] = change;
+    fx = pull * dx;
+    fy = pull * dy;
+};
+auto stretch = [&](int s, unsigned a, unsigned b, Value& fx, Value& fy) __attribute__((always_inline)) {
+    const Value ux = disp[b] - disp[a], uy = disp[b + 1] - disp[a + 1];
+    spring_force(vec[2 * s], vec[2 * s + 1], ux, uy, rest[s], offset[s], spring_k[s], fx, fy);
 };
 
 // The implicit floor at y = 0: normal force and friction in the lanes that are below it.
@@ -66,22 +85,6 @@ auto floor_contact = [&](Value& fx, Value& fy, Value vx, Value y) {
     fy = y_force;
 };
 
-auto add_springs = [&](unsigned p, Value& fx, Value& fy) __attribute__((always_inline)) {
-    for (int n = link_start[p]; n < link_start[p + 1]; ++n) {
-        const int s = link[n];
-        const unsigned t = 2 * (s >= 0 ? s : -1 - s);
-        const Real sign = s >= 0 ? Real(1) : Real(-1);
-        if (twins && link_lanes[n] != -1) {
-            const Value part = weights(link_lanes[n]) * sign;
-            fx = fx + tension[t] * part;
-            fy = fy + tension[t + 1] * part;
-        } else {
-            fx = fx + tension[t] * sign;
-            fy = fy + tension[t + 1] * sign;
-        }
-    }
-};
-
 // x += dt v + dt^2 / 6 (a1 + a2 + a3) and v += dt / 6 (a1 + 2 a2 + 2 a3 + a4), in float64. A fixed point takes part in the
 // stages; only its update is dropped.
 auto finish = [&](unsigned r, Value a1, Value a2, Value a3, Value a4, auto free) __attribute__((always_inline)) {
@@ -93,32 +96,36 @@ auto finish = [&](unsigned r, Value a1, Value a2, Value a3, Value a4, auto free)
     vel[r] = velocity + widen(a1 + a2 * Real(2) + a3 * Real(2) + a4) * sixth;
 };
 
+// From the forces of stage - 1 to displacements and velocities of a stage, and those of its forces that are not of springs.
 auto move_points = [&](int stage) __attribute__((always_inline)) {
-    const Real behind = stage < 3 ? Real(dt) * Real(0.5) : Real(dt), ahead = stage < 2 ? Real(dt) * Real(0.5) : Real(dt);
+    const Real half = Real(dt) * Real(0.5), ahead = stage < 3 ? half : Real(dt);
     auto velocity = [&](unsigned r) __attribute__((always_inline)) -> Value {
-        if (stage > 0) return start_vel[r] + stages[3 * r + stage - 1] * behind;
-        return start_vel[r] = narrow(vel[r]);
+        if (stage == 0) return start_vel[r] = narrow(vel[r]);
+        const Value a = force[r] * model.inverse_mass;
+        disp[r] = (stage > 1 ? start_vel[r] + stages[3 * r + stage - 2] * half : start_vel[r]) * ahead;
+        stages[3 * r + stage - 1] = a;
+        return start_vel[r] + a * ahead;
     };
-    auto update = [&](unsigned r, Value v, Value force) __attribute__((always_inline)) {
-        const Value a = force * model.inverse_mass;
-        if (stage < 3) {
-            stages[3 * r + stage] = a;
-            disp[r] = v * ahead;
-        } else if (free_lanes[r / 2] == -1) {
+    for (int n = 0; n < actives; n += 2) {
+        const unsigned x = active[n], y = x + 1, p = x / 2;
+        const Value vx = velocity(x), vy = velocity(y);
+        if (stage == 0) height[p] = narrow(pos[y]);
+        const Value above = stage ? height[p] + disp[y] : height[p];
+        Value fx = contact[x] - vx * model.drag, fy = contact[y] - vy * model.drag - model.weight;
+        if (any_below(above)) floor_contact(fx, fy, vx, above);
+        force[x] = fx;
+        force[y] = fy;
+    }
+};
+auto finish_points = [&]() {
+    for (int n = 0; n < actives; ++n) {
+        const unsigned r = active[n];
+        const Value a = force[r] * model.inverse_mass;
+        if (free_lanes[r / 2] == -1) {
             finish(r, stages[3 * r], stages[3 * r + 1], stages[3 * r + 2], a, 1.0);
         } else {
             finish(r, stages[3 * r], stages[3 * r + 1], stages[3 * r + 2], a, widen(weights(free_lanes[r / 2])));
         }
-    };
-    for (int n = 0; n < actives; n += 2) {
-        const unsigned x = active[n], y = x + 1, p = x / 2;
-        if (stage == 0) height[p] = narrow(pos[y]);
-        const Value vx = velocity(x), vy = velocity(y), above = stage ? height[p] + disp[y] : height[p];
-        Value fx = contact[x] - vx * model.drag, fy = contact[y] - vy * model.drag - model.weight;
-        if (any_below(above)) floor_contact(fx, fy, vx, above);
-        add_springs(p, fx, fy);
-        update(x, vx, fx);
-        update(y, vy, fy);
     }
 };
 
@@ -131,11 +138,12 @@ for (int e = 0; e < twins; ++e) {
         contact[r] = contact[r] + contact[2 * pair[1] + axis] * follows;
     }
 }
-relax_springs();
 move_points(0);
-stretch_springs();
+add_springs(relax);
 move_points(1);
-stretch_springs();
+add_springs(stretch);
 move_points(2);
-stretch_springs();
+add_springs(stretch);
 move_points(3);
+add_springs(stretch);
+finish_points();

@@ -26,7 +26,7 @@ CELLS_PER_VOXEL = 16  # the same for cells of the terrain, in the group layout
 ALL_PAIRS = 2048
 SIZES = {
     "point": "rest_pos", "active": "active", "joint": "link_start", "spring": "spring_rest", "link": "link",
-    "rigid": "rigid_spring", "twin": "twin", "voxel": "body", "movable": "movable", "robot": "fold_limit",
+    "rigid": "rigid_spring", "twin": "twin", "twin_end": "twin_end", "voxel": "body", "movable": "movable", "robot": "fold_limit",
     "row": "order", "object": "object_range", "node": "node", "leaf": "leaf", "plot": "cell_leaf",
 }  # fmt: skip
 """Capacities and the tables whose second axis has them."""
@@ -80,6 +80,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
         if taken is None:
             return None
     hits = HITS + HITS_PER_VOXEL * sizes["movable"] if batch.arithmetic == "exact" else 1
+    sizes["pulled"] = sizes["spring" if batch.arithmetic == "exact" else "point"]
     sizes |= _capacities(sizes["voxel"], sizes["movable"], width, taken is not None) | {
         "hit": hits,
         "pack": packs,

@@ -118,7 +118,7 @@ class Frame:
         self.others: CompiledWorld = compile_others(first, size, physics, loose)
         if not self.names and not self.others.bodies:
             raise SimulationError(NOTHING_MOVES)
-        self.arrays = world_arrays(self.others)
+        self.arrays = _by_first_end(world_arrays(self.others))
         self.object_names = [*self.names, *(body.name for body in self.others.bodies)]
 
     def rank(self, copies: np.ndarray, lanes: int) -> np.ndarray:
@@ -348,32 +348,49 @@ class _PackTables:
         self.arrays |= dict(rigid_spring=which, rigid_lanes=lanes)
 
     def _links(self) -> None:
-        """Springs point by point: s where it begins at the point, -1 - s where it ends there."""
-        numbers, starts, start = [], [], np.zeros(self.packs, int)
+        """Springs point by point: s where it begins at the point, -1 - s where it ends there; then ends at twins."""
+        numbers, start, twin_ends = [], np.zeros(self.packs, int), [np.zeros((0, 5), int)]
         begin = self._table("points")
         begin = np.concatenate([begin, begin[:, :1]], axis=1)
-        for mesh, points in zip(self.meshes, self.points, strict=True):
+        for mesh, points, springs in zip(self.meshes, self.points, self.springs, strict=True):
             present = mesh.link.any(-1)
             stops = start[:, None] + np.cumsum(present.sum(-1), axis=1)
-            starts.append(stops)
             points.put(begin[:, 1:], stops)
             numbers.append(_Numbers(present.reshape(self.packs, -1), start))
             start = numbers[-1].stop
+            twin_ends.append(self._ends_at_twins(mesh, points, springs, present))
         others = self.others
         self.arrays["links"] = (start + len(others["link"])).astype(np.int32)
-        link, lanes = self._table("links"), self._table("links", fill=-1)
+        link = self._table("links")
         for mesh, springs, part in zip(self.meshes, self.springs, numbers, strict=True):
             at = np.where(mesh.springs.at_node >= 0, mesh.springs.at_node, 0)
             row = springs.row[:, at]  # [packs, nodes, 12]
             signed = np.where(mesh.springs.end_at_node == 0, row, -1 - row)
             part.put(link, np.repeat(signed, 4, axis=1).reshape(self.packs, -1))
-            part.put(lanes, np.where(mesh.partial, pack_bits(mesh.link), -1).reshape(self.packs, -1))
         first = self.first_spring[:, None]
         signed = np.where(others["link"] >= 0, others["link"] + first, others["link"] - first)
         self._append(link, start, len(others["link"]), signed)
         self._append(begin, self.first_point, len(others["link_start"]), start[:, None] + others["link_start"])
-        self.arrays |= dict(link_start=begin, link=link, link_lanes=lanes)
+        self.arrays |= dict(link_start=begin, link=link)
         del self.arrays["links"]
+        rows = np.concatenate(twin_ends)
+        rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+        count = np.bincount(rows[:, 0], minlength=self.packs)
+        self.arrays["twin_ends"] = count.astype(np.int32)
+        table = self._table("twin_ends", 4)
+        table[rows[:, 0], np.arange(len(rows)) - (np.cumsum(count) - count)[rows[:, 0]]] = rows[:, 1:]
+        self.arrays["twin_end"] = table
+
+    def _ends_at_twins(self, mesh: GridMesh, points: _Numbers, springs: _Numbers, present: np.ndarray) -> np.ndarray:
+        """int ``[entries, 5]``: pack, spring, point, end, lanes, where a spring pulls at a twin of its end."""
+        at, end = mesh.springs.at_node, mesh.springs.end_at_node
+        own = mesh.ends[:, np.maximum(at, 0), end]  # [packs, nodes, 12]
+        nodes, slots = own.shape[1], np.arange(4 * own.shape[1]).reshape(1, -1, 4, 1)
+        elsewhere = present.reshape(self.packs, nodes, 4, -1) & (slots != own[:, :, None])
+        pack, node, slot, n = np.nonzero(elsewhere)
+        lanes = pack_bits(mesh.link[pack, 4 * node + slot, n])
+        spring, point = springs.row[pack, at[node, n]], points.row[pack, 4 * node + slot]
+        return np.stack([pack, spring, point, end[node, n], lanes], axis=1)
 
     def _voxels(self) -> None:
         corner, pushed = self._table("voxels", 4), self._table("voxels", 4)
@@ -430,6 +447,20 @@ class _PackTables:
         self.arrays["object_points"] = np.stack(counts, axis=1).astype(np.int32)
 
 
+def _by_first_end(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The arrays of a world with its springs, and with those of each point, in the order of their lower ends."""
+    ends = np.sort(arrays["spring_ends"], axis=1)
+    order = np.argsort(ends[:, 0], kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    ends = ends[order]
+    spring, end = np.divmod(np.lexsort((np.arange(ends.size), ends.ravel())), 2)
+    by_spring = {name: arrays[name][order] for name in ("spring_rest", "spring_k", "spring_drive")}
+    link = np.where(end == 0, spring, -1 - spring).astype(np.int32)
+    rigid = place[arrays["rigid_spring"]].astype(np.int32)
+    return arrays | by_spring | dict(spring_ends=ends, link=link, rigid_spring=rigid)
+
+
 def capacities(frame: Frame, rows: int, columns: int, cut: bool) -> dict[str, int]:
     """The most points, springs and so on that bodies on a grid may need in one pack of a frame."""
     robots, others = len(frame.names), frame.arrays
@@ -446,6 +477,7 @@ def capacities(frame: Frame, rows: int, columns: int, cut: bool) -> dict[str, in
         "spring": springs + len(others["spring_rest"]),
         "link": 2 * slots * springs + len(others["link"]),
         "rigid": robots * 6 * cells + len(others["rigid_spring"]),
+        "twin_end": 2 * (slots - 1) * robots * springs,
         "twin": robots * (rows - 1) * (columns - 1) * (6 if cut else 1),
         "voxel": robots * cells + len(others["body"]),
         "movable": robots * cells + len(others["movable"]),

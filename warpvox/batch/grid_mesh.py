@@ -86,7 +86,7 @@ class _Springs:
     place: np.ndarray  # [springs, 2]: the place of ``cell`` around those nodes
     rest: np.ndarray
     twin: np.ndarray  # the other entry of the same side; itself for diagonals
-    at_node: np.ndarray  # [nodes, 12]: springs that may end at a node, -1: none
+    at_node: np.ndarray  # [nodes, 12]: springs that may end at a node, ascending, then -1: none
     end_at_node: np.ndarray  # [nodes, 12]: 0 where it begins there, 1 where it ends there
     of_cell: np.ndarray  # [cells, 6]: sides of a cell: top (as first, second), right, bottom, left (as first, second)
 
@@ -102,46 +102,34 @@ def _springs(rows: int, columns: int) -> _Springs:
     made: list[tuple] = []
     index: dict[tuple, int] = {}
     for r in range(rows + 1):
-        for c in range(columns):
-            above, below, ends = cell(r - 1, c), cell(r, c), (node(r, c), node(r, c + 1))
-            index["across", r, c] = len(made)
-            made.append((above, below, False, True, True, ends, (ABOVE_RIGHT, ABOVE_LEFT), VOXEL))
-            made.append((below, above, True, True, True, ends, (BELOW_RIGHT, BELOW_LEFT), VOXEL))
-        if r == rows:
-            break
-        for c in range(columns + 1):
-            left, right, ends = cell(r, c - 1), cell(r, c), (node(r, c), node(r + 1, c))
+        for c in range(columns + 1):  # node by node, the springs that begin there
+            here = node(r, c)
+            if c < columns:
+                above, below, ends = cell(r - 1, c), cell(r, c), (here, node(r, c + 1))
+                index["across", r, c] = len(made)
+                made.append((above, below, False, True, True, ends, (ABOVE_RIGHT, ABOVE_LEFT), VOXEL))
+                made.append((below, above, True, True, True, ends, (BELOW_RIGHT, BELOW_LEFT), VOXEL))
+            if r == rows:
+                continue
+            left, right, ends = cell(r, c - 1), cell(r, c), (here, node(r + 1, c))
             index["upright", r, c] = len(made)
             made.append((left, right, False, False, True, ends, (BELOW_LEFT, ABOVE_LEFT), VOXEL))
             made.append((right, left, True, False, True, ends, (BELOW_RIGHT, ABOVE_RIGHT), VOXEL))
-        for c in range(columns):
-            here = cell(r, c)
-            index["diagonal", r, c] = len(made)
-            for (r0, c0), (r1, c1), places in (
-                ((0, 1), (1, 0), (BELOW_LEFT, ABOVE_RIGHT)),
-                ((0, 0), (1, 1), (BELOW_RIGHT, ABOVE_LEFT)),
-            ):
-                ends = node(r + r0, c + c0), node(r + r1, c + c1)
-                made.append((here, NOBODY, False, False, False, ends, places, DIAGONAL))
+            falling, rising = (BELOW_RIGHT, ABOVE_LEFT), (BELOW_LEFT, ABOVE_RIGHT)
+            for inside, to, places in ((right, c + 1, falling), (left, c - 1, rising)):
+                if inside != NOBODY:
+                    made.append((inside, NOBODY, False, False, False, (here, node(r + 1, to)), places, DIAGONAL))
     fields = [np.array(column) for column in zip(*made, strict=True)]
     twin = np.arange(len(made))
-    for key, first in index.items():
-        if key[0] != "diagonal":
-            twin[first], twin[first + 1] = first + 1, first
+    for first in index.values():
+        twin[first], twin[first + 1] = first + 1, first
     at_node = np.full(((rows + 1) * (columns + 1), 12), NOBODY)
     end_at = np.zeros_like(at_node)
-    for r in range(rows + 1):
-        for c in range(columns + 1):
-            # Up, left, right, down, then the diagonals of the four cells: the order of a point's forces.
-            sides = [("upright", r - 1, c, 1), ("across", r, c - 1, 1), ("across", r, c, 0), ("upright", r, c, 0)]
-            row = []
-            for kind, sr, sc, end in sides:
-                first = index.get((kind, sr, sc), NOBODY)
-                row += [(first, end), (first + 1 if first >= 0 else NOBODY, end)]
-            for which, sr, sc, end in ((1, r - 1, c - 1, 1), (0, r - 1, c, 1), (0, r, c - 1, 0), (1, r, c, 0)):
-                first = index.get(("diagonal", sr, sc), NOBODY)
-                row.append((first + which if first >= 0 else NOBODY, end))
-            at_node[node(r, c)], end_at[node(r, c)] = zip(*row, strict=True)
+    taken = np.zeros(len(at_node), int)
+    for s, ends in enumerate(fields[5]):
+        for end, n in enumerate(ends):
+            at_node[n, taken[n]], end_at[n, taken[n]] = s, end
+            taken[n] += 1
     of_cell = np.array(
         [
             [
@@ -167,8 +155,7 @@ class GridMesh:
         position: float64 ``[P, nodes, 2, L]``.
         spring, ends, rest, stiffness, drive: bool ``[P, E, L]``; ``[P, E, 2]``; ``[E]``; ``[P, E, L]``; int
             ``[P, E, 2, L]``: the one or two actions that drive a spring, else -1.
-        link: bool ``[P, S, 12, L]``: springs ``springs.at_node`` that pull at a point; ``partial``: bool
-            ``[P, S, 12]``, those that in some lane pull at another point of the node.
+        link: bool ``[P, S, 12, L]``: springs ``springs.at_node`` that pull at a point.
         rigid: bool ``[P, V, 6, L]``: sides ``springs.of_cell`` of rigid cells.
         corner: int ``[P, V, 4]``: points of a cell: top left, top right, bottom right, bottom left.
         side: bool ``[P, V, 4, L]``: surface sides: top, right, bottom, left.
@@ -345,9 +332,7 @@ class GridMesh:
         held = self.held[:, at, end][:, :, None]
         used = self.used[:, :, :, None]  # [P, nodes, 4, 1, L]
         link = there & (held == used) & (used >= 0)
-        elsewhere = there & ~link & (used >= 0)
         self.link = link.reshape(packs, -1, at.shape[1], lanes)
-        self.partial = elsewhere.any(-1).reshape(packs, -1, at.shape[1])
 
     def _mark_surface(self) -> None:
         right, down = self.robot.right, self.robot.down
