@@ -121,13 +121,26 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
     path = _latest(Path(output_dir), commands, resume) if text == "latest" else Path(text).expanduser()
     if not path.exists():
         raise RunError(f"There is no run at {path}: expected latest, the folder of a run or a checkpoint in it.")
-    folder = path if path.is_dir() else path.parent
+    folder = _folder_of(path)
     if (folder / ARCHIVE).is_file():
         path = folder = _best_design(folder)
     content = _read_config(folder, "train")
     if not {"task", "design", "ppo"} <= content.keys():
         raise RunError(f"{folder} is not a run of `warpvox train`: its {CONFIG} names no task, design and ppo.")
     return Run(folder, content, path if path.is_file() else None)
+
+
+def _folder_of(path: Path) -> Path:
+    """The folder of a run that is named by itself or by a file in it.
+
+    Raises:
+        RunError: a file in another folder.
+    """
+    if path.is_dir():
+        return path
+    if not (path.parent / CONFIG).is_file():
+        raise RunError(f"{path} is a file in a folder that is no run: there is no {CONFIG} beside it.")
+    return path.parent
 
 
 def _stored_robot(text: str) -> Run:
@@ -176,7 +189,7 @@ def find_codesign(text: str, output_dir: str) -> Run:
     path = _latest(Path(output_dir), (CODESIGN,)) if text == "latest" else Path(text).expanduser()
     if not path.exists():
         raise RunError(f"There is no design search at {path}: expected latest or the folder of one.")
-    folder = path if path.is_dir() else path.parent
+    folder = _folder_of(path)
     content = _read_config(folder, CODESIGN)
     if not {"task", "search", "training"} <= content.keys():
         raise RunError(f"{folder} is not a design search: its {CONFIG} is that of another run.")

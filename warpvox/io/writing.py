@@ -44,7 +44,7 @@ ADVICE = {
     errno.EROFS: "its disk is read-only; use a folder that can be written to",
     errno.EACCES: "permission is denied; use a folder that you may write to",
     errno.EPERM: "the system does not permit it; use a folder that you may write to",
-    errno.ENOENT: "its folder is gone; was it removed or renamed, or its disk detached?",
+    errno.ENOENT: "its folder is gone; it has been removed or renamed, or its disk detached",
     errno.ENOTDIR: "a file stands where its folder should be; move that file away, or use another folder",
     errno.EIO: "the disk has failed (input/output error); use another disk",
 }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from warpvox.cli.application import run_command
-from warpvox.cli.commands.play import play_run, write_results
+from warpvox.cli.commands.play import check_source, play_run, write_results
 from warpvox.cli.config import to_yaml
 from warpvox.cli.console import echo
 from warpvox.cli.runs import ZOO, as_name, new_folder, write_summary
@@ -28,6 +28,7 @@ def run(words: list[str]) -> None:
 
 
 def _export(config: Any, console: Console) -> Path:
+    check_source(config)
     if not config.format:
         raise ConfigError(f"format must be some of {listing((*EXPORTS, *POLICY_EXPORTS))}; got [].")
     pictures = [name for name in config.format if name in EXPORTS]

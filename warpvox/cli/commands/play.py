@@ -51,6 +51,7 @@ def play(config: PlayConfig, console: Console) -> Path:
     Raises:
         WarpvoxError: the run or agent, or what is asked of it, is not valid; nothing is written then.
     """
+    check_source(config)
     in_window = wants_window(config.window)
     formats = ([] if in_window else ["html"]) if config.export is None else config.export
     if config.rollout is not None:
@@ -70,6 +71,13 @@ def play(config: PlayConfig, console: Console) -> Path:
         echo(console, "close the window to go on")
         play_in_window(rollout, tiles_of(rollout), **({"size": tuple(config.size)} if config.size else {}))
     return folder
+
+
+def check_source(config: Any) -> None:
+    """Raise ConfigError if a run is named and something else to be shown as well."""
+    other = next((name for name in ("rollout", "agent", "zoo") if getattr(config, name, None) is not None), None)
+    if other and config.run not in ("latest", ""):  # the default, and what a stored configuration without a run has
+        raise ConfigError(f"run and {other} both say what is shown: give one of them.")
 
 
 def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
