@@ -12,10 +12,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from warpvox.cli.build import prepare
-from warpvox.envs.registry import task_ids
+from warpvox.envs.registry import get_task, task_ids
 from warpvox.io.writing import atomic_path
 from warpvox.robots.entry import Robot, zoo, zoo_tasks
-from warpvox.robots.replay import SEEDS, draws_at_random, robot_env
+from warpvox.robots.replay import SEEDS, robot_env
 from warpvox.view.painter import INK, Painter, font
 from warpvox.view.rollout import record
 
@@ -32,7 +32,7 @@ PAPER = (255, 255, 255)
 
 def tiles_of(robot: Robot) -> list[Image.Image]:
     """The pictures of a robot's first recorded episode."""
-    env = robot_env(robot, SEEDS[:1] if draws_at_random(robot.task) else (0,))
+    env = robot_env(robot, SEEDS[:1] if get_task(robot.task).is_random else (0,))
     rollout = record(env, robot.policy)
     painter = Painter(rollout, 0, TILE, VOXELS)
     frames = np.linspace(0, min(int(rollout.lengths[0]), LONGEST), PICTURES).round().astype(int)

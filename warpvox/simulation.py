@@ -396,9 +396,9 @@ class Simulation(Sensing):
 
     def rows_of(self, name: str) -> torch.Tensor:
         """bool [num_envs, rows]: which entries of the positions in :meth:`state` belong to an object."""
-        span = self._objects.span[:, self._objects.index(name), :, None]
+        points = self._objects.point_range[:, self._objects.index(name), :, None]
         point = torch.arange(self._rows.shape[1], device=self.device) // 2
-        return (point >= span[:, 0]) & (point < span[:, 1])
+        return (point >= points[:, 0]) & (point < points[:, 1])
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
         """Restore what :meth:`state` gave: of the same worlds, or of environments of theirs picked row by row.

@@ -15,10 +15,10 @@ import pytest
 
 from warpvox.bench.reference import reference_folder
 from warpvox.design import full_connections, load_design
-from warpvox.envs.registry import released_id
+from warpvox.envs.registry import get_task, released_id
 from warpvox.robots.entry import Robot, zoo, zoo_tasks
 from warpvox.robots.gait import Gait
-from warpvox.robots.replay import draws_at_random, recorded, robot_env
+from warpvox.robots.replay import recorded, robot_env
 from warpvox.system import python_of
 from warpvox.view.rollout import record
 
@@ -62,7 +62,7 @@ def check(robot: Robot) -> None:
     assert over
 
 
-@pytest.mark.parametrize("task", [name for name in zoo_tasks() if not draws_at_random(name)])
+@pytest.mark.parametrize("task", [name for name in zoo_tasks() if not get_task(name).is_random])
 def test_the_reference_gives_the_recorded_return(task: str) -> None:
     check(zoo(task))
 

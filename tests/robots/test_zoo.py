@@ -12,7 +12,7 @@ from warpvox.design import load_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import DesignError, RunError
 from warpvox.robots.entry import FOLDER, Robot, zoo, zoo_tasks
-from warpvox.robots.replay import SEEDS, draws_at_random, judge, robot_env
+from warpvox.robots.replay import SEEDS, judge, robot_env
 
 LARGEST = 1_200_000  # bytes of the whole zoo, which is in the wheel
 TASKS = zoo_tasks()
@@ -52,11 +52,7 @@ def test_an_entry_says_where_it_comes_from(task: str) -> None:
     assert about["command"].startswith("warpvox ")
     assert f"task={task}" in about["command"] or task == "Walker-v0"
     assert about["config"]["task"] == task
-    assert (tuple(about["seeds"]) == SEEDS) == draws_at_random(task)
-
-
-def test_tasks_that_draw_are_known() -> None:
-    assert [task for task in task_ids() if draws_at_random(task)] == ["BidirectionalWalker-v0", "Catcher-v0"]
+    assert (tuple(about["seeds"]) == SEEDS) == get_task(task).is_random
 
 
 def test_a_stored_robot_is_a_design_and_a_policy() -> None:

@@ -69,8 +69,8 @@ class Objects:
         state = self._state
         pack, lane = (wp.to_torch(array).long() for array in (state.env_pack, state.env_lane))
         mesh = wp.to_torch(state.arrays["pack_mesh"]).long()[pack]
-        self.span = wp.to_torch(state.arrays["object_range"])[mesh, :, lane].long()  # [num_envs, objects, 2]
-        self.total = self.span[..., 1].max(1).values
+        self.point_range = wp.to_torch(state.arrays["object_range"])[mesh, :, lane].long()  # [num_envs, objects, 2]
+        self.total = self.point_range[..., 1].max(1).values
         order = wp.to_torch(state.arrays["order"])[mesh, :, lane].long()
         last = (self.total - 1).clamp(min=0)[:, None]
         self.rows = order.gather(1, torch.minimum(torch.arange(order.shape[1], device=order.device), last))
@@ -106,8 +106,8 @@ class Objects:
 
     def counts(self, name: str) -> torch.Tensor:
         """int ``[worlds]``: points of an object in every world."""
-        spans = self.span[self._example, self.index(name)]
-        counts = spans[:, 1] - spans[:, 0]
+        points = self.point_range[self._example, self.index(name)]
+        counts = points[:, 1] - points[:, 0]
         if name in self.terrain:
             still = [len(body.points) if body else 0 for body in self._still(name)]
             counts = counts + torch.tensor(still, device=counts.device)[self._batch.group_of]
@@ -157,7 +157,7 @@ class Objects:
         table = table[self._batch.frame_of_envs()].to(self.device)
         places = []
         for name in names:
-            begin = self.span[:, self.index(name), :1]
+            begin = self.point_range[:, self.index(name), :1]
             places.append(begin + torch.arange(self.num_points[name], device=self.device))
         rows = self.rows.gather(1, torch.cat(places, dim=1)) if places else table[..., 0]
         return rows, table[..., 0:2], table[..., 2], table[..., 3:5]

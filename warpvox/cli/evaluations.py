@@ -316,6 +316,6 @@ def lanes_of_gaits(config: CodesignConfig) -> int:
 
 def episodes_of(task: str) -> int:
     """Of a gait: several where the task draws at random, or the best of many returns would be a lucky one."""
-    from warpvox.robots.replay import draws_at_random
+    from warpvox.envs.registry import get_task
 
-    return EPISODES if draws_at_random(task) else 1
+    return EPISODES if get_task(task).is_random else 1

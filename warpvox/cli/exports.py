@@ -110,14 +110,15 @@ def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) ->
 def _load_robot(robot: Robot, config: Any) -> tuple[Any, Any]:
     """Environments and policy of a stored robot; exact, with the recorded seeds, unless asked otherwise."""
     from warpvox.devices.names import resolve_device
-    from warpvox.robots.replay import SEEDS, draws_at_random, robot_env
+    from warpvox.envs.registry import get_task
+    from warpvox.robots.replay import SEEDS, robot_env
 
     if config.stochastic:
         raise ConfigError("stochastic=true goes with a run; a stored robot has no exploration to sample from.")
     if robot.policy is None:
         why = robot.about.get("no_policy", "there is a body alone.")
         raise ConfigError(f"The robot has no policy: {why} play agent=sine task={robot.task} design=zoo:... moves it.")
-    count = config.num_envs if draws_at_random(robot.task) else 1  # all episodes would be the same
+    count = config.num_envs if get_task(robot.task).is_random else 1  # all episodes would be the same
     options = {
         name: getattr(config, name) for name in ("dtype", "arithmetic", "seed") if getattr(config, name) is not None
     }

@@ -88,11 +88,6 @@ class Network:
         """Size of an action."""
         return len(self.biases[-1])
 
-    @property
-    def num_weights(self) -> int:
-        """Numbers in all layers."""
-        return sum(array.size for array in (*self.weights, *self.biases))
-
     def __call__(self, obs: Any) -> np.ndarray:
         """``obs`` ``[..., num_obs]``, array or torch tensor, to actions float64 ``[..., num_actions]``."""
         values = (as_observations(obs) - self.mean) / self.deviation

@@ -15,7 +15,6 @@ from warpvox.algos.checkpoints.files import PolicySpec, load_controller
 from warpvox.algos.checkpoints.policy import Policy, make_policy, policy_of
 from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.envs.gym import VoxelEnv
-from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
 from warpvox.envs.rsl_rl import ACTION_CENTER
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
@@ -87,7 +86,7 @@ def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
     if robot.policy is None:
         why = robot.about.get("no_policy", "there is a body alone, for which one can be trained.")
         raise RunError(f"The robot has no policy that could be evaluated: {why}")
-    seeds = list(seeds if seeds is not None else SEEDS if draws_at_random(robot.task) else (0,))
+    seeds = list(seeds if seeds is not None else SEEDS if get_task(robot.task).is_random else (0,))
     # one at a time, as numpy steps a single environment faster than torch
     env = VoxelEnv(robot.task, robot.body, None if robot.fully_connected else robot.connections, obs=robot.obs)
     _check_sizes(robot, *env.observation_space.shape, *env.action_space.shape)
@@ -104,13 +103,6 @@ def _episode(env: VoxelEnv, robot: Robot, seed: int) -> tuple[float, int]:
         obs, reward, terminated, _, _ = env.step(robot.policy(obs))
         rewards.append(reward)
     return round(sum(rewards), DIGITS), len(rewards)
-
-
-def draws_at_random(task: str) -> bool:
-    """Whether the episodes of a task differ by their seeds."""
-    draws = RandomStream(list(SEEDS), len(SEEDS), "cpu")
-    starts = [memory.begin(draws) for memory in get_task(task).memory]
-    return any(not torch.equal(start, start[:1].expand_as(start)) for start in starts)
 
 
 def recorded(robot: Robot, about: dict[str, Any]) -> Robot:
