@@ -3,12 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from warpvox.envs import registry
+from warpvox.envs.registry import get_task
+from warpvox.envs.spec import TaskSpec
+
 SMALL = "design=mini num_envs=8 threads=1 device=cpu ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 eval_interval=2".split()
+
+
+@pytest.fixture(autouse=True)
+def short_episodes(monkeypatch: pytest.MonkeyPatch) -> TaskSpec:
+    """Walker-v0 of a tenth of its length: whole episodes are most of what these commands do. Its own specification."""
+    own = get_task("Walker-v0")
+    monkeypatch.setitem(registry._TASKS, "Walker-v0", replace(own, max_episode_steps=50))
+    return own
+
+
+@pytest.fixture
+def whole_episodes(short_episodes: TaskSpec, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Walker-v0 as it is."""
+    monkeypatch.setitem(registry._TASKS, "Walker-v0", short_episodes)
 
 
 @pytest.fixture

@@ -27,6 +27,7 @@ from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.search import settings_from
+from warpvox.cli import fresh_seeds
 from warpvox.cli.cell_text import body_rows
 from warpvox.cli.codesign_progress import Results, SearchProgress
 from warpvox.cli.commands.codesign import _archive, resolve
@@ -107,19 +108,23 @@ def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) 
     assert summary(played)["mean_return"] == pytest.approx(other.fitness, abs=ROUNDING)
 
 
-def test_the_winner_of_a_random_task_is_judged_again_on_fresh_seeds(search: Callable, warpvox: Callable) -> None:
+def test_the_winner_of_a_random_task_is_judged_again_on_fresh_seeds(
+    search: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fresh_seeds, "EPISODES", 12)  # of 64
     folder = search("task=Catcher-v0", "search.max_evaluations=5", "seed=3")
     fresh, text = summary(folder)["fresh_seeds"], (folder / "report.html").read_text()
-    assert warpvox("evaluate", f"runs=[{folder}]", "episodes=64", "device=cpu", "threads=1").code == 0
+    assert warpvox("evaluate", f"runs=[{folder}]", "episodes=12", "device=cpu", "threads=1").code == 0
     (judged,) = Path("outputs/evaluate").glob("*/*")
     (again,) = summary(judged)["runs"]
     assert [fresh[name] for name in ("mean", "low", "high")] == [again[name] for name in ("mean", "low", "high")]
-    assert (fresh["episodes"], fresh["mean"] != summary(folder)["best_fitness"]) == (64, True)
+    assert (fresh["episodes"], fresh["mean"] != summary(folder)["best_fitness"]) == (12, True)
     assert f"<dd>{fresh['mean']:.3f} [" in text
     # nothing is random in the other tasks: there is nothing else to judge by
     assert [task for task in task_ids() if get_task(task).is_random] == ["BidirectionalWalker-v0", "Catcher-v0"]
 
 
+@pytest.mark.usefixtures("whole_episodes")
 def test_playing_finds_the_fitness_again(search: Callable, warpvox: Callable) -> None:
     # long enough that a policy which rounds otherwise ends elsewhere: contacts let every difference grow
     longer = "shape=[5,5] search.population=3 search.max_evaluations=3 training.iterations=8 training.eval_interval=4"
@@ -303,6 +308,7 @@ def command(folder: Path, *words: str) -> subprocess.Popen:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("whole_episodes")  # as in other processes
 def test_killed_three_times_the_real_search_is_the_undisturbed_one(tmp_path: Path, search: Callable) -> None:
     words = [word for word in TINY if not word.startswith("training.iterations")]
     words += ["training.iterations=40", "training.save_interval=5"]
@@ -327,6 +333,7 @@ def test_killed_three_times_the_real_search_is_the_undisturbed_one(tmp_path: Pat
 
 
 @pytest.mark.slow  # tests/algos/codesign/test_ray_executor.py compares in the default run
+@pytest.mark.usefixtures("whole_episodes")  # as in other processes
 @pytest.mark.parametrize("words", ["", "evaluation=gaits screening.gaits=4 screening.final_rounds=3 finalists=3"])
 def test_ray_finds_what_one_process_finds(search: Callable, words: str) -> None:
     pytest.importorskip("ray", reason="Ray is not installed")

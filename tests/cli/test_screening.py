@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,8 +14,6 @@ from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.cli.commands.codesign import check, environments
 from warpvox.cli.config import load
-from warpvox.envs import registry
-from warpvox.envs.registry import get_task
 from warpvox.errors import ConfigError
 
 TINY = (
@@ -26,12 +23,6 @@ TINY = (
 ).split()
 ROUNDING = 1e-6
 TRAINED = "designs=random:4:3x3", "policy=grid", "num_envs=8", "max_iterations=2", "network={width:8}", "lanes=8"
-
-
-@pytest.fixture(autouse=True)
-def short_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Walker-v0 of a tenth of its length: whole episodes are most of what these searches do."""
-    monkeypatch.setitem(registry._TASKS, "Walker-v0", replace(get_task("Walker-v0"), max_episode_steps=50))
 
 
 def search(warpvox: Callable, *words: str) -> Path:
