@@ -42,7 +42,7 @@ EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
 POLICY_EXPORTS = ("onnx", "jit")
 AGENTS = ("random", "sine", "zero")
 SHOW = ("auto", "on", "off")
-OBSERVATIONS = ("task", "timed", "voxel")
+OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 ARCHIVE_EXPORTS = ("csv", "parquet", "npz", "json")
 AUTO = "auto"
 MOST_THREADS = 1024
@@ -124,13 +124,15 @@ class _TrainingRunConfig:
     )
     policy: str = key(
         "mlp",
-        "network of the policy: mlp (layers: ppo.hidden), grid or transformer (both observe voxels, whatever obs"
-        " says), or your own: module:Class, file.py:Class",
+        "network of the policy: mlp (layers: ppo.hidden), grid or transformer (both observe voxels: obs=task"
+        " becomes voxel, timed becomes timed_voxel), or your own: module:Class, file.py:Class",
         path="read",
     )
     network: Any = key(None, "settings of a network other than mlp, {width:32} for instance; null: its defaults")
     obs: str = key(
-        "task", "observations: as the task has (task), with the time (timed), by cell (voxel)", choices=OBSERVATIONS
+        "task",
+        "observations: as the task has (task), by cell (voxel), with the time (timed, timed_voxel)",
+        choices=OBSERVATIONS,
     )
     num_envs: int = key(MISSING, "environments stepped in parallel", low=1)
     max_iterations: int = key(MISSING, "training iterations in total, including those before a resume", low=1)

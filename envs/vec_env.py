@@ -36,7 +36,7 @@ from warpvox.types import Physics
 
 __all__ = ["VoxelVecEnv", "make_vec", "one_body"]
 
-OBSERVATIONS = ("task", "timed", "voxel")
+OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 
 StepResult = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
@@ -84,9 +84,9 @@ def make_vec(
         lanes, threads: see :class:`warpvox.Simulation`.
         connections: for each design EvoGym's ``[2, k]`` index pairs, or None to connect all neighbours.
         max_episode_steps: another time limit than the task's.
-        obs: ``task`` (what the task observes), ``timed`` (the same, then the control steps since the episode began)
-            or ``voxel`` (every cell of the body, then the rest of what the task observes; see
-            :mod:`warpvox.envs.voxels`).
+        obs: ``task`` (what the task observes) or ``voxel`` (every cell of the body, then the rest of what the task
+            observes; see :mod:`warpvox.envs.voxels`); ``timed`` and ``timed_voxel``: the same, then the control steps
+            since the episode began.
         cuda_graph: on CUDA launch a whole control step, from the physics to rewards and resets, as one graph (see
             :mod:`warpvox.envs.graph`). Means nothing on the CPU.
         nan_guard: ``on``: a simulation that diverges is ended and reset, which costs nothing and cannot be switched
@@ -181,10 +181,10 @@ class VoxelVecEnv:
             hint = did_you_mean(obs, OBSERVATIONS)
             raise ConfigError(f"obs must be one of {listing(OBSERVATIONS)}, got {obs!r:.80}.{hint}")
         self.episodes = Episodes(sim.num_envs, sim.device, spec.max_episode_steps)
-        if obs == "timed":
-            spec = replace(spec, observations=timed_observations(spec.observations, self.episodes))
-        elif obs == "voxel":
+        if obs.endswith("voxel"):
             spec = replace(spec, observations=voxel_observations(spec.observations, tuple(spec.robots), sim))
+        if obs.startswith("timed"):
+            spec = replace(spec, observations=timed_observations(spec.observations, self.episodes))
         self.spec, self.rules, self.sim, self.seed, self.auto_reset = spec, rules, sim, seed, auto_reset
         self._has_code = spec.has_code
         self.designs = designs

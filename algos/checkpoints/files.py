@@ -220,8 +220,9 @@ def _check_voxels(spec: PolicySpec, weights: dict[str, torch.Tensor]) -> None:
     layout = given.get("layout")
     if given.keys() != {"network", "settings", "layout"} or not isinstance(layout, dict):
         raise ValueError(f"a policy for voxels has network, settings and layout, got {given!r:.100}")
-    if not all(type(size) is int and 0 <= size <= WIDEST for size in layout.values()):
-        raise ValueError(f"sizes of a layout are integers up to {WIDEST}, got {layout!r:.100}")
+    sizes, timed = {name: size for name, size in layout.items() if name != "timed"}, layout.get("timed", False)
+    if not all(type(size) is int and 0 <= size <= WIDEST for size in sizes.values()) or type(timed) is not bool:
+        raise ValueError(f"sizes of a layout are integers up to {WIDEST}, timed is true or false; got {layout!r:.120}")
     layout = VoxelLayout(**layout)
     if (layout.num_obs, layout.actions) != (spec.num_obs, spec.num_actions):
         raise ValueError("the layout is that of other observations or actions")

@@ -104,7 +104,9 @@ class VoxelPolicy(Policy):
         kinds = torch.randint(0, 5, (rows, layout.cells), generator=generator)
         cells[..., FEATURES["type"]] = functional.one_hot(kinds, 5).to(cells.dtype)
         cells[..., FEATURES["neighbours"]] = (cells[..., FEATURES["neighbours"]] > 0).to(cells.dtype)
-        return torch.cat([cells.flatten(1), torch.randn((rows, layout.rest), generator=generator)], dim=1)
+        rest = torch.randn((rows, layout.scaled), generator=generator)
+        time = torch.randint(0, 1000, (rows, int(layout.timed)), generator=generator)
+        return torch.cat([cells.flatten(1), rest, time.float()], dim=1)
 
 
 class GaitPolicy(Policy):

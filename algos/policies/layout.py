@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
 
+from warpvox.envs.terms.elapsed import is_timed
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.envs.voxels import FEATURES as OBSERVED
 from warpvox.envs.voxels import NUM_FEATURES
 from warpvox.errors import ConfigError
 from warpvox.types import VOXEL
 
-__all__ = ["FEATURES", "INPUTS", "MOVING", "VoxelLayout", "layout_of", "voxel_inputs"]
+__all__ = ["CLOCK", "FEATURES", "INPUTS", "MOVING", "VoxelLayout", "clock", "layout_of", "voxel_inputs"]
 
 INPUTS = {
     "shift": slice(0, 2),
@@ -36,24 +38,34 @@ MOVING = 16
 """The first so many inputs change in an episode."""
 FEATURES = 26
 """Inputs of a voxel."""
+CLOCK = (7.0, 14.0, 28.0)
+"""Periods, in control steps, of what a policy makes of the time: a sine and a cosine of each."""
 _SPREADS = ((1, 1, 1, 1), (-1, 1, 1, -1), (1, 1, -1, -1), (1, -1, 1, -1))
 """Signs of the corners (top left, top right, bottom right, bottom left) in centre and shape."""
 
 
 @dataclass(frozen=True)
 class VoxelLayout:
-    """Sizes that a policy is made for.
+    """What a policy is made for.
 
     Attributes:
         rows, columns: of the grid that bodies lie in.
-        rest: entries of an observation after the grid.
+        rest: what a policy gets besides voxels: the entries of an observation after the grid, the clock in place of
+            the time.
         actions: entries of an action; a body has so many actuators at most.
+        timed: whether an observation ends with the time (``obs="timed_voxel"``).
     """
 
     rows: int
     columns: int
     rest: int
     actions: int
+    timed: bool = False
+
+    @property
+    def scaled(self) -> int:
+        """Entries of ``rest`` that are observed, without those of the clock."""
+        return self.rest - 2 * len(CLOCK) * self.timed
 
     @property
     def cells(self) -> int:
@@ -63,7 +75,7 @@ class VoxelLayout:
     @property
     def num_obs(self) -> int:
         """Entries of an observation."""
-        return self.cells * NUM_FEATURES + self.rest
+        return self.cells * NUM_FEATURES + self.scaled + self.timed
 
     def dict(self) -> dict[str, Any]:
         """The layout as stored in a checkpoint."""
@@ -71,7 +83,7 @@ class VoxelLayout:
 
 
 def layout_of(env: VoxelVecEnv) -> VoxelLayout:
-    """The layout of environments with ``obs="voxel"``.
+    """The layout of environments with ``obs="voxel"`` or ``obs="timed_voxel"``.
 
     Raises:
         ConfigError: they have another one, or several robots.
@@ -83,7 +95,16 @@ def layout_of(env: VoxelVecEnv) -> VoxelLayout:
     cells = grid.rows * grid.columns
     if grid.place != slice(0, cells * NUM_FEATURES):
         raise ConfigError("A policy for voxels needs the grid at the beginning of an observation.")
-    return VoxelLayout(grid.rows, grid.columns, env.num_obs - cells * NUM_FEATURES, env.num_actions)
+    rest, timed = env.num_obs - cells * NUM_FEATURES, is_timed(env)
+    return VoxelLayout(grid.rows, grid.columns, rest + (2 * len(CLOCK) - 1) * timed, env.num_actions, timed)
+
+
+def clock(time: torch.Tensor) -> torch.Tensor:
+    """Sines and cosines ``[rows, 2 * len(CLOCK)]`` of control steps ``[rows, 1]`` since the episode began."""
+    # of the time within its period, which is exact, float32 keeps all digits
+    periods = time.new_tensor(CLOCK)
+    turn = 2 * math.pi * torch.remainder(time, periods) / periods
+    return torch.cat([turn.sin(), turn.cos()], dim=1)
 
 
 def input_transform(like: torch.Tensor) -> torch.Tensor:

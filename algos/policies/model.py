@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from warpvox.algos.policies.distribution import VoxelGaussian
-from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelLayout, voxel_inputs
+from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelLayout, clock, voxel_inputs
 from warpvox.algos.policies.registry import make_network
 from warpvox.algos.training.networks import observations
 
@@ -29,7 +29,7 @@ class VoxelNormalizer(nn.Module):
     """Turns observations into inputs, scaled by their running mean and deviation over the voxels that there are.
 
     A feature of all voxels is scaled alike, wherever in the grid it lies, so that a voxel looks the same in all bodies.
-    What moves is scaled; place, type and neighbours stay as they are.
+    What moves is scaled; place, type, neighbours and the clock stay as they are.
 
     Args:
         layout: sizes.
@@ -39,8 +39,8 @@ class VoxelNormalizer(nn.Module):
     def __init__(self, layout: VoxelLayout, learns: bool = True) -> None:
         super().__init__()
         self.layout, self.learns = layout, learns
-        self.register_buffer("mean", torch.zeros(MOVING + layout.rest))
-        self.register_buffer("var", torch.ones(MOVING + layout.rest))
+        self.register_buffer("mean", torch.zeros(MOVING + layout.scaled))
+        self.register_buffer("var", torch.ones(MOVING + layout.scaled))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
@@ -50,11 +50,12 @@ class VoxelNormalizer(nn.Module):
         moving = features[..., :MOVING].sub_(self.mean[:MOVING]).div_(deviation[:MOVING])
         moving.clamp_(-FARTHEST, FARTHEST).mul_(present)
         rest = (self._rest(obs) - self.mean[MOVING:]) / deviation[MOVING:]
-        rest = rest.clamp_(-FARTHEST, FARTHEST)
-        return torch.cat([features.flatten(1), rest, actions.to(rest.dtype), kinds], dim=1)
+        rest = [rest.clamp_(-FARTHEST, FARTHEST), *([clock(obs[:, -1:])] if self.layout.timed else [])]
+        return torch.cat([features.flatten(1), *rest, actions.to(obs.dtype), kinds], dim=1)
 
     def _rest(self, obs: torch.Tensor) -> torch.Tensor:
-        return obs[:, obs.shape[1] - self.layout.rest :]
+        last = obs.shape[1] - int(self.layout.timed)
+        return obs[:, last - self.layout.scaled : last]
 
     @torch.no_grad()
     def update(self, obs: torch.Tensor) -> None:
@@ -65,7 +66,7 @@ class VoxelNormalizer(nn.Module):
         if torch.distributed.is_initialized():
             torch.distributed.all_reduce(sums)
         first, second, (voxels, rows) = *sums[:-2].chunk(2), sums[-2:]
-        number = torch.cat([voxels.expand(MOVING), rows.expand(self.layout.rest)])
+        number = torch.cat([voxels.expand(MOVING), rows.expand(self.layout.scaled)])
         mean = first / number
         var = (second / number - mean.square()).clamp(min=0)
         self.count += rows

@@ -1,4 +1,4 @@
-"""The time as an observation: ``make_vec(..., obs="timed")``."""
+"""The time as an observation: ``make_vec(..., obs="timed")`` or ``"timed_voxel"``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from warpvox.envs.snapshot import Snapshot
     from warpvox.envs.vec_env import VoxelVecEnv
 
-__all__ = ["ElapsedSteps", "retimed", "timed_observations"]
+__all__ = ["ElapsedSteps", "is_timed", "retimed", "timed_observations"]
 
 NAME = "elapsed_steps"
 
@@ -41,9 +41,14 @@ def timed_observations(terms: tuple[Observation, ...], episodes: Episodes) -> tu
     return (*terms, Observation(ElapsedSteps(episodes)))
 
 
+def is_timed(env: VoxelVecEnv) -> bool:
+    """Whether observations end with the time."""
+    return NAME in env.obs_columns[0]
+
+
 def retimed(env: VoxelVecEnv, obs: torch.Tensor) -> torch.Tensor:
     """Observations ``[num_envs, num_obs]`` with the lengths that episodes have now; without the time as they are."""
-    if NAME not in env.obs_columns[0]:
+    if not is_timed(env):
         return obs
     column = torch.tensor([columns[NAME].start for columns in env.obs_columns], device=obs.device)[env.design_index]
     return obs.scatter(1, column[:, None], env.episode_length[:, None].to(obs.dtype))

@@ -76,7 +76,8 @@ def test_a_search_by_one_shared_policy(warpvox: Callable) -> None:
 
 
 def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -> None:
-    run = train(*TRAINED, "designs.held_out=random:2:3x3")
+    run = train(*TRAINED, "designs.held_out=random:2:3x3", "obs=timed")
+    assert yaml.safe_load((run / "config.yaml").read_text())["obs"] == "timed_voxel"
     words = "evaluation=few_shot", "pretrained=latest", "screening.iterations=0"
     folder = search(warpvox, *words, "search.max_evaluations=3")
     assert summary(folder)["pretraining_steps"] == 2 * 8 * 4

@@ -30,9 +30,17 @@ def actions(env: VoxelVecEnv, step: int) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("auto_reset", [True, False])
-@pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0", "BidirectionalWalker-v0", TEAM])
-def test_the_last_number_counts_and_the_others_are_those_of_the_task(task: object, auto_reset: bool) -> None:
-    env, plain = make(task, auto_reset=auto_reset), make(task, "task", auto_reset=auto_reset)
+@pytest.mark.parametrize(
+    ("task", "timed", "without"),
+    [
+        *((task, "timed", "task") for task in ("Walker-v0", "Catcher-v0", "BidirectionalWalker-v0", TEAM)),
+        ("Catcher-v0", "timed_voxel", "voxel"),
+    ],
+)
+def test_the_last_number_counts_and_the_others_are_as_without_it(
+    task: object, timed: str, without: str, auto_reset: bool
+) -> None:
+    env, plain = make(task, timed, auto_reset=auto_reset), make(task, without, auto_reset=auto_reset)
     assert env.num_obs == plain.num_obs + 1
     obs, theirs = env.reset()[0], plain.reset()[0]
     env.episode_length = plain.episode_length = torch.tensor([0, 2, 0])

@@ -133,7 +133,7 @@ def test_float32_and_the_default() -> None:
     env = make("Walker-v0", ["walker"], 1, dtype="float32")
     assert env.reset()[0].dtype == torch.float32
     assert make("Walker-v0", ["walker"], 1, obs="task").voxels == {}
-    with pytest.raises(ConfigError, match=r"obs must be one of task, timed, voxel, got 'voxels'. Did you mean 'voxel'"):
+    with pytest.raises(ConfigError, match=r"task, timed, voxel, timed_voxel, got 'voxels'. Did you mean 'voxel'"):
         make("Walker-v0", ["walker"], 1, obs="voxels")
 
 

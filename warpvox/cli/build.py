@@ -25,6 +25,9 @@ from warpvox.types import Physics
 
 __all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "shown", "training_lanes", "voxels_of"]
 
+OBS_OF_VOXELS = {"task": "voxel", "timed": "timed_voxel"}
+"""What a policy for voxels observes in place of what ``obs`` says."""
+
 
 class _Console(logging.Handler):
     """Messages of the library go to the output, like those of the commands."""
@@ -107,7 +110,7 @@ def resolve(config: Any) -> Any:
     return dataclasses.replace(
         config,
         design=bodies[0] if len(bodies) == 1 else bodies,
-        obs=config.obs if config.policy == MLP else "voxel",
+        obs=config.obs if config.policy == MLP else OBS_OF_VOXELS.get(config.obs, config.obs),
         physics=type(config.physics)(preset=preset, **constants),
         device=resolve_device(config.device, config.num_envs),
         **changes,

@@ -131,7 +131,7 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
     Raises:
         WarpvoxError: a network, its settings, or a pretrained policy that is not to be had or does not fit.
     """
-    from warpvox.algos.policies.layout import layout_of
+    from warpvox.algos.policies.layout import VoxelLayout, layout_of
     from warpvox.algos.policies.registry import MLP, make_network
 
     networks = {}
@@ -144,19 +144,19 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
         networks["screening.policy"] = config.screening.policy, config.screening.network
     if not networks:
         return config
+    pretrained = read_pretrained(config, folder)
     body = np.full(config.shape, FULL, np.int8)
-    factory = dataclasses.replace(factory_of(config, "voxel"), grid=tuple(config.shape), threads=1)
+    factory = dataclasses.replace(_common_factory(config, pretrained), threads=1)
     layout = layout_of(factory.make([body], 1, [0], auto_reset=False))
     for key, (name, settings) in networks.items():
         if settings is not None and not isinstance(settings, Mapping):
             raise ConfigError(f"{key}: settings of a network have names, {{width:32}}; got {settings!r:.80}.")
         make_network(name, layout, False, settings)
-    pretrained = read_pretrained(config, folder)
-    if pretrained is not None and (found := pretrained["policy"]["voxels"]["layout"]) != layout.dict():
+    if pretrained is not None and (found := VoxelLayout(**pretrained["policy"]["voxels"]["layout"])) != layout:
         raise ConfigError(
-            f"The policy in {config.pretrained} is for bodies of {found['rows']}x{found['columns']} with"
-            f" {found['rest']} other observations; {config.task} with shape={list(config.shape)} has"
-            f" {layout.rows}x{layout.columns} with {layout.rest}."
+            f"The policy in {config.pretrained} is for bodies of {found.rows}x{found.columns} with {found.rest} other"
+            f" inputs; {config.task} with shape={list(config.shape)} has {layout.rows}x{layout.columns} with"
+            f" {layout.rest}."
         )
     return config
 
@@ -291,10 +291,22 @@ def evaluator_of(config: CodesignConfig, pretrained: Mapping[str, Any] | None) -
         return final
     if config.evaluation == "gaits":
         return _by_gaits(config, final)
-    common = dataclasses.replace(factory_of(config, "voxel"), grid=tuple(config.shape))
+    common = _common_factory(config, pretrained)
     if config.evaluation == "shared":
         return TwoStages(SharedEvaluator(common, config.screening, config.seed), final)
     return TwoStages(FewShotEvaluator(common, config.screening, config.seed, pretrained), final)
+
+
+def _common_factory(config: CodesignConfig, pretrained: Mapping[str, Any] | None) -> EnvFactory:
+    """Makes environments for a policy that controls all designs: what a pretrained one observes, it observes."""
+    obs = "voxel" if pretrained is None else observed_by(pretrained["policy"])
+    return dataclasses.replace(factory_of(config, obs), grid=tuple(config.shape))
+
+
+def observed_by(spec: Mapping[str, Any] | None) -> str:
+    """What a policy for voxels observes, by its ``PolicySpec`` if that is known."""
+    voxels = (spec or {}).get("voxels") or {}
+    return "timed_voxel" if voxels.get("layout", {}).get("timed") else "voxel"
 
 
 def _by_gaits(config: CodesignConfig, training: DesignEvaluator) -> DesignEvaluator:

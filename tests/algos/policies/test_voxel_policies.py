@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from learning import ENVS, assert_same_weights, ppo_settings, small_env
@@ -17,7 +19,8 @@ from warpvox.algos.checkpoints.files import Controller, load_controller
 from warpvox.algos.checkpoints.policy import policy_of
 from warpvox.algos.checkpoints.sampling import SampledController
 from warpvox.algos.evaluate import evaluate, evaluator
-from warpvox.algos.policies.layout import INPUTS, VoxelLayout, layout_of, voxel_inputs
+from warpvox.algos.policies.layout import FEATURES, INPUTS, VoxelLayout, layout_of, voxel_inputs
+from warpvox.algos.policies.model import VoxelNormalizer
 from warpvox.algos.policies.registry import check_policy, make_network
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
@@ -49,17 +52,17 @@ pytestmark = [
 ]
 
 
-def make_env(num_envs: int = ENVS, auto_reset: bool = True) -> VoxelVecEnv:
-    return small_env(num_envs, designs=BODIES, max_episode_steps=LIMIT, obs="voxel", auto_reset=auto_reset)
+def make_env(num_envs: int = ENVS, auto_reset: bool = True, obs: str = "voxel") -> VoxelVecEnv:
+    return small_env(num_envs, designs=BODIES, max_episode_steps=LIMIT, obs=obs, auto_reset=auto_reset)
 
 
 def voxels(env: VoxelVecEnv, name: str) -> dict:
     return {"network": name, "settings": NETWORKS.get(name, {}), "layout": layout_of(env).dict()}
 
 
-def make_runner(name: str, folder: Path | None = None, total: int = 2, seed: int = 0) -> Runner:
+def make_runner(name: str, folder: Path | None = None, total: int = 2, seed: int = 0, obs: str = "voxel") -> Runner:
     torch.manual_seed(seed)
-    env, judge = make_env(), evaluator(make_env(2, auto_reset=False))
+    env, judge = make_env(obs=obs), evaluator(make_env(2, auto_reset=False, obs=obs))
     ppo = ppo_settings()
     return Runner(adapt(env, ppo), ppo, Schedule(total, 100, 1), folder, judge, voxels=voxels(env, name))
 
@@ -109,6 +112,22 @@ def test_inputs_at_rest_say_where_a_voxel_is(env: VoxelVecEnv) -> None:
         ours = {int(action): cell for cell, action in enumerate(actions[row].tolist()) if action < layout.actions}
         assert ours == {action: cell for action, cell in enumerate(cells[row].tolist()) if cell >= 0}
     assert int(present[-1].sum()) == 3
+
+
+def test_the_time_is_seen_as_a_clock_that_nothing_scales() -> None:
+    plain, timed = (small_env(4, designs=BODIES, obs=obs) for obs in ("voxel", "timed_voxel"))
+    layout, obs = layout_of(timed), some_obs(timed)
+    assert layout == dataclasses.replace(layout_of(plain), rest=layout_of(plain).rest + 6, timed=True)
+    obs[:, -1] = torch.tensor([0.0, 3.0, 250.0, 499.0])
+    ours, theirs = VoxelNormalizer(layout), VoxelNormalizer(layout_of(plain))
+    ours.update(obs)
+    theirs.update(obs[:, :-1])
+    turns = 2 * np.pi * np.array([0.0, 3.0, 250.0, 499.0])[:, None] / [7.0, 14.0, 28.0]
+    begin = layout.cells * FEATURES + layout.scaled
+    clock = ours(obs)[:, begin : begin + 6]
+    np.testing.assert_allclose(clock, np.concatenate([np.sin(turns), np.cos(turns)], 1), rtol=0, atol=1e-6)
+    without = torch.cat([ours(obs)[:, :begin], ours(obs)[:, begin + 6 :]], dim=1)
+    assert torch.equal(without, theirs(obs[:, :-1]))
 
 
 # ----------------------------------------------------------------------------------------------- masks
@@ -221,11 +240,12 @@ def seeded_act(algorithm: StockPPO, obs: TensorDict, seed: int) -> torch.Tensor:
     return algorithm.act(obs)
 
 
-def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path) -> None:
-    whole = make_runner("grid", total=4)
+@pytest.mark.parametrize("obs", ["voxel", "timed_voxel"])
+def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path, obs: str) -> None:
+    whole = make_runner("grid", total=4, obs=obs)
     whole.run()
-    make_runner("grid", tmp_path, total=2).run()
-    second = make_runner("grid", total=4, seed=5)
+    make_runner("grid", tmp_path, total=2, obs=obs).run()
+    second = make_runner("grid", total=4, seed=5, obs=obs)
     second.resume(tmp_path / STATE)
     second.run()
     assert_same_weights(whole, second)

@@ -33,6 +33,7 @@ from warpvox.cli.evaluations import (
     is_screened,
     keep_pretrained,
     lanes_of_gaits,
+    observed_by,
     read_pretrained,
     resolve_evaluation,
     screened_values,
@@ -314,7 +315,7 @@ def design_config(config: CodesignConfig, candidate: Candidate, outcome: Outcome
     }
     if has_common_policy(config) and candidate.origin != FINALIST:
         values |= screened_values(config, candidate)
-    values["obs"] = "task" if values["policy"] == MLP else "voxel"
+    values["obs"] = "task" if values["policy"] == MLP else observed_by(outcome.spec)
     if outcome.spec and outcome.spec.get("gait"):
         values |= {"policy": MLP, "network": None, "obs": "timed"}
         values["lanes"] = lanes_of_gaits(config)  # as in the evaluation that found the fitness
