@@ -26,14 +26,16 @@ from warpvox.types import VOXEL
 WARP = 32
 BLOCK = 32
 """Threads of a CUDA block. Groups of a warp go the same way; more warps in a block would only wait for each other."""
-REGISTERS = {"float32": 200, "float64": 255}
-"""Of a thread, at most. With 200, 10 warps (20 environments of 16 threads) share a multiprocessor, without spills."""
+REGISTERS = 200
+"""Of a thread, at most, in float32 with 16 or 32 threads to an environment: 10 warps share a multiprocessor, without
+spills. In float64, and with 8 threads, that own twice as many springs, all 255 are taken."""
 SHARED_BYTES = 47 * 1024
 """Shared memory of the groups of a CUDA block, at most. A block has 48 KiB without asking, some of them Warp's."""
-SMALL = 128
-"""Springs up to which 16 threads take an environment; 32 take a larger one."""
-FEW = 8
-"""Rounds of a loop over points or springs up to which it is unrolled (``native/group/base.h``)."""
+SMALLEST, SMALL = (40, 112), 128
+"""Points and springs up to which 8 threads take an environment in float32 (bodies of 5 x 5 voxels); springs up to which
+16 do. 32 take a larger one."""
+LINKS = 8
+"""Springs of a point, at most: in a lattice four sides and four diagonals of voxels meet in it."""
 ROUNDS = 64
 """Of a loop over points, at most: a bit for each."""
 ON_CPU = 512, 1024
@@ -49,7 +51,7 @@ class Group:
 
     Attributes:
         precision: of the springs, 'float32' or 'float64'.
-        parts: threads of a group, 16 or 32.
+        parts: threads of a group, 8, 16 or 32.
         points, springs: capacities, multiples of ``parts``.
         approximate: roots, quotients and the contact law in fast float32.
     """
@@ -61,18 +63,30 @@ class Group:
     approximate: bool
 
     @property
+    def registers(self) -> int:
+        """Of a thread, at most."""
+        return REGISTERS if self.precision == "float32" and self.parts > 8 else 255
+
+    @property
+    def few(self) -> int:
+        """Rounds of a loop over points or springs up to which it is unrolled (``native/group/base.h``)."""
+        return 8 if self.parts > 8 else SMALLEST[1] // self.parts
+
+    @property
     def bytes(self) -> int:
         """Memory that the threads of a group share; ``Shared`` in ``native/group/base.h``."""
         real = 4 if self.precision == "float32" else 8
         touch = 16 * self.points + self.parts * (16 + 12 * real + 16)
         in_turn = max(touch, 2 * real * (2 * self.springs + 2), 2 * real * self.points)
-        whole = (32 + 4 * real) * self.points + 4 * real * self.springs + in_turn + (8 + 32 + 2 * real) * self.parts
+        whole = (32 + 4 * real) * self.points + 4 * real * self.springs + in_turn + (32 + 2 * real) * self.parts + 128
         return -(-whole // 32) * 32 + 32
 
 
 def choose(points: int, springs: int, precision: str, device: str) -> Group | None:
     """The group for worlds with so many points and springs at most; None where they exceed the shared memory."""
     parts = 16 if springs <= SMALL else 32
+    if precision == "float32" and points <= SMALLEST[0] and springs <= SMALLEST[1]:
+        parts = 8
     if not on_cuda(device):
         points, springs = max(points, ON_CPU[0]), max(springs, ON_CPU[1])
         parts = 16 if points <= 16 * ROUNDS else 32
@@ -89,11 +103,13 @@ def places() -> list[str]:
 
 def source(group: Group, tallied: bool = False) -> str:
     """The C++ of a group kernel."""
-    sizes = dict(PARTS=group.parts, POINTS=group.points, SPRINGS=group.springs, GROUP_BYTES=group.bytes, FEW=FEW)
+    sizes = dict(PARTS=group.parts, POINTS=group.points, SPRINGS=group.springs, LINKS=LINKS)
+    sizes |= dict(GROUP_BYTES=group.bytes, FEW=group.few)
     sizes |= CPP_CONSTANTS | dict(VOXEL=VOXEL, PARALLEL=PARALLEL, DEGENERATE=DEGENERATE, CLOSE_MARGIN=CLOSE_MARGIN)
     sizes |= dict(SHARED_BYTES=SHARED_BYTES, PLACES=len(places()))
     sizes |= {f"PLACE_{name}": k for k, name in enumerate(places())}
     lines = [f"typedef {'float' if group.precision == 'float32' else 'double'} Real;"]
+    lines += [f"typedef unsigned {'long long' if group.points > 32 * group.parts else 'int'} Bits;"]
     lines += [f"#define APPROXIMATE {int(group.approximate)}", f"#define TALLIED {int(tallied)}"]
     lines += [constants(**sizes)]
     files = (f"native/group/{file}" for file in FILES)
@@ -117,7 +133,7 @@ def group_kernel(group: Group, tallied: bool = False) -> wp.Kernel:
         live: int, substeps: int, dt: wp.float64,
     ): ...  # fmt: skip
 
-    @register_limited(REGISTERS[group.precision])
+    @register_limited(group.registers)
     def group_step(
         model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), first_pack: int, packs: int,
         order: int, substeps: int, dt: wp.float64,

@@ -63,7 +63,7 @@ def test_what_was_found_is_kept_when_the_call_is_cut_off(warpvox: Callable, monk
     assert figures["correctness"][0]["good"] is True
     assert len(figures["sizes"]) == 2
     assert figures["machine"]["warp"]
-    assert "predicted for 16 threads an environment" in (folder / "tables.md").read_text()
+    assert "predicted for 8 threads an environment" in (folder / "tables.md").read_text()
 
 
 def test_a_part_that_fails_does_not_stop_the_others(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,12 +8,14 @@ import pytest
 import torch
 
 from warpvox.batch import arrays, options
+from warpvox.bench.cuda import SETTLING, visits
 from warpvox.design import sample_design
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import SimulationError
 from warpvox.kernels import group
 from warpvox.simulation import Simulation
+from warpvox.types import ACTION_HIGH, ACTION_LOW
 from warpvox.world import World
 
 ROUNDING = 5e-9
@@ -62,7 +64,7 @@ def test_every_task_takes_the_same_way_in_both_layouts(task):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("parts", [16, 32])
+@pytest.mark.parametrize("parts", [8, 16, 32])
 @pytest.mark.parametrize("task", ["Walker-v0", "BeamToppler-v0", "Climber-v1", "Traverser-v0"])
 def test_double_precision_and_other_groups(task, parts):
     for dtype in ("float32", "float64"):
@@ -93,6 +95,19 @@ def test_threads_may_run_in_any_order(order):
     sims[0].step(torch.ones(1, sims[0].num_actions))
     sims[1]._shares = [group.record_group(state, steps, 0, 1, order)]
     run(sims, 6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("parts", [8, 16])
+def test_groups_of_a_warp_go_the_same_way(parts):
+    """Counted, the groups of a warp are one block that votes and waits together, as on CUDA; here with different bodies."""
+    lanes, groups = pair_of(crowd(8))
+    groups._state.group = replace(groups._state.group, parts=parts)
+    visits(groups, steps=4, seed=3)
+    draw, actions = torch.Generator().manual_seed(3), torch.zeros((8, lanes.num_actions))
+    for _ in range(SETTLING + 4):
+        lanes.step(actions.uniform_(ACTION_LOW, ACTION_HIGH, generator=draw))
+    assert not {"pos", "vel", "true_vel"} & set(differences(lanes, groups))
 
 
 def crowd(count):
@@ -219,7 +234,8 @@ def test_the_layout_is_chosen_by_device_arithmetic_and_size(monkeypatch):
 
 def test_all_tasks_fit_into_shared_memory_and_35x35_bodies_do_not():
     for precision in ("float32", "float64"):
-        assert group.choose(36, 104, precision, "cuda:0").parts == 16
+        assert group.choose(36, 104, precision, "cuda:0").parts == (8 if precision == "float32" else 16)
+        assert group.choose(45, 124, precision, "cuda:0").parts == 16
         assert group.choose(69, 196, precision, "cuda:0").parts == 32
         assert group.choose(36 * 36, 5000, precision, "cuda:0") is None
         assert group.choose(36 * 36, 5000, precision, "cpu").points >= 36 * 36

@@ -11,7 +11,7 @@ import warp as wp
 from warpvox.batch.packs import Batch
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
 from warpvox.kernels.device import from_numpy, on_cuda, zeros
-from warpvox.kernels.group import Group, choose
+from warpvox.kernels.group import LINKS, Group, choose
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, allocate, structs
 from warpvox.types import Physics
 
@@ -77,7 +77,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
     taken = None
     if batch.layout == "group":
         taken = choose(sizes["point"], sizes["spring"], precision, device)
-        if taken is None:
+        if taken is None or np.diff(tables["link_start"]).max(initial=0) > LINKS:
             return None
     hits = HITS + HITS_PER_VOXEL * sizes["movable"] if batch.arithmetic == "exact" else 1
     sizes["pulled"] = sizes["spring" if batch.arithmetic == "exact" else "point"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from warpvox.bench.report import Report, number
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ConfigError
 from warpvox.kernels.device import record, zeros
-from warpvox.kernels.group import FEW, WARP, Group, choose, group_kernel, places
+from warpvox.kernels.group import WARP, Group, choose, group_kernel, places
 from warpvox.kernels.step import record_actions
 from warpvox.simulation import Simulation
 from warpvox.types import ACTION_HIGH, ACTION_LOW
@@ -26,10 +26,10 @@ __all__ = ["instructions", "run"]
 
 STAGES = {
     "candidates for contact": ("collect", "candidate"),
-    "contacts": ("near_corner", "distant", "folds", "contact_"),
+    "contacts": ("near_", "distant", "folds", "contact_"),
     "springs: relaxation of lengths": ("relax",),
     "springs: three Runge-Kutta stages": ("stretch", "stage"),
-    "points: four Runge-Kutta stages": ("point", "floor", "more_links", "finish"),
+    "points: four Runge-Kutta stages": ("point", "floor", "gather", "finish"),
     "strain limits": ("limit",),
     "new positions and velocities": ("advance", "substep"),
 }
@@ -53,20 +53,22 @@ DEVICES = {
 SCHEDULERS = 4
 """Of a multiprocessor: each issues an instruction of a warp in a cycle at most."""
 EFFICIENCY = 0.25, 0.5
-"""Share of the cycles in which they do: with 2 to 3 warps for each to choose from, an assumption."""
+"""Share of the cycles in which they do: with 2 warps for each to choose from, an assumption."""
 REGISTERS = 65536
 """Of a multiprocessor."""
+SHARED = {80: 164, 89: 100, 90: 228, 100: 228}
+"""Shared memory of a multiprocessor by compute capability, KiB."""
 
 
 def visits(sim: Simulation, steps: int, seed: int) -> np.ndarray:
-    """How often each place is visited in a sub-step by a warp: the most of its groups. Random actions, on the CPU."""
+    """How often each place is visited in a sub-step by a warp: the most of its threads. Random actions, on the CPU."""
     state, names = sim.buffers, places()
-    group, substeps = replace(state.group, approximate=True), sim.physics.substeps
+    group, substeps = state.group, sim.physics.substeps
     rows = group.bytes // 8 + substeps * len(names)
     scratch = zeros((sim.num_envs, rows), wp.float64, "cpu")
     inputs = [state.model, state.data, scratch, 0, sim.num_envs, 0, substeps, state.dt]
     kernel = group_kernel(group, tallied=True)
-    count = record(kernel, (sim.num_envs, group.parts), inputs, "cpu", group.parts, together=True)
+    count = record(kernel, (sim.num_envs, group.parts), inputs, "cpu", WARP, together=True)
     actions = torch.zeros((sim.num_envs, sim.num_actions), dtype=sim.dtype)
     take = record_actions(state, wp.from_torch(actions), ACTION_LOW, ACTION_HIGH)
     draw, found = torch.Generator().manual_seed(seed), []
@@ -77,8 +79,7 @@ def visits(sim: Simulation, steps: int, seed: int) -> np.ndarray:
         if step >= SETTLING:
             table = scratch.numpy()[:, group.bytes // 8 :].copy().view(np.int32)[:, : substeps * len(names)]
             found.append(table.reshape(sim.num_envs, substeps, len(names)))
-    together = WARP // group.parts
-    return np.stack(found).reshape(steps, -1, together, substeps, len(names)).max(2).mean((0, 1, 2))
+    return np.stack(found).mean((0, 1, 2))
 
 
 def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90) -> dict[str, tuple[float, float]]:
@@ -89,13 +90,13 @@ def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90)
     """
     sizes = sim.buffers.sizes
     group = choose(sizes["point"], sizes["spring"], "float32", "cuda:0")
-    if group is None or group.springs > FEW * group.parts:
+    if group is None or group.springs > group.few * group.parts:
         raise ConfigError("Instructions are counted where all loops over springs are unrolled: take a smaller world.")
     rounds = dict.fromkeys(("relax", "stretch", "limit"), group.springs // group.parts)
-    rounds |= dict.fromkeys(("point", "floor", "more_links"), group.points // group.parts)
+    rounds |= dict.fromkeys(("point", "floor", "gather"), group.points // group.parts)
     static, wide, _ = counted(group_kernel(group), architecture)
     found = dict.fromkeys(STAGES, (0.0, 0.0))
-    sim.buffers.group = replace(sim.buffers.group, parts=group.parts)
+    sim.buffers.group = group
     for name, visited in zip(places(), visits(sim, steps, seed), strict=True):
         stage = next(stage for stage, begins in STAGES.items() if name.startswith(begins))
         share = visited / rounds.get(name, 1) / (WARP // group.parts)
@@ -115,14 +116,14 @@ def _limits(report: Report, group: Group) -> list[dict[str, int]]:
     for architecture, name in ARCHITECTURES.items():
         with tempfile.TemporaryDirectory() as folder:
             limits = assemble(group_kernel(group), architecture, Path(folder))
-        warps = REGISTERS // (-(-limits.registers // 8) * 8 * WARP)
+        warps = min(REGISTERS // (-(-limits.registers // 8) * 8 * WARP), SHARED[architecture] * 1024 // limits.shared)
         values = [limits.registers, limits.spilled, limits.stack, limits.shared, warps * WARP // group.parts]
         rows.append([f"{architecture / 10} ({name})", *(f"{value:,}" for value in values)])
         found.append({"architecture": architecture} | vars(limits))
     heads = ["compute capability", "registers", "bytes spilled", "stack", "shared memory of a block", "environments"]
     report.table(
         f"Registers of a thread, bytes of memory, and environments of {group.parts} threads that a multiprocessor has"
-        " registers for",
+        " registers and shared memory for",
         heads, rows,
     )  # fmt: skip
     return found

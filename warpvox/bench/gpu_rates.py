@@ -22,9 +22,9 @@ from warpvox.kernels.step import record_step
 
 __all__ = ["bodies", "learning", "predicted", "sizes", "stages", "tasks", "training"]
 
-KERNEL = "16 threads an environment"
+KERNEL = "8 threads an environment"
 """The kernel whose predictions stand beside measurements."""
-PREDICTED = {4096: (3.2, 6.4), 16384: (3.6, 7.3), 65536: (4.1, 8.2)}
+PREDICTED = dict.fromkeys((4096, 16384, 65536), (6.6, 13.2))
 """Million control steps per second of its physics by number of environments, least and most: Walker-v0 in float32 on an
 H100 or H200; the arithmetic is in docs/performance.md."""
 LAUNCHES = 3
@@ -35,7 +35,7 @@ POPULATION_STEPS = 16
 
 
 def predicted(task: str, dtype: str, num_envs: int) -> str:
-    """``3.60 to 7.30 M``, or ``-`` for what was not predicted."""
+    """``6.60 to 13.2 M``, or ``-`` for what was not predicted."""
     if num_envs not in PREDICTED or (task, dtype) != ("Walker-v0", "float32"):
         return "-"
     return " to ".join(map(number, PREDICTED[num_envs])) + " M"

@@ -18,6 +18,7 @@ int visits[PLACES] = {};
 #define ROLL _Pragma("unroll 1")
 #define EACH_POINT _Pragma("unroll POINTS_AT_ONCE")
 #define EACH_SPRING _Pragma("unroll SPRINGS_AT_ONCE")
+#define KEEP(number) asm("" : "+r"(number))  // computed as it stands
 #define HIDE(number) asm volatile("" : "+r"(number))  // the compiler knows nothing about it from here on
 const unsigned first_thread = (threadIdx.x & 31) / PARTS * PARTS, everyone = 0xffffffffu;
 #else
@@ -25,6 +26,7 @@ const unsigned first_thread = (threadIdx.x & 31) / PARTS * PARTS, everyone = 0xf
 #define ROLL
 #define EACH_POINT
 #define EACH_SPRING
+#define KEEP(number)
 #define HIDE(number)
 #endif
 
@@ -34,14 +36,16 @@ constexpr int POINT_ROUNDS = POINTS / PARTS, SPRING_ROUNDS = SPRINGS / PARTS;
 // Up to FEW rounds are unrolled; what a thread owns is in registers then, else in local memory.
 constexpr int POINTS_AT_ONCE = POINT_ROUNDS <= FEW ? POINT_ROUNDS : 1;
 constexpr int SPRINGS_AT_ONCE = SPRING_ROUNDS <= FEW ? SPRING_ROUNDS : 1;
-constexpr int LINKS = 8;                          // springs of a point whose places are kept at hand
+constexpr int ROUNDS_A_BIT = (SPRING_ROUNDS + 31) / 32;  // of springs, in a set of rounds
+constexpr unsigned FREE = 1u << 15;                      // of the end of a Side: the point is free
 constexpr int QUEUE = 4 * PARTS, CLOSE = 8 * PARTS;  // room for contacts and for corners that are near another voxel
 
 typedef float Single;  // Warp gives float(...) a meaning of its own
 struct alignas(4 * sizeof(Real)) Spring {
-    unsigned ends;            // the two points, 16 bits each
+    unsigned ends;  // places of the two displacements, 16 bits each
     Real stiffness;
-    Real longest, shortest;  // squares of the lengths beyond which it is corrected
+    Real goal;    // length that it relaxes to
+    Real middle;  // of the squares of the lengths within which it is not corrected
 };
 struct Side {
     unsigned ends;
@@ -70,30 +74,55 @@ struct alignas(4 * sizeof(Real)) Shared {
         Pair moved[POINTS];             // corrections of the strain limit
     };
 #if !defined(__CUDA_ARCH__)
-    int turn[PARTS];  // for votes
-    float path[PARTS];
+    int turn[32];  // for votes
 #endif
 };
 
 // The groups of a warp take the same way: where one has work, all of them come along. `sync` and `some` are about the warp,
-// as is `most`, the largest of numbers that the threads of a group share; `vote` gives the bits of a group.
+// as is `most`, the largest of numbers that the threads of a group share; `vote` gives the bits of a group and whether the
+// warp has `any`. None of them stands where the groups of a warp may go different ways.
 #if defined(__CUDA_ARCH__)
 static_assert(sizeof(Shared) <= GROUP_BYTES, "Group.bytes is too small");
 static_assert(32 / PARTS * GROUP_BYTES <= SHARED_BYTES, "no room in shared memory");
 __shared__ Shared groups[32 / PARTS];
 Shared& at = groups[first_thread / PARTS];
+// Where an element of `disp` or `tension` is, in 16 bits: in bytes, so that nothing is left to compute.
+char* const memory = reinterpret_cast<char*>(groups);
+auto place_of = [&](const Pair* pairs, int n) -> unsigned { return reinterpret_cast<const char*>(pairs + n) - memory; };
+auto pair_at = [&](const Pair*, unsigned place) -> Pair { return *reinterpret_cast<const Pair*>(memory + place); };
+constexpr int WIDER = sizeof(Place) / sizeof(Pair);
+const int before_pos = reinterpret_cast<char*>(at.pos) - memory - WIDER * place_of(at.disp, 0);
+auto pos_at = [&](unsigned place) -> Place {  // of the point whose displacement is there
+    const int begin = WIDER * place + before_pos;
+    return *reinterpret_cast<const Place*>(memory + begin);
+};
 auto sync = [&]() { __syncwarp(); };
-auto vote = [&](bool yes) -> unsigned {
+auto fence = []() { __syncwarp(); };  // keeps the compiler from reading ahead, which takes registers
+auto vote = [&](bool yes, bool& any) -> unsigned {
     const unsigned bits = __ballot_sync(everyone, yes);
+    any = bits != 0;
     return PARTS == 32 ? bits : bits >> first_thread & ((1u << (PARTS % 32)) - 1u);
 };
 auto some = [&](bool yes) -> bool { return __any_sync(everyone, yes); };
 auto most = [&](int a) -> int {
+#if __CUDA_ARCH__ >= 800
+    return PARTS < 32 ? __reduce_max_sync(everyone, a) : a;
+#else
     for (int k = PARTS; k < 32; k *= 2) a = max(a, __shfl_xor_sync(everyone, a, k));
     return a;
+#endif
 };
 auto count_bits = [](unsigned a) -> int { return __popc(a); };
 auto lowest = [](unsigned a) -> int { return __ffs(a) - 1; };
+auto sign_of = [](double a) -> int { return __double2hiint(a); };  // of a number that is a difference, never -0
+auto together = [&](unsigned a) -> unsigned {  // the bits that some thread of the warp has
+#if __CUDA_ARCH__ >= 800
+    return __reduce_or_sync(everyone, a);
+#else
+    for (int k = 1; k < 32; k *= 2) a |= __shfl_xor_sync(everyone, a, k);
+    return a;
+#endif
+};
 auto largest = [&](float a) -> float {  // of a warp, not negative
 #if __CUDA_ARCH__ >= 800
     return __uint_as_float(__reduce_max_sync(everyone, __float_as_uint(a)));
@@ -104,35 +133,60 @@ auto largest = [&](float a) -> float {  // of a warp, not negative
 };
 #else
 static_assert(sizeof(Shared) <= GROUP_BYTES, "Group.bytes is too small");
+// A group is alone; where visits are counted, those of a warp are a block and go the same way, as on CUDA.
+constexpr int GROUPS = TALLIED ? 32 / PARTS : 1;
 Shared& at = *reinterpret_cast<Shared*>(&wp::index(scratch, pack, 0));
+auto place_of = [](const Pair*, int n) -> unsigned { return n; };
+auto pair_at = [](const Pair* pairs, unsigned place) -> Pair { return pairs[place]; };
+auto pos_at = [&](unsigned place) -> Place { return at.pos[place]; };
+int* const turn = reinterpret_cast<Shared*>(&wp::index(scratch, pack - pack % GROUPS, 0))->turn;
+const int first_thread = pack % GROUPS * PARTS;
 auto sync = [&]() { WP_TILE_SYNC(); };
-auto vote = [&](bool yes) -> unsigned {
-    at.turn[part] = yes;
-    sync();
-    unsigned bits = 0;
-    for (int k = 0; k < PARTS; ++k) bits |= unsigned(at.turn[k]) << k;
-    sync();
-    return bits;
+auto fence = [&]() {
+    if (TALLIED) sync();
 };
-auto some = [&](bool yes) -> bool { return vote(yes) != 0; };
-auto most = [](int a) -> int { return a; };
+// Joins what threads of the warp have, of the group alone where `own`.
+auto join = [&](int a, bool own, auto&& act) -> int {
+    turn[first_thread + part] = a;
+    sync();
+    int joined = turn[own ? first_thread : 0];
+    for (int k = 1; k < (own ? PARTS : PARTS * GROUPS); ++k) joined = act(joined, turn[(own ? first_thread : 0) + k]);
+    sync();
+    return joined;
+};
+auto either = [](int a, int b) { return a | b; };
+auto larger = [](int a, int b) { return a > b ? a : b; };
+auto together = [&](unsigned a) -> unsigned { return join(a, false, either); };
+auto some = [&](bool yes) -> bool { return together(yes) != 0; };
+auto vote = [&](bool yes, bool& any) -> unsigned {
+    any = some(yes);
+    return join(yes << part, true, either);
+};
+auto most = [&](int a) -> int { return GROUPS > 1 ? join(a, false, larger) : a; };
 auto count_bits = [](unsigned a) -> int { return __builtin_popcount(a); };
 auto lowest = [](unsigned a) -> int { return __builtin_ctz(a); };
-auto largest = [&](float a) -> float {
-    at.path[part] = a;
-    sync();
-    for (int k = 0; k < PARTS; ++k) a = at.path[k] > a ? at.path[k] : a;
-    sync();
+auto sign_of = [](double a) -> int { return (a > 0.0) - (a < 0.0); };
+auto largest = [&](float a) -> float {  // the bits of numbers that are not negative are in their order
+    int bits;
+    __builtin_memcpy(&bits, &a, sizeof bits);
+    bits = join(bits, false, larger);
+    __builtin_memcpy(&a, &bits, sizeof bits);
     return a;
 };
 #endif
+
+auto some_of_group = [&](bool yes) -> bool {
+    bool any;
+    return vote(yes, any) != 0;
+};
 
 // The sum of the numbers below 2^16 that the threads before this one have; `total`: of all threads.
 auto sum_before = [&](unsigned number, int& total) -> int {
     int before = 0;
     total = 0;
     ROLL for (int b = 0; b < 16; ++b) {
-        const unsigned those = vote(number >> b & 1);
+        bool any;
+        const unsigned those = vote(number >> b & 1, any);
         before += count_bits(those & ((1u << part) - 1)) << b;
         total += count_bits(those) << b;
     }
@@ -151,12 +205,17 @@ auto inverse = [](float a) -> float {
     asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(a));
     return r;
 };
+auto nearest_root = [&](float a) -> float {  // rounded to nearest, of numbers that are neither 0 nor special
+    const float r = inverse_root(a), s = a * r;
+    return __fmaf_rn(__fmaf_rn(-s, s, a), 0.5f * r, s);
+};
 auto fused = [](float a, float b, float c) -> float { return __fmaf_rn(a, b, c); };
 auto reduced = [](float a, float b, float c) -> float { return __fmaf_rn(-a, b, c); };
 auto fused_wide = [](double a, double b, double c) -> double { return __fma_rn(a, b, c); };
 #elif APPROXIMATE
 auto inverse_root = [](float a) -> float { return 1.0f / __builtin_sqrtf(a); };
 auto inverse = [](float a) -> float { return 1.0f / a; };
+auto nearest_root = [](float a) -> float { return __builtin_sqrtf(a); };
 auto fused = [](float a, float b, float c) -> float { return __builtin_fmaf(a, b, c); };
 auto reduced = [](float a, float b, float c) -> float { return __builtin_fmaf(-a, b, c); };
 auto fused_wide = [](double a, double b, double c) -> double { return __builtin_fma(a, b, c); };
@@ -164,6 +223,7 @@ auto fused_wide = [](double a, double b, double c) -> double { return __builtin_
 auto fused = [](Real a, Real b, Real c) -> Real { return a * b + c; };
 auto reduced = [](Real a, Real b, Real c) -> Real { return c - a * b; };
 auto root = [](Real a) -> Real { return wp::sqrt(a); };
+auto nearest_root = root;
 auto quotient = [](Real a, Real b) -> Real { return a / b; };
 #endif
 #if APPROXIMATE
@@ -180,11 +240,11 @@ auto tanh_of = [](double a) -> double {
 };
 
 #if TALLIED
-auto tally = [&](int substep) {  // of its threads the most
+auto tally = [&](int substep) {  // of the threads of a warp the most
     int* all = reinterpret_cast<int*>(&wp::index(scratch, pack, 0)) + GROUP_BYTES / sizeof(int);
     for (int k = 0; k < PLACES; ++k) {
-        const int most = static_cast<int>(largest(Single(visits[k])));
-        if (part == 0) all[substep * PLACES + k] = most;
+        const int visited = join(visits[k], false, larger);
+        if (part == 0) all[substep * PLACES + k] = visited;
         visits[k] = 0;
     }
 };

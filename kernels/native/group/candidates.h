@@ -16,6 +16,7 @@ const int frame_of_mesh = wp::index(model.frame, mesh);
 int here = mesh, frame = frame_of_mesh;
 const wp::vec_t<4, int>* corner = nullptr;
 wp::vec_t<4, int>* candidates = nullptr;
+const double* terrain_box = nullptr;  // left, right, bottom and top of each cell
 
 auto find_tables = [&]() {
     int row = pack;
@@ -26,6 +27,7 @@ auto find_tables = [&]() {
     HIDE(frame);
     corner = row_of(model.corner, here);
     candidates = row_of(data.pairs, row);
+    terrain_box = &wp::index(model.terrain_box, frame, 0, 0);
 };
 
 auto collect = [&]() {
@@ -38,6 +40,7 @@ auto collect = [&]() {
     const int* fixed_at = row_of(model.fixed_at, frame);
     double* box = &wp::index(data.box, pack, 0, 0);
     int* bits = &wp::index(data.pair_bit, unit, 0);
+    const int voxels = points ? wp::index(model.voxels, here) : 0, movables = points ? wp::index(model.movables, here) : 0;
     const int words = (voxels + 31) / 32;
     const double margin = model.margin;
 
@@ -155,6 +158,6 @@ auto collect = [&]() {
         full |= found > capacity;
     }
     count = wp::min(found, capacity);
-    overflow = vote(full) != 0;
+    overflow = some_of_group(full);
     sync();
 };

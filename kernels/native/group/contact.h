@@ -14,7 +14,7 @@ auto quad_of = [&](int v) -> Quad {
             q.y[k] = p.y;
         }
     } else {
-        const double* b = &wp::index(model.terrain_box, frame, -1 - v, 0);
+        const double* b = terrain_box + 4 * (-1 - v);
         q.x[0] = q.x[3] = b[0];
         q.x[1] = q.x[2] = b[1];
         q.y[2] = q.y[3] = b[2];
@@ -24,15 +24,9 @@ auto quad_of = [&](int v) -> Quad {
 };
 auto corner_at = [&](int v, int c) -> Place {
     if (v >= 0) return at.pos[corner[v][c]];
-    const double* b = &wp::index(model.terrain_box, frame, -1 - v, 0);
+    const double* b = terrain_box + 4 * (-1 - v);
     return Place{b[c == 1 || c == 2], b[c < 2 ? 3 : 2]};
 };
-auto sides_of = [&](int v) -> int {
-    if (v < 0) return wp::index(model.terrain_side, frame, -1 - v);
-    const wp::vec_t<4, int> lanes = wp::index(model.side_lanes, here, v);
-    return (lanes[0] & 1) | (lanes[1] & 1) << 1 | (lanes[2] & 1) << 2 | (lanes[3] & 1) << 3;
-};
-
 struct Box { double left, right, bottom, top; };
 auto box_of = [&](const Quad& q, double margin) -> Box {
     return Box{
@@ -41,11 +35,24 @@ auto box_of = [&](const Quad& q, double margin) -> Box {
     };
 };
 auto holds = [](const Box& b, double x, double y) -> bool { return b.left <= x && x <= b.right && b.bottom <= y && y <= b.top; };
-auto within = [&](const Place& p, const Quad& r) -> bool {
-    return holds(box_of(r, 0.0), p.x, p.y)
-        && in_voxel(
-            r.x[0] - p.x, r.y[0] - p.y, r.x[1] - p.x, r.y[1] - p.y, r.x[2] - p.x, r.y[2] - p.y, r.x[3] - p.x, r.y[3] - p.y
-        );
+// The corners of a voxel seen from a point, and whether the point is within their bounds: differences tell by their sign.
+auto seen_from = [&](const Place& p, const Quad& q) -> Quad {
+    Quad seen;
+    UNROLL for (int k = 0; k < 4; ++k) {
+        seen.x[k] = q.x[k] - p.x;
+        seen.y[k] = q.y[k] - p.y;
+    }
+    return seen;
+};
+auto around = [&](const Quad& seen) -> bool {
+    int x[4], y[4];
+    UNROLL for (int k = 0; k < 4; ++k) {
+        x[k] = sign_of(seen.x[k]);
+        y[k] = sign_of(seen.y[k]);
+    }
+    const int low_x = least4(x[0], x[1], x[2], x[3]), high_x = most4(x[0], x[1], x[2], x[3]);
+    const int low_y = least4(y[0], y[1], y[2], y[3]), high_y = most4(y[0], y[1], y[2], y[3]);
+    return (low_x <= 0) & (high_x >= 0) & (low_y <= 0) & (high_y >= 0);
 };
 auto boxes_overlap = [](const Box& a, const Box& b) -> bool {
     return a.left <= b.right && b.left <= a.right && a.bottom <= b.top && b.bottom <= a.top;
@@ -58,6 +65,13 @@ auto force_of = [&](int code, Hit& hit) {
     const int way = code >> 2 & 1, c = code & 3, i = way ? pair[1] : pair[0], j = way ? pair[0] : pair[1];
     hit.point[0] = hit.point[1] = hit.point[2] = -1;
     const Place tip = corner_at(i, c), next = corner_at(i, (c + 1) & 3), last = corner_at(i, (c + 3) & 3);
+    const int* terrain_side = row_of(model.terrain_side, frame);
+    const wp::vec_t<4, int>* side_lanes = row_of(model.side_lanes, here);
+    auto sides_of = [&](int v) -> int {
+        if (v < 0) return terrain_side[-1 - v];
+        const wp::vec_t<4, int> lanes = side_lanes[v];
+        return (lanes[0] & 1) | (lanes[1] & 2) | (lanes[2] & 4) | (lanes[3] & 8);
+    };
     const int m_sides = sides_of(i), r_sides = sides_of(j);
     // Inner bottom and left edges run against the clock, as they were made.
     const bool turn_next = c >= 2 && !(m_sides >> c & 1);
@@ -94,7 +108,8 @@ auto force_of = [&](int code, Hit& hit) {
         hit.point[1] = table[j][best];
         hit.point[2] = table[j][(best + 1) & 3];
     }
-    const bool twice = i >= 0 && j >= 0 && wp::index(model.body, here, i) == wp::index(model.body, here, j);
+    const int* body = row_of(model.body, here);
+    const bool twice = i >= 0 && j >= 0 && body[i] == body[j];
     Place velocity[3];
     UNROLL for (int k = 0; k < 3; ++k) {
         velocity[k] = hit.point[k] < 0 ? Place{0.0, 0.0} : at.touch.velocity[hit.point[k]];
@@ -171,7 +186,7 @@ auto find_close = [&]() {
         }
     }
     crowded = close_count > CLOSE;
-    folding = vote(folding) != 0;
+    folding = some_of_group(folding);
     sync();
 };
 
@@ -188,8 +203,9 @@ auto look_for_folds = [&]() {
             i = pair[0];
             fold = pair[2] & DISTANT && boxes_overlap(box_of(quad_of(i), 0.0), box_of(quad_of(pair[1]), 0.0));
         }
-        const unsigned folded = vote(fold);
-        if (some(folded)) count_folds(folded, i);
+        bool found;
+        const unsigned folded = vote(fold, found);
+        if (found) count_folds(folded, i);
     }
     for (int k = 0; any_folds && k < wp::index(model.robots, here); ++k) {
         folded_up |= wp::index(data.folds, pack, k, 0) > wp::index(model.fold_limit, here, k, 0);
@@ -199,9 +215,9 @@ auto look_for_folds = [&]() {
 auto touch = [&]() {
     int waiting = 0;
     any_folds = false;
-    if (some(near_drift + near_drift >= CLOSE_MARGIN)) {
+    if (some(near_drift + near_drift >= Single(CLOSE_MARGIN))) {
         find_close();
-        near_drift = 0.0;
+        near_drift = 0.0f;
     }
     if (some(folding)) look_for_folds();
     const int total = crowded ? 8 * count : close_count, rounds = most(total);
@@ -214,16 +230,22 @@ auto touch = [&]() {
             code = crowded ? n : at.close[n];
             const wp::vec_t<4, int> pair = candidates[code >> 3];
             const int way = code >> 2 & 1, c = code & 3;
-            inside = (way ? pair[3] : pair[2]) >> c & 1
-                && within(corner_at(way ? pair[1] : pair[0], c), quad_of(way ? pair[0] : pair[1]));
+            if (!crowded || (way ? pair[3] : pair[2]) >> c & 1) {
+                const Quad q = seen_from(corner_at(way ? pair[1] : pair[0], c), quad_of(way ? pair[0] : pair[1]));
+                if (around(q)) {
+                    COUNT(near_voxel);
+                    inside = in_voxel(q.x[0], q.y[0], q.x[1], q.y[1], q.x[2], q.y[2], q.x[3], q.y[3]);
+                }
+            }
         }
-        if (!some(inside)) continue;
+        bool found;
+        const unsigned those = vote(inside, found);
+        if (!found) continue;
         COUNT(contact_found);
         if (some(waiting + PARTS > QUEUE)) {
             add_queue(waiting);
             waiting = 0;
         }
-        const unsigned those = vote(inside);
         if (inside) at.touch.queue[waiting + count_bits(those & ((1u << part) - 1))] = code;
         waiting += count_bits(those);
     }

@@ -1,48 +1,55 @@
-// Strain limits on displacements, as in limit.h of the lanes. Corrections are rare: all springs are tested side by side, those beyond
-// their limit are corrected one after another in the order of springs.
+// Strain limits on displacements, as in limit.h of the lanes. Corrections are rare: all springs are tested side by side,
+// those beyond their limit are corrected one after another in the order of springs.
 
-auto own_points = [&](auto&& act) {
-    EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
-        if (POINT_ROUNDS <= FEW || PARTS * j < points) act(j, part + PARTS * j);
-    }
-};
-
+// A point stands in 15 bits, whether it is free in one.
 auto side_of = [&](int row, int s) -> Side {
     const wp::vec_t<2, int> ends = wp::index(model.spring_ends, row, s);
-    return Side{unsigned(ends[0] | ends[1] << 16), Real(wp::index(model.spring_rest, row, s))};
+    const int* free_lanes = row_of(model.free_lanes, row);
+    const unsigned first = ends[0] | (free_lanes[ends[0]] ? FREE : 0), second = ends[1] | (free_lanes[ends[1]] ? FREE : 0);
+    return Side{first | second << 16, Real(wp::index(model.spring_rest, row, s))};
 };
-auto load_rigids = [&]() { at.rigid[part] = part < rigids ? side_of(mesh, wp::index(model.rigid_spring, mesh, part)) : Side{0, Real(0)}; };
+unsigned rigid_rounds = 0;
+auto load_rigids = [&]() {
+    at.rigid[part] = part < rigids ? side_of(mesh, wp::index(model.rigid_spring, mesh, part)) : Side{0, Real(0)};
+    const int bits = (most(rigids) + PARTS * ROUNDS_A_BIT - 1) / (PARTS * ROUNDS_A_BIT);
+    rigid_rounds = bits ? ~0u >> (32 - bits) : 0;
+};
 
-// Corrects those of `total` springs (of all, or listed in `rigid_spring`) that are beyond the bound, in their order: in
-// `moved`, and where `in_place` in the displacements, too, after which those behind it are tested anew.
-auto correct = [&](bool in_place) {
-    const int total = in_place ? rigids : springs, longest_list = most(total);
+// Corrects those springs (of all, or of the `rigids` listed in `rigid_spring`) that are beyond the bound, in their order: in
+// `moved`, and where `in_place` in the displacements, too, after which those behind it are tested anew. `rounds`: a bit
+// for ROUNDS_A_BIT rounds of springs in which one may be beyond.
+auto correct = [&](bool in_place, unsigned rounds) {
+    const int total = in_place ? rigids : springs;
     const Real bound = in_place ? model.rigid_strain_limit : model.strain_limit;
     const Real share = in_place ? model.rigid_strain_share : model.strain_share;
     bool any = false;
     COUNT(limit_pass);
-    ROLL for (int base = 0; base < longest_list; base += PARTS) {
+    ROLL for (int round = 0; rounds; round = (round + 1) % ROUNDS_A_BIT, rounds &= round ? rounds : rounds - 1) {
         COUNT(limit_test);
-        HIDE(base);
-        const int n = base + part;
+        const int n = PARTS * (ROUNDS_A_BIT * lowest(rounds) + round) + part;
         Side side{0, Real(0)};
-        if (in_place && base == 0) {
+        if (in_place && n < PARTS) {
             side = at.rigid[part];
         } else if (n < total) {
+            COUNT(limit_side);
             int row = mesh;
             HIDE(row);
             side = side_of(row, in_place ? wp::index(model.rigid_spring, row, n) : n);
         }
-        const int p = side.ends & 0xffff, q = side.ends >> 16;
+        const int p = side.ends & (FREE - 1), q = side.ends >> 16 & (FREE - 1);
         const Real dx = Real(at.pos[q].x - at.pos[p].x), dy = Real(at.pos[q].y - at.pos[p].y), rest0 = side.rest;
         const Real longest = rest0 * (Real(1) + bound), shortest = rest0 * (Real(1) - bound);
-        ROLL for (int from = 0; from < PARTS;) {
+        int from = 0, again = 1;
+        ROLL while (again) {
             COUNT(limit_try);
             const Pair a = at.disp[p], b = at.disp[q];
             const Real ex = dx + (b.x - a.x), ey = dy + (b.y - a.y), square = ex * ex + ey * ey;
             const bool beyond = square >= longest * longest || square <= shortest * shortest;
-            const unsigned those = vote(beyond && part >= from && n < total);
-            if (!some(those)) break;
+            bool found;
+            const unsigned those = vote(beyond && part >= from && n < total, found);
+            again = found;
+            HIDE(again);
+            if (!found) continue;
             COUNT(limit_correct);
             if (!any) {
                 COUNT(limit_begin);
@@ -52,16 +59,15 @@ auto correct = [&](bool in_place) {
             }
             const int next = those ? lowest(those) : PARTS;
             if (next == part) {
-                const Real length = wp::sqrt(square), over = length - longest, under = length - shortest;
+                const Real length = nearest_root(square), over = length - longest, under = length - shortest;
                 const Real excess = (over > Real(0) ? over : Real(0)) + (under < Real(0) ? under : Real(0));
-                const Real portion = excess * (Real(0.5) * share) / length;
-                ROLL for (int end = 0; end < 2; ++end) {
-                    const int own = end ? q : p;
-                    const Real x = end ? -(ex * portion) : ex * portion, y = end ? -(ey * portion) : ey * portion;
-                    if (!wp::index(model.free_lanes, mesh, own)) continue;
-                    at.moved[own] = Pair{at.moved[own].x + x, at.moved[own].y + y};
-                    if (in_place) at.disp[own] = Pair{at.disp[own].x + x, at.disp[own].y + y};
-                }
+                const Real portion = quotient(excess * (Real(0.5) * share), length), x = ex * portion, y = ey * portion;
+                auto shift = [&](int own, Real sx, Real sy) {
+                    at.moved[own] = Pair{at.moved[own].x + sx, at.moved[own].y + sy};
+                    if (in_place) at.disp[own] = Pair{at.disp[own].x + sx, at.disp[own].y + sy};
+                };
+                if (side.ends & FREE) shift(p, x, y);
+                if (side.ends >> 16 & FREE) shift(q, -x, -y);
             }
             from = next + 1;
             sync();
@@ -78,20 +84,24 @@ auto correct = [&](bool in_place) {
     sync();
 };
 
+// Squares of lengths within the bound are this near their middle, as a share of it. With room for rounding: what seems to
+// be beyond the bound is tested once more by `correct`.
+const Real strain_reach = Real(2) * model.strain_limit / (Real(1) + model.strain_limit * model.strain_limit) - Real(2e-6);
+
 auto limit_strain = [&]() {
-    bool beyond = false;
+    unsigned beyond = 0;
     EACH_SPRING for (int j = 0; j < SPRING_ROUNDS; ++j) {
         if (SPRING_ROUNDS > FEW && PARTS * j >= springs) break;
         COUNT(limit);
-        const Spring spring = at.spring[part + PARTS * j];
-        const Pair a = at.disp[spring.ends & 0xffff], b = at.disp[spring.ends >> 16];
-        const Real ex = vec[j].x + (b.x - a.x), ey = vec[j].y + (b.y - a.y), square = ex * ex + ey * ey;
-        beyond |= square >= spring.longest || square <= spring.shortest;
+        const unsigned ends = at.spring[part + PARTS * j].ends;
+        const Real middle = at.spring[part + PARTS * j].middle;
+        const Pair a = pair_at(at.disp, ends & 0xffff), b = pair_at(at.disp, ends >> 16);
+        const Real ex = vec[j].x + (b.x - a.x), ey = vec[j].y + (b.y - a.y), from_middle = ex * ex + ey * ey - middle;
+        if (wp::abs(from_middle) >= middle * strain_reach) beyond |= 1u << j / ROUNDS_A_BIT;
     }
-    int first = some(beyond) ? 0 : 1;
-    HIDE(first);
-    ROLL for (int pass = first; pass < 2; ++pass) {
+    beyond = together(beyond);
+    ROLL for (int pass = beyond ? 0 : 1; pass < 2; ++pass) {
         HIDE(pass);
-        correct(pass != 0);
+        correct(pass != 0, pass ? rigid_rounds : beyond);
     }
 };

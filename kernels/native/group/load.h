@@ -2,15 +2,16 @@
 
 const bool frozen = !live || wp::index(data.frozen, pack, 0) != 0;  // a group that only fills its warp is not live
 int points = wp::index(model.points, mesh), springs = wp::index(model.springs, mesh);
-int rigids = wp::index(model.rigids, mesh), voxels = wp::index(model.voxels, mesh), movables = wp::index(model.movables, mesh);
+int rigids = wp::index(model.rigids, mesh);
 // A row of a table or of the state. Where one is looked up in every sub-step, its index is hidden from the compiler, which
 // would keep all of these addresses in registers else.
 auto row_of = [](const auto& table, int row) { return &wp::index(table, row, 0); };
 auto state_of = [](const auto& table, int row) { return &wp::index(table, row, 0, 0); };
 
 double vel[POINT_ROUNDS][2];
-unsigned long long active = 0, loose = 0;           // of the own points those that hang on a spring or are free, those that are free
-bool more_links = false;
+Bits active = 0, loose = 0;  // of the own points those that hang on a spring or are free, those that are free
+// Approximate, the weight of a point is taken for a contact.
+const Pair no_contact{Real(0), APPROXIMATE ? -model.weight : Real(0)};
 bool sound = true;
 
 auto load_points = [&]() {
@@ -23,9 +24,9 @@ auto load_points = [&]() {
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
         const int p = part + PARTS * j;
         vel[j][0] = vel[j][1] = 0.0;
-        for (int n = 0; n < LINKS; ++n) at.links[p].place[n] = 2 * SPRINGS;
+        for (int n = 0; n < LINKS; ++n) at.links[p].place[n] = place_of(at.tension, 2 * SPRINGS);
         at.pos[p] = Place{0.0, 1.0};  // above the floor
-        at.contact[p] = Pair{Real(0), Real(0)};
+        at.contact[p] = no_contact;
         at.touch.velocity[p] = Place{0.0, 0.0};
         if (p >= points) continue;
         at.pos[p] = Place{pos[2 * p], pos[2 * p + 1]};
@@ -37,13 +38,12 @@ auto load_points = [&]() {
             sound &= wp::abs(true_vel[2 * p + axis]) <= FASTEST;
         }
         const int first = link_start[p], count = link_start[p + 1] - first;
-        if (free_lanes[p]) loose |= 1ull << j;
-        if (free_lanes[p] || count) active |= 1ull << j;
-        for (int n = 0; n < LINKS && n < count; ++n) {
+        if (free_lanes[p]) loose |= Bits(1) << j;
+        if (free_lanes[p] || count) active |= Bits(1) << j;
+        for (int n = 0; n < count; ++n) {
             const int s = link[first + n];
-            at.links[p].place[n] = s >= 0 ? 2 * s : 2 * (-1 - s) + 1;
+            at.links[p].place[n] = place_of(at.tension, s >= 0 ? 2 * s : 2 * (-1 - s) + 1);
         }
-        more_links |= count > LINKS;
     }
 };
 
@@ -51,6 +51,6 @@ const int unit = pack;
 int pair_count = wp::index(data.pair_count, unit), count = pair_count + wp::index(data.near_count, unit);
 int close_count = 0;
 bool crowded = false, folding = false;
-double near_drift = STALE;  // the same since the corners near other voxels were listed
+Single near_drift = STALE;  // the same since the corners near other voxels were listed
 bool overflow = wp::index(data.overflow, unit), any_folds = false, folded_up = false;
-double drift = wp::index(data.drift, unit);  // bound of every point's path since the candidates were collected
+Single drift = wp::index(data.drift, unit);  // bound of every point's path since the candidates were collected

@@ -2,9 +2,11 @@
 // in integrate.h. Formulas and the order of sums are those of integrate.h.
 
 Pair vec[SPRING_ROUNDS];                          // spring vector at the sub-step's start
-Real rest[SPRING_ROUNDS], offset[SPRING_ROUNDS];  // its length, l_eq - length
+Real rest[SPRING_ROUNDS], offset[SPRING_ROUNDS];  // its length, l_eq - length; approximate: 1 / length^2, l_eq / length - 1
 double move[POINT_ROUNDS][2];
 const Real tiny = Real(1e-30);
+// Approximate, sums are those of forces, which the mass divides at last.
+const Real per_force = APPROXIMATE ? Real(1) : model.inverse_mass, at_last = APPROXIMATE ? model.inverse_mass : Real(1);
 
 double* goal = nullptr;
 
@@ -15,11 +17,10 @@ auto load_springs = [&]() {
     EACH_SPRING for (int j = 0; j < SPRING_ROUNDS; ++j) {
         const int s = part + PARTS * j, t = s < springs ? s : 0;
         const Real rest0 = Real(spring_rest[t]);
-        const Real longest = rest0 * (Real(1) + model.strain_limit), shortest = rest0 * (Real(1) - model.strain_limit);
-        at.spring[s].ends = spring_ends[t][0] | spring_ends[t][1] << 16;
+        at.spring[s].ends = place_of(at.disp, spring_ends[t][0]) | place_of(at.disp, spring_ends[t][1]) << 16;
         at.spring[s].stiffness = s < springs ? wp::index(model.spring_k, mesh, t, 0) : Real(0);
-        at.spring[s].longest = s < springs ? longest * longest : Real(INFINITY);
-        at.spring[s].shortest = s < springs ? shortest * shortest : Real(-1);
+        at.spring[s].middle = s < springs ? rest0 * rest0 * (Real(1) + model.strain_limit * model.strain_limit) : Real(1);
+        at.spring[s].goal = Real(1);
         if (s >= springs) continue;
         const int drive = wp::index(model.spring_drive, mesh, s, 0), first = (drive & 0xffff) - 1, second = (drive >> 16) - 1;
         double length = spring_rest[s];
@@ -28,49 +29,81 @@ auto load_springs = [&]() {
         } else if (first >= 0) {
             length = wp::index(data.action, pack, first, 0) * length;
         }
-        goal[s] = length;
+        goal[s] = APPROXIMATE ? length * length : length;
+        at.spring[s].goal = Real(length);
     }
 };
 
+auto pull = [&](int s, Real size, Real x, Real y) {
+    at.tension[2 * s] = Pair{size * x, size * y};
+    at.tension[2 * s + 1] = Pair{-(size * x), -(size * y)};
+};
 // Spring vectors, lengths and l_eq - l = rate (goal - l), in float64: the rounding of lengths would act like another goal.
 auto relax = [&](int j) {
     COUNT(relax);
+    if (SPRING_ROUNDS <= FEW && j % 4 == 0 && j) fence();
     const int s = part + PARTS * j;
     const unsigned ends = at.spring[s].ends;
     const Real stiffness = at.spring[s].stiffness;
-    const Place a = at.pos[ends & 0xffff], b = at.pos[ends >> 16];
+    unsigned first = ends & 0xffff, second = ends >> 16;
+    KEEP(first);
+    KEEP(second);
+    const Place a = pos_at(first), b = pos_at(second);
     const double x = b.x - a.x, y = b.y - a.y, aim = s < springs ? goal[s] : 0.0;
     vec[j] = Pair{Real(x), Real(y)};
 #if APPROXIMATE
-    const Real near_square = vec[j].x * vec[j].x + vec[j].y * vec[j].y, over = inverse_root(near_square);
-    rest[j] = near_square * over;
-    // The square of the length minus that of `rest`, from which the length follows to double precision.
-    const double wide = double(rest[j]);
-    const Real left = Real(fused_wide(-wide, wide, fused_wide(x, x, y * y))) * Real(0.5) * over;
-    offset[j] = Real((aim - wide) * model.actuation_rate) - left * Real(model.actuation_rate);
-    const Real force = -offset[j] * stiffness * over;
+    const Real near_square = fused(vec[j].x, vec[j].x, vec[j].y * vec[j].y), over = inverse_root(near_square);
+    // goal - l = (goal^2 - l^2) / (goal + l), of which only the difference of the squares needs float64.
+    const Real excess = Real(fused_wide(-x, x, fused_wide(-y, y, aim)));
+    const Real both = fused(near_square, over, at.spring[s].goal);
+    rest[j] = over * over;
+    offset[j] = excess * inverse(both) * (over * Real(model.actuation_rate));
+    const Real force = -offset[j] * stiffness;
 #else
     const double length = wp::sqrt(x * x + y * y);
     rest[j] = Real(length);
     offset[j] = Real((aim - length) * model.actuation_rate);
     const Real force = -offset[j] * stiffness / (rest[j] + tiny);
 #endif
-    return Pair{force * vec[j].x, force * vec[j].y};
+    pull(s, force, vec[j].x, vec[j].y);
+};
+auto own_points = [&](auto&& act) {
+    EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
+        if (POINT_ROUNDS <= FEW || PARTS * j < points) act(j, part + PARTS * j);
+    }
+};
+auto own_springs = [&](auto&& act) {
+    EACH_SPRING for (int j = 0; j < SPRING_ROUNDS; ++j) {
+        if (SPRING_ROUNDS > FEW && PARTS * j >= springs) break;
+        act(j);
+    }
 };
 // Hooke force k (l - l_eq) of a spring on its first end.
 auto stretch = [&](int j) {
     COUNT(stretch);
-    const unsigned ends = at.spring[part + PARTS * j].ends;
-    const Real stiffness = at.spring[part + PARTS * j].stiffness;
-    const Pair a = at.disp[ends & 0xffff], b = at.disp[ends >> 16];
+    const int s = part + PARTS * j;
+    const unsigned ends = at.spring[s].ends;
+    const Real stiffness = at.spring[s].stiffness;
+    const Pair a = pair_at(at.disp, ends & 0xffff), b = pair_at(at.disp, ends >> 16);
+    const Real ux = b.x - a.x, uy = b.y - a.y;
+#if APPROXIMATE
+    // With e = d + u and w = |e|^2 / |d|^2 - 1: k (l - l_eq) / l = k (w / (1 + w + sqrt(1 + w)) - offset / sqrt(1 + w)).
+    const Real ex = vec[j].x + ux, ey = vec[j].y + uy;
+    const Real twice = fused(vec[j].x + ex, ux, (vec[j].y + ey) * uy), square = fused(twice, rest[j], Real(1));
+    const Real over = inverse_root(square), share = twice * rest[j] * inverse(fused(square, over, square));
+    const Real size = reduced(offset[j], over, share) * stiffness;
+    pull(s, size, ex, ey);
+#else
     Pair force;
-    spring_force(vec[j].x, vec[j].y, b.x - a.x, b.y - a.y, rest[j], offset[j], stiffness, force.x, force.y);
-    return force;
+    spring_force(vec[j].x, vec[j].y, ux, uy, rest[j], offset[j], stiffness, force.x, force.y);
+    pull(s, Real(1), force.x, force.y);
+#endif
 };
 
 auto runge_kutta = [&]() {
     Pair start_vel[POINT_ROUNDS], stage_vel[POINT_ROUNDS], sum_vel[POINT_ROUNDS], sum_acc[POINT_ROUNDS];
-    Real height[POINT_ROUNDS];
+    Real height[POINT_ROUNDS], lowest_point = Real(1);
+    auto lower = [](Real a, Real b) { return a < b ? a : b; };  // b where a is not a number
     int row = pack;
     HIDE(row);
     goal = state_of(data.goal, row);
@@ -78,75 +111,71 @@ auto runge_kutta = [&]() {
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
         start_vel[j] = stage_vel[j] = Pair{Real(vel[j][0]), Real(vel[j][1])};
         height[j] = Real(at.pos[part + PARTS * j].y);
-        at.disp[part + PARTS * j] = Pair{Real(0), Real(0)};
+        lowest_point = lower(height[j], lowest_point);
         sum_vel[j] = sum_acc[j] = Pair{Real(0), Real(0)};
     }
     ROLL for (int stage = 0; stage < 4; ++stage) {
         COUNT(stage);
         HIDE(stage);
-        const Real ahead = stage < 2 ? Real(dt) * Real(0.5) : Real(dt);
-        EACH_SPRING for (int j = 0; j < SPRING_ROUNDS; ++j) {
-            if (SPRING_ROUNDS > FEW && PARTS * j >= springs) break;
-            const int s = part + PARTS * j;
-            const Pair force = stage ? stretch(j) : relax(j);
-            at.tension[2 * s] = force;
-            at.tension[2 * s + 1] = Pair{-force.x, -force.y};
+        // The last stage goes into the sum of velocities alone; what it leaves as displacement is replaced below.
+        const Real early = stage < 3 ? Real(1) : Real(0), weight = stage % 3 ? Real(2) : Real(1);
+        const Real ahead = stage < 2 ? Real(dt) * Real(0.5) : Real(dt), later = ahead * at_last;
+        if (stage) {
+            own_springs(stretch);
+        } else {
+            own_springs(relax);
         }
         sync();
-        EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
-            if (POINT_ROUNDS > FEW && PARTS * j >= points) break;
+        Pair force[POINT_ROUNDS];
+        own_points([&](int j, int p) {
             COUNT(point);
-            const int p = part + PARTS * j;
             const Pair v = stage_vel[j];
-            Real fx = fused(-v.x, model.drag, at.contact[p].x), fy = fused(-v.y, model.drag, at.contact[p].y) - model.weight;
-            const Real above = height[j] + at.disp[p].y;
-            if (above <= Real(0)) {  // the implicit floor at y = 0
+            force[j].x = fused(-v.x, model.drag, at.contact[p].x);
+            force[j].y = fused(-v.y, model.drag, at.contact[p].y) - (APPROXIMATE ? Real(0) : model.weight);
+        });
+        if (lowest_point <= Real(0)) {  // the implicit floor at y = 0
+            own_points([&](int j, int p) {
                 COUNT(floor);
+                const Real above = stage ? height[j] + at.disp[p].y : height[j];
+                if (!(above <= Real(0))) return;
                 Real normal, drag;
-                floor_force(above, v.x, normal, drag);
-                fx = fx - drag;
-                fy = fy + normal;
-            }
+                floor_force(above, stage_vel[j].x, normal, drag);
+                force[j].x = force[j].x - drag;
+                force[j].y = force[j].y + normal;
+            });
+        }
+        lowest_point = Real(1);
+        own_points([&](int j, int p) {
+            COUNT(gather);
+            if (POINT_ROUNDS <= FEW && j % 2 == 0 && j) fence();
+            const Pair v = stage_vel[j];
+            Real fx = force[j].x, fy = force[j].y;
             const Links links = at.links[p];
             UNROLL for (int n = 0; n < LINKS; ++n) {
-                const Pair force = at.tension[links.place[n]];
-                fx = fx + force.x;
-                fy = fy + force.y;
+                const Pair pulls = pair_at(at.tension, links.place[n]);
+                fx = fx + pulls.x;
+                fy = fy + pulls.y;
             }
-            if (more_links && p < points) {
-                COUNT(more_links);
-                int own = mesh;
-                HIDE(own);
-                const int* link_start = row_of(model.link_start, own);
-                const int* link = row_of(model.link, own);
-                ROLL for (int n = link_start[p] + LINKS; n < link_start[p + 1]; ++n) {
-                    const Pair force = at.tension[link[n] >= 0 ? 2 * link[n] : 2 * (-1 - link[n]) + 1];
-                    fx = fx + force.x;
-                    fy = fy + force.y;
-                }
-            }
-            const Real ax = fx * model.inverse_mass, ay = fy * model.inverse_mass;
-            if (stage == 3) {
-                sum_vel[j] = Pair{sum_vel[j].x + ax, sum_vel[j].y + ay};
-                continue;
-            }
-            const Real weight = stage ? Real(2) : Real(1);
-            sum_acc[j] = Pair{sum_acc[j].x + ax, sum_acc[j].y + ay};
+            const Real ax = fx * per_force, ay = fy * per_force;
+            sum_acc[j] = Pair{fused(ax, early, sum_acc[j].x), fused(ay, early, sum_acc[j].y)};
             sum_vel[j] = Pair{fused(ax, weight, sum_vel[j].x), fused(ay, weight, sum_vel[j].y)};
-            at.disp[p] = Pair{v.x * ahead, v.y * ahead};
-            stage_vel[j] = Pair{fused(ax, ahead, start_vel[j].x), fused(ay, ahead, start_vel[j].y)};
-        }
+            const Pair moved{v.x * ahead, v.y * ahead};
+            at.disp[p] = moved;
+            lowest_point = lower(height[j] + moved.y, lowest_point);
+            stage_vel[j] = Pair{fused(ax, later, start_vel[j].x), fused(ay, later, start_vel[j].y)};
+        });
         sync();
     }
     COUNT(finish);
     // x += dt v + dt^2 / 6 (a1 + a2 + a3) and v += dt / 6 (a1 + 2 a2 + 2 a3 + a4), in float64. A fixed point takes part in
     // the stages; only its update is dropped.
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
-        const double free = loose >> j & 1 ? 1.0 : 0.0, sixth = free * dt / 6.0;
-        move[j][0] = vel[j][0] * (free * dt) + double(sum_acc[j].x) * (sixth * dt);
-        move[j][1] = vel[j][1] * (free * dt) + double(sum_acc[j].y) * (sixth * dt);
-        vel[j][0] = vel[j][0] + double(sum_vel[j].x) * sixth;
-        vel[j][1] = vel[j][1] + double(sum_vel[j].y) * sixth;
+        const bool free = loose >> j & 1;
+        const double sixth = dt / 6.0 * double(at_last);
+        move[j][0] = free ? vel[j][0] * dt + double(sum_acc[j].x) * (sixth * dt) : 0.0;
+        move[j][1] = free ? vel[j][1] * dt + double(sum_acc[j].y) * (sixth * dt) : 0.0;
+        vel[j][0] = vel[j][0] + double(free ? sum_vel[j].x : Real(0)) * sixth;
+        vel[j][1] = vel[j][1] + double(free ? sum_vel[j].y : Real(0)) * sixth;
         at.disp[part + PARTS * j] = Pair{Real(move[j][0]), Real(move[j][1])};
     }
     sync();

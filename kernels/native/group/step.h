@@ -15,9 +15,9 @@ auto advance = [&]() {
             path = y > path ? y : path;
         }
         at.touch.velocity[p] = moved;
-        at.contact[p] = Pair{Real(0), Real(0)};
+        at.contact[p] = no_contact;
     });
-    const double farthest = double(largest(path) * 1.000001f);
+    const Single farthest = largest(path) * 1.00001f + Single(model.margin) * 1e-7f;  // rounding of the sums included
     drift += farthest;
     near_drift += farthest;
     sync();
@@ -55,18 +55,18 @@ auto store = [&]() {
 };
 
 load_points();
-int status = vote(!sound) ? DIVERGED : 0;
+int status = some_of_group(!sound) ? DIVERGED : 0;
 if (status && live) put_at_rest();
-if (status || frozen) points = springs = rigids = voxels = movables = count = 0;  // nothing to do but come along
+if (status || frozen) points = springs = rigids = count = 0;  // nothing to do but come along
 load_springs();
 load_rigids();
 sync();
 ROLL for (int n = 0; n < substeps; ++n) {
     COUNT(substep);
     find_tables();
-    if (some(drift + drift >= model.margin)) {
+    if (some(drift + drift >= Single(model.margin))) {
         collect();
-        drift = 0.0;
+        drift = 0.0f;
         near_drift = STALE;
     }
     touch();
@@ -76,14 +76,14 @@ ROLL for (int n = 0; n < substeps; ++n) {
     advance();
     TALLY(n);
 }
-if (vote(!in_bounds())) status |= DIVERGED;
+if (some_of_group(!in_bounds())) status |= DIVERGED;
 if (folded_up) status |= UNSTABLE;
 if (part == 0 && live) wp::index(data.status, pack, 0) = frozen ? 0 : status | (overflow ? OVERFLOW : 0);
 if (frozen) return;
 if (!status) store();
 if (part == 0) {
     if (!status) wp::index(data.time, pack, 0) += 1;
-    wp::index(data.drift, unit) = status ? STALE : drift;
+    wp::index(data.drift, unit) = status ? STALE : double(drift);
     wp::index(data.pair_count, unit) = pair_count;
     wp::index(data.near_count, unit) = count - pair_count;
     wp::index(data.overflow, unit) = overflow;
@@ -92,6 +92,7 @@ if (part == 0) {
 #undef ROLL
 #undef EACH_POINT
 #undef EACH_SPRING
+#undef KEEP
 #undef HIDE
 #undef COUNT
 #undef TALLY
