@@ -100,7 +100,7 @@ def test_threads_may_run_in_any_order(order):
 @pytest.mark.slow
 @pytest.mark.parametrize("parts", [8, 16])
 def test_groups_of_a_warp_go_the_same_way(parts):
-    """Counted, the groups of a warp are one block that votes and waits together, as on CUDA; here with different bodies."""
+    """Counted, the groups of a warp are one block that votes and waits together, as on CUDA: different bodies."""
     lanes, groups = pair_of(crowd(8))
     groups._state.group = replace(groups._state.group, parts=parts)
     visits(groups, steps=4, seed=3)
