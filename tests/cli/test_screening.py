@@ -29,6 +29,7 @@ def search(warpvox: Callable, *words: str) -> Path:
     keys = [word.split("=")[0] for word in words]
     outcome = warpvox("codesign", *(word for word in TINY if word.split("=")[0] not in keys), *words)
     assert outcome.code == 0, outcome.err
+    assert "generation 0: 3 designs to evaluate" in outcome.out
     return max(Path("outputs/codesign/Walker-v0").iterdir())
 
 

@@ -176,7 +176,7 @@ class SearchProgress(Listener):
         self._generation, self._work = generation, {}
         if self._live is None:
             reused = f", {total - len(waiting)} known" if total > len(waiting) else ""
-            echo(self.console, f"generation {generation}: {len(waiting)} designs to train{reused}")
+            echo(self.console, f"generation {generation}: {len(waiting)} designs to evaluate{reused}")
         self._show()
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
