@@ -19,6 +19,7 @@ DEGENERATE = 1.0e-6  # a side shorter than this is never the nearest
 real = wp.float64
 quad = wp.types.vector(length=8, dtype=real)  # x, y of top left, top right, bottom right, bottom left
 points3 = wp.array3d(dtype=real)
+masks, pairs = wp.array2d(dtype=int), wp.array2d(dtype=wp.vec2i)
 
 
 @wp.func_native(text("native/triangles.h", "native/inside_quad.h"))
@@ -44,8 +45,8 @@ def contact_forces(kit: Kit):
 
     @kit.func_native("native/pairs.h", "native/contact_law.h", "native/add_contact.h")
     def forces(
-        law: kit.Contact, velocity: points3, out: wp.array3d(dtype=kit.real), pack, lane, p, a, b, side: wp.vec3d,
-        times: real,
+        law: kit.Contact, velocity: points3, out: wp.array3d(dtype=kit.real), in_contact: masks, pack, lane, p, a, b,
+        side: wp.vec3d, times: real,
     ): ...  # fmt: skip
 
     return forces
@@ -61,15 +62,13 @@ def apply(kit: Kit):
 
     @kit.func
     def act(model, data, mesh, pack, k, i, j, c, p, ends: wp.vec2i, side: wp.vec3d, times: real):
-        forces(model.contact, data.true_vel, data.contact, pack, k, p, ends[0], ends[1], side, times)
+        forces(model.contact, data.true_vel, data.contact, data.in_contact, pack, k, p, ends[0], ends[1], side, times)
 
     return act
 
 
 # ------------------------------------------------------------------------- one lane's view of the tables of a pack
 # These take arrays, not the Model: called from several places they may not be inlined, and structs go by value.
-
-masks, pairs = wp.array2d(dtype=int), wp.array2d(dtype=wp.vec2i)
 
 
 @wp.func

@@ -1,10 +1,11 @@
 """What the kernels read and write: Model (what bodies and worlds are) and Data (state, per environment).
 
 The tables below say every array's type, shape and meaning once; structs and allocations follow from them. Shape
-symbols: a ``mesh`` is what one pack holds, or several alike; ``point, active, joint, spring, link, rigid, twin, twin_end,
-voxel, movable, robot, row, object, cell, action`` are capacities over the meshes of a model; a ``frame`` is a terrain;
-``pack, lane`` number environments (see :mod:`warpvox.kernels.lanes`); ``unit`` is one thread's share of a pack;
-``pair, entry, slot, word`` are capacities of the broad phase; ``pulled`` are points, in exact arithmetic springs. ``2*`` rows hold x and y alternately.
+symbols: a ``mesh`` is what one pack holds, or several alike; ``point, active, joint, spring, link, rigid, twin,
+twin_end, voxel, movable, robot, row, object, cell, action`` are capacities over the meshes of a model; a ``frame`` is a
+terrain; ``pack, lane`` number environments (see :mod:`warpvox.kernels.lanes`); ``unit`` is one thread's share of a
+pack; ``pair, entry, slot, word`` are capacities of the broad phase; ``pulled`` are points, in exact arithmetic springs.
+``2*`` rows hold x and y alternately.
 ``node, leaf, plot, hit`` are capacities of what keeps the released order of contacts, in exact arithmetic only.
 
 Lanes of a pack may hold different bodies. A mesh lists what some lane has; fields named ``lanes`` are masks, bit k of
@@ -12,8 +13,8 @@ an int for lane k of the pack, -1 for all (see :mod:`warpvox.batch.grid_mesh`, a
 
 The arithmetic is ``fast`` or ``exact``; exact repeats every sum and product of the released simulator in its order, in
 float64. Four fields mean something else there, because it works on positions where fast works on displacements since
-the sub-step's start: ``disp`` is the position, ``stages`` holds velocities and the sums of velocities and paths, ``force``
-is that of a spring, and ``equilibrium_offset`` is the equilibrium length.
+the sub-step's start: ``disp`` is the position, ``stages`` holds velocities and the sums of velocities and paths,
+``force`` is that of a spring, and ``spring`` holds equilibrium lengths.
 """
 
 import functools
@@ -57,7 +58,8 @@ MODEL = {
     "frame": (int, "mesh", "its terrain"),
     "points": (int, "mesh", "points in use"),
     "actives": (int, "mesh", "points that are free or hang on a spring; all others stay where they are"),
-    "active": (int, "mesh 2*active", "their rows, x and y, in ascending order"),
+    "active": (int, "mesh 2*active", "their rows, x and y; fast: in the order of `last_spring`"),
+    "last_spring": (int, "mesh active", "the last spring that pulls at an active point, -1: none"),
     "springs": (int, "mesh", "springs in use"),
     "rigids": (int, "mesh", "entries of rigid_spring in use"),
     "twins": (int, "mesh", "entries of twin in use"),
@@ -72,6 +74,8 @@ MODEL = {
     "spring_rest": (STATE, "mesh spring", "rest length"),
     "spring_lanes": (int, "mesh spring", "where there is the spring"),
     "spring_k": (REAL, "mesh spring lane", "stiffness; 0 where there is no spring"),
+    "alike": (int, "mesh", "1: springs are as stiff in all lanes"),
+    "stiffness": (REAL, "mesh spring", "stiffness in lane 0"),
     "spring_drive": (int, "mesh spring lane", "the one or two actions that drive its length, plus 1, 16 bits each"),
     "link_start": (int, "mesh joint", "where in `link` the springs of a point begin; one entry more than points"),
     "link": (int, "mesh link", "springs of the points, fast: ascending: s where it pulls on, -1 - s where off"),
@@ -130,16 +134,19 @@ CONTACT = dict.fromkeys(("stiffness", "depth", "damping", "friction", "friction_
 DATA = {
     "pos": (STATE, "pack 2*point lane", "position"),
     "vel": (STATE, "pack 2*point lane", "velocity of the integrator"),
-    "true_vel": (STATE, "pack 2*point lane", "displacement of the last sub-step / dt"),
+    "true_vel": (
+        STATE,
+        "pack 2*point lane",
+        "displacement of the last sub-step / dt; within one, from Runge-Kutta to the strain limits, the displacement",
+    ),
     "saved_pos": (STATE, "pack 2*point lane", "state at the start of the control step ..."),
     "saved_vel": (STATE, "pack 2*point lane", "... to which a stopped or frozen environment returns"),
     "saved_true_vel": (STATE, "pack 2*point lane", ""),
-    "move": (STATE, "pack 2*point lane", "displacement of the sub-step"),
     "disp": (REAL, "pack 2*point lane", "displacement since the sub-step's start; exact: the position"),
     "start_vel": (REAL, "pack 2*point lane", "velocity at the sub-step's start"),
-    "height": (REAL, "pack point lane", "y at the sub-step's start"),
     "force": (REAL, "pack 2*pulled lane", "force on a point; exact: of a spring on its first end"),
     "contact": (REAL, "pack 2*point lane", "contact force, constant during a sub-step"),
+    "in_contact": (int, "unit point", "1: `contact` may not be 0 in some lane"),
     "stages": (
         REAL,
         "pack 6*point lane",
@@ -153,12 +160,10 @@ DATA = {
     "hit_rank": (int, "pack hit lane", "the contact with that key"),
     "node_box": (STATE, "pack 4*node lane", "bounds of the nodes of bodies, as box"),
     "goal": (STATE, "pack spring lane", "length toward which that of a spring relaxes"),
-    "spring_vector": (REAL, "pack 2*spring lane", "spring vector at the sub-step's start"),
-    "length": (REAL, "pack spring lane", "its length"),
-    "equilibrium_offset": (
+    "spring": (
         REAL,
-        "pack spring lane",
-        "equilibrium length minus length, exact: the former; constant in a sub-step",
+        "pack 4*spring lane",
+        "at the sub-step's start: vector, length, equilibrium length minus length; exact: equilibrium lengths",
     ),
     "box": (STATE, "pack 4*voxel lane", "bounds of surface voxels: x min, x max, y min, y max"),
     "action": (STATE, "pack action lane", "clipped actions"),

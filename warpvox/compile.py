@@ -256,6 +256,9 @@ def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
     tree = order_arrays(design)
     points, springs = len(out["fixed"]), len(out["spring_rest"])
 
+    out["stiffness"] = out["spring_k"]
+    out["last_spring"] = np.zeros(int(out["actives"]), np.int32)
+
     def in_lanes(values: np.ndarray) -> np.ndarray:
         return np.repeat(values[:, None], lanes, axis=1)
 
@@ -276,7 +279,7 @@ def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
         twin_lanes=np.zeros(0, np.int32),
         twin_end=np.zeros((0, 4), np.int32),
     )
-    scalars = dict(twins=0, twin_ends=0, first_other=0, actions=int(out["actions"]))
+    scalars = dict(twins=0, twin_ends=0, alike=1, first_other=0, actions=int(out["actions"]))
     return out | tree | {name: np.asarray(value, np.int32) for name, value in scalars.items()}
 
 

@@ -129,7 +129,7 @@ def take(kit: Kit):
                 h = data.hit_rank[pack, n, k]
                 ends = data.hit_ends[pack, h, k]
                 forces(
-                    model.contact, data.true_vel, data.contact, pack, k,
+                    model.contact, data.true_vel, data.contact, data.in_contact, pack, k,
                     data.hit[pack, h, k][3], ends[0], ends[1], data.hit_side[pack, h, k], real(1.0),
                 )  # fmt: skip
 

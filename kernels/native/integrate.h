@@ -8,66 +8,41 @@
 
 const int twins = wp::index(model.twins, mesh), twin_ends = wp::index(model.twin_ends, mesh);
 const wp::vec_t<4, int>* twin_end = &wp::index(model.twin_end, mesh, 0);
-const Real tiny = Real(1e-30);  // where there is no spring its length may be 0
+const int* last_spring = &wp::index(model.last_spring, mesh, 0);
+const Real* stiffness = &wp::index(model.stiffness, mesh, 0);
+const bool alike = wp::index(model.alike, mesh);
+int* in_contact = &wp::index(data.in_contact, unit, 0);
 
 const auto disp = values(data.disp);
-const auto height = values(data.height);
 const auto start_vel = values(data.start_vel);
 const auto stages = values(data.stages);  // accelerations of the first three stages
 const auto contact = values(data.contact);
 const auto force = values(data.force);
-const auto vec = values(data.spring_vector);
-const auto rest = values(data.length);
-const auto offset = values(data.equilibrium_offset);
+const Real tiny = Real(1e-30);  // where there is no spring its length may be 0
+const auto spring = values(data.spring);
 const auto goal = wides(data.goal);
 const auto pos = wides(data.pos);
 const auto vel = wides(data.vel);
-const auto move = wides(data.move);
+const auto true_vel = wides(data.true_vel);
 
-// Adds the forces of all springs to those at their ends, at every point in the order of springs. Springs are in the order
-// of their first ends, whose force stays in registers.
-auto add_springs = [&](auto force_of) __attribute__((always_inline)) {
-    int e = 0, at_twin = twin_ends ? twin_end[0][0] : -1;
-    for (int s = 0; s < springs;) {
-        const unsigned a = 2 * spring_ends[s][0];
-        Value ax = force[a], ay = force[a + 1];
-        do {
-            const unsigned b = 2 * spring_ends[s][1];
-            Value fx, fy;
-            force_of(s, a, b, fx, fy);
-            ax = ax + fx;
-            ay = ay + fy;
-            force[b] = force[b] - fx;
-            force[b + 1] = force[b + 1] - fy;
-            while (s == at_twin) {
-                const unsigned t = 2 * twin_end[e][1];
-                const Value part = weights(twin_end[e][3]) * (twin_end[e][2] ? Real(-1) : Real(1));
-                force[t] = force[t] + fx * part;
-                force[t + 1] = force[t + 1] + fy * part;
-                at_twin = ++e < twin_ends ? twin_end[e][0] : -1;
-            }
-        } while (++s < springs && 2 * spring_ends[s][0] == a);
-        force[a] = ax;
-        force[a + 1] = ay;
-    }
-};
-// Vector, length and equilibrium length of every spring, and its force on its first end: Hooke's k (l - l_eq) with
-// l - l_eq = -offset. Lengths are subtracted in float64: their rounding would act like another goal.
+auto stiffness_of = [&](int s) __attribute__((always_inline)) -> Value { return alike ? Value(stiffness[s]) : spring_k[s]; };
 auto relax = [&](int s, unsigned a, unsigned b, Value& fx, Value& fy) __attribute__((always_inline)) {
     const Wide x = pos[b] - pos[a], y = pos[b + 1] - pos[a + 1], length = root_wide(x * x + y * y);
     const Value dx = narrow(x), dy = narrow(y), start = narrow(length);
     const Value change = narrow((goal[s] - length) * model.actuation_rate);
-    const Value pull = -change * spring_k[s] / (start + tiny);
-    vec[2 * s] = dx;
-    vec[2 * s + 1] = dy;
-    rest[s] = start;
-    offset[s] = change;
-    fx = pull * dx;
-    fy = pull * dy;
+    const Value size = -change * stiffness_of(s) / (start + tiny);
+    const unsigned r = 4 * s;
+    spring[r] = dx;
+    spring[r + 1] = dy;
+    spring[r + 2] = start;
+    spring[r + 3] = change;
+    fx = size * dx;
+    fy = size * dy;
 };
 auto stretch = [&](int s, unsigned a, unsigned b, Value& fx, Value& fy) __attribute__((always_inline)) {
+    const unsigned r = 4 * s;
     const Value ux = disp[b] - disp[a], uy = disp[b + 1] - disp[a + 1];
-    spring_force(vec[2 * s], vec[2 * s + 1], ux, uy, rest[s], offset[s], spring_k[s], fx, fy);
+    spring_force(spring[r], spring[r + 1], ux, uy, spring[r + 2], spring[r + 3], stiffness_of(s), fx, fy);
 };
 
 // The implicit floor at y = 0: normal force and friction in the lanes that are below it.
@@ -91,42 +66,74 @@ auto finish = [&](unsigned r, Value a1, Value a2, Value a3, Value a4, auto free)
     const Wide velocity = vel[r];
     const auto sixth = free * dt / 6.0;
     const Wide step = velocity * (free * dt) + widen(a1 + a2 + a3) * (sixth * dt);
-    move[r] = step;
+    true_vel[r] = step;  // divided by dt after the strain limits
     disp[r] = narrow(step);
     vel[r] = velocity + widen(a1 + a2 * Real(2) + a3 * Real(2) + a4) * sixth;
 };
 
-// From the forces of stage - 1 to displacements and velocities of a stage, and those of its forces that are not of springs.
-auto move_points = [&](int stage) __attribute__((always_inline)) {
+Value lowest = {};  // height at the sub-step's start of the lowest point
+// From a point's force in the stage before to its displacement and velocity in this one, and to that part of its force which
+// is not of springs.
+auto begin_stage = [&](int stage, unsigned x) __attribute__((always_inline)) {
     const Real half = Real(dt) * Real(0.5), ahead = stage < 3 ? half : Real(dt);
     auto velocity = [&](unsigned r) __attribute__((always_inline)) -> Value {
         if (stage == 0) return start_vel[r] = narrow(vel[r]);
         const Value a = force[r] * model.inverse_mass;
-        disp[r] = (stage > 1 ? start_vel[r] + stages[3 * r + stage - 2] * half : start_vel[r]) * ahead;
+        disp[r] = (stage > 1 ? fused(stages[3 * r + stage - 2], Value(half), start_vel[r]) : start_vel[r]) * ahead;
         stages[3 * r + stage - 1] = a;
-        return start_vel[r] + a * ahead;
+        return fused(a, Value(ahead), start_vel[r]);
     };
-    for (int n = 0; n < actives; n += 2) {
-        const unsigned x = active[n], y = x + 1, p = x / 2;
-        const Value vx = velocity(x), vy = velocity(y);
-        if (stage == 0) height[p] = narrow(pos[y]);
-        const Value above = stage ? height[p] + disp[y] : height[p];
-        Value fx = contact[x] - vx * model.drag, fy = contact[y] - vy * model.drag - model.weight;
+    const unsigned y = x + 1, p = x / 2;
+    const Value vx = velocity(x), vy = velocity(y);
+    const Value drag = Value(model.drag), none = {};
+    const bool pushed = !alike || in_contact[p];  // among different bodies most points touch something in some lane
+    Value fx = fused(-vx, drag, pushed ? contact[x] : none), fy = fused(-vy, drag, pushed ? contact[y] : none) - model.weight;
+    if (any_below(stage ? lowest + disp[y] : lowest)) {
+        const Value height = narrow(pos[y]), above = stage ? height + disp[y] : height;
         if (any_below(above)) floor_contact(fx, fy, vx, above);
-        force[x] = fx;
-        force[y] = fy;
     }
+    force[x] = fx;
+    force[y] = fy;
 };
-auto finish_points = [&]() {
-    for (int n = 0; n < actives; ++n) {
-        const unsigned r = active[n];
+auto finish_point = [&](unsigned x) __attribute__((always_inline)) {
+    for (unsigned r = x; r < x + 2; ++r) {
         const Value a = force[r] * model.inverse_mass;
-        if (free_lanes[r / 2] == -1) {
+        if (free_lanes[x / 2] == -1) {
             finish(r, stages[3 * r], stages[3 * r + 1], stages[3 * r + 2], a, 1.0);
         } else {
-            finish(r, stages[3 * r], stages[3 * r + 1], stages[3 * r + 2], a, widen(weights(free_lanes[r / 2])));
+            finish(r, stages[3 * r], stages[3 * r + 1], stages[3 * r + 2], a, widen(weights(free_lanes[x / 2])));
         }
     }
+};
+
+// One stage: adds the forces of all springs to those at their ends, at every point in the order of springs; a point that
+// the springs are done with takes the next step. Springs are in the order of their first ends.
+auto run_stage = [&](auto force_of, auto next) __attribute__((always_inline)) {
+    int e = 0, n = 0, at_twin = twin_ends ? twin_end[0][0] : -1;
+    for (int s = 0; s < springs;) {
+        const unsigned a = 2 * spring_ends[s][0];
+        Value ax = force[a], ay = force[a + 1];
+        do {
+            const unsigned b = 2 * spring_ends[s][1];
+            Value fx, fy;
+            force_of(s, a, b, fx, fy);
+            ax = ax + fx;
+            ay = ay + fy;
+            force[b] = force[b] - fx;
+            force[b + 1] = force[b + 1] - fy;
+            while (s == at_twin) {
+                const unsigned t = 2 * twin_end[e][1];
+                const Value part = weights(twin_end[e][3]) * (twin_end[e][2] ? Real(-1) : Real(1));
+                force[t] = force[t] + fx * part;
+                force[t + 1] = force[t + 1] + fy * part;
+                at_twin = ++e < twin_ends ? twin_end[e][0] : -1;
+            }
+        } while (++s < springs && 2 * spring_ends[s][0] == a);
+        force[a] = ax;
+        force[a + 1] = ay;
+        for (; n < actives && last_spring[n / 2] < s; n += 2) next(active[n]);
+    }
+    for (; n < actives; n += 2) next(active[n]);
 };
 
 // A twin feels what its leader feels.
@@ -137,13 +144,14 @@ for (int e = 0; e < twins; ++e) {
         const unsigned r = 2 * pair[0] + axis;
         contact[r] = contact[r] + contact[2 * pair[1] + axis] * follows;
     }
+    in_contact[pair[0]] |= in_contact[pair[1]];
 }
-move_points(0);
-add_springs(relax);
-move_points(1);
-add_springs(stretch);
-move_points(2);
-add_springs(stretch);
-move_points(3);
-add_springs(stretch);
-finish_points();
+for (int n = 0; n < actives; n += 2) {
+    const Value height = narrow(pos[active[n + 1]]);
+    lowest = n ? smaller(lowest, height) : height;
+}
+for (int n = 0; n < actives; n += 2) begin_stage(0, active[n]);
+run_stage(relax, [&](unsigned x) __attribute__((always_inline)) { begin_stage(1, x); });
+run_stage(stretch, [&](unsigned x) __attribute__((always_inline)) { begin_stage(2, x); });
+run_stage(stretch, [&](unsigned x) __attribute__((always_inline)) { begin_stage(3, x); });
+run_stage(stretch, finish_point);

@@ -10,28 +10,16 @@ const wp::vec_t<2, int>* twin = &wp::index(model.twin, mesh, 0);
 const double* spring_rest = &wp::index(model.spring_rest, mesh, 0);
 
 const auto disp = values(data.disp);
-const auto vec = values(data.spring_vector);
-const auto start_length = values(data.length);
+const auto spring = values(data.spring);
 const auto moved = values(data.stages);  // corrections of a pass; what Runge-Kutta left there is not needed any more
-const auto move = wides(data.move);
 const auto pos = wides(data.pos);
-const auto true_vel = wides(data.true_vel);
-
-// How far the length of a spring can be from that at the sub-step's start: its ends move by less than `path` in x and in y.
-Value path = {}, reach;
-// The lanes in which spring s may be beyond the bound; the slack is for rounding.
-auto maybe_beyond = [&](int s, Real bound) -> int {
-    const Real rest = static_cast<Real>(spring_rest[s]), slack = Real(1e-5);
-    const Real longest = rest * (Real(1) + bound - slack), shortest = rest * (Real(1) - bound + slack);
-    return bits_of((start_length[s] + reach >= longest) | (start_length[s] - reach <= shortest));
-};
+const auto true_vel = wides(data.true_vel);  // displacements of the sub-step until the end
 
 // Whether spring s is beyond the bound in some of the lanes; then how far its first end moves, toward the second where
 // the spring is too long.
 auto correction = [&](int s, int lanes, Real bound, Real share, Value& dx, Value& dy) -> bool {
-    if (!(maybe_beyond(s, bound) & (lanes >> lane))) return false;
     const unsigned a = 2 * spring_ends[s][0], b = 2 * spring_ends[s][1];
-    const Value ex = vec[2 * s] + (disp[b] - disp[a]), ey = vec[2 * s + 1] + (disp[b + 1] - disp[a + 1]);
+    const Value ex = spring[4 * s] + (disp[b] - disp[a]), ey = spring[4 * s + 1] + (disp[b + 1] - disp[a + 1]);
     const Value square = ex * ex + ey * ey;
     const Real rest = static_cast<Real>(spring_rest[s]);
     const Real longest = rest * (Real(1) + bound), shortest = rest * (Real(1) - bound);
@@ -43,8 +31,6 @@ auto correction = [&](int s, int lanes, Real bound, Real share, Value& dx, Value
     if (lanes != -1) part = weights(lanes) > zero ? part : zero;
     dx = ex * part;
     dy = ey * part;
-    path = path + larger(magnitude(dx), magnitude(dy));
-    reach = path * Real(2.83);
     return true;
 };
 
@@ -88,13 +74,6 @@ auto begin_corrections = [&]() {
     any = true;
 };
 
-Value path_y = {};
-for (int n = 0; n < actives; n += 2) {
-    path = larger(path, magnitude(disp[active[n]]));
-    path_y = larger(path_y, magnitude(disp[active[n + 1]]));
-}
-path = larger(path, path_y);
-reach = path * Real(2.83);
 // All springs from one snapshot.
 for (int s = 0; s < springs; ++s) {
     if (correction(s, spring_lanes[s], model.strain_limit, model.strain_share, dx, dy)) {
@@ -106,7 +85,7 @@ for (int s = 0; s < springs; ++s) {
 for (int n = 0; any && n < actives; ++n) {
     const unsigned r = active[n];
     disp[r] = disp[r] + moved[r];
-    move[r] = move[r] + widen(moved[r]);
+    true_vel[r] = true_vel[r] + widen(moved[r]);
     moved[r] = Value{};
 }
 // The sides of rigid voxels one after another, in place.
@@ -120,13 +99,13 @@ for (int n = 0; n < rigids; ++n) {
 }
 // New positions, true velocities, and the longest path of a point.
 const double rate = 1.0 / dt;
-Wide longest = {};
+Wide path = {};
 for (int n = 0; n < actives; ++n) {
     const unsigned r = active[n];
-    Wide step = move[r];
+    Wide step = true_vel[r];
     if (any) step = step + widen(moved[r]);
     pos[r] = pos[r] + step;
     true_vel[r] = step * rate;
-    longest = longer(longest, step);
+    path = longer(path, step);
 }
-wp::index(data.drift, unit) += largest(longest);
+wp::index(data.drift, unit) += largest(path);

@@ -16,8 +16,7 @@ auto each_lane = [](auto&& act) { act(0); };
 auto lane_of = [](const Value& a, int) -> Real { return a; };
 auto set_lane = [](Value& a, int, Real x) { a = x; };
 auto weights = [&](int mask) -> Value { return Value((mask >> lane) & 1); };
-auto larger = [](Value a, Value b) -> Value { return b > a ? b : a; };
-auto magnitude = [](Value a) -> Value { return wp::abs(a); };
+auto smaller = [](Value a, Value b) -> Value { return b < a ? b : a; };
 // The larger of a and |b|, which ignores NaN: one lane must not blind the others.
 auto longer = [](Wide a, Wide b) -> Wide {
     a = b > a ? b : a;

@@ -16,8 +16,7 @@ auto weights = [&](int mask) -> Value {  // 1 in the lanes of a mask, else 0
     __builtin_memcpy(&bits, &mask, WIDTH / 8);
     return __builtin_convertvector(bits, Value);
 };
-auto larger = [](Value a, Value b) -> Value { return b > a ? b : a; };
-auto magnitude = [](Value a) -> Value { return __builtin_elementwise_abs(a); };
+auto smaller = [](Value a, Value b) -> Value { return b < a ? b : a; };
 // The larger of a and |b|, which ignores NaN: one lane must not blind the others.
 auto longer = [](Wide a, Wide b) -> Wide {
     a = b > a ? b : a;

@@ -25,6 +25,7 @@ def test_lengths_relax_toward_the_mean_of_the_actions_that_drive_them(scenes, dt
     vector = pos[:, ends[:, 1]] - pos[:, ends[:, 0]]
     length = np.linalg.norm(vector, axis=-1)
     scene.close(scene.read("goal", 1)[:, : scene.springs], goal)
-    scene.close(scene.read("spring_vector")[:, : scene.springs], vector)
-    scene.close(scene.read("length", 1)[:, : scene.springs], length)
-    scene.close(scene.read("equilibrium_offset", 1)[:, : scene.springs], sim.physics.actuation_rate * (goal - length))
+    found = scene.read("spring", 4)[:, : scene.springs]
+    scene.close(found[..., :2], vector)
+    scene.close(found[..., 2], length)
+    scene.close(found[..., 3], sim.physics.actuation_rate * (goal - length))

@@ -26,8 +26,9 @@ CELLS_PER_VOXEL = 16  # the same for cells of the terrain, in the group layout
 ALL_PAIRS = 2048
 SIZES = {
     "point": "rest_pos", "active": "active", "joint": "link_start", "spring": "spring_rest", "link": "link",
-    "rigid": "rigid_spring", "twin": "twin", "twin_end": "twin_end", "voxel": "body", "movable": "movable", "robot": "fold_limit",
-    "row": "order", "object": "object_range", "node": "node", "leaf": "leaf", "plot": "cell_leaf",
+    "rigid": "rigid_spring", "twin": "twin", "twin_end": "twin_end", "voxel": "body", "movable": "movable",
+    "robot": "fold_limit", "row": "order", "object": "object_range", "node": "node", "leaf": "leaf",
+    "plot": "cell_leaf",
 }  # fmt: skip
 """Capacities and the tables whose second axis has them."""
 

@@ -225,6 +225,7 @@ class _PackTables:
         self._points()
         self._springs()
         self._links()
+        self._order_active()
         self._voxels()
         self._objects()
 
@@ -267,11 +268,7 @@ class _PackTables:
         held[others["spring_ends"].ravel()] = True
         self._append(tied, self.first_point, len(held), held)
         self.active = (free != 0) | tied
-        numbers = _Numbers(self.active, np.zeros(self.packs, int))
-        self.arrays["actives"] = numbers.stop.astype(np.int32)
-        rows = self._table("actives", 2)
-        numbers.put(rows, np.broadcast_to(2 * np.arange(rest_pos.shape[1])[:, None] + [0, 1], (*rest_pos.shape[:2], 2)))
-        self.arrays["active"] = rows.reshape(self.packs, -1)
+        self.arrays["actives"] = self.active.sum(1).astype(np.int32)
         self.arrays["rest_pos"] = rest_pos.reshape(self.packs, -1, self.lanes)
         self.arrays["free_lanes"] = free
         self._twins()
@@ -330,6 +327,9 @@ class _PackTables:
             spring_ends=ends, spring_rest=rest, spring_lanes=lanes, spring_k=stiffness, spring_drive=drive
         )
         self.arrays["actions"] = actions.astype(np.int32)
+        self.arrays |= dict(
+            alike=(stiffness == stiffness[..., :1]).all((1, 2)).astype(np.int32), stiffness=stiffness[..., 0]
+        )
         self._rigid()
 
     def _rigid(self) -> None:
@@ -380,6 +380,20 @@ class _PackTables:
         table = self._table("twin_ends", 4)
         table[rows[:, 0], np.arange(len(rows)) - (np.cumsum(count) - count)[rows[:, 0]]] = rows[:, 1:]
         self.arrays["twin_end"] = table
+
+    def _order_active(self) -> None:
+        """Active points in the order in which the springs, one after another, are done with them."""
+        ends, more = self.arrays["spring_ends"], self.arrays["twin_end"]
+        last = np.full(self.active.shape, -1)
+        pack, spring = np.nonzero(np.arange(ends.shape[1]) < self.arrays["springs"][:, None])
+        for end in (0, 1):
+            np.maximum.at(last, (pack, ends[pack, spring, end]), spring)
+        pack, entry = np.nonzero(np.arange(more.shape[1]) < self.arrays["twin_ends"][:, None])
+        np.maximum.at(last, (pack, more[pack, entry, 1]), more[pack, entry, 0])
+        order = np.argsort(np.where(self.active, last, ends.shape[1]), axis=1, kind="stable")
+        order = order[:, : max(1, int(self.arrays["actives"].max()))]
+        self.arrays["active"] = (2 * order[..., None] + [0, 1]).reshape(self.packs, -1).astype(np.int32)
+        self.arrays["last_spring"] = np.take_along_axis(last, order, axis=1).astype(np.int32)
 
     def _ends_at_twins(self, mesh: GridMesh, points: _Numbers, springs: _Numbers, present: np.ndarray) -> np.ndarray:
         """int ``[entries, 5]``: pack, spring, point, end, lanes, where a spring pulls at a twin of its end."""

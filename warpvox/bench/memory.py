@@ -13,7 +13,7 @@ __all__ = ["groups", "per_environment"]
 GROUPS = {
     "state": ("pos", "vel", "true_vel", "frozen", "status", "time"),
     "state at the start of the control step": ("saved_pos", "saved_vel", "saved_true_vel"),
-    "springs": ("goal", "spring_vector", "length", "equilibrium_offset"),
+    "springs": ("goal", "spring"),
     "boxes": ("box", "near_box"),
     "broad phase": ("pairs", "pair_count", "near", "near_count", "pair_bit", "grid_head", "grid_next", "grid_voxel"),
 }
