@@ -1,0 +1,57 @@
+"""Tables of packs of different bodies: which springs pull at which points, by a second way to find that out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from warpvox.batch.frames import Frame
+from warpvox.design import full_connections
+from warpvox.types import Physics
+from warpvox.world import World
+
+LANES = 8
+
+
+def world(rng: np.random.Generator, cut: bool) -> World:
+    """A random body, with ``cut`` one whose neighbours are not all connected, beside a box and terrain."""
+    made = World(20, 10)
+    made.add_from_array("box", np.full((2, 2), 2), 10, 1)
+    made.add_from_array("ground", np.full((1, 20), 5), 0, 0)
+    grid = rng.integers(0, 5, (4, 4)).astype(np.int8)
+    pairs = full_connections(grid)
+    kept = pairs[rng.random(len(pairs)) < 0.7] if cut else pairs
+    made.add_from_array("robot", grid, 1, 1, kept.T)
+    return made
+
+
+@pytest.mark.parametrize("cut", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_points_feel_the_springs_of_all_points_that_they_are_one_with(seed: int, cut: bool) -> None:
+    rng = np.random.default_rng(seed)
+    frame = Frame([world(rng, cut) for _ in range(LANES)], Physics(), ())
+    tables = {name: values[0] for name, values in frame.tables(np.arange(LANES)[None]).items()}
+    points, springs, twins = (int(tables[name]) for name in ("points", "springs", "twins"))
+    ends, more = tables["spring_ends"][:springs], tables["twin_end"][: tables["twin_ends"]]
+    assert twins
+    pull = rng.integers(1, 100, (springs, LANES)) * (tables["spring_k"][:springs] != 0)
+    force, touched = np.zeros((points, LANES), int), {p: {-1} for p in range(points)}
+    for s, pair in enumerate(ends):
+        for end, p in enumerate(pair):
+            force[p] += pull[s] * (-1) ** end
+            touched[p].add(s)
+    for s, p, end, lanes in more:
+        force[p] += pull[s] * (-1) ** end * (lanes >> np.arange(LANES) & 1)
+        touched[p].add(s)
+    for k in range(LANES):
+        leader = np.arange(points)
+        for (p, q), lanes in zip(tables["twin"][:twins], tables["twin_lanes"][:twins], strict=True):
+            leader[p] = q if lanes >> k & 1 else leader[p]
+        whole = np.zeros(points, int)
+        np.add.at(whole, leader[ends[:, 0]], pull[:, k])
+        np.add.at(whole, leader[ends[:, 1]], -pull[:, k])
+        assert force[:, k].tolist() == whole[leader].tolist()
+    active = tables["active"][: 2 * tables["actives"] : 2] // 2
+    last = tables["last_spring"][: tables["actives"]].tolist()
+    assert last == sorted(last) == [max(touched[p]) for p in active]
+    assert set(active) >= {p for p in range(points) if touched[p] != {-1}}
