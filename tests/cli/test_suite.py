@@ -28,6 +28,8 @@ from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.suite.members import CURVES, MEMBERS
 from warpvox.cli.suite.plan import BENCHMARK10, plan, steps_of_design, task_names
 from warpvox.cli.suite.pool import LOG, LocalPool
+from warpvox.configs.schema import CodesignConfig
+from warpvox.configs.suite_keys import OF_RECIPES
 from warpvox.envs.registry import task_ids
 from warpvox.errors import ConfigError, DivergenceError, WarpvoxError
 
@@ -290,6 +292,20 @@ def test_more_members_join_and_none_may_leave(quick: Callable) -> None:
         outcome = quick("resume=latest", words)
         assert (outcome.code, phrase in outcome.err) == (2, True), outcome.err
     assert states(folder) == ["done"] * 4
+
+
+def test_a_suite_of_an_earlier_version_goes_on_with_the_recipe_of_its_search(quick: Callable) -> None:
+    assert quick("seeds=1", "tasks=[Walker-v0]", "searches=[auto]").code == 0
+    (folder,) = Path("outputs/suite").iterdir()
+    file, usual = folder / "config.yaml", dataclasses.asdict(CodesignConfig())
+    stored = yaml.safe_load(file.read_text())
+    older = stored | {key: usual[key] for key in OF_RECIPES}
+    file.write_text(yaml.safe_dump(older, explicit_end=True))
+    outcome = quick("resume=latest", "seeds=2")
+    assert outcome.code == 0, outcome.err
+    assert states(folder) == ["done"] * 2
+    configs = [yaml.safe_load((folder / row["folder"] / "config.yaml").read_text()) for row in table(folder)]
+    assert [(one["evaluation"], one["finalists"], one["dtype"]) for one in configs] == [("gaits", 2, "float64")] * 2
 
 
 def test_a_member_that_fails_is_told_and_the_others_go_on(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,7 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["BENCHMARK10", "Member", "plan", "seeds_of", "steps_of_design", "task_names"]
+__all__ = ["BENCHMARK10", "Member", "plan", "seeds_of", "steps_of_design", "task_names", "upgraded"]
 
 BENCHMARK10 = (
     "Walker-v0",
@@ -147,6 +147,20 @@ def _said(config: SuiteConfig, file: CodesignConfig, key: str) -> Any:
     if dataclasses.is_dataclass(value):
         return dataclasses.replace(usual, **_given(value))
     return usual if value is None else value
+
+
+def upgraded(stored: dict[str, Any]) -> dict[str, Any]:
+    """The configuration of a suite, where an earlier version has stored it without null in keys of recipes.
+
+    There the file of a search held against the suite; what the suite left at its default is left to the files.
+    """
+    if any(stored.get(key) is None for key in OF_RECIPES):
+        return stored
+    usual = dataclasses.asdict(CodesignConfig())
+    how, own = stored["screening"], usual["screening"]
+    changed = {key: None if stored[key] == usual[key] else stored[key] for key in OF_RECIPES}
+    changed["screening"] = {key: None if value == own.get(key) else value for key, value in how.items()}
+    return stored | changed
 
 
 def _given(settings: Any) -> dict[str, Any]:
