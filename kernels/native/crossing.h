@@ -16,16 +16,7 @@ auto crosses = [](double ax, double ay, double bx, double by, double cx, double 
     return !(t < 0.0 || t > size) && 0.0 <= s && s <= size;
 };
 // Distance of a point from the line through a and b.
-auto depth_under = [&](double x, double y, double ax, double ay, double bx, double by) -> double {
-    const double ux = bx - ax, uy = by - ay, square = ux * ux + uy * uy, area = wp::abs(ux * (y - ay) - (x - ax) * uy);
-#if APPROXIMATE
-    if (square < DEGENERATE * DEGENERATE) return 1000.0;
-    // Two of Newton's steps from 22 bits give those of float64.
-    double over = inverse_root(Single(square));
-    for (int step = 0; step < 2; ++step) over = over * (1.5 - 0.5 * square * over * over);
-    return area * over;
-#else
-    const double length = wp::sqrt(square);
-    return length < DEGENERATE ? 1000.0 : area / length;
-#endif
+auto depth_under = [](double x, double y, double ax, double ay, double bx, double by) -> double {
+    const double ux = bx - ax, uy = by - ay, length = wp::sqrt(ux * ux + uy * uy);
+    return length < DEGENERATE ? 1000.0 : wp::abs(ux * (y - ay) - (x - ax) * uy) / length;
 };

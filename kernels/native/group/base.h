@@ -213,8 +213,17 @@ auto fused = [](float a, float b, float c) -> float { return __fmaf_rn(a, b, c);
 auto reduced = [](float a, float b, float c) -> float { return __fmaf_rn(-a, b, c); };
 auto fused_wide = [](double a, double b, double c) -> double { return __fma_rn(a, b, c); };
 #elif APPROXIMATE
-auto inverse_root = [](float a) -> float { return 1.0f / __builtin_sqrtf(a); };
-auto inverse = [](float a) -> float { return 1.0f / a; };
+// As far off as the fast operations of CUDA may be: a unit in the last place, by the last bits of the argument.
+auto off_by_a_unit = [](float a, float exact) -> float {
+    unsigned bits, last;
+    __builtin_memcpy(&bits, &exact, sizeof bits);
+    __builtin_memcpy(&last, &a, sizeof last);
+    bits += (last & 3) == 1 ? 1u : (last & 3) == 2 ? -1u : 0u;
+    __builtin_memcpy(&exact, &bits, sizeof bits);
+    return exact;
+};
+auto inverse_root = [&](float a) -> float { return off_by_a_unit(a, 1.0f / __builtin_sqrtf(a)); };
+auto inverse = [&](float a) -> float { return off_by_a_unit(a, 1.0f / a); };
 auto nearest_root = [](float a) -> float { return __builtin_sqrtf(a); };
 auto fused = [](float a, float b, float c) -> float { return __builtin_fmaf(a, b, c); };
 auto reduced = [](float a, float b, float c) -> float { return __builtin_fmaf(-a, b, c); };
