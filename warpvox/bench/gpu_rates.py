@@ -24,7 +24,7 @@ __all__ = ["bodies", "learning", "predicted", "sizes", "stages", "tasks", "train
 
 KERNEL = "8 threads an environment"
 """The kernel whose predictions stand beside measurements."""
-PREDICTED = dict.fromkeys((4096, 16384, 65536), (6.5, 13.1))
+PREDICTED = dict.fromkeys((4096, 16384, 65536), (6.6, 13.3))
 """Million control steps per second of its physics by number of environments, least and most: Walker-v0 in float32 on an
 H100 or H200; the arithmetic is in docs/performance.md."""
 LAUNCHES = 3
@@ -35,7 +35,7 @@ POPULATION_STEPS = 16
 
 
 def predicted(task: str, dtype: str, num_envs: int) -> str:
-    """``6.50 to 13.1 M``, or ``-`` for what was not predicted."""
+    """``6.60 to 13.3 M``, or ``-`` for what was not predicted."""
     if num_envs not in PREDICTED or (task, dtype) != ("Walker-v0", "float32"):
         return "-"
     return " to ".join(map(number, PREDICTED[num_envs])) + " M"

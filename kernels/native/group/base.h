@@ -14,6 +14,7 @@ int visits[PLACES] = {};
 #endif
 
 #if defined(__CUDA_ARCH__)
+constexpr bool TIGHT = true;  // POINTS and SPRINGS are the sizes of the tables, rounded up
 #define UNROLL _Pragma("unroll")
 #define ROLL _Pragma("unroll 1")
 #define EACH_POINT _Pragma("unroll POINTS_AT_ONCE")
@@ -22,6 +23,7 @@ int visits[PLACES] = {};
 #define HIDE(number) asm volatile("" : "+r"(number))  // the compiler knows nothing about it from here on
 const unsigned first_thread = (threadIdx.x & 31) / PARTS * PARTS, everyone = 0xffffffffu;
 #else
+constexpr bool TIGHT = false;
 #define UNROLL
 #define ROLL
 #define EACH_POINT

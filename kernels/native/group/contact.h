@@ -25,7 +25,7 @@ auto quad_of = [&](int v) -> Quad {
 auto corner_at = [&](int v, int c) -> Place {
     if (v >= 0) return at.pos[corner[v][c]];
     const double* b = terrain_box + 4 * (-1 - v);
-    return Place{b[c == 1 || c == 2], b[c < 2 ? 3 : 2]};
+    return Place{b[(c ^ c >> 1) & 1], b[3 - (c >> 1)]};  // from the top left on, clockwise
 };
 struct Box { double left, right, bottom, top; };
 auto box_of = [&](const Quad& q, double margin) -> Box {

@@ -96,8 +96,8 @@ auto limit_strain = [&]() {
         const unsigned ends = at.spring[part + PARTS * j].ends;
         const Real middle = at.spring[part + PARTS * j].middle;
         const Pair a = pair_at(at.disp, ends & 0xffff), b = pair_at(at.disp, ends >> 16);
-        const Real ex = vec[j].x + (b.x - a.x), ey = vec[j].y + (b.y - a.y), from_middle = ex * ex + ey * ey - middle;
-        if (wp::abs(from_middle) >= middle * strain_reach) beyond |= 1u << j / ROUNDS_A_BIT;
+        const Real ex = vec[j].x + (b.x - a.x), ey = vec[j].y + (b.y - a.y);
+        if (wp::abs(fused(ex, ex, fused(ey, ey, -middle))) >= middle * strain_reach) beyond |= 1u << j / ROUNDS_A_BIT;
     }
     beyond = together(beyond);
     ROLL for (int pass = beyond ? 0 : 1; pass < 2; ++pass) {
