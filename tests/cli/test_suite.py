@@ -110,6 +110,7 @@ def test_what_a_suite_says_holds_against_the_file_of_a_search(words: list[str]) 
         assert getattr(member.config, name) == getattr(alone, name), name
 
 
+@pytest.mark.usefixtures("whole_episodes")
 def test_budgets_by_task() -> None:
     words = ["tasks=[Walker-v0,Climber-v0,Lifter-v0]", "searches=[ga]", "seeds=[0]"]
     found = members(*words, "evaluations={easy:10,default:20,Lifter-v0:30}")

@@ -75,6 +75,6 @@ def test_what_does_not_fit_on_a_gpu_is_refused_before_it_is_made(monkeypatch: py
     monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: 3 * 2**20)
     monkeypatch.setattr(torch.cuda, "memory_allocated", lambda device: 2**20)
     with pytest.raises(
-        MemoryLimitError, match=r"100,000 environments need about .* GiB are free on cuda:0; .*num_envs="
+        MemoryLimitError, match=r"150,000 environments need about .* GiB are free on cuda:0; .*num_envs="
     ):
-        make_vec("Walker-v0", num_envs=100_000, device="cpu")
+        make_vec("Walker-v0", num_envs=150_000, device="cpu")
