@@ -10,7 +10,7 @@ from torch import nn
 
 from warpvox.envs.rsl_rl import OBS_GROUP
 
-__all__ = ["AMPLITUDE", "GaitModel", "gait_outputs"]
+__all__ = ["AMPLITUDE", "GaitModel", "gait_outputs", "phase_at"]
 
 AMPLITUDE = 0.5
 """Of the actions, about 1.1: from the shortest to the longest."""
@@ -46,6 +46,12 @@ class GaitModel(nn.Module):
         return gait_outputs(obs[..., -1:].double(), self.begin, self.period, *values)
 
 
+def phase_at(time: torch.Tensor, period: torch.Tensor) -> torch.Tensor:
+    """Radians, 0 to 2 pi, of an oscillation of ``period`` at ``time``, both in control steps."""
+    # of the time within its period, which is exact, float32 keeps all digits, too
+    return 2 * math.pi * torch.remainder(time, period) / period
+
+
 def gait_outputs(
     time: torch.Tensor,
     begin: torch.Tensor,
@@ -61,8 +67,6 @@ def gait_outputs(
     """
     values = rest[0]
     for stage in range(len(begin)):
-        # of the time within its period, which is exact, float32 keeps all digits, too
-        turn = 2 * math.pi * torch.remainder(time, period[stage]) / period[stage] + phase[stage]
-        motion = rest[stage] + amplitude[stage] * torch.sin(turn)
+        motion = rest[stage] + amplitude[stage] * torch.sin(phase_at(time, period[stage]) + phase[stage])
         values = motion if stage == 0 else torch.where(time >= begin[stage], motion, values)
     return values.clamp(-1.0, 1.0)

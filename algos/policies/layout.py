@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
 
+from warpvox.algos.policies.gait import phase_at
 from warpvox.envs.terms.elapsed import is_timed
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.envs.voxels import FEATURES as OBSERVED
@@ -101,10 +101,8 @@ def layout_of(env: VoxelVecEnv) -> VoxelLayout:
 
 def clock(time: torch.Tensor) -> torch.Tensor:
     """Sines and cosines ``[rows, 2 * len(CLOCK)]`` of control steps ``[rows, 1]`` since the episode began."""
-    # of the time within its period, which is exact, float32 keeps all digits
-    periods = time.new_tensor(CLOCK)
-    turn = 2 * math.pi * torch.remainder(time, periods) / periods
-    return torch.cat([turn.sin(), turn.cos()], dim=1)
+    phase = phase_at(time, time.new_tensor(CLOCK))
+    return torch.cat([phase.sin(), phase.cos()], dim=1)
 
 
 def input_transform(like: torch.Tensor) -> torch.Tensor:

@@ -16,7 +16,7 @@ auto load_rigids = [&]() {
 };
 
 // Corrects those springs (of all, or of the `rigids` listed in `rigid_spring`) that are beyond the bound, in their order: in
-// `moved`, and where `in_place` in the displacements, too, after which those behind it are tested anew. `rounds`: a bit
+// `moved`, and where `in_place` in the displacements, too, after which those behind it are tested again. `rounds`: a bit
 // for ROUNDS_A_BIT rounds of springs in which one may be beyond.
 auto correct = [&](bool in_place, unsigned rounds) {
     const int total = in_place ? rigids : springs;
