@@ -12,10 +12,22 @@ import numpy as np
 
 from warpvox.design import Design
 
-__all__ = ["FINALIST", "PROGRESS", "Candidate", "DesignEvaluator", "Outcome", "Parent", "Search", "candidate_seed"]
+__all__ = [
+    "FINALIST",
+    "GAIT",
+    "PROGRESS",
+    "Candidate",
+    "DesignEvaluator",
+    "Outcome",
+    "Parent",
+    "Search",
+    "candidate_seed",
+]
 
 FINALIST = "finalist"
 """The origin of a candidate whose body has been compared by a common policy, and now gets a policy of its own."""
+GAIT = "gait"
+"""The origin of a candidate with the body of its parent, which is to move in another way."""
 PROGRESS = {
     "iteration": "training iterations done",
     "iterations": "training iterations in all",

@@ -100,3 +100,11 @@ class ScreeningConfig:
     )
     stages: int = key(4, "evaluation=gaits: parts of an episode in which a gait has a motion each", low=1, high=100)
     final_rounds: int = key(40, "evaluation=gaits: number of rounds for finalists, before their training", low=1)
+    final_gaits: int | None = key(
+        None, "evaluation=gaits: gaits that a finalist tries in a round; null: as many as the others", low=1
+    )
+    dtype: str | None = key(
+        None,
+        "evaluation=gaits: precision of comparisons before the final rounds; null: that of finalists, dtype",
+        choices=("float32", "float64"),
+    )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.candidate import GAIT, Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.checkpoints.files import PolicySpec, actions_of, spec_dict
 from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait
 from warpvox.algos.env_factory import EnvFactory
@@ -26,6 +26,8 @@ __all__ = ["GaitEvaluator", "gait_lanes"]
 
 FRESH = 0.125
 """Share of the first gaits of a design with a parent that owe nothing to it."""
+KEPT = 0.5
+"""Share of designs with one gait each that move as their parent, where the body is another."""
 STREAM = 0x6A17
 """Keeps the random numbers of gaits apart from those of the environments."""
 
@@ -34,9 +36,10 @@ STREAM = 0x6A17
 class GaitEvaluator:
     """The fitness of a design is the best return of some open-loop gaits, and the best gait is its policy.
 
-    The first ones are that of its best parent with mutants of it; random ones, if it has none. In each further round
-    mutants of the best so far are tried. It takes ``count * rounds`` episodes for a design, where a training of
-    512,000 control steps has a thousand.
+    The first ones are those of its parents with mutants of the best parent's; random ones, if it has none. A design
+    that differs from its parent in the gait alone (:data:`warpvox.algos.candidate.GAIT`) has mutants only. In each
+    further round mutants of the best so far are tried. It takes ``count * rounds`` episodes for a design, where a
+    training of 512,000 control steps has a thousand.
 
     Attributes:
         factory: makes environments.
@@ -81,6 +84,7 @@ class _Rounds:
         self.seeds = [candidate_seed(how.seed, candidate.id) for candidate in candidates]
         self.random = [np.random.default_rng([STREAM, how.seed, candidate.id]) for candidate in candidates]
         self.inherited = [_inherited(candidate, parents) for candidate in candidates]
+        self.moves = [candidate.origin == GAIT for candidate in candidates]
         factory = replace(how.factory, lanes=gait_lanes(how.factory, how.count * how.episodes))
         self.env = factory.make(self.bodies, how.count * how.episodes, self.seeds, auto_reset=False)
         self.best: list[tuple[float, Gait]] = []
@@ -106,15 +110,18 @@ class _Rounds:
         """What a design is tried with next."""
         rng, body, count = self.random[place], self.bodies[place], self.how.count
         steps = self.env.max_episode_steps
-        parent, gaits = self.inherited[place], []
+        known, gaits = self.inherited[place], []
         if self.best:
-            parent, fresh = self.best[place][1], 0
-        elif parent is None:
+            known, fresh = [self.best[place][1]], 0
+        elif not known:
             fresh = count
+        elif count == 1:
+            fresh, gaits = 0, known[:1] if not self.moves[place] and rng.random() < KEPT else []
         else:
-            fresh, gaits = math.ceil(FRESH * (count - 1)), [parent]
+            fresh = math.ceil(FRESH * (count - 1))
+            gaits = [] if self.moves[place] else known[: count - fresh]
         gaits += [draw_gait(rng, body, steps, self.how.stages) for _ in range(fresh)]
-        return gaits + [mutate_gait(rng, parent, body, steps) for _ in range(count - len(gaits))]
+        return gaits + [mutate_gait(rng, known[0], body, steps) for _ in range(count - len(gaits))]
 
     def _play(self, gaits: Sequence[Sequence[Gait]]) -> tuple[np.ndarray, np.ndarray]:
         """Returns ``[designs, count]`` and control steps ``[designs]`` of an episode of each gait."""
@@ -161,13 +168,12 @@ def gait_lanes(factory: EnvFactory, envs: int) -> int:
     return MAX_WIDTH if fast else lanes_for(envs)
 
 
-def _inherited(candidate: Candidate, parents: Mapping[int, Parent]) -> Gait | None:
-    """The gait of the best of a candidate's parents."""
+def _inherited(candidate: Candidate, parents: Mapping[int, Parent]) -> list[Gait]:
+    """The gaits of a candidate's parents, the best first."""
     known = [parents[number] for number in candidate.parents if number in parents]
-    if not known:
-        return None
-    policy = max(known, key=lambda parent: parent.fitness).policy
-    return Gait(**{name: policy[name].numpy() for name in Gait.__dataclass_fields__})
+    known.sort(key=lambda parent: -parent.fitness)
+    fields = Gait.__dataclass_fields__
+    return [Gait(**{name: parent.policy[name].numpy() for name in fields}) for parent in known]
 
 
 def _controller(

@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -64,6 +65,9 @@ class BaseSearch(ABC):
         ConfigError: a shape with hardly more valid bodies than ``max_evaluations``, or a bad shape or seed.
     """
 
+    repeats: ClassVar[bool] = False
+    """Whether a body may be proposed again."""
+
     def __init__(self, settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
         self.settings, self.shape, self.seed = settings, check_shape("shape", shape), check_integer("seed", seed, 0)
         _check_room(self.shape, settings.max_evaluations)
@@ -82,6 +86,10 @@ class BaseSearch(ABC):
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:  # noqa: B027  (a choice)
         """Update the model with a generation and its fitness; ``bodies`` and ``fitness`` contain it already."""
+
+    def wanted(self, candidate: Candidate, fitness: float) -> bool:
+        """Whether the policy of a candidate that was asked for last is worth keeping."""
+        return True
 
     def claim(self, body: np.ndarray) -> bool:
         """Whether ``body`` was never proposed before; from now on it was."""
@@ -144,7 +152,7 @@ class BaseSearch(ABC):
         if left <= 0:
             return []
         rng = np.random.default_rng([STREAM, self.seed, self.generation])
-        wanted = min(self.settings.population, left)
+        wanted = min(self.settings.generation, left)
         proposals = self.propose(rng, wanted)
         self._check(proposals, wanted)
         first = len(self.bodies)
@@ -191,7 +199,7 @@ class BaseSearch(ABC):
             SearchError: they cannot have been the next generation of this search.
         """
         first, left = len(self.bodies), self.settings.max_evaluations - len(self.bodies)
-        fits = 0 < len(candidates) <= min(left, self.settings.population)
+        fits = 0 < len(candidates) <= min(left, self.settings.generation)
         for place, candidate in enumerate(candidates):
             in_order = candidate.id == first + place and candidate.generation == self.generation
             fits = fits and in_order and candidate.body.shape == self.shape and self.claim(candidate.body)
@@ -210,7 +218,7 @@ class BaseSearch(ABC):
         if len(proposals) > wanted:
             raise SearchError(f"{who} {len(proposals)} bodies where {wanted} were wanted.")
         keys = {body_key(proposal.body) for proposal in proposals}
-        if len(keys) < len(proposals) or keys & self._told:
+        if not self.repeats and (len(keys) < len(proposals) or keys & self._told):
             raise SearchError(f"{who} a body twice: use those for which claim() is true.")
         self._seen |= keys
         for proposal in proposals:

@@ -21,6 +21,7 @@ __all__ = [
     "BoSettings",
     "CppnNeatSettings",
     "CustomSettings",
+    "EvolutionSettings",
     "GaSettings",
     "MapElitesSettings",
     "RandomSettings",
@@ -48,6 +49,11 @@ class SearchSettings:
     def __post_init__(self) -> None:
         _check_types(self)
         check_values(self)
+
+    @property
+    def generation(self) -> int:
+        """Candidates of a generation, at most."""
+        return self.population
 
 
 @dataclass(frozen=True)
@@ -128,6 +134,37 @@ class MapElitesSettings(SearchSettings):
 
 
 @dataclass(frozen=True)
+class EvolutionSettings(SearchSettings):
+    """Evolution of bodies and gaits in one population."""
+
+    algorithm: ClassVar[str] = "evolution"
+
+    population: int = key(32, "best candidates of all generations so far, which have children", low=2)
+    max_evaluations: int = key(10000, "number of designs to evaluate, those that move otherwise included", low=1)
+    mutation_rate: float = key(0.1, "probability that a mutation changes a voxel", above=0, high=1)
+    children: int = key(128, "candidates of a generation", low=1)
+    same_body: float = key(0.5, "share of the children that have their parent's body and move otherwise", low=0, high=1)
+    newcomers: float = key(0.04, "share of the candidates after the first generation that are random", low=0, high=1)
+    per_body: int = key(3, "number of them with the same body, at most", low=1)
+    islands: int = key(1, "populations that parents and children are divided into", low=1)
+    migration: int = key(10, "generations until the best of each island joins the next one", low=1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        most = min(self.population, self.children)
+        if self.islands > most:
+            raise ConfigError(
+                f"islands must be at most {most}, so that each has a parent (population={self.population}) and a child"
+                f" (children={self.children}); got {self.islands}."
+            )
+
+    @property
+    def generation(self) -> int:
+        """See :class:`SearchSettings`."""
+        return self.children
+
+
+@dataclass(frozen=True)
 class CustomSettings(SearchSettings):
     """A search of your own; see docs/search.md."""
 
@@ -149,7 +186,15 @@ class CustomSettings(SearchSettings):
 
 ALGORITHMS: dict[str, type[SearchSettings]] = {
     settings.algorithm: settings
-    for settings in (GaSettings, BoSettings, CppnNeatSettings, MapElitesSettings, RandomSettings, CustomSettings)
+    for settings in (
+        GaSettings,
+        BoSettings,
+        CppnNeatSettings,
+        MapElitesSettings,
+        RandomSettings,
+        EvolutionSettings,
+        CustomSettings,
+    )
 }
 """The settings of each algorithm, by its name."""
 

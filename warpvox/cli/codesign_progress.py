@@ -36,6 +36,7 @@ NAMES = {
     "cppn_neat": "CPPN-NEAT",
     "map_elites": "MAP-Elites",
     "random": "random search",
+    "evolution": "evolution of bodies and gaits",
 }
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpvox.algos.candidate import Candidate
+from warpvox.algos.candidate import FINALIST, Candidate
 from warpvox.algos.settings import PpoConfig, ScreeningConfig
 from warpvox.batch.options import lanes_for
 from warpvox.cli.runs import CONFIG, TRAINING, find_run
@@ -31,10 +31,10 @@ __all__ = [
     "has_common_policy",
     "is_screened",
     "keep_pretrained",
-    "lanes_of_gaits",
     "read_pretrained",
     "resolve_evaluation",
     "screened_values",
+    "values_of_gait",
 ]
 
 PRETRAINED = Path("training") / "pretrained" / "policy.pt"
@@ -82,6 +82,11 @@ def check_evaluation(config: CodesignConfig) -> None:
         raise ConfigError(
             "evaluation=few_shot and pretrained go together: pretrained=latest, the folder of a run of `warpvox train"
             " designs=...` or a checkpoint in it."
+        )
+    if config.search.algorithm == "evolution" and config.evaluation != "gaits":
+        raise ConfigError(
+            "search=evolution has children that only move in another way, which evaluation=gaits compares; with"
+            f" {how} take search=ga, or search=auto for both."
         )
     if not is_screened(config):
         return
@@ -310,20 +315,39 @@ def observed_by(spec: Mapping[str, Any] | None) -> str:
 
 
 def _by_gaits(config: CodesignConfig, training: DesignEvaluator) -> DesignEvaluator:
-    """Designs are compared by gaits, finalists get longer ones and a training."""
+    """Designs are compared by gaits, finalists try more of them and get a training."""
     from warpvox.algos.codesign.finalists import BestOf, TwoStages
     from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
-    how = config.screening
-    gaits = GaitEvaluator(factory_of(config), how.gaits, how.rounds, how.stages, config.seed, episodes_of(config.task))
-    return TwoStages(gaits, BestOf(dataclasses.replace(gaits, rounds=how.final_rounds), training))
+    how, episodes = config.screening, episodes_of(config.task)
+    many = GaitEvaluator(factory_of(screened(config)), how.gaits, how.rounds, how.stages, config.seed, episodes)
+    final = dataclasses.replace(
+        many, factory=factory_of(config), count=how.final_gaits or how.gaits, rounds=how.final_rounds
+    )
+    return TwoStages(many, BestOf(final, training))
 
 
-def lanes_of_gaits(config: CodesignConfig) -> int:
-    """Lanes of the environments in which gaits are evaluated."""
+def screened(config: CodesignConfig) -> CodesignConfig:
+    """The configuration with the precision in which gaits are compared before the final rounds."""
+    dtype = config.screening.dtype
+    return config if dtype in (None, config.dtype) else dataclasses.replace(config, dtype=dtype, arithmetic=None)
+
+
+def values_of_gait(config: CodesignConfig, candidate: Candidate) -> dict[str, Any]:
+    """What the configuration of a design with a gait has: the simulation in which its fitness was found."""
     from warpvox.algos.codesign.gait_evaluator import gait_lanes
 
-    return gait_lanes(factory_of(config), config.screening.gaits * episodes_of(config.task))
+    how, final = config.screening, candidate.origin == FINALIST
+    config = config if final else screened(config)
+    count = (how.final_gaits if final else None) or how.gaits
+    return {
+        "policy": "mlp",
+        "network": None,
+        "obs": "timed",
+        "dtype": config.dtype,
+        "arithmetic": config.arithmetic,
+        "lanes": gait_lanes(factory_of(config), count * episodes_of(config.task)),
+    }
 
 
 def episodes_of(task: str) -> int:

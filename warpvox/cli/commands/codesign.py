@@ -32,11 +32,11 @@ from warpvox.cli.evaluations import (
     has_common_policy,
     is_screened,
     keep_pretrained,
-    lanes_of_gaits,
     observed_by,
     read_pretrained,
     resolve_evaluation,
     screened_values,
+    values_of_gait,
 )
 from warpvox.cli.fresh_seeds import evaluate_winner, fresh_text
 from warpvox.cli.runs import CONFIG, END, find_codesign, find_searches, new_folder, read_summary, run_folder
@@ -146,12 +146,13 @@ def environments(config: CodesignConfig) -> int:
     own = _together(config) * config.training.envs
     if not is_screened(config):
         return own
-    how, most = config.screening, config.search.population or 1
+    how, most = config.screening, settings_from(config.search).generation
     if has_common_policy(config):
-        each = how.envs
+        kinds = [(most, how.envs)]
     else:
-        each, most = how.gaits * episodes_of(config.task), max(most, config.finalists)
-    return max(own, min(config.batch or most, most) * each)
+        episodes = episodes_of(config.task)
+        kinds = [(most, how.gaits * episodes), (config.finalists, (how.final_gaits or how.gaits) * episodes)]
+    return max(own, *(min(config.batch or designs, designs) * each for designs, each in kinds))
 
 
 def resolve(config: CodesignConfig, folder: Path | None = None) -> CodesignConfig:
@@ -217,6 +218,7 @@ def codesign(job: Job, console: Console) -> Path:
             keep_code(config, folder, console)
             settings = settings_from(config.search)
             search, total = make_search(settings, tuple(config.shape), config.seed), settings.max_evaluations
+            reuse = config.reuse and not getattr(search, "repeats", False)
             if is_screened(config):
                 search, total = Finalists(search, config.finalists), total + config.finalists
             results = Results(folder, archive, written, (pretrained or {}).get(STEPS))
@@ -229,7 +231,7 @@ def codesign(job: Job, console: Console) -> Path:
                 policies=StoredPolicies(folder, config.training.ppo, functools.partial(design_config, written)),
                 checkpoints=folder / "training",
                 batch=config.batch,
-                reuse=config.reuse,
+                reuse=reuse,
                 inherit=config.training.inherit or config.evaluation == "gaits",
                 listener=watch,
             )
@@ -285,7 +287,11 @@ def _archive(folder: Path, config: CodesignConfig) -> Archive:
     archive = Archive.open(path)
     known = archive.settings
     known["search"] = _all_settings(known["search"])
-    known = {name: _default(name) for name in settings} | known  # an earlier version had not all keys
+    for name in settings:  # an earlier version had not all keys
+        default = _default(name)
+        value = known.setdefault(name, default)
+        if isinstance(default, dict):
+            known[name] = {key: default[key] for key in settings[name] if key in default} | value
     if known != settings:
         archive.close()
         other = next(name for name in {**settings, **known} if known.get(name) != settings.get(name))
@@ -317,9 +323,15 @@ def design_config(config: CodesignConfig, candidate: Candidate, outcome: Outcome
         values |= screened_values(config, candidate)
     values["obs"] = "task" if values["policy"] == MLP else observed_by(outcome.spec)
     if outcome.spec and outcome.spec.get("gait"):
-        values |= {"policy": MLP, "network": None, "obs": "timed"}
-        values["lanes"] = lanes_of_gaits(config)  # as in the evaluation that found the fitness
-    return to_yaml(load_values("train", values)) + END
+        values |= values_of_gait(config, candidate)
+    design = values.pop("design")
+    return to_yaml(dataclasses.replace(_training_of(json.dumps(values)), design=design)) + END
+
+
+@functools.lru_cache(maxsize=4)
+def _training_of(values: str) -> Any:
+    """The configuration of a training with these values, as JSON; to be checked once for many designs."""
+    return load_values("train", json.loads(values))
 
 
 # -------------------------------------------------------------------------------------------------- evaluation
@@ -362,7 +374,7 @@ def _batch(config: CodesignConfig, executor: Executor) -> int | None:
         return config.batch
     if config.training.method == "sequential" and not is_screened(config):
         return 1
-    return -(-config.search.population // executor.size) if config.executor == "ray" else None
+    return -(-settings_from(config.search).generation // executor.size) if config.executor == "ray" else None
 
 
 def _where(config: CodesignConfig, executor: Executor) -> str:

@@ -83,7 +83,7 @@ def plan(config: SuiteConfig, config_dir: Path | None = None) -> list[Member]:
         shape = shape_of(spec.id) if shape is None else list(check_shape("shape", shape))
         values = shared | {"task": task, "shape": shape, "seed": seed} | recipes[search]
         member = CodesignConfig(**values, search=settings)
-        settings = dataclasses.replace(settings, max_evaluations=_evaluations(config, spec, member))
+        settings = dataclasses.replace(settings, max_evaluations=_evaluations(config, spec, search, member))
         members.append(Member(spec.id, search, seed, dataclasses.replace(member, search=settings)))
     return members
 
@@ -206,16 +206,26 @@ def _of_task(key: str, value: Any, task: TaskSpec) -> Any:
     return value[found]
 
 
-def _evaluations(config: SuiteConfig, task: TaskSpec, member: CodesignConfig) -> int:
-    """How many designs a search on ``task`` may evaluate."""
+def _evaluations(config: SuiteConfig, task: TaskSpec, search: str, member: CodesignConfig) -> int:
+    """How many designs ``search`` may evaluate on ``task``."""
+    cost, last = _costs(member, task)
     if config.control_steps is None:
-        return check_integer("evaluations", _of_task("evaluations", config.evaluations, task), 1)
+        count = check_integer("evaluations", _of_task("evaluations", config.evaluations, task), 1)
+        if member.search.algorithm != "evolution" or not is_screened(member):
+            return count
+        # whose evaluations are no trainings: as many control steps as those of so many trainings
+        each = steps_of_design(member.training, member.search.population)
+        if count * each < cost + last:
+            raise ConfigError(
+                f"evaluations must be at least {math.ceil((cost + last) / each):,} for search={search}, which spends"
+                f" the control steps of so many trainings, and {math.ceil(last):,} of them on finalists; got {count}."
+            )
+        return int((count * each - last) // cost)
     if has_common_policy(member):
         raise ConfigError(
             "control_steps goes with evaluation=specialist or gaits, where a design takes a known number of them."
         )
     steps = check_integer("control_steps", _of_task("control_steps", config.control_steps, task), 1)
-    cost, last = _costs(member, task)
     if steps < cost + last:
         what = "which a design takes" if not last else "for a design and the finalists"
         raise ConfigError(
@@ -229,10 +239,9 @@ def _costs(member: CodesignConfig, task: TaskSpec) -> tuple[float, float]:
     training, how, count = member.training, member.screening, member.finalists
     if not is_screened(member):
         return steps_of_design(training, member.search.population), 0
-    episodes = how.gaits * episodes_of(member.task)
-    round_of_gaits = episodes * task.max_episode_steps
-    last = how.final_rounds * round_of_gaits + steps_of_design(training, count)
-    return how.rounds * round_of_gaits, count * last
+    of_gait = episodes_of(member.task) * task.max_episode_steps
+    last = how.final_rounds * (how.final_gaits or how.gaits) * of_gait + steps_of_design(training, count)
+    return how.rounds * how.gaits * of_gait, count * last
 
 
 def steps_of_design(training: TrainingConfig, population: int) -> float:
