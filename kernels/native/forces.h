@@ -1,18 +1,34 @@
 // Forces that lanes and groups compute alike. Their values have the operations `root`, `quotient`, `fused` (a b + c) and
 // `reduced` (c - a b), which a group on CUDA approximates; `tanh_of` is that of a number.
 
-// Hooke force k (l - l_eq) of a spring along its vector: (dx, dy) at the sub-step's start with the length l0 `rest` and
-// l_eq - l0 `offset`, moved by (ux, uy) since. l - l0 = (|e|^2 - |d|^2) / (l + l0), without the cancellation, and both
-// divisions in one; where there is no spring its length may be 0.
+// Relaxation (paper section A.4) of a spring with the vector (dx, dy) toward the length `goal`; `excess` is goal^2 - l^2, of
+// which only the difference needs float64: goal - l = excess / (goal + l). Gives 1 / l^2 and the force density: force over
+// length, k (1 - l_eq / l) with l_eq = l + rate (goal - l). Where there is no spring its length may be 0.
+auto relaxed = [&](Value dx, Value dy, Value excess, Value goal, Value k, Value& inverse_square, Value& density) {
+    const Value square = fused(dx, dx, dy * dy), length = root(square), both = length + goal;
+    const Value share = quotient(Value(Real(1)), fused(both, square, Real(1e-30)));
+    inverse_square = both * share;
+    density = -(excess * Real(model.actuation_rate)) * (length * share) * k;
+};
+// Hooke force k (l - l_eq) along the vector of a spring, (dx, dy) at the sub-step's start, moved by (ux, uy) since. With w =
+// |e|^2 / |d|^2 - 1, found without cancellation, its force density is k s + (1 - s) times that at the start, where
+// s = 1 - 1 / sqrt(1 + w). In float32 the series of s has all digits up to |w| = SERIES; float64 takes the root.
+constexpr Real SERIES = sizeof(Real) == 4 ? Real(1) / Real(32) : Real(0);
 auto spring_force = [&](
-    Value dx, Value dy, Value ux, Value uy, Value rest, Value offset, Value k, Value& fx, Value& fy
+    Value dx, Value dy, Value ux, Value uy, Value inverse_square, Value density, Value k, Value& fx, Value& fy
 ) {
     const Value ex = dx + ux, ey = dy + uy;
-    const Value length = root(fused(ex, ex, ey * ey)), both = length + rest;
-    const Value excess = reduced(offset, both, fused(dx + ex, ux, (dy + ey) * uy));
-    const Value force = quotient(excess * k, fused(both, length, Real(1e-30)));
-    fx = force * ex;
-    fy = force * ey;
+    const Value w = fused(dx + ex, ux, (dy + ey) * uy) * inverse_square, square = w * w;
+    const Value low = reduced(w, Real(3.0 / 8), Real(1.0 / 2)), middle = reduced(w, Real(35.0 / 128), Real(5.0 / 16));
+    Value s = fused(fused(square, Real(63.0 / 256), middle), square, low) * w;
+    const auto far = square > Value(SERIES * SERIES);
+    if (bits_of(far)) {
+        const Value ratio = fused(ex, ex, ey * ey) * inverse_square;
+        s = far ? quotient(w, ratio + root(ratio) + Real(1e-20)) : s;
+    }
+    const Value size = fused(s, k - density, density);
+    fx = size * ex;
+    fy = size * ey;
 };
 // The implicit floor at y = 0: normal force and friction on a point at the height y <= 0 with the velocity vx.
 auto floor_force = [&](Real y, Real vx, Real& normal, Real& drag) {

@@ -9,35 +9,40 @@
 const int twins = wp::index(model.twins, mesh), twin_ends = wp::index(model.twin_ends, mesh);
 const wp::vec_t<4, int>* twin_end = &wp::index(model.twin_end, mesh, 0);
 const int* last_spring = &wp::index(model.last_spring, mesh, 0);
+const int* needs = &wp::index(model.spring_needs, mesh, 0);
 const Real* stiffness = &wp::index(model.stiffness, mesh, 0);
 const bool alike = wp::index(model.alike, mesh);
 int* in_contact = &wp::index(data.in_contact, unit, 0);
 
 const auto disp = values(data.disp);
 const auto start_vel = values(data.start_vel);
-const auto stages = values(data.stages);  // accelerations of the first three stages
 const auto contact = values(data.contact);
-const auto force = values(data.force);
-const Real tiny = Real(1e-30);  // where there is no spring its length may be 0
+const auto stages = values(data.stages);
+const auto last_stage = values(data.force);
+const unsigned rows = 2 * wp::index(model.points, mesh);
 const auto spring = values(data.spring);
 const auto goal = wides(data.goal);
 const auto pos = wides(data.pos);
 const auto vel = wides(data.vel);
 const auto true_vel = wides(data.true_vel);
 
+// Forces on the points, in each stage.
+auto force = [&](int stage, unsigned r) __attribute__((always_inline)) -> Value& {
+    return stage < 3 ? stages[stage * rows + r] : last_stage[r];
+};
 auto stiffness_of = [&](int s) __attribute__((always_inline)) -> Value { return alike ? Value(stiffness[s]) : spring_k[s]; };
 auto relax = [&](int s, unsigned a, unsigned b, Value& fx, Value& fy) __attribute__((always_inline)) {
-    const Wide x = pos[b] - pos[a], y = pos[b + 1] - pos[a + 1], length = root_wide(x * x + y * y);
-    const Value dx = narrow(x), dy = narrow(y), start = narrow(length);
-    const Value change = narrow((goal[s] - length) * model.actuation_rate);
-    const Value size = -change * stiffness_of(s) / (start + tiny);
+    const Wide x = pos[b] - pos[a], y = pos[b + 1] - pos[a + 1], aim = goal[s];
+    const Value dx = narrow(x), dy = narrow(y);
+    Value inverse_square, density;
+    relaxed(dx, dy, narrow(aim * aim - (x * x + y * y)), narrow(aim), stiffness_of(s), inverse_square, density);
     const unsigned r = 4 * s;
     spring[r] = dx;
     spring[r + 1] = dy;
-    spring[r + 2] = start;
-    spring[r + 3] = change;
-    fx = size * dx;
-    fy = size * dy;
+    spring[r + 2] = inverse_square;
+    spring[r + 3] = density;
+    fx = density * dx;
+    fy = density * dy;
 };
 auto stretch = [&](int s, unsigned a, unsigned b, Value& fx, Value& fy) __attribute__((always_inline)) {
     const unsigned r = 4 * s;
@@ -62,13 +67,14 @@ auto floor_contact = [&](Value& fx, Value& fy, Value vx, Value y) {
 
 // x += dt v + dt^2 / 6 (a1 + a2 + a3) and v += dt / 6 (a1 + 2 a2 + 2 a3 + a4), in float64. A fixed point takes part in the
 // stages; only its update is dropped.
-auto finish = [&](unsigned r, Value a1, Value a2, Value a3, Value a4, auto free) __attribute__((always_inline)) {
+auto finish = [&](unsigned r, auto free) __attribute__((always_inline)) {
+    const Value f1 = force(0, r), f2 = force(1, r), f3 = force(2, r), f4 = force(3, r);
     const Wide velocity = vel[r];
-    const auto sixth = free * dt / 6.0;
-    const Wide step = velocity * (free * dt) + widen(a1 + a2 + a3) * (sixth * dt);
+    const auto sixth = free * (dt / 6.0 * double(model.inverse_mass));
+    const Wide step = velocity * (free * dt) + widen(f1 + f2 + f3) * (sixth * dt);
     true_vel[r] = step;  // divided by dt after the strain limits
     disp[r] = narrow(step);
-    vel[r] = velocity + widen(a1 + a2 * Real(2) + a3 * Real(2) + a4) * sixth;
+    vel[r] = velocity + widen(f1 + f2 * Real(2) + f3 * Real(2) + f4) * sixth;
 };
 
 Value lowest = {};  // height at the sub-step's start of the lowest point
@@ -78,10 +84,9 @@ auto begin_stage = [&](int stage, unsigned x) __attribute__((always_inline)) {
     const Real half = Real(dt) * Real(0.5), ahead = stage < 3 ? half : Real(dt);
     auto velocity = [&](unsigned r) __attribute__((always_inline)) -> Value {
         if (stage == 0) return start_vel[r] = narrow(vel[r]);
-        const Value a = force[r] * model.inverse_mass;
-        disp[r] = (stage > 1 ? fused(stages[3 * r + stage - 2], Value(half), start_vel[r]) : start_vel[r]) * ahead;
-        stages[3 * r + stage - 1] = a;
-        return fused(a, Value(ahead), start_vel[r]);
+        const Value start = start_vel[r], early = stage > 1 ? force(stage - 2, r) : start;
+        disp[r] = (stage > 1 ? fused(early, Value(half * model.inverse_mass), start) : start) * ahead;
+        return fused(force(stage - 1, r), Value(ahead * model.inverse_mass), start);
     };
     const unsigned y = x + 1, p = x / 2;
     const Value vx = velocity(x), vy = velocity(y);
@@ -92,48 +97,51 @@ auto begin_stage = [&](int stage, unsigned x) __attribute__((always_inline)) {
         const Value height = narrow(pos[y]), above = stage ? height + disp[y] : height;
         if (any_below(above)) floor_contact(fx, fy, vx, above);
     }
-    force[x] = fx;
-    force[y] = fy;
+    force(stage, x) = fx;
+    force(stage, y) = fy;
 };
 auto finish_point = [&](unsigned x) __attribute__((always_inline)) {
     for (unsigned r = x; r < x + 2; ++r) {
-        const Value a = force[r] * model.inverse_mass;
         if (free_lanes[x / 2] == -1) {
-            finish(r, stages[3 * r], stages[3 * r + 1], stages[3 * r + 2], a, 1.0);
+            finish(r, 1.0);
         } else {
-            finish(r, stages[3 * r], stages[3 * r + 1], stages[3 * r + 2], a, widen(weights(free_lanes[x / 2])));
+            finish(r, widen(weights(free_lanes[x / 2])));
         }
     }
 };
 
-// One stage: adds the forces of all springs to those at their ends, at every point in the order of springs; a point that
-// the springs are done with takes the next step. Springs are in the order of their first ends.
-auto run_stage = [&](auto force_of, auto next) __attribute__((always_inline)) {
-    int e = 0, n = 0, at_twin = twin_ends ? twin_end[0][0] : -1;
-    for (int s = 0; s < springs;) {
+// One stage on springs up to `to`, as far as the points that they need have been `stepped`: adds their forces at both ends,
+// at every point in the order of springs. A point that the springs are done with takes the next step. Springs are in the
+// order of their first ends.
+struct Front { int spring, point, entry; } front[4] = {};
+auto advance = [&](int stage, int to, int stepped, auto force_of, auto next) __attribute__((always_inline)) {
+    int s = front[stage].spring, n = front[stage].point, e = front[stage].entry;
+    int at_twin = e < twin_ends ? twin_end[e][0] : -1;
+    for (;;) {
+        for (; n < actives / 2 && last_spring[n] < s; ++n) next(active[2 * n]);
+        if (s >= to || needs[s] > stepped) break;
         const unsigned a = 2 * spring_ends[s][0];
-        Value ax = force[a], ay = force[a + 1];
+        Value ax = force(stage, a), ay = force(stage, a + 1);
         do {
             const unsigned b = 2 * spring_ends[s][1];
             Value fx, fy;
             force_of(s, a, b, fx, fy);
             ax = ax + fx;
             ay = ay + fy;
-            force[b] = force[b] - fx;
-            force[b + 1] = force[b + 1] - fy;
+            force(stage, b) = force(stage, b) - fx;
+            force(stage, b + 1) = force(stage, b + 1) - fy;
             while (s == at_twin) {
                 const unsigned t = 2 * twin_end[e][1];
                 const Value part = weights(twin_end[e][3]) * (twin_end[e][2] ? Real(-1) : Real(1));
-                force[t] = force[t] + fx * part;
-                force[t + 1] = force[t + 1] + fy * part;
+                force(stage, t) = force(stage, t) + fx * part;
+                force(stage, t + 1) = force(stage, t + 1) + fy * part;
                 at_twin = ++e < twin_ends ? twin_end[e][0] : -1;
             }
         } while (++s < springs && 2 * spring_ends[s][0] == a);
-        force[a] = ax;
-        force[a + 1] = ay;
-        for (; n < actives && last_spring[n / 2] < s; n += 2) next(active[n]);
+        force(stage, a) = ax;
+        force(stage, a + 1) = ay;
     }
-    for (; n < actives; n += 2) next(active[n]);
+    front[stage] = Front{s, n, e};
 };
 
 // A twin feels what its leader feels.
@@ -150,8 +158,13 @@ for (int n = 0; n < actives; n += 2) {
     const Value height = narrow(pos[active[n + 1]]);
     lowest = n ? smaller(lowest, height) : height;
 }
-for (int n = 0; n < actives; n += 2) begin_stage(0, active[n]);
-run_stage(relax, [&](unsigned x) __attribute__((always_inline)) { begin_stage(1, x); });
-run_stage(stretch, [&](unsigned x) __attribute__((always_inline)) { begin_stage(2, x); });
-run_stage(stretch, [&](unsigned x) __attribute__((always_inline)) { begin_stage(3, x); });
-run_stage(stretch, finish_point);
+// The stages follow each other through the springs, so that what one has left is still in the nearest cache for the next.
+int to = 0, started = 0;
+while (front[3].point < actives / 2) {
+    to = to + STRIDE < springs ? to + STRIDE : springs;
+    for (; started < (to < springs ? needs[to - 1] : actives / 2); ++started) begin_stage(0, active[2 * started]);
+    advance(0, to, started, relax, [&](unsigned x) __attribute__((always_inline)) { begin_stage(1, x); });
+    advance(1, springs, front[0].point, stretch, [&](unsigned x) __attribute__((always_inline)) { begin_stage(2, x); });
+    advance(2, springs, front[1].point, stretch, [&](unsigned x) __attribute__((always_inline)) { begin_stage(3, x); });
+    advance(3, springs, front[2].point, stretch, finish_point);
+}

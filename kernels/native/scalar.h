@@ -7,8 +7,13 @@ auto widen = [](Value a) -> Wide { return static_cast<Wide>(a); };
 auto narrow = [](Wide a) -> Value { return static_cast<Value>(a); };
 auto root = [](Value a) -> Value { return wp::sqrt(a); };
 auto root_wide = [](Wide a) -> Wide { return wp::sqrt(a); };
-auto fused = [](Value a, Value b, Value c) -> Value { return a * b + c; };
-auto reduced = [](Value a, Value b, Value c) -> Value { return c - a * b; };
+#if defined(__CUDA_ARCH__)
+auto fused = [](Value a, Value b, Value c) -> Value { return fma(a, b, c); };
+auto reduced = [](Value a, Value b, Value c) -> Value { return fma(-a, b, c); };
+#else
+auto fused = [](Value a, Value b, Value c) -> Value { return __builtin_elementwise_fma(a, b, c); };
+auto reduced = [](Value a, Value b, Value c) -> Value { return __builtin_elementwise_fma(-a, b, c); };
+#endif
 auto quotient = [](Value a, Value b) -> Value { return a / b; };
 auto tanh_of = [](double a) -> double { return wp::tanh(a); };
 auto any_below = [](Value a) -> bool { return a <= Real(0); };

@@ -39,8 +39,8 @@ auto bits_of = [](auto a) -> int {
     __builtin_memcpy(&mask, &bits, WIDTH / 8);
     return static_cast<int>(mask);
 };
-auto fused = [](Value a, Value b, Value c) -> Value { return a * b + c; };
-auto reduced = [](Value a, Value b, Value c) -> Value { return c - a * b; };
+auto fused = [](Value a, Value b, Value c) -> Value { return __builtin_elementwise_fma(a, b, c); };
+auto reduced = [](Value a, Value b, Value c) -> Value { return __builtin_elementwise_fma(-a, b, c); };
 auto quotient = [](Value a, Value b) -> Value { return a / b; };
 auto tanh_of = [](double a) -> double { return wp::tanh(a); };
 auto any_below = [&](Value a) -> bool { return bits_of(a <= Real(0)); };

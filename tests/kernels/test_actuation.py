@@ -27,5 +27,6 @@ def test_lengths_relax_toward_the_mean_of_the_actions_that_drive_them(scenes, dt
     scene.close(scene.read("goal", 1)[:, : scene.springs], goal)
     found = scene.read("spring", 4)[:, : scene.springs]
     scene.close(found[..., :2], vector)
-    scene.close(found[..., 2], length)
-    scene.close(found[..., 3], sim.physics.actuation_rate * (goal - length))
+    scene.close(found[..., 2] * length**2, np.ones_like(length))
+    stretch = sim.physics.actuation_rate * (goal - length) / length
+    scene.close(found[..., 3] / model.spring_k[: scene.springs, 0], -stretch)

@@ -231,12 +231,18 @@ auto fused = [](float a, float b, float c) -> float { return __builtin_fmaf(a, b
 auto reduced = [](float a, float b, float c) -> float { return __builtin_fmaf(-a, b, c); };
 auto fused_wide = [](double a, double b, double c) -> double { return __builtin_fma(a, b, c); };
 #else
-auto fused = [](Real a, Real b, Real c) -> Real { return a * b + c; };
-auto reduced = [](Real a, Real b, Real c) -> Real { return c - a * b; };
+#if defined(__CUDA_ARCH__)
+auto fused = [](Real a, Real b, Real c) -> Real { return fma(a, b, c); };
+auto reduced = [](Real a, Real b, Real c) -> Real { return fma(-a, b, c); };
+#else
+auto fused = [](Real a, Real b, Real c) -> Real { return __builtin_elementwise_fma(a, b, c); };
+auto reduced = [](Real a, Real b, Real c) -> Real { return __builtin_elementwise_fma(-a, b, c); };
+#endif
 auto root = [](Real a) -> Real { return wp::sqrt(a); };
 auto nearest_root = root;
 auto quotient = [](Real a, Real b) -> Real { return a / b; };
 #endif
+auto bits_of = [](bool a) -> int { return a; };
 #if APPROXIMATE
 auto root = [&](float a) -> float { return a * inverse_root(a); };
 auto quotient = [&](float a, float b) -> float { return a * inverse(b); };

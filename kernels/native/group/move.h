@@ -2,11 +2,8 @@
 // in integrate.h. Formulas and the order of sums are those of integrate.h.
 
 Pair vec[SPRING_ROUNDS];                          // spring vector at the sub-step's start
-Real rest[SPRING_ROUNDS], offset[SPRING_ROUNDS];  // its length, l_eq - length; approximate: 1 / length^2, l_eq / length - 1
+Real rest[SPRING_ROUNDS], offset[SPRING_ROUNDS];  // 1 / length^2, force density; approximate: 1 / length^2, l_eq / length - 1
 double move[POINT_ROUNDS][2];
-const Real tiny = Real(1e-30);
-// Approximate, sums are those of forces, which the mass divides at last.
-const Real per_force = APPROXIMATE ? Real(1) : model.inverse_mass, at_last = APPROXIMATE ? model.inverse_mass : Real(1);
 
 double* goal = nullptr;
 
@@ -62,10 +59,8 @@ auto relax = [&](int j) {
     offset[j] = excess * inverse(both) * (over * Real(model.actuation_rate));
     const Real force = -offset[j] * stiffness;
 #else
-    const double length = wp::sqrt(x * x + y * y);
-    rest[j] = Real(length);
-    offset[j] = Real((aim - length) * model.actuation_rate);
-    const Real force = -offset[j] * stiffness / (rest[j] + tiny);
+    relaxed(vec[j].x, vec[j].y, Real(aim * aim - (x * x + y * y)), Real(aim), stiffness, rest[j], offset[j]);
+    const Real force = offset[j];
 #endif
     pull(s, force, vec[j].x, vec[j].y);
 };
@@ -103,7 +98,7 @@ auto stretch = [&](int j) {
 };
 
 auto runge_kutta = [&]() {
-    Pair start_vel[POINT_ROUNDS], stage_vel[POINT_ROUNDS], sum_vel[POINT_ROUNDS], sum_acc[POINT_ROUNDS];
+    Pair start_vel[POINT_ROUNDS], stage_vel[POINT_ROUNDS], sum_gain[POINT_ROUNDS], sum_force[POINT_ROUNDS];
     Real height[POINT_ROUNDS], lowest_point = Real(1);
     auto lower = [](Real a, Real b) { return a < b ? a : b; };  // b where a is not a number
     int row = pack;
@@ -114,14 +109,14 @@ auto runge_kutta = [&]() {
         start_vel[j] = stage_vel[j] = Pair{Real(vel[j][0]), Real(vel[j][1])};
         height[j] = Real(at.pos[part + PARTS * j].y);
         lowest_point = lower(height[j], lowest_point);
-        sum_vel[j] = sum_acc[j] = Pair{Real(0), Real(0)};
+        sum_gain[j] = sum_force[j] = Pair{Real(0), Real(0)};
     }
     ROLL for (int stage = 0; stage < 4; ++stage) {
         COUNT(stage);
         HIDE(stage);
         // The last stage goes into the sum of velocities alone; what it leaves as displacement is replaced below.
         const Real early = stage < 3 ? Real(1) : Real(0), weight = stage % 3 ? Real(2) : Real(1);
-        const Real ahead = stage < 2 ? Real(dt) * Real(0.5) : Real(dt), later = ahead * at_last;
+        const Real ahead = stage < 2 ? Real(dt) * Real(0.5) : Real(dt), later = ahead * model.inverse_mass;
         if (stage) {
             own_springs(stretch);
         } else {
@@ -158,13 +153,12 @@ auto runge_kutta = [&]() {
                 fx = fx + pulls.x;
                 fy = fy + pulls.y;
             }
-            const Real ax = fx * per_force, ay = fy * per_force;
-            sum_acc[j] = Pair{fused(ax, early, sum_acc[j].x), fused(ay, early, sum_acc[j].y)};
-            sum_vel[j] = Pair{fused(ax, weight, sum_vel[j].x), fused(ay, weight, sum_vel[j].y)};
+            sum_force[j] = Pair{fused(fx, early, sum_force[j].x), fused(fy, early, sum_force[j].y)};
+            sum_gain[j] = Pair{fused(fx, weight, sum_gain[j].x), fused(fy, weight, sum_gain[j].y)};
             const Pair moved{v.x * ahead, v.y * ahead};
             at.disp[p] = moved;
             lowest_point = lower(height[j] + moved.y, lowest_point);
-            stage_vel[j] = Pair{fused(ax, later, start_vel[j].x), fused(ay, later, start_vel[j].y)};
+            stage_vel[j] = Pair{fused(fx, later, start_vel[j].x), fused(fy, later, start_vel[j].y)};
         });
         sync();
     }
@@ -173,11 +167,11 @@ auto runge_kutta = [&]() {
     // the stages; only its update is dropped.
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
         const bool free = loose >> j & 1;
-        const double sixth = dt / 6.0 * double(at_last);
-        move[j][0] = free ? vel[j][0] * dt + double(sum_acc[j].x) * (sixth * dt) : 0.0;
-        move[j][1] = free ? vel[j][1] * dt + double(sum_acc[j].y) * (sixth * dt) : 0.0;
-        vel[j][0] = vel[j][0] + double(free ? sum_vel[j].x : Real(0)) * sixth;
-        vel[j][1] = vel[j][1] + double(free ? sum_vel[j].y : Real(0)) * sixth;
+        const double sixth = dt / 6.0 * double(model.inverse_mass);
+        move[j][0] = free ? vel[j][0] * dt + double(sum_force[j].x) * (sixth * dt) : 0.0;
+        move[j][1] = free ? vel[j][1] * dt + double(sum_force[j].y) * (sixth * dt) : 0.0;
+        vel[j][0] = vel[j][0] + double(free ? sum_gain[j].x : Real(0)) * sixth;
+        vel[j][1] = vel[j][1] + double(free ? sum_gain[j].y : Real(0)) * sixth;
         at.disp[part + PARTS * j] = Pair{Real(move[j][0]), Real(move[j][1])};
     }
     sync();
