@@ -157,6 +157,7 @@ DATA = {
         "pack 6*point lane",
         "forces in the first three stages, one after another, then corrections of the strain limit; exact: other sums",
     ),
+    "corrected": (int, "unit point", "1: a pass of the strain limits moves the point in some lane"),
     "hits": (int, "pack lane", "contacts met in this sub-step; these and the box trees only in exact arithmetic"),
     "hit": (wp.vec4i, "pack hit lane", "leaves in the order of their objects, 4 x way + corner, point (-1: fixed)"),
     "hit_ends": (wp.vec2i, "pack hit lane", "points of the side"),

@@ -12,6 +12,8 @@ const double* spring_rest = &wp::index(model.spring_rest, mesh, 0);
 const auto disp = values(data.disp);
 const auto spring = values(data.spring);
 const auto moved = values(data.stages);  // corrections of a pass; what Runge-Kutta left there is not needed any more
+const int points = wp::index(model.points, mesh);
+int* corrected = &wp::index(data.corrected, unit, 0);
 const auto pos = wides(data.pos);
 const auto true_vel = wides(data.true_vel);  // displacements of the sub-step until the end
 
@@ -34,10 +36,21 @@ auto correction = [&](int s, int lanes, Real bound, Real share, Value& dx, Value
     return true;
 };
 
+// Corrections of a point begin with 0.
+auto note = [&](int p) {
+    if (corrected[p]) return;
+    corrected[p] = 1;
+    moved[2 * p] = moved[2 * p + 1] = Value{};
+};
 // Move a point where it is free, in the corrections alone or in the displacements, too; twins move with their leader.
 auto shift = [&](int p, Value x, Value y, bool in_place) {
     const int free = free_lanes[p], begin = twin_range[p][0], end = twin_range[p][1];
     if (free == 0) return;
+    note(p);
+    for (int e = begin; e < end; ++e) {
+        note(twin[e][0]);
+        note(twin[e][1]);
+    }
     if (free != -1) {
         x = x * weights(free);
         y = y * weights(free);
@@ -68,31 +81,28 @@ auto shift = [&](int p, Value x, Value y, bool in_place) {
 };
 
 Value dx, dy;
-bool any = false;
-auto begin_corrections = [&]() {
-    for (int n = 0; !any && n < actives; ++n) moved[active[n]] = Value{};
-    any = true;
-};
+for (int p = 0; p < points; ++p) corrected[p] = 0;
 
 // All springs from one snapshot.
 for (int s = 0; s < springs; ++s) {
     if (correction(s, spring_lanes[s], model.strain_limit, model.strain_share, dx, dy)) {
-        begin_corrections();
         shift(spring_ends[s][0], dx, dy, false);
         shift(spring_ends[s][1], -dx, -dy, false);
     }
 }
-for (int n = 0; any && n < actives; ++n) {
-    const unsigned r = active[n];
-    disp[r] = disp[r] + moved[r];
-    true_vel[r] = true_vel[r] + widen(moved[r]);
-    moved[r] = Value{};
+for (int n = 0; n < actives; n += 2) {
+    const unsigned x = active[n];
+    if (!corrected[x / 2]) continue;
+    corrected[x / 2] = 0;
+    for (unsigned r = x; r < x + 2; ++r) {
+        disp[r] = disp[r] + moved[r];
+        true_vel[r] = true_vel[r] + widen(moved[r]);
+    }
 }
 // The sides of rigid voxels one after another, in place.
 for (int n = 0; n < rigids; ++n) {
     const int s = rigid_spring[n];
     if (correction(s, rigid_lanes[n], model.rigid_strain_limit, model.rigid_strain_share, dx, dy)) {
-        begin_corrections();
         shift(spring_ends[s][0], dx, dy, true);
         shift(spring_ends[s][1], -dx, -dy, true);
     }
@@ -103,7 +113,7 @@ Wide path = {};
 for (int n = 0; n < actives; ++n) {
     const unsigned r = active[n];
     Wide step = true_vel[r];
-    if (any) step = step + widen(moved[r]);
+    if (corrected[r / 2]) step = step + widen(moved[r]);
     pos[r] = pos[r] + step;
     true_vel[r] = step * rate;
     path = longer(path, step);
