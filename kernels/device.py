@@ -29,8 +29,8 @@ __all__ = [
 
 kernel = wp.kernel(enable_backward=False, module="unique", module_options={"fuse_fp": False})
 """Decorator: a kernel in a module of its own. Contacts at time 0 and thresholds of tasks hang on the last bit of a
-double: round as the formulas are written, with fused multiply-add only where they say so (`fused`), since the compiler's
-choice of places differs between devices."""
+double: round as the formulas are written, with fused multiply-add where they say so alone (`fused`), because the places
+that a compiler chooses differ between devices."""
 
 
 def register_limited(registers: int) -> Any:
