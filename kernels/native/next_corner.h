@@ -24,15 +24,15 @@ auto inside = [&](unsigned p, unsigned j, const wp::vec_t<4, int>& r, int lanes)
         ));
     }
     int found = 0;
-    each_lane([&](int k) {
-        if (!(left >> k & 1)) return;
-        const double px = lane_of(x, k), py = lane_of(y, k);
+    for (; left; left &= left - 1) {
+        const int k = first_bit(left);
         auto at = [&](int row) -> double { return lane_of(pos[row], k); };
+        const double px = at(2 * p), py = at(2 * p + 1);
         if (in_voxel(
             at(2 * r[0]) - px, at(2 * r[0] + 1) - py, at(2 * r[1]) - px, at(2 * r[1] + 1) - py,
             at(2 * r[2]) - px, at(2 * r[2] + 1) - py, at(2 * r[3]) - px, at(2 * r[3] + 1) - py
         )) found |= 1 << k;
-    });
+    }
     return found;
 };
 
@@ -59,20 +59,19 @@ auto shared = [&](int p, const wp::vec_t<4, int>& corners) -> int {
 const wp::vec_t<4, int>* pair = &wp::index(pairs, unit, 0);
 const wp::vec_t<4, int>* corner = &wp::index(corners, mesh, 0);
 const wp::vec_t<4, int>* side = &wp::index(side_lanes, mesh, 0);
-for (int at = begin; at < 8 * count; ++at) {
-    const int way = (at >> 2) & 1, c = at & 3;
-    const int near = pair[at >> 3][2 + way];
-    const int left = (near & 15) >> c;
-    if (!left) at |= 3;  // nor the corners after it
-    if (!(left & 1)) continue;
-    const int i = pair[at >> 3][way], j = pair[at >> 3][1 - way];
-    int lanes = active & ((side[i][0] | side[i][1] | side[i][2] | side[i][3]) >> lane);
-    if (near >> (8 + c) & 1) lanes &= ~(shared(corner[i][c], corner[j]) >> lane);
-    if (!lanes) continue;
-    const int found = inside(corner[i][c], j, corner[j], lanes);
-    if (found) {
-        wp::index(touching, unit) = found;
-        return at;
+int done = (1 << (begin & 7)) - 1;  // corners of the first pair that were looked at before
+for (int n = begin >> 3; n < count; ++n, done = 0) {
+    for (int left = ((pair[n][2] & 15) | (pair[n][3] & 15) << 4) & ~done; left; left &= left - 1) {
+        const int bit = first_bit(left), way = bit >> 2, c = bit & 3;
+        const int i = pair[n][way], j = pair[n][1 - way];
+        int lanes = active & ((side[i][0] | side[i][1] | side[i][2] | side[i][3]) >> lane);
+        if (pair[n][2 + way] >> (8 + c) & 1) lanes &= ~(shared(corner[i][c], corner[j]) >> lane);
+        if (!lanes) continue;
+        const int found = inside(corner[i][c], j, corner[j], lanes);
+        if (found) {
+            wp::index(touching, unit) = found;
+            return 8 * n + bit;
+        }
     }
 }
 return 8 * count;

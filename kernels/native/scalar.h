@@ -8,9 +8,11 @@ auto narrow = [](Wide a) -> Value { return static_cast<Value>(a); };
 auto root = [](Value a) -> Value { return wp::sqrt(a); };
 auto root_wide = [](Wide a) -> Wide { return wp::sqrt(a); };
 #if defined(__CUDA_ARCH__)
+auto first_bit = [](int mask) -> int { return __ffs(mask) - 1; };
 auto fused = [](Value a, Value b, Value c) -> Value { return fma(a, b, c); };
 auto reduced = [](Value a, Value b, Value c) -> Value { return fma(-a, b, c); };
 #else
+auto first_bit = [](int mask) -> int { return __builtin_ctz(mask); };
 auto fused = [](Value a, Value b, Value c) -> Value { return __builtin_elementwise_fma(a, b, c); };
 auto reduced = [](Value a, Value b, Value c) -> Value { return __builtin_elementwise_fma(-a, b, c); };
 #endif

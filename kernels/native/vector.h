@@ -39,6 +39,7 @@ auto bits_of = [](auto a) -> int {
     __builtin_memcpy(&mask, &bits, WIDTH / 8);
     return static_cast<int>(mask);
 };
+auto first_bit = [](int mask) -> int { return __builtin_ctz(mask); };
 auto fused = [](Value a, Value b, Value c) -> Value { return __builtin_elementwise_fma(a, b, c); };
 auto reduced = [](Value a, Value b, Value c) -> Value { return __builtin_elementwise_fma(-a, b, c); };
 auto quotient = [](Value a, Value b) -> Value { return a / b; };
