@@ -2,9 +2,6 @@
 
 from warpvox.kernels.kit import Kit, builder
 
-STRIDE = 24
-"""Springs that the first Runge-Kutta stage does before the others follow, at the least."""
-
 
 @builder
 def goals(kit: Kit):
@@ -20,7 +17,7 @@ def runge_kutta(kit: Kit):
     length at the sub-step's start (section A.4). This relaxation is also what damps the bodies. Its force, gravity,
     drag, contacts and the floor are integrated by RK4.
     """
-    return kit.stage("native/springs.h", "native/forces.h", "native/integrate.h", STRIDE=STRIDE)
+    return kit.stage("native/springs.h", "native/forces.h", "native/integrate.h")
 
 
 @builder

@@ -60,11 +60,6 @@ MODEL = {
     "actives": (int, "mesh", "points that are free or hang on a spring; all others stay where they are"),
     "active": (int, "mesh 2*active", "their rows, x and y; fast: in the order of `last_spring`"),
     "last_spring": (int, "mesh active", "the last spring that pulls at an active point, -1: none"),
-    "spring_needs": (
-        int,
-        "mesh spring",
-        "active points, the first in their order, that hold all ends of the springs up to the last with its first end",
-    ),
     "springs": (int, "mesh", "springs in use"),
     "rigids": (int, "mesh", "entries of rigid_spring in use"),
     "twins": (int, "mesh", "entries of twin in use"),

@@ -258,7 +258,6 @@ def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
 
     out["stiffness"] = out["spring_k"]
     out["last_spring"] = np.zeros(int(out["actives"]), np.int32)
-    out["spring_needs"] = np.zeros(springs, np.int32)
 
     def in_lanes(values: np.ndarray) -> np.ndarray:
         return np.repeat(values[:, None], lanes, axis=1)

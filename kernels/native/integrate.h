@@ -9,7 +9,6 @@
 const int twins = wp::index(model.twins, mesh), twin_ends = wp::index(model.twin_ends, mesh);
 const wp::vec_t<4, int>* twin_end = &wp::index(model.twin_end, mesh, 0);
 const int* last_spring = &wp::index(model.last_spring, mesh, 0);
-const int* needs = &wp::index(model.spring_needs, mesh, 0);
 const Real* stiffness = &wp::index(model.stiffness, mesh, 0);
 const bool alike = wp::index(model.alike, mesh);
 int* in_contact = &wp::index(data.in_contact, unit, 0);
@@ -110,16 +109,11 @@ auto finish_point = [&](unsigned x) __attribute__((always_inline)) {
     }
 };
 
-// One stage on springs up to `to`, as far as the points that they need have been `stepped`: adds their forces at both ends,
-// at every point in the order of springs. A point that the springs are done with takes the next step. Springs are in the
-// order of their first ends.
-struct Front { int spring, point, entry; } front[4] = {};
-auto advance = [&](int stage, int to, int stepped, auto force_of, auto next) __attribute__((always_inline)) {
-    int s = front[stage].spring, n = front[stage].point, e = front[stage].entry;
-    int at_twin = e < twin_ends ? twin_end[e][0] : -1;
-    for (;;) {
-        for (; n < actives / 2 && last_spring[n] < s; ++n) next(active[2 * n]);
-        if (s >= to || needs[s] > stepped) break;
+// One stage: adds the forces of all springs to those at their ends, at every point in the order of springs; a point that
+// the springs are done with takes the next step. Springs are in the order of their first ends.
+auto run_stage = [&](int stage, auto force_of, auto next) __attribute__((always_inline)) {
+    int e = 0, n = 0, at_twin = twin_ends ? twin_end[0][0] : -1;
+    for (int s = 0; s < springs;) {
         const unsigned a = 2 * spring_ends[s][0];
         Value ax = force(stage, a), ay = force(stage, a + 1);
         do {
@@ -140,8 +134,9 @@ auto advance = [&](int stage, int to, int stepped, auto force_of, auto next) __a
         } while (++s < springs && 2 * spring_ends[s][0] == a);
         force(stage, a) = ax;
         force(stage, a + 1) = ay;
+        for (; n < actives && last_spring[n / 2] < s; n += 2) next(active[n]);
     }
-    front[stage] = Front{s, n, e};
+    for (; n < actives; n += 2) next(active[n]);
 };
 
 // A twin feels what its leader feels.
@@ -158,13 +153,8 @@ for (int n = 0; n < actives; n += 2) {
     const Value height = narrow(pos[active[n + 1]]);
     lowest = n ? smaller(lowest, height) : height;
 }
-// The stages follow each other through the springs, so that what one has left is still in the nearest cache for the next.
-int to = 0, started = 0;
-while (front[3].point < actives / 2) {
-    to = to + STRIDE < springs ? to + STRIDE : springs;
-    for (; started < (to < springs ? needs[to - 1] : actives / 2); ++started) begin_stage(0, active[2 * started]);
-    advance(0, to, started, relax, [&](unsigned x) __attribute__((always_inline)) { begin_stage(1, x); });
-    advance(1, springs, front[0].point, stretch, [&](unsigned x) __attribute__((always_inline)) { begin_stage(2, x); });
-    advance(2, springs, front[1].point, stretch, [&](unsigned x) __attribute__((always_inline)) { begin_stage(3, x); });
-    advance(3, springs, front[2].point, stretch, finish_point);
-}
+for (int n = 0; n < actives; n += 2) begin_stage(0, active[n]);
+run_stage(0, relax, [&](unsigned x) __attribute__((always_inline)) { begin_stage(1, x); });
+run_stage(1, stretch, [&](unsigned x) __attribute__((always_inline)) { begin_stage(2, x); });
+run_stage(2, stretch, [&](unsigned x) __attribute__((always_inline)) { begin_stage(3, x); });
+run_stage(3, stretch, finish_point);

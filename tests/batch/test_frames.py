@@ -55,8 +55,3 @@ def test_points_feel_the_springs_of_all_points_that_they_are_one_with(seed: int,
     last = tables["last_spring"][: tables["actives"]].tolist()
     assert last == sorted(last) == [max(touched[p]) for p in active]
     assert set(active) >= {p for p in range(points) if touched[p] != {-1}}
-    place = {p: n for n, p in enumerate(active, 1)}
-    run_end = [s for s in range(springs) if s + 1 == springs or ends[s, 0] != ends[s + 1, 0]]
-    for s, needed in enumerate(tables["spring_needs"][:springs]):
-        stop = next(r for r in run_end if r >= s)
-        assert needed == max(place[p] for p in range(points) if min(touched[p] - {-1}, default=springs) <= stop)

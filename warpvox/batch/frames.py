@@ -394,15 +394,6 @@ class _PackTables:
         order = order[:, : max(1, int(self.arrays["actives"].max()))]
         self.arrays["active"] = (2 * order[..., None] + [0, 1]).reshape(self.packs, -1).astype(np.int32)
         self.arrays["last_spring"] = np.take_along_axis(last, order, axis=1).astype(np.int32)
-        rank = np.zeros_like(last)
-        np.put_along_axis(rank, order, np.arange(1, order.shape[1] + 1), axis=1)
-        needs = np.take_along_axis(rank[:, None], ends, axis=2).max(2)
-        np.maximum.at(needs, (pack, more[pack, entry, 0]), rank[pack, more[pack, entry, 1]])
-        needs = np.maximum.accumulate(needs, axis=1)
-        last_of_run = np.diff(ends[..., 0], axis=1, append=-1) != 0  # of the springs with the same first end
-        run = np.where(last_of_run, np.arange(ends.shape[1]), ends.shape[1])
-        run = np.minimum.accumulate(run[:, ::-1], axis=1)[:, ::-1]
-        self.arrays["spring_needs"] = np.take_along_axis(needs, run, axis=1).astype(np.int32)
 
     def _ends_at_twins(self, mesh: GridMesh, points: _Numbers, springs: _Numbers, present: np.ndarray) -> np.ndarray:
         """int ``[entries, 5]``: pack, spring, point, end, lanes, where a spring pulls at a twin of its end."""
