@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from warpvox.algos.candidate import FINALIST
+from warpvox.algos.candidate import FINALIST, GAIT
 from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.cli.commands.codesign import check, environments
@@ -111,6 +111,31 @@ def test_a_search_by_gaits(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -
     assert warpvox("export", f"run={folder}/designs/0", "format=[jit]").code == 0
 
 
+def test_a_search_whose_bodies_come_back(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)
+    words = "search.population=2 search.children=3 search.max_evaluations=12 search.survivor_rate=null reuse=true".split()
+    settings = "screening.gaits=1 screening.rounds=1 screening.final_gaits=8 screening.final_rounds=1".split()
+    folder = search(warpvox, "search=evolution", "evaluation=gaits", *words, *settings)
+    records = records_of(folder)
+    searched, finals = records[:12], records[12:]
+    children = [record for record in searched if record.candidate.origin == GAIT]
+    assert children
+    assert all(record.reused is None for record in searched)
+    assert any(record.policy is None for record in searched)  # of those that cannot have children
+    assert all(searched[parent].policy for record in searched for parent in record.candidate.parents)
+    for record in finals:
+        same = [other.id for other in searched if (other.candidate.body == record.candidate.body).all()]
+        assert sorted(record.candidate.parents) == same
+        best = max(searched[parent].fitness for parent in record.candidate.parents)
+        assert record.fitness >= best or searched[record.candidate.parents[0]].policy is None
+    config = yaml.safe_load((folder / "designs" / str(finals[0].id) / "config.yaml").read_text())
+    assert (config["dtype"], config["lanes"]) == ("float32", 8)
+    (folder / "summary.json").unlink()
+    assert warpvox("codesign", f"resume={folder}").code == 0
+    best = max((record for record in searched if record.policy), key=lambda record: record.fitness)
+    assert played(warpvox, folder / "designs" / str(best.id)) == pytest.approx(best.fitness, abs=ROUNDING)
+
+
 @pytest.mark.parametrize(
     ("words", "count"),
     [
@@ -147,6 +172,7 @@ def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
         ("pretrained=latest", "evaluation=few_shot and pretrained go together"),
         ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
         ("evaluation=gaits training.inherit=true", "training.inherit does not go with evaluation=gaits"),
+        ("search=evolution search.survivor_rate=null", "search=evolution has children that only move in another way"),
         ("evaluation=gaits pretrained=latest", "evaluation=few_shot and pretrained go together"),
         ("evaluation=shared executor=ray", "one policy that learns in one process"),
         ("evaluation=shared batch=2", "leave batch away"),

@@ -10,7 +10,7 @@ import pytest
 import torch
 from population_cases import LIMIT, candidates, factory
 
-from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.candidate import GAIT, Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.checkpoints.files import Controller, build_actor, check_spec, spec_of
 from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.finalists import BestOf
@@ -94,6 +94,28 @@ def test_a_child_is_never_worse_for_having_its_parents_gait() -> None:
     (outcome,) = evaluator().evaluate([same], parents)
     assert outcome.fitness >= parents[best].fitness
     assert outcome.fitness > evaluator().evaluate([dataclasses.replace(same, parents=())], {})[0].fitness
+
+
+def gait_of(policy: dict) -> dict[str, np.ndarray]:
+    return {name: value.numpy() for name, value in policy.items() if name != "cells"}
+
+
+def test_with_one_gait_each_a_child_moves_as_its_parent_or_nearly_so() -> None:
+    (mother,) = candidates(1)
+    one = dataclasses.replace(evaluator(), count=1, factory=dataclasses.replace(factory(), max_episode_steps=1))
+    (outcome,) = one.evaluate([mother], {})
+    parents = {0: parent_of(mother, outcome)}
+    known = gait_of(outcome.policy)
+    kept = {}
+    for origin in (GAIT, "mutation"):
+        children = [Candidate(number, mother.body, (0,), origin, 1) for number in range(1, 25)]
+        moved = [gait_of(child.policy) for child in one.evaluate(children, parents)]
+        same = [{name: (gait[name] == known[name]).mean() for name in known} for gait in moved]
+        kept[origin] = sum(all(share == 1 for share in shares.values()) for shares in same)
+        # a random gait has another period in each stage; a mutation seldom changes that
+        assert np.mean([shares["period"] for shares in same]) > 0.5
+    # few mutations change nothing; half of the mutants of a body keep the gait
+    assert kept[GAIT] < 5 < 8 < kept["mutation"] < 20
 
 
 @pytest.mark.parametrize("seed", range(5))
