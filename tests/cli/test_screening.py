@@ -113,7 +113,7 @@ def test_a_search_by_gaits(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -
 
 def test_a_search_whose_bodies_come_back(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)
-    words = "search.population=2 search.children=3 search.max_evaluations=12 search.survivor_rate=null reuse=true".split()
+    words = "search.population=2 search.children=3 search.max_evaluations=12 search.survivor_rate=null".split()
     settings = "screening.gaits=1 screening.rounds=1 screening.final_gaits=8 screening.final_rounds=1".split()
     folder = search(warpvox, "search=evolution", "evaluation=gaits", *words, *settings)
     records = records_of(folder)
