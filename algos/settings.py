@@ -103,8 +103,3 @@ class ScreeningConfig:
     final_gaits: int | None = key(
         None, "evaluation=gaits: gaits that a finalist tries in a round; null: as many as the others", low=1
     )
-    dtype: str | None = key(
-        None,
-        "evaluation=gaits: precision of comparisons before the final rounds; null: that of finalists, dtype",
-        choices=("float32", "float64"),
-    )

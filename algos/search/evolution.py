@@ -1,8 +1,7 @@
-"""Evolution of bodies together with how they move: the best of each island have children, and most bodies come back."""
+"""Evolution of bodies together with how they move: age-fitness Pareto optimisation (Schmidt and Lipson 2011)."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,15 +18,15 @@ RATES = (0.4, 1.0, 2.0)
 
 
 class EvolutionSearch(BaseSearch):
-    """The (mu + lambda) scheme: parents and children compete, and the best of both are the next parents.
+    """Parents and children compete, and candidates stay that no younger one beats.
 
     A candidate is a body with one way to move it. A child has the body of its parent and moves otherwise (its origin is
     ``gait``), or a mutant of the body; it needs an evaluation that passes on the motion of a parent
-    (``evaluation=gaits``). Few candidates of one body may be parents, lest they be all alike.
+    (``evaluation=gaits``). A candidate is as old as the random body that it descends from. Young lineages are thus not
+    driven out by old ones, which have had more time to improve: without that, all parents soon descend from one body.
 
     Attributes:
-        islands: ids of the parents of each island, best first. Islands evolve side by side; now and then the best of
-            each also becomes a parent in the next.
+        parents: ids, best first.
     """
 
     settings: EvolutionSettings
@@ -35,20 +34,22 @@ class EvolutionSearch(BaseSearch):
 
     def __init__(self, settings: EvolutionSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
         super().__init__(settings, shape, seed)
-        self.islands: list[list[int]] = [[] for _ in range(settings.islands)]
+        self.parents: list[int] = []
+        self._began: list[int] = []  # of each candidate: the generation of the random body that it descends from
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """Random bodies first, then children of each island's parents."""
-        return [self._child(rng, self.islands[place * len(self.islands) // count]) for place in range(count)]
+        """Random bodies first, then children of the parents, and a few random bodies."""
+        return [self._child(rng) for _ in range(count)]
 
-    def _child(self, rng: np.random.Generator, parents: Sequence[int]) -> Proposal:
-        how = self.settings
+    def _child(self, rng: np.random.Generator) -> Proposal:
+        how, parents = self.settings, self.parents
         if not parents or rng.random() < how.newcomers:
             return self.random_proposal(rng)
         parent = parents[rng.integers(len(parents), size=2).min()]  # the better of two
+        body = self.bodies[parent]
         if rng.random() < how.same_body:
-            return Proposal(self.bodies[parent].copy(), (parent,), GAIT)
-        rate, body = min(how.mutation_rate * rng.choice(RATES), 1.0), self.bodies[parent]
+            return Proposal(body.copy(), (parent,), GAIT)
+        rate = min(how.mutation_rate * rng.choice(RATES), 1.0)
         copies, own = np.repeat(body[None], MUTANTS_PER_DRAW, axis=0), body_key(body)
         # a body that is known may do better with another gait
         mutant = first_valid(lambda: mutate(rng, copies, rate), lambda key: key == own, MAX_MUTANT_VOXELS)
@@ -56,32 +57,33 @@ class EvolutionSearch(BaseSearch):
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
         """Choose the parents anew."""
-        children: list[list[int]] = [[] for _ in self.islands]
-        for place, candidate in enumerate(candidates):
-            children[place * len(self.islands) // len(candidates)].append(candidate.id)
-        self.islands = [self._best(old + new) for old, new in zip(self.islands, children, strict=True)]
-        if self.generation % self.settings.migration == self.settings.migration - 1:
-            best = [parents[:1] for parents in self.islands]
-            self.islands = [self._best(one + other) for one, other in zip(self.islands, best[-1:] + best, strict=False)]
-
-    def _best(self, numbers: Sequence[int]) -> list[int]:
-        """The next parents of an island; of equals the older one comes first."""
-        bodies: Counter[bytes] = Counter()
-        chosen: list[int] = []
-        for number in sorted(set(numbers), key=lambda number: (-self.fitness[number], number)):
-            key = body_key(self.bodies[number])
-            bodies[key] += 1
-            if bodies[key] <= self.settings.per_body:
-                chosen.append(number)
-        return chosen[: self._room]
-
-    @property
-    def _room(self) -> int:
-        """Parents of an island."""
-        return self.settings.population // len(self.islands)
+        self._began += [self._beginning(candidate) for candidate in candidates]
+        known = [(self.fitness[number], self._began[number], number) for number in self.parents]
+        new = [(value, self._began[one.id], one.id) for one, value in zip(candidates, fitness, strict=True)]
+        self.parents = _survivors(known + new, self.settings.population)
 
     def wanted(self, candidate: Candidate, fitness: float) -> bool:
-        """Whether a candidate of this generation may become a parent."""
-        asked = self._asked or [candidate]
-        parents = self.islands[(candidate.id - asked[0].id) * len(self.islands) // len(asked)]
-        return len(parents) < self._room or fitness > self.fitness[parents[-1]]
+        """Whether a candidate of this generation may become a parent: its siblings can only take its place."""
+        known = [(self.fitness[number], self._began[number], number) for number in self.parents]
+        entry = (fitness, self._beginning(candidate), candidate.id)
+        return candidate.id in _survivors([*known, entry], self.settings.population)
+
+    def _beginning(self, candidate: Candidate) -> int:
+        return self._began[candidate.parents[0]] if candidate.parents else candidate.generation
+
+
+def _survivors(entries: Sequence[tuple[float, int, int]], count: int) -> list[int]:
+    """The ids of ``count`` of the entries (fitness, generation of the beginning, id), the fittest first.
+
+    First those that no entry beats in fitness without being older, then those that only the first ones beat, and so on.
+    """
+    left = sorted(entries, key=lambda entry: (-entry[0], -entry[1], entry[2]))
+    chosen: list[tuple[float, int, int]] = []
+    while left and len(chosen) < count:
+        front, beaten, youngest = [], [], -1
+        for entry in left:
+            younger = entry[1] > youngest
+            (front if younger else beaten).append(entry)
+            youngest = max(youngest, entry[1])
+        chosen, left = chosen + front, beaten
+    return [number for _, _, number in sorted(chosen[:count], key=lambda entry: (-entry[0], entry[2]))]

@@ -135,28 +135,16 @@ class MapElitesSettings(SearchSettings):
 
 @dataclass(frozen=True)
 class EvolutionSettings(SearchSettings):
-    """Evolution of bodies and gaits in one population."""
+    """Evolution of bodies and gaits in one population (age-fitness Pareto optimisation)."""
 
     algorithm: ClassVar[str] = "evolution"
 
-    population: int = key(32, "best candidates of all generations so far, which have children", low=2)
+    population: int = key(32, "candidates that have children: the best of all generations so far", low=2)
     max_evaluations: int = key(10000, "number of designs to evaluate, those that move otherwise included", low=1)
     mutation_rate: float = key(0.1, "probability that a mutation changes a voxel", above=0, high=1)
     children: int = key(128, "candidates of a generation", low=1)
     same_body: float = key(0.5, "share of the children that have their parent's body and move otherwise", low=0, high=1)
-    newcomers: float = key(0.04, "share of the candidates after the first generation that are random", low=0, high=1)
-    per_body: int = key(3, "number of them with the same body, at most", low=1)
-    islands: int = key(1, "populations that parents and children are divided into", low=1)
-    migration: int = key(10, "generations until the best of each island joins the next one", low=1)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        most = min(self.population, self.children)
-        if self.islands > most:
-            raise ConfigError(
-                f"islands must be at most {most}, so that each has a parent (population={self.population}) and a child"
-                f" (children={self.children}); got {self.islands}."
-            )
+    newcomers: float = key(0.06, "share of the candidates after the first generation that are random", low=0, high=1)
 
     @property
     def generation(self) -> int:

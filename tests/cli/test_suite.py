@@ -269,13 +269,13 @@ def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(
 
 
 def test_a_suite_counts_environments_as_its_members_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With device=auto: 16 environments for each training, and of gaits 128 designs x 3 gaits x 4 episodes."""
+    """With device=auto: 16 environments for each training, and of gaits 16 designs x 50 gaits x 4 episodes."""
     asked = []
     monkeypatch.setattr(suite, "resolve_device", lambda device, envs: asked.append(envs) or "cpu")
-    words = ["search.population=32", "screening.gaits=3", "workers=1", "control_steps=100000000"]
+    words = ["search.population=32", "screening.gaits=50", "workers=1", "control_steps=100000000"]
     config = load("suite", ["tasks=[Catcher-v0]", "searches=[ga,auto]", *words])
     suite._pool(config, [member.config for member in plan(config)])[0].close()
-    assert asked == [128 * 3 * 4]
+    assert asked == [16 * 50 * 4]
 
 
 def test_more_members_join_and_none_may_leave(quick: Callable) -> None:

@@ -320,34 +320,19 @@ def _by_gaits(config: CodesignConfig, training: DesignEvaluator) -> DesignEvalua
     from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
     how, episodes = config.screening, episodes_of(config.task)
-    many = GaitEvaluator(factory_of(screened(config)), how.gaits, how.rounds, how.stages, config.seed, episodes)
-    final = dataclasses.replace(
-        many, factory=factory_of(config), count=how.final_gaits or how.gaits, rounds=how.final_rounds
-    )
-    return TwoStages(many, BestOf(final, training))
-
-
-def screened(config: CodesignConfig) -> CodesignConfig:
-    """The configuration with the precision in which gaits are compared before the final rounds."""
-    dtype = config.screening.dtype
-    return config if dtype in (None, config.dtype) else dataclasses.replace(config, dtype=dtype, arithmetic=None)
+    gaits = GaitEvaluator(factory_of(config), how.gaits, how.rounds, how.stages, config.seed, episodes)
+    final = dataclasses.replace(gaits, count=how.final_gaits or how.gaits, rounds=how.final_rounds)
+    return TwoStages(gaits, BestOf(final, training))
 
 
 def values_of_gait(config: CodesignConfig, candidate: Candidate) -> dict[str, Any]:
-    """What the configuration of a design with a gait has: the simulation in which its fitness was found."""
+    """What the configuration of a design with a gait has, which is simulated as in the evaluation of its fitness."""
     from warpvox.algos.codesign.gait_evaluator import gait_lanes
 
-    how, final = config.screening, candidate.origin == FINALIST
-    config = config if final else screened(config)
-    count = (how.final_gaits if final else None) or how.gaits
-    return {
-        "policy": "mlp",
-        "network": None,
-        "obs": "timed",
-        "dtype": config.dtype,
-        "arithmetic": config.arithmetic,
-        "lanes": gait_lanes(factory_of(config), count * episodes_of(config.task)),
-    }
+    how = config.screening
+    count = (how.final_gaits if candidate.origin == FINALIST else None) or how.gaits
+    lanes = gait_lanes(factory_of(config), count * episodes_of(config.task))
+    return {"policy": "mlp", "network": None, "obs": "timed", "lanes": lanes}
 
 
 def episodes_of(task: str) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
@@ -10,8 +9,6 @@ import pytest
 
 from warpvox.algos.candidate import GAIT, Candidate
 from warpvox.algos.search import EvolutionSettings, make_search
-from warpvox.algos.search.bodies import body_key
-from warpvox.errors import ConfigError
 
 
 def evolve(fitness: Callable[[Candidate], float], **changes: object) -> tuple[object, list[Candidate], list[bool]]:
@@ -31,16 +28,28 @@ def luck(candidate: Candidate) -> float:
     return float(np.random.default_rng(candidate.id).random())
 
 
-def test_parents_are_the_best_of_all_so_far_and_few_of_them_share_a_body() -> None:
-    search, candidates, _ = evolve(luck, per_body=2, newcomers=0.0)
-    (parents,) = search.islands
-    bodies: Counter[bytes] = Counter()
-    expected = []
-    for candidate in sorted(candidates, key=luck, reverse=True):
-        bodies[body_key(candidate.body)] += 1
-        if bodies[body_key(candidate.body)] <= 2 and len(expected) < 6:
-            expected.append(candidate.id)
-    assert parents == expected
+def beats(one: tuple[float, int], other: tuple[float, int]) -> bool:
+    """Whether a candidate (fitness, generation of its beginning) is as fit and as young as another, or better."""
+    return one != other and one[0] >= other[0] and one[1] >= other[1]
+
+
+def test_parents_are_those_that_no_younger_ones_beat() -> None:
+    search, candidates, _ = evolve(luck, newcomers=0.2)
+    began = {}
+    for one in candidates:
+        began[one.id] = began[one.parents[0]] if one.parents else one.generation
+    points = {one.id: (luck(one), began[one.id]) for one in candidates}
+    unbeaten = [number for number, point in points.items() if not any(beats(other, point) for other in points.values())]
+    assert 2 < len(unbeaten) <= 6
+    assert set(unbeaten) <= set(search.parents)
+    assert len(search.parents) == 6
+    assert search.parents == sorted(search.parents, key=lambda number: -points[number][0])
+
+
+def test_old_lineages_do_not_drive_out_young_ones() -> None:
+    """Here fitness grows with age, as it does where all lineages improve alike."""
+    search, candidates, _ = evolve(lambda one: -float(one.generation), newcomers=0.3)
+    assert len({candidates[number].generation for number in search.parents}) > 3
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
@@ -53,27 +62,10 @@ def test_children_have_their_parents_body_or_a_mutant_of_it(share: float) -> Non
         assert np.array_equal(child.body, candidates[parent].body) == bool(share)
 
 
-@pytest.mark.parametrize("islands", [1, 3])
-def test_all_parents_were_wanted(islands: int) -> None:
+def test_all_parents_were_wanted() -> None:
     """What a child inherits must have been kept."""
-    _, candidates, wanted = evolve(luck, islands=islands, migration=2)
+    _, candidates, wanted = evolve(luck)
     parents = {parent for candidate in candidates for parent in candidate.parents}
     assert parents
     assert all(wanted[parent] for parent in parents)
     assert not all(wanted)
-
-
-def test_islands_exchange_their_best_only_every_so_many_generations() -> None:
-    # the first candidate of all is the best there will ever be
-    def first(candidate: Candidate) -> float:
-        return 2.0 if candidate.id == 0 else luck(candidate)
-
-    alone, *_ = evolve(first, islands=2, migration=1000)
-    mixed, *_ = evolve(first, islands=2, migration=3)
-    assert [0 in parents for parents in alone.islands] == [True, False]
-    assert [0 in parents for parents in mixed.islands] == [True, True]
-
-
-def test_more_islands_than_parents_or_children_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"islands must be at most 6, .*\(population=6\).*\(children=12\); got 7"):
-        EvolutionSettings(children=12, population=6, islands=7)
