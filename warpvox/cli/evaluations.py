@@ -85,8 +85,8 @@ def check_evaluation(config: CodesignConfig) -> None:
         )
     if config.search.algorithm == "evolution" and config.evaluation != "gaits":
         raise ConfigError(
-            "search=evolution has children that only move in another way, which evaluation=gaits compares; with"
-            f" {how} take search=ga, or search=auto for both."
+            "search=evolution has children that only move in another way than their parent, which evaluation=gaits"
+            f" compares; with {how} take search=ga."
         )
     if not is_screened(config):
         return
