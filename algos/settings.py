@@ -103,3 +103,8 @@ class ScreeningConfig:
     final_gaits: int | None = key(
         None, "evaluation=gaits: gaits that a finalist tries in a round; null: as many as the others", low=1
     )
+
+    @property
+    def gaits_of_finalist(self) -> int:
+        """Gaits that a finalist tries in a round."""
+        return self.final_gaits or self.gaits

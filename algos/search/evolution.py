@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from warpvox.algos.candidate import GAIT, Candidate
-from warpvox.algos.search.base import MAX_MUTANT_VOXELS, MUTANTS_PER_DRAW, BaseSearch, Proposal
-from warpvox.algos.search.bodies import body_key, first_valid, mutate
+from warpvox.algos.search.base import MAX_MUTANT_VOXELS, BaseSearch, Proposal
+from warpvox.algos.search.bodies import body_key, first_valid
 from warpvox.algos.search.settings import EvolutionSettings
 
 __all__ = ["EvolutionSearch"]
@@ -46,33 +46,33 @@ class EvolutionSearch(BaseSearch):
         if not parents or rng.random() < how.newcomers:
             return self.random_proposal(rng)
         parent = parents[rng.integers(len(parents), size=2).min()]  # the better of two
-        body = self.bodies[parent]
-        if rng.random() < how.same_body:
-            return Proposal(body.copy(), (parent,), GAIT)
-        rate = min(how.mutation_rate * rng.choice(RATES), 1.0)
-        copies, own = np.repeat(body[None], MUTANTS_PER_DRAW, axis=0), body_key(body)
-        # a body that is known may do better with another gait
-        mutant = first_valid(lambda: mutate(rng, copies, rate), lambda key: key == own, MAX_MUTANT_VOXELS)
+        body, mutant = self.bodies[parent], None
+        if rng.random() >= how.same_body:
+            draw = self.mutants(rng, parent, min(how.mutation_rate * rng.choice(RATES), 1.0))
+            # a body that is known may do better with another gait
+            mutant = first_valid(draw, body_key(body).__eq__, MAX_MUTANT_VOXELS)
         return Proposal(body.copy(), (parent,), GAIT) if mutant is None else Proposal(mutant, (parent,), "mutation")
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
-        """Choose the parents anew."""
+        """Choose the next parents."""
         self._began += [self._beginning(candidate) for candidate in candidates]
-        known = [(self.fitness[number], self._began[number], number) for number in self.parents]
-        new = [(value, self._began[one.id], one.id) for one, value in zip(candidates, fitness, strict=True)]
-        self.parents = _survivors(known + new, self.settings.population)
+        self.parents = self._survivors(zip(candidates, fitness, strict=True))
 
     def wanted(self, candidate: Candidate, fitness: float) -> bool:
         """Whether a candidate of this generation may become a parent: its siblings can only take its place."""
+        return candidate.id in self._survivors([(candidate, fitness)])
+
+    def _survivors(self, children: Iterable[tuple[Candidate, float]]) -> list[int]:
+        """The parents that there would be with these children and their fitness."""
         known = [(self.fitness[number], self._began[number], number) for number in self.parents]
-        entry = (fitness, self._beginning(candidate), candidate.id)
-        return candidate.id in _survivors([*known, entry], self.settings.population)
+        new = [(value, self._beginning(child), child.id) for child, value in children]
+        return _best(known + new, self.settings.population)
 
     def _beginning(self, candidate: Candidate) -> int:
         return self._began[candidate.parents[0]] if candidate.parents else candidate.generation
 
 
-def _survivors(entries: Sequence[tuple[float, int, int]], count: int) -> list[int]:
+def _best(entries: Sequence[tuple[float, int, int]], count: int) -> list[int]:
     """The ids of ``count`` of the entries (fitness, generation of the beginning, id), the fittest first.
 
     First those that no entry beats in fitness without being older, then those that only the first ones beat, and so on.

@@ -321,18 +321,19 @@ def _by_gaits(config: CodesignConfig, training: DesignEvaluator) -> DesignEvalua
 
     how, episodes = config.screening, episodes_of(config.task)
     gaits = GaitEvaluator(factory_of(config), how.gaits, how.rounds, how.stages, config.seed, episodes)
-    final = dataclasses.replace(gaits, count=how.final_gaits or how.gaits, rounds=how.final_rounds)
+    final = dataclasses.replace(gaits, count=how.gaits_of_finalist, rounds=how.final_rounds)
     return TwoStages(gaits, BestOf(final, training))
 
 
 def values_of_gait(config: CodesignConfig, candidate: Candidate) -> dict[str, Any]:
     """What the configuration of a design with a gait has, which is simulated as in the evaluation of its fitness."""
     from warpvox.algos.codesign.gait_evaluator import gait_lanes
+    from warpvox.algos.policies.registry import MLP
 
     how = config.screening
-    count = (how.final_gaits if candidate.origin == FINALIST else None) or how.gaits
+    count = how.gaits_of_finalist if candidate.origin == FINALIST else how.gaits
     lanes = gait_lanes(factory_of(config), count * episodes_of(config.task))
-    return {"policy": "mlp", "network": None, "obs": "timed", "lanes": lanes}
+    return {"policy": MLP, "network": None, "obs": "timed", "lanes": lanes}
 
 
 def episodes_of(task: str) -> int:

@@ -151,7 +151,7 @@ def environments(config: CodesignConfig) -> int:
         kinds = [(most, how.envs)]
     else:
         episodes = episodes_of(config.task)
-        kinds = [(most, how.gaits * episodes), (config.finalists, (how.final_gaits or how.gaits) * episodes)]
+        kinds = [(most, how.gaits * episodes), (config.finalists, how.gaits_of_finalist * episodes)]
     return max(own, *(min(config.batch or designs, designs) * each for designs, each in kinds))
 
 

@@ -240,7 +240,7 @@ def _costs(member: CodesignConfig, task: TaskSpec) -> tuple[float, float]:
     if not is_screened(member):
         return steps_of_design(training, member.search.population), 0
     of_gait = episodes_of(member.task) * task.max_episode_steps
-    last = how.final_rounds * (how.final_gaits or how.gaits) * of_gait + steps_of_design(training, count)
+    last = how.final_rounds * how.gaits_of_finalist * of_gait + steps_of_design(training, count)
     return how.rounds * how.gaits * of_gait, count * last
 
 
