@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
@@ -134,6 +135,23 @@ def test_a_search_whose_bodies_come_back(warpvox: Callable, monkeypatch: pytest.
     assert warpvox("codesign", f"resume={folder}").code == 0
     best = max((record for record in searched if record.policy), key=lambda record: record.fitness)
     assert played(warpvox, folder / "designs" / str(best.id)) == pytest.approx(best.fitness, abs=ROUNDING)
+
+
+def test_a_search_of_a_version_with_fewer_keys_goes_on(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)
+    folder = search(warpvox, "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", "screening.final_rounds=1")
+    with sqlite3.connect(folder / FILE) as database:
+        (text,) = database.execute("SELECT value FROM experiment WHERE key = 'settings'").fetchone()
+        settings = json.loads(text)
+        for group, name in ("search", "children"), ("search", "newcomers"), ("screening", "final_gaits"):
+            del settings[group][name]
+        database.execute("UPDATE experiment SET value = ? WHERE key = 'settings'", (json.dumps(settings),))
+    outcome = warpvox("codesign", f"resume={folder}")
+    assert outcome.code == 0, outcome.err
+    settings["screening"]["gaits"] = 9  # which did exist, and was another
+    with sqlite3.connect(folder / FILE) as database:
+        database.execute("UPDATE experiment SET value = ? WHERE key = 'settings'", (json.dumps(settings),))
+    assert "made with another value of 'screening'" in warpvox("codesign", f"resume={folder}").err
 
 
 @pytest.mark.parametrize(
