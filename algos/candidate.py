@@ -16,6 +16,7 @@ __all__ = [
     "FINALIST",
     "GAIT",
     "PROGRESS",
+    "START",
     "Candidate",
     "DesignEvaluator",
     "Outcome",
@@ -28,6 +29,8 @@ FINALIST = "finalist"
 """The origin of a candidate whose body has been compared by a common policy, and now gets a policy of its own."""
 GAIT = "gait"
 """The origin of a candidate with the body of its parent, which is to move in another way."""
+START = "start"
+"""The origin of a candidate whose body was known before the search."""
 PROGRESS = {
     "iteration": "training iterations done",
     "iterations": "training iterations in all",

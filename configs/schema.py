@@ -286,6 +286,12 @@ class CodesignConfig(PresetConfig):
     name: str | None = key(None, "appended to the name of the run's folder")
     output_dir: str = key("outputs", "folder that runs are written to", path="written")
     physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the physics")
+    start: list[str] = key(
+        [],
+        "robots whose bodies the first generation contains, with evaluation=gaits also their gaits: tasks of the zoo,"
+        " files, or entries of a data set",
+        path="read",
+    )
     search: SearchConfig = key(SearchConfig, "search algorithm")
     training: TrainingConfig = key(TrainingConfig, "how a design is trained and evaluated")
     screening: ScreeningConfig = key(ScreeningConfig, "how evaluation=shared, few_shot and gaits compare designs")

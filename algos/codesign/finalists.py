@@ -101,7 +101,7 @@ class BestOf:
         checkpoint: Path | None = None,
     ) -> list[Outcome]:
         """See :class:`DesignEvaluator`. Gaits come from the parents; the trainings begin with new networks."""
-        moved = self.gaits.evaluate(candidates, parents, report)
+        moved = self.gaits.evaluate(candidates, parents, report, checkpoint)
         spent = sum(outcome.steps for outcome in moved)
 
         def tell(event: dict[str, Any]) -> None:

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from warpvox.algos.candidate import GAIT, Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.candidate import GAIT, START, Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.checkpoints.files import PolicySpec, actions_of, spec_dict
-from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait
+from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait, with_stages
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.gait import AMPLITUDE, gait_outputs
 from warpvox.batch.options import MAX_WIDTH, lanes_for, resolve_arithmetic
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.errors import RunError
+from warpvox.io.writing import write_text
 from warpvox.types import Cell
 
 __all__ = ["GaitEvaluator", "gait_lanes"]
@@ -28,6 +32,8 @@ FRESH = 0.125
 """Share of the first gaits of a design with a parent that owe nothing to it."""
 KEPT = 0.5
 """Share of designs with one gait each that move as their parent, where the body is another."""
+SAVE_INTERVAL = 20.0
+"""Seconds between checkpoints."""
 STREAM = 0x6A17
 """Keeps the random numbers of gaits apart from those of the environments."""
 
@@ -48,6 +54,7 @@ class GaitEvaluator:
         stages: parts of an episode in which a gait has a motion each.
         seed: of the experiment.
         episodes: of each gait, whose mean counts; more than one for tasks that draw at random.
+        known: gaits of candidates with the origin :data:`warpvox.algos.candidate.START`, by the bytes of the body.
     """
 
     factory: EnvFactory
@@ -56,6 +63,7 @@ class GaitEvaluator:
     stages: int = 2
     seed: int = 0
     episodes: int = 1
+    known: Mapping[bytes, Gait] = field(default_factory=dict)
 
     def evaluate(
         self,
@@ -64,16 +72,16 @@ class GaitEvaluator:
         report: Callable[[dict[str, Any]], None] | None = None,
         checkpoint: Path | None = None,
     ) -> list[Outcome]:
-        """See :class:`warpvox.algos.candidate.DesignEvaluator`; it takes seconds, and keeps no checkpoint.
+        """See :class:`warpvox.algos.candidate.DesignEvaluator`; rounds that take seconds are not saved.
 
         Raises:
-            DeviceError: memory has run out.
+            DeviceError: memory has run out. RunError: the checkpoint is not one of these candidates.
         """
         if not candidates:
             return []
         hint = f"Take less at once: screening.gaits is {self.count} for each of {len(candidates)} designs (batch)."
         with enough_memory(hint):
-            return _Rounds(self, candidates, parents).run(report)
+            return _Rounds(self, candidates, parents).run(report, checkpoint and checkpoint.with_suffix(".gaits.json"))
 
 
 class _Rounds:
@@ -83,17 +91,21 @@ class _Rounds:
         self.how, self.bodies = how, [candidate.body for candidate in candidates]
         self.seeds = [candidate_seed(how.seed, candidate.id) for candidate in candidates]
         self.random = [np.random.default_rng([STREAM, how.seed, candidate.id]) for candidate in candidates]
-        self.inherited = [_inherited(candidate, parents) for candidate in candidates]
-        self.moves = [candidate.origin == GAIT for candidate in candidates]
+        self.origins = [candidate.origin for candidate in candidates]
         factory = replace(how.factory, lanes=gait_lanes(how.factory, how.count * how.episodes))
         self.env = factory.make(self.bodies, how.count * how.episodes, self.seeds, auto_reset=False)
+        self.inherited = [self._inherited(candidate, parents) for candidate in candidates]
+        self.round = 0
         self.best: list[tuple[float, Gait]] = []
         self.curves: list[list[tuple[int, float]]] = [[] for _ in candidates]
         self.spent = [0] * len(candidates)
 
-    def run(self, report: Callable[[dict[str, Any]], None] | None) -> list[Outcome]:
-        self._tell(report, 0)
-        for number in range(self.how.rounds):
+    def run(self, report: Callable[[dict[str, Any]], None] | None, checkpoint: Path | None) -> list[Outcome]:
+        if checkpoint is not None and checkpoint.is_file():
+            self._read(checkpoint)
+        self._tell(report)
+        saved = time.monotonic()
+        while self.round < self.how.rounds:
             gaits = [self._gaits(place) for place in range(len(self.bodies))]
             returns, steps = self._play(gaits)
             found = [
@@ -103,23 +115,66 @@ class _Rounds:
             for place, (value, _) in enumerate(self.best):
                 self.spent[place] += int(steps[place])
                 self.curves[place].append((self.spent[place], value))
-            self._tell(report, number + 1)
+            self.round += 1
+            if checkpoint is not None and time.monotonic() - saved >= SAVE_INTERVAL:
+                write_text(checkpoint, json.dumps(self._state()))
+                saved = time.monotonic()
+            self._tell(report)
         return [self._outcome(place) for place in range(len(self.bodies))]
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            "seeds": self.seeds,
+            "round": self.round,
+            "best": [
+                [value, {name: array.tolist() for name, array in vars(gait).items()}] for value, gait in self.best
+            ],
+            "curves": self.curves,
+            "spent": self.spent,
+            "random": [rng.bit_generator.state for rng in self.random],
+        }
+
+    def _read(self, checkpoint: Path) -> None:
+        try:
+            state = json.loads(checkpoint.read_text(encoding="utf-8"))
+            if state["seeds"] != self.seeds:
+                raise RunError(f"{checkpoint} belongs to other candidates than those to be evaluated.")
+            best = [
+                (value, Gait(**{name: np.array(array) for name, array in gait.items()}))
+                for value, gait in state["best"]
+            ]
+            for rng, numbers in zip(self.random, state["random"], strict=True):
+                rng.bit_generator.state = numbers
+            curves = [[(steps, value) for steps, value in curve] for curve in state["curves"]]
+            self.best, self.curves, self.spent, self.round = best, curves, state["spent"], state["round"]
+        except (KeyError, TypeError, ValueError) as error:
+            raise RunError(f"{checkpoint} is damaged ({error}): remove it, and these rounds begin again.") from error
+
+    def _inherited(self, candidate: Candidate, parents: Mapping[int, Parent]) -> list[Gait]:
+        """The gaits that a candidate begins with: those of its parents, the best first, or the one it is known by."""
+        if candidate.origin == START:
+            known = self.how.known.get(candidate.body.tobytes())
+            return [] if known is None else [with_stages(known, self.how.stages, self.env.max_episode_steps)]
+        found = [parents[number] for number in candidate.parents if number in parents]
+        found.sort(key=lambda parent: -parent.fitness)
+        fields = Gait.__dataclass_fields__
+        return [Gait(**{name: parent.policy[name].numpy() for name in fields}) for parent in found]
 
     def _gaits(self, place: int) -> list[Gait]:
         """What a design is tried with next."""
         rng, body, count = self.random[place], self.bodies[place], self.how.count
         steps = self.env.max_episode_steps
-        known, gaits = self.inherited[place], []
+        known, origin, gaits = self.inherited[place], self.origins[place], []
         if self.best:
             known, fresh = [self.best[place][1]], 0
         elif not known:
             fresh = count
         elif count == 1:
-            fresh, gaits = 0, known[:1] if not self.moves[place] and rng.random() < KEPT else []
+            kept = origin == START or (origin != GAIT and rng.random() < KEPT)
+            fresh, gaits = 0, known[:1] if kept else []
         else:
             fresh = math.ceil(FRESH * (count - 1))
-            gaits = [] if self.moves[place] else known[: count - fresh]
+            gaits = [] if origin == GAIT else known[: count - fresh]
         gaits += [draw_gait(rng, body, steps, self.how.stages) for _ in range(fresh)]
         return gaits + [mutate_gait(rng, known[0], body, steps) for _ in range(count - len(gaits))]
 
@@ -146,15 +201,15 @@ class _Rounds:
         state["cells"] = torch.as_tensor(np.flatnonzero(body >= Cell.H_ACT))
         return Outcome(value, self.curves[place], self.spent[place], state, spec=spec_dict(spec))
 
-    def _tell(self, report: Callable[[dict[str, Any]], None] | None, rounds: int) -> None:
+    def _tell(self, report: Callable[[dict[str, Any]], None] | None) -> None:
         if report is not None:
             report(
                 {
-                    "iteration": rounds,
+                    "iteration": self.round,
                     "iterations": self.how.rounds,
                     "steps": sum(self.spent),
                     "best": [value for value, _ in self.best] or [math.nan] * len(self.bodies),
-                    "training": [rounds < self.how.rounds] * len(self.bodies),
+                    "training": [self.round < self.how.rounds] * len(self.bodies),
                 }
             )
 
@@ -166,14 +221,6 @@ def gait_lanes(factory: EnvFactory, envs: int) -> int:
     """
     fast = resolve_arithmetic(factory.arithmetic, factory.dtype) == "fast"
     return MAX_WIDTH if fast else lanes_for(envs)
-
-
-def _inherited(candidate: Candidate, parents: Mapping[int, Parent]) -> list[Gait]:
-    """The gaits of a candidate's parents, the best first."""
-    known = [parents[number] for number in candidate.parents if number in parents]
-    known.sort(key=lambda parent: -parent.fitness)
-    fields = Gait.__dataclass_fields__
-    return [Gait(**{name: parent.policy[name].numpy() for name in fields}) for parent in known]
 
 
 def _controller(

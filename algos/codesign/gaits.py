@@ -9,7 +9,7 @@ import numpy as np
 from warpvox.design import Design
 from warpvox.types import Cell
 
-__all__ = ["Gait", "draw_gait", "mutate_gait"]
+__all__ = ["Gait", "draw_gait", "mutate_gait", "with_stages"]
 
 PERIODS = (5.0, 40.0)
 """Control steps of a travelling wave."""
@@ -25,6 +25,8 @@ MOST_REST = 2.0
 """A rest beyond 1 holds an actuator still for a part of the period."""
 STEP_SIZES = (0.02, 1.0)
 """Of mutations: as often small as large, on a logarithmic scale."""
+NEW_MOTION = 0.3
+"""Share of mutants with several stages of which one begins another motion: what happens before it stays as it was."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +62,7 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
         steps: control steps of an episode.
         stages: how many.
     """
-    motions = [_wave(rng, body) if rng.random() < 0.7 else _pose(rng, body) for _ in range(stages)]
+    motions = [_motion(rng, body) for _ in range(stages)]
     if rng.random() < 0.5:
         motions = motions[:1] * stages
     begin = np.sort(np.exp(rng.uniform(np.log(3.0), np.log(max(steps, 4)), stages)).round())
@@ -68,7 +70,21 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
     return Gait(begin, *(np.array(values) for values in zip(*motions, strict=True)))
 
 
+def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
+    """The same motion in more stages, which divide the time from the last one's beginning to ``steps`` evenly."""
+    last = len(gait.begin) - 1
+    place = np.minimum(np.arange(stages), last)
+    later = np.linspace(gait.begin[-1], max(steps, gait.begin[-1]), stages - last + 1)[1:-1].round()
+    begin = np.concatenate([gait.begin, later])
+    return Gait(begin, gait.period[place], gait.amplitude[place], gait.phase[place], gait.rest[place])
+
+
 Stage = tuple[float, np.ndarray, np.ndarray, np.ndarray]
+"""Period, amplitude, phase and rest of a motion."""
+
+
+def _motion(rng: np.random.Generator, body: Design) -> Stage:
+    return _wave(rng, body) if rng.random() < 0.7 else _pose(rng, body)
 
 
 def _wave(rng: np.random.Generator, body: Design) -> Stage:
@@ -95,12 +111,32 @@ def _pose(rng: np.random.Generator, body: Design) -> Stage:
 def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
     """A gait that differs from ``gait`` in one to three ways, in one stage or in all of them."""
     stages = len(gait.begin)
+    if stages > 1 and rng.random() < NEW_MOTION:
+        gait = _with_motion(rng, gait, body, steps)
+        if rng.random() < 0.5:
+            return gait
     for _ in range(rng.integers(1, 4)):
         chosen = np.zeros(stages, bool)
         chosen[rng.integers(stages)] = True
         chosen |= rng.random() < 0.4
         gait = replace(gait, **_change(rng, gait, body, steps, chosen))
     return gait
+
+
+def _with_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
+    """Another motion in one stage or from there on: a random one, or that of some stage."""
+    stages = len(gait.begin)
+    first, source = rng.integers(stages, size=2)
+    chosen = slice(first, None if rng.random() < 0.5 else first + 1)
+    known = (gait.period[source], gait.amplitude[source], gait.phase[source], gait.rest[source])
+    motion = _motion(rng, body) if rng.random() < 0.6 else known
+    fields = {name: getattr(gait, name).copy() for name in vars(gait)}
+    for name, values in zip(("period", "amplitude", "phase", "rest"), motion, strict=True):
+        fields[name][chosen] = values
+    if first and rng.random() < 0.5:
+        limits = (*gait.begin, steps)
+        fields["begin"][first] = rng.integers(limits[first - 1], max(limits[first + 1], limits[first - 1]) + 1)
+    return Gait(**fields)
 
 
 def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chosen: np.ndarray) -> dict:

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from warpvox.algos.candidate import Candidate
+from warpvox.algos.candidate import START, Candidate
 from warpvox.algos.search.bodies import MAX_VOXELS, body_key, count_valid, first_valid, mutate
 from warpvox.algos.search.settings import SearchSettings
 from warpvox.checks import check_integer, check_shape
@@ -67,6 +67,8 @@ class BaseSearch(ABC):
 
     repeats: ClassVar[bool] = False
     """Whether a body may be proposed again."""
+    takes_start: ClassVar[bool] = True
+    """Whether the first generation may contain bodies that :meth:`propose` has not made."""
 
     def __init__(self, settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
         self.settings, self.shape, self.seed = settings, check_shape("shape", shape), check_integer("seed", seed, 0)
@@ -77,6 +79,29 @@ class BaseSearch(ABC):
         self._seen: set[bytes] = set()
         self._told: set[bytes] = set()
         self._asked: list[Candidate] | None = None
+        self._start: list[Proposal] = []
+
+    def start_with(self, bodies: Sequence[np.ndarray]) -> None:
+        """Have the first generation begin with these bodies; before the first :meth:`ask`.
+
+        Raises:
+            ConfigError: bodies of another shape, equal ones or too many, or a search that makes all bodies itself.
+        DesignError: a body that is not valid.
+        """
+        if not self.takes_start:
+            raise ConfigError(
+                f"search.algorithm={self.settings.algorithm} makes all bodies itself: start goes with the others."
+            )
+        most = min(self.settings.generation, self.settings.max_evaluations)
+        if len(bodies) > most:
+            raise ConfigError(f"start has {len(bodies)} robots, the first generation {most} designs.")
+        for body in bodies:
+            check_design(body)
+            if body.shape != self.shape:
+                raise ConfigError(f"start has a body of shape {list(body.shape)}: expected {list(self.shape)}.")
+        if len({body_key(body) for body in bodies}) < len(bodies):
+            raise ConfigError("start has the same body twice: leave one of the robots away.")
+        self._start = [Proposal(body.copy(), origin=START) for body in bodies]
 
     # --------------------------------------------------------------------------------------- for the subclass
 
@@ -157,7 +182,9 @@ class BaseSearch(ABC):
             return []
         rng = np.random.default_rng([STREAM, self.seed, self.generation])
         wanted = min(self.settings.generation, left)
-        proposals = self.propose(rng, wanted)
+        proposals = [] if self.generation else [known for known in self._start if self.claim(known.body)]
+        if len(proposals) < wanted:
+            proposals += self.propose(rng, wanted - len(proposals))
         self._check(proposals, wanted)
         first = len(self.bodies)
         self._asked = [

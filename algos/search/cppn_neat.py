@@ -89,6 +89,7 @@ class CppnNeatSearch(BaseSearch):
     """
 
     settings: CppnNeatSettings
+    takes_start = False  # it breeds networks, and knows none that paints a given body
 
     def __init__(self, settings: CppnNeatSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
         super().__init__(settings, shape, seed)

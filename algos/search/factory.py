@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib import import_module
 
 from warpvox.algos.candidate import Search
 from warpvox.algos.search.settings import SearchSettings
+from warpvox.design import Design
 from warpvox.errors import ConfigError
 
 __all__ = ["make_search"]
@@ -22,18 +24,26 @@ SEARCHES = {
 """Module of this package and class (or function) for each :attr:`SearchSettings.algorithm`."""
 
 
-def make_search(settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> Search:
+def make_search(
+    settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0, start: Sequence[Design] = ()
+) -> Search:
     """A fresh search.
 
     Args:
         settings: their class says which algorithm; :func:`settings_from` makes them from plain values.
         shape: ``(rows, columns)`` of the bodies.
         seed: of all random numbers; the same seed and fitness give the same proposals.
+        start: different bodies, int8 ``[rows, columns]``, that the first generation begins with.
 
     Raises:
-        ConfigError: settings of no known algorithm, a bad shape or seed, or a library that is not installed.
+        ConfigError: settings of no known algorithm, a bad shape, seed or start, or a library that is not installed.
     """
     if getattr(settings, "algorithm", None) not in SEARCHES:
         raise ConfigError(f"There is no search for settings of type {type(settings).__name__}.")
     module, name = SEARCHES[settings.algorithm]
-    return getattr(import_module(f"warpvox.algos.search.{module}"), name)(settings, shape, seed)
+    search = getattr(import_module(f"warpvox.algos.search.{module}"), name)(settings, shape, seed)
+    if start:
+        if not hasattr(search, "start_with"):
+            raise ConfigError(f"{type(search).__name__} has no start_with(bodies), which start needs.")
+        search.start_with(start)
+    return search

@@ -21,6 +21,7 @@ from warpvox.types import Cell
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import DesignEvaluator
+    from warpvox.algos.codesign.gaits import Gait
     from warpvox.algos.env_factory import EnvFactory
 
 __all__ = [
@@ -273,11 +274,14 @@ def factory_of(config: CodesignConfig, obs: str = "task") -> EnvFactory:
     )
 
 
-def evaluator_of(config: CodesignConfig, pretrained: Mapping[str, Any] | None) -> DesignEvaluator:
+def evaluator_of(
+    config: CodesignConfig, pretrained: Mapping[str, Any] | None, gaits: Mapping[bytes, Gait]
+) -> DesignEvaluator:
     """The evaluator of a resolved configuration.
 
     Args:
         pretrained: of :func:`read_pretrained`.
+        gaits: of robots that the search starts with, by the bytes of their bodies.
     """
     from warpvox.algos.codesign.common_policy import FewShotEvaluator, SharedEvaluator
     from warpvox.algos.codesign.finalists import TwoStages
@@ -295,7 +299,7 @@ def evaluator_of(config: CodesignConfig, pretrained: Mapping[str, Any] | None) -
     if not is_screened(config):
         return final
     if config.evaluation == "gaits":
-        return _by_gaits(config, final)
+        return _by_gaits(config, final, gaits)
     common = _common_factory(config, pretrained)
     if config.evaluation == "shared":
         return TwoStages(SharedEvaluator(common, config.screening, config.seed), final)
@@ -314,13 +318,13 @@ def observed_by(spec: Mapping[str, Any] | None) -> str:
     return "timed_voxel" if voxels.get("layout", {}).get("timed") else "voxel"
 
 
-def _by_gaits(config: CodesignConfig, training: DesignEvaluator) -> DesignEvaluator:
+def _by_gaits(config: CodesignConfig, training: DesignEvaluator, known: Mapping[bytes, Gait]) -> DesignEvaluator:
     """Designs are compared by gaits, finalists try more of them and get a training."""
     from warpvox.algos.codesign.finalists import BestOf, TwoStages
     from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
     how, episodes = config.screening, episodes_of(config.task)
-    gaits = GaitEvaluator(factory_of(config), how.gaits, how.rounds, how.stages, config.seed, episodes)
+    gaits = GaitEvaluator(factory_of(config), how.gaits, how.rounds, how.stages, config.seed, episodes, known)
     final = dataclasses.replace(gaits, count=how.gaits_of_finalist, rounds=how.final_rounds)
     return TwoStages(gaits, BestOf(final, training))
 

@@ -19,6 +19,7 @@ from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, options_of
 from warpvox.cli.runs import Run, find_codesign, find_run, read_summary
+from warpvox.cli.start import history_of
 from warpvox.configs.schema import PRESET
 from warpvox.design import check_design, full_connections
 from warpvox.errors import RunError
@@ -89,6 +90,10 @@ def _of_search(folder: Path, top: int) -> Iterator[Robot]:
         records = trained(archive)[:top]
         steps = sum(row["steps"] or 0 for row in archive.generations())
     about = _about(run, "codesign") | {"control_steps": steps}
+    if start := history_of(folder):  # what a robot has cost includes those that it was made from
+        about["start"] = start
+        for name in "control_steps", "wall_s":
+            about[name] = (about[name] or 0) + sum(known[name] or 0 for known in start)
     for record in records:
         known = about | {"design": record.id, "design_steps": record.steps, "fitness": record.fitness}
         yield _robot(run.config["task"], record.candidate.body, folder / record.policy, known)

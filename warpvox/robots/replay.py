@@ -14,6 +14,7 @@ import torch
 from warpvox.algos.checkpoints.files import PolicySpec, load_controller
 from warpvox.algos.checkpoints.policy import Policy, make_policy, policy_of
 from warpvox.algos.policies.gait import AMPLITUDE
+from warpvox.design import Design
 from warpvox.envs.gym import VoxelEnv
 from warpvox.envs.registry import get_task
 from warpvox.envs.rsl_rl import ACTION_CENTER
@@ -24,7 +25,7 @@ from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
 from warpvox.types import Cell
 
-__all__ = ["SEEDS", "Judgement", "judge", "policy_of_checkpoint", "recorded", "robot_env", "torch_policy"]
+__all__ = ["SEEDS", "Judgement", "by_cell", "judge", "policy_of_checkpoint", "recorded", "robot_env", "torch_policy"]
 
 BY_CELL = ("amplitude", "phase", "rest")
 """What a gait has for each actuator, and a checkpoint of it for each cell of a grid."""
@@ -163,15 +164,20 @@ def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
     return policy.to(device)
 
 
+def by_cell(gait: Gait, body: Design) -> dict[str, np.ndarray]:
+    """Amplitude, phase and rest by cell, float64 ``[stages, rows, columns]``; 0 where there is no actuator."""
+    grids = {name: np.zeros((gait.num_stages, *body.shape)) for name in BY_CELL}
+    for name, grid in grids.items():
+        grid[:, body >= Cell.H_ACT] = getattr(gait, name)
+    return grids
+
+
 def _gait_module(robot: Robot, gait: Gait, about: dict[str, Any]) -> Policy:
     sizes = {"stages": gait.num_stages, "rows": robot.body.shape[0], "columns": robot.body.shape[1]}
     num_obs = robot_env(robot).num_obs
     policy = make_policy(PolicySpec(num_obs, gait.num_actions, [], "", False, AMPLITUDE, gait=sizes), about)
     cells = np.flatnonzero(robot.body >= Cell.H_ACT)
     state = {"begin": gait.begin, "period": gait.period, "cells": cells}
-    for name in BY_CELL:
-        state[name] = np.zeros((gait.num_stages, robot.body.size))
-        state[name][:, cells] = getattr(gait, name)
-        state[name] = state[name].reshape(gait.num_stages, *robot.body.shape)
+    state |= by_cell(gait, robot.body)
     policy.model.load_state_dict({name: torch.as_tensor(values) for name, values in state.items()})
     return policy

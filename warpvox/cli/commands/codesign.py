@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,6 +41,7 @@ from warpvox.cli.evaluations import (
 )
 from warpvox.cli.fresh_seeds import evaluate_winner, fresh_text
 from warpvox.cli.runs import CONFIG, END, find_codesign, find_searches, new_folder, read_summary, run_folder
+from warpvox.cli.start import gaits_of, keep_start, read_start
 from warpvox.cli.trust import STORED, again, as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
@@ -49,6 +51,7 @@ from warpvox.io.writing import check_writable
 if TYPE_CHECKING:
     from warpvox.algos.candidate import DesignEvaluator
     from warpvox.algos.codesign.executors import Executor
+    from warpvox.algos.codesign.gaits import Gait
 
 __all__ = ["Job", "check", "codesign", "environments", "make_evaluator", "run"]
 
@@ -119,7 +122,8 @@ def check(config: CodesignConfig, folder: Path | None = None) -> None:
     from warpvox.envs.worlds import task_world
 
     task_world(get_task(config.task), np.full(config.shape, 3, np.int8))
-    make_search(settings_from(config.search), tuple(config.shape), config.seed)
+    start = [robot.body for robot in read_start(config, folder)]
+    make_search(settings_from(config.search), tuple(config.shape), config.seed, start)
     physics_of(config)
     check_evaluation(config)
     config = resolve_evaluation(config, folder)
@@ -204,8 +208,8 @@ def codesign(job: Job, console: Console) -> Path:
 
         config = resolve(job.config, job.folder)
         prepare(config.torch_threads, config.seed)
-        pretrained = read_pretrained(config, job.folder)
-        executor = make_executor(config, pretrained)
+        pretrained, start = read_pretrained(config, job.folder), read_start(config, job.folder)
+        executor = make_executor(config, pretrained, gaits_of(start))
         config = dataclasses.replace(config, batch=_batch(config, executor))
         written = as_stored(config, job.stored)
     try:
@@ -214,10 +218,12 @@ def codesign(job: Job, console: Console) -> Path:
             ExitStack() as opened,
         ):
             keep_pretrained(pretrained, folder)
+            keep_start(start, folder)
             archive = opened.enter_context(_archive(folder, written))
             keep_code(config, folder, console)
             settings = settings_from(config.search)
-            search, total = make_search(settings, tuple(config.shape), config.seed), settings.max_evaluations
+            search = make_search(settings, tuple(config.shape), config.seed, [robot.body for robot in start])
+            total = settings.max_evaluations
             reuse = config.reuse and not getattr(search, "repeats", False)
             if is_screened(config):
                 search, total = Finalists(search, config.finalists), total + config.finalists
@@ -337,21 +343,26 @@ def _training_of(values: str) -> Any:
 # -------------------------------------------------------------------------------------------------- evaluation
 
 
-def make_evaluator(config: CodesignConfig, pretrained: dict[str, Any] | None = None) -> DesignEvaluator:
+def make_evaluator(
+    config: CodesignConfig, pretrained: dict[str, Any] | None = None, gaits: Mapping[bytes, Gait] | None = None
+) -> DesignEvaluator:
     """The evaluator of a configuration; called in the process that evaluates.
 
     Args:
         pretrained: of :func:`warpvox.cli.evaluations.read_pretrained`.
+        gaits: of :func:`warpvox.cli.start.gaits_of`.
     """
     from warpvox.cli.build import prepare
     from warpvox.devices.names import resolve_device
 
     prepare(config.torch_threads, config.seed)
     device = resolve_device(config.device, environments(config))
-    return evaluator_of(dataclasses.replace(config, device=device), pretrained)
+    return evaluator_of(dataclasses.replace(config, device=device), pretrained, gaits or {})
 
 
-def make_executor(config: CodesignConfig, pretrained: dict[str, Any] | None = None) -> Executor:
+def make_executor(
+    config: CodesignConfig, pretrained: dict[str, Any] | None = None, gaits: Mapping[bytes, Gait] | None = None
+) -> Executor:
     """Where designs are trained, by the configuration.
 
     Raises:
@@ -360,11 +371,11 @@ def make_executor(config: CodesignConfig, pretrained: dict[str, Any] | None = No
     if config.executor == "local":
         from warpvox.algos.codesign.executors import LocalExecutor
 
-        return LocalExecutor(make_evaluator(config, pretrained))
+        return LocalExecutor(make_evaluator(config, pretrained, gaits))
     from warpvox.algos.codesign.ray_executor import RayExecutor
 
     threads = config.threads or 1
-    make = functools.partial(make_evaluator, dataclasses.replace(config, threads=threads), pretrained)
+    make = functools.partial(make_evaluator, dataclasses.replace(config, threads=threads), pretrained, gaits)
     return RayExecutor(make, config.workers, config.address, threads, gpus=0 if config.device == "cpu" else None)
 
 

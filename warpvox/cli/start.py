@@ -1,0 +1,91 @@
+"""The key ``start`` of ``warpvox codesign``: robots known before the search, which its folder has copies of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpvox.cli.runs import ZOO
+from warpvox.configs.schema import CodesignConfig
+from warpvox.design import full_connections, load_design
+from warpvox.errors import ConfigError
+from warpvox.robots.entry import Robot, find_robot, read_robot, save_robot
+from warpvox.robots.gait import Gait as RobotGait
+from warpvox.robots.replay import by_cell
+
+if TYPE_CHECKING:
+    from warpvox.algos.codesign.gaits import Gait
+
+__all__ = ["gaits_of", "history_of", "keep_start", "read_start"]
+
+COPIES = Path("training") / "start"
+"""In a search's folder: a search that is resumed does not depend on a zoo or on other files."""
+
+
+def read_start(config: CodesignConfig, folder: Path | None = None) -> list[Robot]:
+    """The robots that the first generation contains.
+
+    Args:
+        folder: of the search, which has copies; None: there are none yet.
+
+    Raises:
+        RunError, DesignError: no such robot or body. ConfigError: one that the search cannot take.
+    """
+    if folder is not None:
+        return copies_of(folder)
+    robots = [_robot(text, config) for text in config.start]
+    for text, robot in zip(config.start, robots, strict=True):
+        if not robot.fully_connected:
+            raise ConfigError(f"start={text}: this robot lacks connections, which designs of a search have.")
+        gait = robot.policy if config.evaluation == "gaits" else None
+        if isinstance(gait, RobotGait) and gait.num_stages > config.screening.stages:
+            raise ConfigError(
+                f"start={text}: its gait has {gait.num_stages} stages, more than"
+                f" screening.stages={config.screening.stages}."
+            )
+    return robots
+
+
+def _robot(text: str, config: CodesignConfig) -> Robot:
+    if text.startswith(ZOO):
+        return find_robot(text.removeprefix(ZOO))
+    body = load_design(text, seed=config.seed)
+    return Robot(config.task, body, full_connections(body).T, None)
+
+
+def keep_start(robots: Sequence[Robot], folder: Path) -> None:
+    """Copy the robots into the folder of a search."""
+    for number, robot in enumerate(robots):
+        if not (folder / COPIES / f"{number}.npz").is_file():
+            save_robot(folder / COPIES / f"{number}.npz", robot)
+
+
+def copies_of(folder: Path) -> list[Robot]:
+    """The robots that the search in ``folder`` began with."""
+    return [read_robot(path) for path in sorted((folder / COPIES).glob("*.npz"), key=lambda path: int(path.stem))]
+
+
+def gaits_of(robots: Sequence[Robot]) -> dict[bytes, Gait]:
+    """The gaits of those robots that have one, by the bytes of their bodies."""
+    from warpvox.algos.codesign.gaits import Gait
+
+    return {
+        robot.body.tobytes(): Gait(robot.policy.begin, robot.policy.period, **by_cell(robot.policy, robot.body))
+        for robot in robots
+        if isinstance(robot.policy, RobotGait)
+    }
+
+
+def history_of(folder: Path) -> list[dict[str, Any]]:
+    """What the zoo tells of the robots that a search began with."""
+    return [
+        {
+            "task": robot.task,
+            "sha256": robot.sha256,
+            "return": robot.about.get("return"),
+            "control_steps": robot.about.get("control_steps"),
+            "wall_s": robot.about.get("wall_s"),
+        }
+        for robot in copies_of(folder)
+    ]
