@@ -71,12 +71,14 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
 
 
 def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
-    """The same motion in more stages, which divide the time from the last one's beginning to ``steps`` evenly."""
-    last = len(gait.begin) - 1
-    place = np.minimum(np.arange(stages), last)
-    later = np.linspace(gait.begin[-1], max(steps, gait.begin[-1]), stages - last + 1)[1:-1].round()
-    begin = np.concatenate([gait.begin, later])
-    return Gait(begin, gait.period[place], gait.amplitude[place], gait.phase[place], gait.rest[place])
+    """The same motion in more stages: the longest one is divided in two, again and again."""
+    begin, place = [int(time) for time in gait.begin], list(range(len(gait.begin)))
+    while len(begin) < stages:
+        ends = [*begin[1:], max(steps, begin[-1])]
+        longest = max(range(len(begin)), key=lambda stage: ends[stage] - begin[stage])
+        begin.insert(longest + 1, (begin[longest] + ends[longest]) // 2)
+        place.insert(longest + 1, place[longest])
+    return Gait(np.array(begin), gait.period[place], gait.amplitude[place], gait.phase[place], gait.rest[place])
 
 
 Stage = tuple[float, np.ndarray, np.ndarray, np.ndarray]

@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-from warpvox.algos.candidate import FINALIST, GAIT
+from warpvox.algos.candidate import FINALIST, GAIT, START
 from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.cli.commands.codesign import check, environments
 from warpvox.cli.config import load
 from warpvox.errors import ConfigError
+from warpvox.robots import read_robot
 
 TINY = (
     "shape=[3,3] search.population=3 search.max_evaluations=5 search.survivor_rate=0.3 training.envs=8"
@@ -152,6 +153,42 @@ def test_a_search_of_a_version_with_fewer_keys_goes_on(warpvox: Callable, monkey
     with sqlite3.connect(folder / FILE) as database:
         database.execute("UPDATE experiment SET value = ? WHERE key = 'settings'", (json.dumps(settings),))
     assert "made with another value of 'screening'" in warpvox("codesign", f"resume={folder}").err
+
+
+def test_a_search_that_starts_with_a_known_robot(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)
+    gaits = "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", "screening.final_rounds=2", "dtype=float64"
+    first = search(warpvox, *gaits)
+    assert warpvox("zoo", f"add={first}", "folder=mine").code == 0
+    file = Path("mine/Walker-v0.npz")
+    robot = read_robot(file)
+    folder = search(warpvox, *gaits, f"start=[zoo:{file}]", "screening.stages=6", "seed=1", "name=on")
+    records = records_of(folder)
+    assert [record.candidate.origin for record in records[:3]] == [START, "random", "random"]
+    assert (records[0].candidate.body == robot.body).all()
+    assert records[0].fitness >= robot.mean_return - ROUNDING
+    file.unlink()  # the search has a copy
+    (folder / "summary.json").unlink()
+    assert warpvox("codesign", f"resume={folder}").code == 0
+    assert warpvox("zoo", f"add={folder}", "folder=mine").code == 0
+    better = read_robot(file)
+    assert better.mean_return >= robot.mean_return
+    (known,) = better.about["start"]
+    assert (known["sha256"], known["return"]) == (robot.sha256, robot.mean_return)
+    assert better.about["control_steps"] == summary(folder)["steps"] + robot.about["control_steps"]
+    # with trainings a body is one like any other
+    assert load("codesign", [f"start=[zoo:{file}]"]).evaluation == "specialist"
+    folder = search(warpvox, f"start=[zoo:{file}]", "search.max_evaluations=3", "name=trained")
+    assert records_of(folder)[0].candidate.origin == START
+    for words, says in [
+        (["shape=[3,4]"], "shape [3, 3]: expected [3, 4]"),
+        (["evaluation=gaits", "screening.stages=5"], "its gait has 6 stages, more than screening.stages=5"),
+        (["search=cppn_neat"], "makes all bodies itself"),
+    ]:
+        shape = [] if words[0].startswith("shape") else ["shape=[3,3]"]
+        outcome = warpvox("codesign", f"start=[zoo:{file}]", "threads=1", *shape, *words)
+        assert outcome.code == 2
+        assert says in " ".join(outcome.err.split())
 
 
 @pytest.mark.parametrize(

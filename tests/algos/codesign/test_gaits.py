@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from population_cases import LIMIT, candidates, factory
 
-from warpvox.algos.candidate import GAIT, Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.candidate import GAIT, START, Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.checkpoints.files import Controller, build_actor, check_spec, spec_of
 from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.finalists import BestOf
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
-from warpvox.algos.codesign.gaits import LONGEST, SHORTEST, draw_gait, mutate_gait
+from warpvox.algos.codesign.gaits import LONGEST, SHORTEST, Gait, draw_gait, mutate_gait, with_stages
 from warpvox.algos.evaluate import evaluate
+from warpvox.algos.policies.gait import gait_outputs
+from warpvox.errors import RunError
 from warpvox.types import Cell
 
 COUNT, LANES = 8, 8
@@ -135,6 +138,69 @@ def test_gaits_and_mutants_stay_within_their_limits(seed: int) -> None:
         for name, values in vars(gait).items():
             assert values.shape == getattr(before, name).shape
             np.testing.assert_array_equal(values, values.astype(np.float32))
+
+
+def test_more_stages_do_not_change_a_motion_until_one_begins_another() -> None:
+    rng, body = np.random.default_rng(0), candidates(1)[0].body
+    gait = draw_gait(rng, body, 100, 3)
+    time = torch.arange(100.0, dtype=torch.float64)[:, None]
+
+    def motion(gait: Gait) -> torch.Tensor:
+        values = [torch.as_tensor(values.reshape(len(gait.begin), -1)) for values in vars(gait).values()]
+        return gait_outputs(time, values[0][:, 0], values[1][:, 0], *values[2:])
+
+    longer = with_stages(gait, 9, 100)
+    assert len(longer.begin) == 9
+    assert (np.diff(longer.begin) >= 0).all()
+    assert longer.begin[-1] < 100
+    assert torch.equal(motion(longer), motion(gait))
+    same = with_stages(gait, 3, 100)
+    assert all(np.array_equal(values, getattr(same, name)) for name, values in vars(gait).items())
+    # of many mutants some differ late in the episode alone
+    first = []
+    for _ in range(200):
+        same = (motion(mutate_gait(rng, longer, body, 100)) == motion(longer)).all(1)
+        first.append(int(same.int().argmin()) if not same.all() else 100)
+    assert sum(50 < step < 100 for step in first) > 8
+
+
+def test_rounds_go_on_after_an_interrupt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gait_evaluator, "SAVE_INTERVAL", 0.0)
+    found, checkpoint = candidates(2), tmp_path / "batch.pt"
+
+    def stop(event: dict) -> None:
+        if event["iteration"] == 2:
+            raise KeyboardInterrupt
+
+    whole = evaluator(rounds=4).evaluate(found, {})
+    with pytest.raises(KeyboardInterrupt):
+        evaluator(rounds=4).evaluate(found, {}, stop, checkpoint)
+    (saved,) = tmp_path.iterdir()
+    events: list[dict] = []
+    resumed = evaluator(rounds=4).evaluate(found, {}, events.append, checkpoint)
+    assert [event["iteration"] for event in events] == [2, 3, 4]
+    for one, other in zip(whole, resumed, strict=True):
+        assert (one.fitness, one.curve, one.steps) == (other.fitness, other.curve, other.steps)
+        assert all(torch.equal(value, other.policy[name]) for name, value in one.policy.items())
+    with pytest.raises(RunError, match="other candidates"):
+        evaluator(rounds=4).evaluate(candidates(1), {}, None, checkpoint)
+    saved.write_text('{"seeds": 1', encoding="utf-8")
+    with pytest.raises(RunError, match="damaged"):
+        evaluator(rounds=4).evaluate(found, {}, None, checkpoint)
+
+
+def test_a_known_body_begins_with_its_gait() -> None:
+    (candidate,) = candidates(1)
+    (outcome,) = evaluator(rounds=3).evaluate([candidate], {})
+    gait = Gait(**gait_of(outcome.policy))
+    known = dataclasses.replace(evaluator(), known={candidate.body.tobytes(): gait}, seed=5, stages=7)
+    start = dataclasses.replace(candidate, origin=START)
+    for how in known, dataclasses.replace(known, count=1):
+        (again,) = how.evaluate([start], {})
+        assert again.fitness >= outcome.fitness
+        assert len(again.policy["begin"]) == 7
+    (other,) = known.evaluate([candidate], {})
+    assert other.fitness < outcome.fitness
 
 
 class Fixed:

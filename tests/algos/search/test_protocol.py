@@ -10,12 +10,12 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from warpvox.algos.candidate import Candidate
+from warpvox.algos.candidate import START, Candidate
 from warpvox.algos.search import ALGORITHMS, make_search
 from warpvox.algos.search.base import BaseSearch
 from warpvox.algos.search.bodies import body_key
 from warpvox.design import check_design
-from warpvox.errors import ConfigError, SearchError
+from warpvox.errors import ConfigError, DesignError, SearchError
 
 History = list[tuple[list[Candidate], list[float]]]
 OURS = [name for name in ALGORITHMS if name != "custom"]
@@ -130,6 +130,45 @@ def test_two_searches_do_not_disturb_each_other(algorithm: str) -> None:
         mixed += run(one, generations=1)
         run(other, generations=1)
     assert told_apart(mixed) == told_apart(whole(algorithm)[:2])
+
+
+# ------------------------------------------------------------------------------------------------ known bodies
+
+
+@EVERY
+def test_the_first_generation_contains_the_bodies_that_a_search_starts_with(algorithm: str) -> None:
+    known = [candidate.body for candidate in whole("random")[0][0][:3]]
+    search = fresh(algorithm)
+    if not search.takes_start:
+        with pytest.raises(ConfigError, match="makes all bodies itself"):
+            search.start_with(known)
+        return
+    search.start_with(known)
+    history = run(search)
+    first = history[0][0]
+    assert [candidate.origin == START for candidate in first] == [True] * 3 + [False] * 5
+    assert all(np.array_equal(candidate.body, body) for candidate, body in zip(first, known, strict=False))
+    assert sum(len(asked) for asked, _ in history) == BUDGET
+    assert search.repeats or all_differ([candidate for asked, _ in history for candidate in asked])
+    again = fresh(algorithm)
+    again.start_with(known)
+    again.replay(history[:2])
+    assert told_apart(history[2:]) == told_apart(run(again))
+    # a search may consist of them alone
+    search = fresh("random", population=3, max_evaluations=3)
+    search.start_with(known)
+    assert [candidate.origin for candidate in search.ask()] == [START] * 3
+
+
+def test_bodies_that_a_search_cannot_start_with_are_refused() -> None:
+    bodies = [candidate.body for asked, _ in whole("random") for candidate in asked]
+    for wrong, says in [
+        (bodies[:9], "start has 9 robots, the first generation 8"),
+        ([bodies[0], bodies[0]], "same body twice"),
+        ([bodies[0][:, :4]], r"shape \[5, 4\]: expected \[5, 5\]"),
+    ]:
+        with pytest.raises((ConfigError, DesignError), match=says):
+            fresh("ga").start_with(wrong)
 
 
 # ------------------------------------------------------------------------------------------------------ turns
