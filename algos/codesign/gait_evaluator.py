@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,8 @@ KEPT = 0.5
 """Share of designs with one gait each that move as their parent, where the body is another."""
 SAVE_INTERVAL = 20.0
 """Seconds between checkpoints."""
+TOGETHER = 50
+"""Control steps whose actions are computed at once."""
 STREAM = 0x6A17
 """Keeps the random numbers of gaits apart from those of the environments."""
 
@@ -239,11 +242,12 @@ def _controller(
     parts = [
         torch.as_tensor(array.reshape(stages, env.num_envs, -1), device=env.device) for array in (*timing, *values)
     ]
-    time = torch.zeros(env.num_envs, 1, dtype=torch.float64, device=env.device)
 
-    def act(obs: torch.Tensor) -> torch.Tensor:
-        outputs = gait_outputs(time, *parts).float()  # as the stored policy has them
-        time.add_(1.0)
-        return actions_of(outputs, AMPLITUDE)
+    def actions() -> Iterator[torch.Tensor]:
+        # open loop: those of many control steps are computed together
+        for first in itertools.count(0, TOGETHER):
+            times = torch.arange(first, first + TOGETHER, dtype=torch.float64, device=env.device)[:, None, None]
+            yield from actions_of(gait_outputs(times, *parts).float(), AMPLITUDE)  # as the stored policy has them
 
-    return act
+    following = actions()
+    return lambda obs: next(following)

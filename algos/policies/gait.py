@@ -62,6 +62,8 @@ def gait_outputs(
 ) -> torch.Tensor:
     """What the actuators do at ``time`` ``[..., 1]``: ``[..., actuators]`` in [-1, 1].
 
+    Of many times at once, ``[times, 1, 1]``, it is ``[times, n, actuators]``.
+
     ``begin`` and ``period`` are ``[stages]``, or ``[stages, n, 1]`` for a gait of each row; the others
     ``[stages, actuators]``, or ``[stages, n, actuators]``.
     """
