@@ -27,7 +27,7 @@ from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.search import settings_from
-from warpvox.cli import fresh_seeds
+from warpvox.cli import codesign_progress, fresh_seeds
 from warpvox.cli.cell_text import body_rows
 from warpvox.cli.codesign_progress import Results, SearchProgress
 from warpvox.cli.commands.codesign import _archive, resolve
@@ -227,6 +227,30 @@ def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
     assert len(files) == 5
     for file in files:
         assert load_design(file).shape == (3, 3)
+
+
+def test_the_time_left_counts_that_finalists_take_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr(codesign_progress.time, "monotonic", lambda: clock[0])
+    config = load("codesign", ["search.max_evaluations=4"])
+    console = Console(width=120, file=io.StringIO())
+    results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), config)
+    with results.archive as archive:
+        watch = SearchProgress(results, 6, console, finalists=2, worth=3.0)
+        for generation in range(3):
+            asked = [Candidate(2 * generation + k, example_design("walker"), generation=generation) for k in (0, 1)]
+            archive.propose(asked, 0)
+            watch.proposed(generation, asked, 2)
+            if generation == 2:  # half of both finalists is done
+                clock[0] = 70.0
+                event = {"iteration": 5, "iterations": 10, "steps": 1, "best": [1.0, 1.0], "training": [True, True]}
+                watch.progress(asked, event)
+                break
+            clock[0] += 20.0
+            archive.finish([Finished(candidate.id, Outcome(1.0)) for candidate in asked])
+            watch.told(generation, fresh=True)
+    left = re.findall(r"left (\S+)", console.file.getvalue())
+    assert left == ["0:01:20", "0:01:00", "0:00:30"]  # 20 s for 2 of 10 designs' worth, 40 s for 4, 70 s for 7
 
 
 def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None:

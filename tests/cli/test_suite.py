@@ -25,8 +25,9 @@ from warpvox.algos.settings import TrainingConfig
 from warpvox.cli import codesign_progress
 from warpvox.cli.commands import codesign, suite
 from warpvox.cli.config import load, load_values, to_yaml
+from warpvox.cli.costs import steps_of_design
 from warpvox.cli.suite.members import CURVES, MEMBERS
-from warpvox.cli.suite.plan import BENCHMARK10, plan, steps_of_design, task_names
+from warpvox.cli.suite.plan import BENCHMARK10, plan, task_names
 from warpvox.cli.suite.pool import LOG, LocalPool
 from warpvox.configs.schema import CodesignConfig
 from warpvox.configs.suite_keys import OF_RECIPES

@@ -140,11 +140,14 @@ class SearchProgress(Listener):
     """Shows the search: a live block on a terminal, else a line now and then; keeps the results up to date.
 
     A context manager. Args:
-        total: evaluations that the search may spend.
+        total: evaluations that the search may spend, those of finalists included.
+        finalists: how many of them; they come last.
+        worth: how many other designs take as long as a finalist.
     """
 
-    def __init__(self, results: Results, total: int, console: Console) -> None:
+    def __init__(self, results: Results, total: int, console: Console, finalists: int = 0, worth: float = 1.0) -> None:
         self.results, self.total, self.console = results, total, console
+        self._searched, self._worth = total - finalists, worth
         self.archive = results.archive
         self._work: dict[int, _Training] = {}
         self._began = self._printed = time.monotonic()
@@ -237,10 +240,14 @@ class SearchProgress(Listener):
         return f"  {count} diverged" if count else ""
 
     def _left(self) -> str:
-        done = self.done - self._start
-        if done <= 0:
+        begun, now, end = (self._work_in(designs) for designs in (self._start, self.done, self.total))
+        if now <= begun:
             return "-"
-        return duration((time.monotonic() - self._began) / done * max(self.total - self.done, 0))
+        return duration((time.monotonic() - self._began) / (now - begun) * max(end - now, 0.0))
+
+    def _work_in(self, designs: float) -> float:
+        """What the first designs take, a finalist as long as several others."""
+        return designs + (self._worth - 1) * max(designs - self._searched, 0)
 
     def _inside(self) -> str:
         """The trainings under way in words."""

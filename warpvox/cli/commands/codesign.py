@@ -25,6 +25,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.console import echo, shell_argument
+from warpvox.cli.costs import costs_of
 from warpvox.cli.evaluations import (
     STEPS,
     check_evaluation,
@@ -205,6 +206,7 @@ def codesign(job: Job, console: Console) -> Path:
         from warpvox.algos.codesign.stored_policies import StoredPolicies
         from warpvox.cli.build import prepare, shown
         from warpvox.cli.codesign_progress import Results, SearchProgress
+        from warpvox.envs.registry import get_task
 
         config = resolve(job.config, job.folder)
         prepare(config.torch_threads, config.seed)
@@ -225,10 +227,13 @@ def codesign(job: Job, console: Console) -> Path:
             search = make_search(settings, tuple(config.shape), config.seed, [robot.body for robot in start])
             total = settings.max_evaluations
             reuse = config.reuse and not getattr(search, "repeats", False)
+            finalists, worth = 0, 1.0
             if is_screened(config):
-                search, total = Finalists(search, config.finalists), total + config.finalists
+                finalists = config.finalists
+                cost, last = costs_of(config, get_task(config.task))
+                search, total, worth = Finalists(search, finalists), total + finalists, last / finalists / cost
             results = Results(folder, archive, written, (pretrained or {}).get(STEPS))
-            watch = SearchProgress(results, total, console)
+            watch = SearchProgress(results, total, console, finalists, worth)
             loop = Loop(
                 search,
                 executor,

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.search.settings import ALGORITHMS
-from warpvox.algos.settings import TrainingConfig
 from warpvox.checks import check_integer, check_shape, is_integer
 from warpvox.cli.config import load
-from warpvox.cli.evaluations import episodes_of, has_common_policy, is_screened
+from warpvox.cli.costs import costs_of, steps_of_design
+from warpvox.cli.evaluations import has_common_policy, is_screened
 from warpvox.cli.help import options_of
 from warpvox.configs.paper import shape_of
 from warpvox.configs.schema import CodesignConfig, SuiteConfig
@@ -23,7 +23,7 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["BENCHMARK10", "Member", "plan", "seeds_of", "steps_of_design", "task_names", "upgraded"]
+__all__ = ["BENCHMARK10", "Member", "plan", "seeds_of", "task_names", "upgraded"]
 
 BENCHMARK10 = (
     "Walker-v0",
@@ -208,7 +208,7 @@ def _of_task(key: str, value: Any, task: TaskSpec) -> Any:
 
 def _evaluations(config: SuiteConfig, task: TaskSpec, search: str, member: CodesignConfig) -> int:
     """How many designs ``search`` may evaluate on ``task``."""
-    cost, last = _costs(member, task)
+    cost, last = costs_of(member, task)
     if config.control_steps is None:
         count = check_integer("evaluations", _of_task("evaluations", config.evaluations, task), 1)
         if member.search.algorithm != "evolution" or not is_screened(member):
@@ -232,23 +232,3 @@ def _evaluations(config: SuiteConfig, task: TaskSpec, search: str, member: Codes
             f"control_steps must be at least {math.ceil(cost + last):,}, {what}; got {steps:,} for {task.id}."
         )
     return int((steps - last) // cost)
-
-
-def _costs(member: CodesignConfig, task: TaskSpec) -> tuple[float, float]:
-    """Control steps that a design takes at most, and those of all finalists."""
-    training, how, count = member.training, member.screening, member.finalists
-    if not is_screened(member):
-        return steps_of_design(training, member.search.population), 0
-    of_gait = episodes_of(member.task) * task.max_episode_steps
-    last = how.final_rounds * how.gaits_of_finalist * of_gait + steps_of_design(training, count)
-    return how.rounds * how.gaits * of_gait, count * last
-
-
-def steps_of_design(training: TrainingConfig, population: int) -> float:
-    """Control steps of training that a design takes, the mean of a generation where successive halving stops some."""
-    ends = sorted({max(1, round(share * training.iterations)) for share in training.rungs} - {training.iterations})
-    left, before, iterations = population, 0, 0
-    for end in [*ends, training.iterations]:
-        iterations += left * (end - before)
-        left, before = math.ceil(training.keep * left), end
-    return iterations * training.envs * training.ppo.steps / population
