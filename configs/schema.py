@@ -288,8 +288,8 @@ class CodesignConfig(PresetConfig):
     physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the physics")
     start: list[str] = key(
         [],
-        "robots whose bodies the first generation contains, with evaluation=gaits also their gaits: tasks of the zoo,"
-        " files, or entries of a data set",
+        "robots whose bodies the first generation contains, with evaluation=gaits also their gaits: zoo:TASK, zoo:FILE,"
+        " the folder of a search (its best design), of one of its designs or of a run, or a body as for design",
         path="read",
     )
     search: SearchConfig = key(SearchConfig, "search algorithm")

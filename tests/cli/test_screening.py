@@ -176,6 +176,16 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable, monkeypatch:
     (known,) = better.about["start"]
     assert (known["sha256"], known["return"]) == (robot.sha256, robot.mean_return)
     assert better.about["control_steps"] == summary(folder)["steps"] + robot.about["control_steps"]
+    # a design of a search, which need not be its best
+    words = f"start=[{folder}/designs/{records[1].id},{first}]", "screening.stages=6", "search.max_evaluations=3"
+    again = search(warpvox, *gaits, *words, "name=again")
+    known = records_of(again)[:2]
+    assert [record.candidate.origin for record in known] == [START] * 2
+    assert (known[0].candidate.body == records[1].candidate.body).all()
+    assert known[0].fitness >= records[1].fitness - ROUNDING
+    assert (known[1].candidate.body == robot.body).all()
+    assert "no design yet" not in warpvox("zoo", f"add={again}/designs/0", "folder=other").err
+    assert (read_robot(Path("other/Walker-v0.npz")).body == known[0].candidate.body).all()
     # with trainings a body is one like any other
     assert load("codesign", [f"start=[zoo:{file}]"]).evaluation == "specialist"
     folder = search(warpvox, f"start=[zoo:{file}]", "search.max_evaluations=3", "name=trained")

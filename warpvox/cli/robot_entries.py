@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import glob
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.robots.network import Network
 from warpvox.robots.replay import policy_of_checkpoint, recorded
 
-__all__ = ["Outcome", "add", "command_of", "find_sources", "trained"]
+__all__ = ["Outcome", "add", "command_of", "find_sources", "robots_of", "trained"]
 
 GROUPS = {"train": ("ppo",), "codesign": ("search", "training")}
 """Groups of keys whose YAML files shorten a command."""
@@ -66,14 +66,14 @@ def add(source: Path, folder: Path, top: int) -> Outcome:
     """Evaluate the best robot of ``source`` in exact arithmetic; write its entry if its return is the higher one.
 
     Args:
-        source: folder of a design search or a training, or a checkpoint in the latter.
+        source: as for :func:`robots_of`.
         folder: of the entries.
         top: designs of a search that are evaluated: fitness is in float32, and contacts magnify every difference.
 
     Raises:
         RunError: no such search or run, or no policy that an entry can have.
     """
-    robots = list(_of_search(source, top) if (source / ARCHIVE).is_file() else _of_run(source))
+    robots = list(robots_of(source, top))
     if not robots:
         raise RunError(f"The design search {source} has no evaluated design yet.")
     best = max((recorded(robot, dict(robot.about)) for robot in robots), key=lambda robot: robot.mean_return)
@@ -84,10 +84,29 @@ def add(source: Path, folder: Path, top: int) -> Outcome:
     return Outcome(best, before, save_robot(path, best))
 
 
-def _of_search(folder: Path, top: int) -> Iterator[Robot]:
+def robots_of(source: Path, top: int) -> Iterator[Robot]:
+    """The robots that a search or training has left, with what its files say of them.
+
+    Args:
+        source: folder of a design search, of a design in one (``designs/17``) or of a training, or a checkpoint in the
+            latter.
+        top: of a search the best designs, as many.
+
+    Raises:
+        RunError: no such search or run, or no policy that an entry can have.
+    """
+    if (source / ARCHIVE).is_file():
+        return _of_search(source, lambda archive: trained(archive)[:top])
+    search = source.absolute().parents[1]
+    if source.name.isdecimal() and (search / ARCHIVE).is_file():
+        return _of_search(search, lambda archive: [archive.record(int(source.name))])
+    return _of_run(source)
+
+
+def _of_search(folder: Path, choose: Callable[[Archive], list[Record]]) -> Iterator[Robot]:
     run = find_codesign(str(folder), "")
     with Archive.read(folder / ARCHIVE) as archive:
-        records = trained(archive)[:top]
+        records = choose(archive)
         steps = sum(row["steps"] or 0 for row in archive.generations())
     about = _about(run, "codesign") | {"control_steps": steps}
     if start := history_of(folder):  # what a robot has cost includes those that it was made from
@@ -95,6 +114,8 @@ def _of_search(folder: Path, top: int) -> Iterator[Robot]:
         for name in "control_steps", "wall_s":
             about[name] = (about[name] or 0) + sum(known[name] or 0 for known in start)
     for record in records:
+        if record.policy is None:
+            raise RunError(f"Design {record.id} of {folder} has no policy of its own.")
         known = about | {"design": record.id, "design_steps": record.steps, "fitness": record.fitness}
         yield _robot(run.config["task"], record.candidate.body, folder / record.policy, known)
 

@@ -50,6 +50,13 @@ def read_start(config: CodesignConfig, folder: Path | None = None) -> list[Robot
 def _robot(text: str, config: CodesignConfig) -> Robot:
     if text.startswith(ZOO):
         return find_robot(text.removeprefix(ZOO))
+    if Path(text).expanduser().is_dir():
+        from warpvox.cli.robot_entries import robots_of
+
+        robot = next(robots_of(Path(text).expanduser(), 1), None)
+        if robot is None:
+            raise ConfigError(f"start={text}: this search has evaluated no design yet.")
+        return robot
     body = load_design(text, seed=config.seed)
     return Robot(config.task, body, full_connections(body).T, None)
 
