@@ -57,6 +57,10 @@ that the time is an upper bound. ▼ marks a
 return below the best published one, ○ an open-loop policy: a [gait](zoo.md#gaits), whose actions depend on the time
 alone. All others are networks that see what the task observes.
 
+Most open-loop robots come from several searches, each of which [started](codesign.md#starting-from-known-robots) from
+the robot of the one before; the command is that of the last. They are episodes in which nothing is random, and each is
+the best of thousands: they show what a body can do. The same gait may fail where an episode begins otherwise.
+
 Published returns are the best of anybody. Their protocols differ; most are the best evaluation of several searches. A
 score of 1 in a [comparison of searches](evaluation.md#comparing-searches) is such a return.
 
