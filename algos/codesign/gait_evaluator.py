@@ -35,8 +35,8 @@ KEPT = 0.5
 """Share of designs with one gait each that move as their parent, where the body is another."""
 SAVE_INTERVAL = 20.0
 """Seconds between checkpoints."""
-TOGETHER = 50
-"""Control steps whose actions are computed at once."""
+AT_ONCE = 1 << 20
+"""Actions that are computed at once, about: those of many control steps, if environments are few."""
 STREAM = 0x6A17
 """Keeps the random numbers of gaits apart from those of the environments."""
 
@@ -244,9 +244,9 @@ def _controller(
     ]
 
     def actions() -> Iterator[torch.Tensor]:
-        # open loop: those of many control steps are computed together
-        for first in itertools.count(0, TOGETHER):
-            times = torch.arange(first, first + TOGETHER, dtype=torch.float64, device=env.device)[:, None, None]
+        count = min(max(1, AT_ONCE // (env.num_envs * env.num_actions)), env.max_episode_steps)
+        for first in itertools.count(0, count):
+            times = torch.arange(first, first + count, dtype=torch.float64, device=env.device)[:, None, None]
             yield from actions_of(gait_outputs(times, *parts).float(), AMPLITUDE)  # as the stored policy has them
 
     following = actions()

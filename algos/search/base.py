@@ -86,7 +86,7 @@ class BaseSearch(ABC):
 
         Raises:
             ConfigError: bodies of another shape, equal ones or too many, or a search that makes all bodies itself.
-        DesignError: a body that is not valid.
+            DesignError: a body that is not valid.
         """
         if not self.takes_start:
             raise ConfigError(
