@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import json
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,8 @@ SPEC.loader.exec_module(results)
 def test_the_page_is_up_to_date() -> None:
     text = (DOCS / "results.md").read_text(encoding="utf-8")
     assert text == results.page(results.read_table()), "run `python docs/results.py`"
+    reached, known = re.search(r"\*\*(\d+)\*\* of the (\d+) tasks", text).groups()
+    assert f"On {reached} of {known} tasks" in (DOCS.parent / "README.md").read_text(encoding="utf-8")
 
 
 def test_returns_below_the_best_published_ones_are_marked() -> None:
