@@ -150,7 +150,7 @@ class _Rounds:
                 rng.bit_generator.state = numbers
             curves = [[(steps, value) for steps, value in curve] for curve in state["curves"]]
             self.best, self.curves, self.spent, self.round = best, curves, state["spent"], state["round"]
-        except (KeyError, TypeError, ValueError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise RunError(f"{checkpoint} is damaged ({error}): remove it, and these rounds begin again.") from error
 
     def _inherited(self, candidate: Candidate, parents: Mapping[int, Parent]) -> list[Gait]:

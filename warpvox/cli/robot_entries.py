@@ -97,7 +97,7 @@ def robots_of(source: Path, top: int) -> Iterator[Robot]:
     """
     if (source / ARCHIVE).is_file():
         return _of_search(source, lambda archive: trained(archive)[:top])
-    search = source.absolute().parents[1]
+    search = source.absolute().parent.parent
     if source.name.isdecimal() and (search / ARCHIVE).is_file():
         return _of_search(search, lambda archive: [archive.record(int(source.name))])
     return _of_run(source)

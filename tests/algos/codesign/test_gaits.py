@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from pathlib import Path
 
@@ -184,9 +185,11 @@ def test_rounds_go_on_after_an_interrupt(tmp_path: Path, monkeypatch: pytest.Mon
         assert all(torch.equal(value, other.policy[name]) for name, value in one.policy.items())
     with pytest.raises(RunError, match="other candidates"):
         evaluator(rounds=4).evaluate(candidates(1), {}, None, checkpoint)
-    saved.write_text('{"seeds": 1', encoding="utf-8")
-    with pytest.raises(RunError, match="damaged"):
-        evaluator(rounds=4).evaluate(found, {}, None, checkpoint)
+    state = json.loads(saved.read_text(encoding="utf-8"))
+    for damage in '{"seeds": 1', json.dumps(state | {"best": [[1.0, []]] * 2}), json.dumps(state | {"random": [{}]}):
+        saved.write_text(damage, encoding="utf-8")
+        with pytest.raises(RunError, match="damaged"):
+            evaluator(rounds=4).evaluate(found, {}, None, checkpoint)
 
 
 def test_a_known_body_begins_with_its_gait() -> None:
