@@ -96,13 +96,24 @@ class ScreeningConfig:
     ppo: Any = key(None, "settings of PPO that differ from training.ppo: {epochs:4,schedule:adaptive}")
     gaits: int = key(8, "evaluation=gaits: open-loop gaits that each design tries in a round", low=1)
     rounds: int = key(
-        2, "evaluation=gaits: number of rounds; from the second on mutants of the best gait so far are tried", low=1
+        2, "evaluation=gaits: number of rounds; from the second on mutants of the best gait so far are tried", low=0
     )
     stages: int = key(4, "evaluation=gaits: parts of an episode in which a gait has a motion each", low=1, high=100)
-    final_rounds: int = key(40, "evaluation=gaits: number of rounds for finalists, before their training", low=1)
+    final_rounds: int = key(40, "evaluation=gaits: number of rounds for finalists, before their training", low=0)
     final_gaits: int | None = key(
         None, "evaluation=gaits: gaits that a finalist tries in a round; null: as many as the others", low=1
     )
+    passes: int = key(
+        0, "evaluation=gaits: beam searches before the rounds, in which a gait grows stage by stage", low=0
+    )
+    beam: int = key(32, "evaluation=gaits: motions that a design tries in each stage of a beam search", low=1)
+    stage_steps: int = key(
+        20,
+        "evaluation=gaits: control steps of a stage in the first beam search; others have longer and shorter ones",
+        low=1,
+    )
+    final_passes: int = key(0, "evaluation=gaits: beam searches for finalists, before their rounds", low=0)
+    final_beam: int = key(256, "evaluation=gaits: motions that a finalist tries in each stage of a beam search", low=1)
 
     @property
     def gaits_of_finalist(self) -> int:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,13 @@ import numpy as np
 import torch
 
 from warpvox.algos.candidate import GAIT, START, Candidate, Outcome, Parent, candidate_seed
-from warpvox.algos.checkpoints.files import PolicySpec, actions_of, spec_dict
+from warpvox.algos.checkpoints.files import PolicySpec, spec_dict
+from warpvox.algos.codesign.gait_actions import actions_of_gaits
+from warpvox.algos.codesign.gait_beam import Beam
 from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait, with_stages
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
-from warpvox.algos.policies.gait import AMPLITUDE, gait_outputs
+from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.batch.options import MAX_WIDTH, lanes_for, resolve_arithmetic
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -35,8 +36,8 @@ KEPT = 0.5
 """Share of designs with one gait each that move as their parent, where the body is another."""
 SAVE_INTERVAL = 20.0
 """Seconds between checkpoints."""
-AT_ONCE = 1 << 20
-"""Actions that are computed at once, about: those of many control steps, if environments are few."""
+STRETCH = (1.0, 1.5, 0.6, 1.2, 0.8, 2.0, 0.5)
+"""By what the stages of one pass after another are longer, so that they begin at other times."""
 STREAM = 0x6A17
 """Keeps the random numbers of gaits apart from those of the environments."""
 
@@ -47,8 +48,9 @@ class GaitEvaluator:
 
     The first ones are those of its parents with mutants of the best parent's; random ones, if it has none. A design
     that differs from its parent in the gait alone (:data:`warpvox.algos.candidate.GAIT`) has mutants only. In each
-    further round mutants of the best so far are tried. It takes ``count * rounds`` episodes for a design, where a
-    training of 512,000 control steps has a thousand.
+    further round mutants of the best so far are tried. Passes of a beam search (:class:`Beam`) may come before the
+    rounds. It takes ``beam * passes + count * rounds`` episodes for a design, where a training of 512,000 control steps
+    has a thousand.
 
     Attributes:
         factory: makes environments.
@@ -57,6 +59,9 @@ class GaitEvaluator:
         stages: parts of an episode in which a gait has a motion each.
         seed: of the experiment.
         episodes: of each gait, whose mean counts; more than one for tasks that draw at random.
+        passes: beam searches before the rounds.
+        beam: continuations that a beam search tries in each stage.
+        stage_steps: control steps of a stage in the first beam search; others have longer and shorter ones.
         known: gaits of candidates with the origin :data:`warpvox.algos.candidate.START`, by the bytes of the body.
     """
 
@@ -66,6 +71,9 @@ class GaitEvaluator:
     stages: int = 2
     seed: int = 0
     episodes: int = 1
+    passes: int = 0
+    beam: int = 64
+    stage_steps: int = 20
     known: Mapping[bytes, Gait] = field(default_factory=dict)
 
     def evaluate(
@@ -95,25 +103,27 @@ class _Rounds:
         self.seeds = [candidate_seed(how.seed, candidate.id) for candidate in candidates]
         self.random = [np.random.default_rng([STREAM, how.seed, candidate.id]) for candidate in candidates]
         self.origins = [candidate.origin for candidate in candidates]
-        factory = replace(how.factory, lanes=gait_lanes(how.factory, how.count * how.episodes))
-        self.env = factory.make(self.bodies, how.count * how.episodes, self.seeds, auto_reset=False)
+        self.env = self._environments(how.beam if how.passes else how.count)
         self.inherited = [self._inherited(candidate, parents) for candidate in candidates]
-        self.round = 0
+        self.round = 0  # passes are counted, too
+        self.rounds = how.passes + how.rounds
         self.best: list[tuple[float, Gait]] = []
         self.curves: list[list[tuple[int, float]]] = [[] for _ in candidates]
         self.spent = [0] * len(candidates)
+
+    def _environments(self, count: int) -> VoxelVecEnv:
+        """``count`` of each design, times the episodes of a gait."""
+        envs = count * self.how.episodes
+        factory = replace(self.how.factory, lanes=gait_lanes(self.how.factory, envs))
+        return factory.make(self.bodies, envs, self.seeds, auto_reset=False)
 
     def run(self, report: Callable[[dict[str, Any]], None] | None, checkpoint: Path | None) -> list[Outcome]:
         if checkpoint is not None and checkpoint.is_file():
             self._read(checkpoint)
         self._tell(report)
         saved = time.monotonic()
-        while self.round < self.how.rounds:
-            gaits = [self._gaits(place) for place in range(len(self.bodies))]
-            returns, steps = self._play(gaits)
-            found = [
-                (float(values.max()), tried[int(values.argmax())]) for values, tried in zip(returns, gaits, strict=True)
-            ]
+        while self.round < self.rounds:
+            found, steps = self._pass() if self.round < self.how.passes else self._try()
             self.best = [max(pair, key=lambda one: one[0]) for pair in zip(self.best or found, found, strict=True)]
             for place, (value, _) in enumerate(self.best):
                 self.spent[place] += int(steps[place])
@@ -181,12 +191,26 @@ class _Rounds:
         gaits += [draw_gait(rng, body, steps, self.how.stages) for _ in range(fresh)]
         return gaits + [mutate_gait(rng, known[0], body, steps) for _ in range(count - len(gaits))]
 
-    def _play(self, gaits: Sequence[Sequence[Gait]]) -> tuple[np.ndarray, np.ndarray]:
-        """Returns ``[designs, count]`` and control steps ``[designs]`` of an episode of each gait."""
-        env, how = self.env, self.how
-        result = evaluate(env, _controller(env, self.bodies, gaits, how.episodes), seed=self.seeds)
+    def _pass(self) -> tuple[list[tuple[float, Gait]], np.ndarray]:
+        """The best gait of each design by a beam search with its mean return, and the control steps ``[designs]``."""
+        how = self.how
+        known = [[best[1]] for best in self.best] if self.best else self.inherited
+        steps = max(1, round(how.stage_steps * STRETCH[self.round % len(STRETCH)]))
+        return Beam(self.env, self.bodies, how.beam, how.episodes).search(known, self.random, self.seeds, steps)
+
+    def _try(self) -> tuple[list[tuple[float, Gait]], np.ndarray]:
+        """The same of an episode of each gait that is tried next."""
+        how = self.how
+        if self.env.num_envs != len(self.bodies) * how.count * how.episodes:
+            self.env = self._environments(how.count)
+        gaits = [self._gaits(place) for place in range(len(self.bodies))]
+        following = actions_of_gaits(self.env, self.bodies, gaits, how.episodes)
+        result = evaluate(self.env, lambda obs: next(following), seed=self.seeds)
         returns = result.returns.view(len(self.bodies), how.count, how.episodes).mean(2).numpy()
-        return returns, result.lengths.view(len(self.bodies), -1).sum(1).numpy()
+        found = [
+            (float(values.max()), tried[int(values.argmax())]) for values, tried in zip(returns, gaits, strict=True)
+        ]
+        return found, result.lengths.view(len(self.bodies), -1).sum(1).numpy()
 
     def _outcome(self, place: int) -> Outcome:
         (value, gait), body = self.best[place], self.bodies[place]
@@ -209,10 +233,10 @@ class _Rounds:
             report(
                 {
                     "iteration": self.round,
-                    "iterations": self.how.rounds,
+                    "iterations": self.rounds,
                     "steps": sum(self.spent),
                     "best": [value for value, _ in self.best] or [math.nan] * len(self.bodies),
-                    "training": [self.round < self.how.rounds] * len(self.bodies),
+                    "training": [self.round < self.rounds] * len(self.bodies),
                 }
             )
 
@@ -224,30 +248,3 @@ def gait_lanes(factory: EnvFactory, envs: int) -> int:
     """
     fast = resolve_arithmetic(factory.arithmetic, factory.dtype) == "fast"
     return MAX_WIDTH if fast else lanes_for(envs)
-
-
-def _controller(
-    env: VoxelVecEnv, bodies: Sequence[np.ndarray], gaits: Sequence[Sequence[Gait]], episodes: int
-) -> Callable[[torch.Tensor], torch.Tensor]:
-    """Actions of all environments by the number of calls: those of a design, gait by gait, one after another."""
-    count, stages = len(gaits[0]), len(gaits[0][0].begin)
-    values = np.zeros((3, stages, len(bodies), count, episodes, env.num_actions))
-    timing = np.zeros((2, stages, len(bodies), count, episodes, 1))
-    for place, body in enumerate(bodies):
-        driven = body >= Cell.H_ACT  # row by row, the order of actions
-        for k, gait in enumerate(gaits[place]):
-            timing[:, :, place, k] = np.stack([gait.begin, gait.period])[:, :, None, None]
-            cells = np.stack([gait.amplitude, gait.phase, gait.rest])[:, :, driven]
-            values[:, :, place, k, :, : cells.shape[-1]] = cells[:, :, None]
-    parts = [
-        torch.as_tensor(array.reshape(stages, env.num_envs, -1), device=env.device) for array in (*timing, *values)
-    ]
-
-    def actions() -> Iterator[torch.Tensor]:
-        count = min(max(1, AT_ONCE // (env.num_envs * env.num_actions)), env.max_episode_steps)
-        for first in itertools.count(0, count):
-            times = torch.arange(first, first + count, dtype=torch.float64, device=env.device)[:, None, None]
-            yield from actions_of(gait_outputs(times, *parts).float(), AMPLITUDE)  # as the stored policy has them
-
-    following = actions()
-    return lambda obs: next(following)

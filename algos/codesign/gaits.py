@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,17 @@ import numpy as np
 from warpvox.design import Design
 from warpvox.types import Cell
 
-__all__ = ["Gait", "draw_gait", "mutate_gait", "with_stages"]
+__all__ = [
+    "Gait",
+    "Motion",
+    "draw_gait",
+    "draw_motion",
+    "gait_of",
+    "motions_of",
+    "mutate_gait",
+    "mutate_motion",
+    "with_stages",
+]
 
 PERIODS = (5.0, 40.0)
 """Control steps of a travelling wave."""
@@ -55,6 +66,25 @@ class Gait:
             object.__setattr__(self, name, values.astype(np.float32).astype(np.float64))
 
 
+Motion = tuple[float, np.ndarray, np.ndarray, np.ndarray]
+"""Of one stage: period, amplitude, phase and rest."""
+
+
+def motions_of(gait: Gait) -> tuple[tuple[int, Motion], ...]:
+    """The motions of a gait, with the control steps in which they begin."""
+    stages = zip(gait.period.tolist(), gait.amplitude, gait.phase, gait.rest, strict=True)
+    found = list(zip(map(int, gait.begin), stages, strict=True))
+    return tuple(one for one, after in zip(found, [*found[1:], None], strict=True) if not after or after[0] > one[0])
+
+
+def gait_of(motions: Sequence[tuple[int, Motion]]) -> Gait:
+    """The inverse of :func:`motions_of`."""
+    return Gait(
+        np.array([begin for begin, _ in motions]),
+        *(np.array(values) for values in zip(*(motion for _, motion in motions), strict=True)),
+    )
+
+
 def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -> Gait:
     """A random gait: each stage a wave or a pose, or one motion for the whole episode.
 
@@ -62,7 +92,7 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
         steps: control steps of an episode.
         stages: how many.
     """
-    motions = [_motion(rng, body) for _ in range(stages)]
+    motions = [draw_motion(rng, body) for _ in range(stages)]
     if rng.random() < 0.5:
         motions = motions[:1] * stages
     begin = np.sort(np.exp(rng.uniform(np.log(3.0), np.log(max(steps, 4)), stages)).round())
@@ -81,15 +111,12 @@ def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
     return Gait(np.array(begin), gait.period[place], gait.amplitude[place], gait.phase[place], gait.rest[place])
 
 
-Stage = tuple[float, np.ndarray, np.ndarray, np.ndarray]
-"""Period, amplitude, phase and rest of a motion."""
-
-
-def _motion(rng: np.random.Generator, body: Design) -> Stage:
+def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
+    """A random wave or pose."""
     return _wave(rng, body) if rng.random() < 0.7 else _pose(rng, body)
 
 
-def _wave(rng: np.random.Generator, body: Design) -> Stage:
+def _wave(rng: np.random.Generator, body: Design) -> Motion:
     """A wave that travels through the body in some direction, or round its centre."""
     x, y = _places(body)
     vertical = body == Cell.V_ACT
@@ -102,7 +129,7 @@ def _wave(rng: np.random.Generator, body: Design) -> Stage:
     return _log_uniform(rng, PERIODS), gain, phase, np.zeros(body.shape)
 
 
-def _pose(rng: np.random.Generator, body: Design) -> Stage:
+def _pose(rng: np.random.Generator, body: Design) -> Motion:
     """Each actuator at its longest or shortest; as often all of a kind alike as each at random."""
     rest = rng.choice([-1.0, 1.0], body.shape)
     if rng.random() < 0.5:
@@ -125,13 +152,21 @@ def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) 
     return gait
 
 
+def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design) -> Motion:
+    """A motion that differs from ``motion`` in one to three ways."""
+    gait, everywhere = gait_of([(0, motion)]), np.ones(1, bool)
+    for _ in range(rng.integers(1, 4)):
+        gait = replace(gait, **_change(rng, gait, body, 0, everywhere))
+    return motions_of(gait)[0][1]
+
+
 def _with_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
     """Another motion in one stage or from there on: a random one, or that of some stage."""
     stages = len(gait.begin)
     first, source = rng.integers(stages, size=2)
     chosen = slice(first, None if rng.random() < 0.5 else first + 1)
     known = (gait.period[source], gait.amplitude[source], gait.phase[source], gait.rest[source])
-    motion = _motion(rng, body) if rng.random() < 0.6 else known
+    motion = draw_motion(rng, body) if rng.random() < 0.6 else known
     fields = {name: getattr(gait, name).copy() for name in vars(gait)}
     for name, values in zip(("period", "amplitude", "phase", "rest"), motion, strict=True):
         fields[name][chosen] = values

@@ -21,8 +21,9 @@ def costs_of(member: CodesignConfig, task: TaskSpec) -> tuple[float, float]:
         each = (how.ppo or {}).get("steps", training.ppo.steps) * how.iterations * how.envs
         return each + how.eval_envs * task.max_episode_steps, count * steps_of_design(training, count)
     of_gait = episodes_of(member.task) * task.max_episode_steps
-    last = how.final_rounds * how.gaits_of_finalist * of_gait + steps_of_design(training, count)
-    return how.rounds * how.gaits * of_gait, count * last
+    first = how.passes * how.beam + how.rounds * how.gaits
+    last = how.final_passes * how.final_beam + how.final_rounds * how.gaits_of_finalist
+    return first * of_gait, count * (last * of_gait + steps_of_design(training, count))
 
 
 def steps_of_design(training: TrainingConfig, population: int) -> float:

@@ -100,11 +100,21 @@ def check_evaluation(config: CodesignConfig) -> None:
     if config.evaluation == "shared" and config.batch is not None:
         raise ConfigError(f"{how} takes all designs of a generation together: leave batch away.")
     if not has_common_policy(config):
+        _check_gaits(config.screening)
         return
     check_policy(config.screening.policy)
     if config.screening.policy == MLP:
         raise ConfigError("screening.policy must see voxels to control many bodies: grid, transformer or your own.")
     _screening_ppo(config)
+
+
+def _check_gaits(how: ScreeningConfig) -> None:
+    for prefix, passes, rounds in ("", how.passes, how.rounds), ("final_", how.final_passes, how.final_rounds):
+        if passes + rounds == 0:
+            raise ConfigError(
+                f"screening.{prefix}passes and screening.{prefix}rounds are both 0: one of them must be 1 or more, or"
+                " no gait is tried."
+            )
 
 
 def _screening_ppo(config: CodesignConfig) -> PpoConfig:
@@ -324,8 +334,21 @@ def _by_gaits(config: CodesignConfig, training: DesignEvaluator, known: Mapping[
     from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
     how, episodes = config.screening, episodes_of(config.task)
-    gaits = GaitEvaluator(factory_of(config), how.gaits, how.rounds, how.stages, config.seed, episodes, known)
-    final = dataclasses.replace(gaits, count=how.gaits_of_finalist, rounds=how.final_rounds)
+    gaits = GaitEvaluator(
+        factory_of(config),
+        how.gaits,
+        how.rounds,
+        how.stages,
+        config.seed,
+        episodes,
+        how.passes,
+        how.beam,
+        how.stage_steps,
+        known,
+    )
+    final = dataclasses.replace(
+        gaits, count=how.gaits_of_finalist, rounds=how.final_rounds, passes=how.final_passes, beam=how.final_beam
+    )
     return TwoStages(gaits, BestOf(final, training))
 
 

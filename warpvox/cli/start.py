@@ -38,12 +38,6 @@ def read_start(config: CodesignConfig, folder: Path | None = None) -> list[Robot
     for text, robot in zip(config.start, robots, strict=True):
         if not robot.fully_connected:
             raise ConfigError(f"start={text}: this robot lacks connections, which designs of a search have.")
-        gait = robot.policy if config.evaluation == "gaits" else None
-        if isinstance(gait, RobotGait) and gait.num_stages > config.screening.stages:
-            raise ConfigError(
-                f"start={text}: its gait has {gait.num_stages} stages, more than"
-                f" screening.stages={config.screening.stages}."
-            )
     return robots
 
 

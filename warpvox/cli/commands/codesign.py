@@ -156,7 +156,9 @@ def environments(config: CodesignConfig) -> int:
         kinds = [(most, how.envs)]
     else:
         episodes = episodes_of(config.task)
-        kinds = [(most, how.gaits * episodes), (config.finalists, how.gaits_of_finalist * episodes)]
+        first = max(how.gaits, how.beam if how.passes else 1)
+        last = max(how.gaits_of_finalist, how.final_beam if how.final_passes else 1)
+        kinds = [(most, first * episodes), (config.finalists, last * episodes)]
     return max(own, *(min(config.batch or designs, designs) * each for designs, each in kinds))
 
 

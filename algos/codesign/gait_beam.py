@@ -1,0 +1,213 @@
+"""Gaits that grow: a beam search over the motions of an episode, stage by stage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from warpvox.algos.codesign.gait_actions import actions_of_gaits
+from warpvox.algos.codesign.gaits import Gait, Motion, draw_motion, gait_of, motions_of, mutate_motion
+from warpvox.envs.vec_env import VoxelVecEnv
+
+__all__ = ["Beam"]
+
+KEPT = 0.125
+"""Share of the beginnings of an episode that is continued after each stage."""
+SIBLINGS = 0.25
+"""Share of these that may continue the same beginning, lest all descend from one."""
+FOLLOWED, VARIED, KNOWN, EARLIER = 0.1, 0.4, 0.65, 0.75
+"""Cumulative shares of continuations: the known gait, mutants of the present motion, motions of known gaits and their
+mutants, mutants of an earlier motion. The rest are random motions."""
+
+Begun = tuple[tuple[int, Motion], ...]
+"""Motions with the control steps in which they begin."""
+
+
+@dataclass(frozen=True)
+class Beam:
+    """Searches for gaits of some designs, all of them side by side.
+
+    The beginnings of episodes found so far are each continued for a stage by several motions, from copies of the state
+    of the simulation, and the best of what follows are the next beginnings. This takes as many control steps as
+    ``count`` episodes, but what to do in the middle of an episode is tried where it matters, without changing what was
+    good before.
+
+    Attributes:
+        env: ``count * episodes`` environments for each design, which do not reset themselves.
+        bodies: the designs.
+        count: continuations that are tried in each stage.
+        episodes: of each gait, whose mean return counts.
+    """
+
+    env: VoxelVecEnv
+    bodies: Sequence[np.ndarray]
+    count: int
+    episodes: int
+
+    def search(
+        self,
+        known: Sequence[Sequence[Gait]],
+        random: Sequence[np.random.Generator],
+        seeds: Sequence[int],
+        steps: int,
+    ) -> tuple[list[tuple[float, Gait]], np.ndarray]:
+        """Go through the episode once.
+
+        Args:
+            known: gaits of each design, if there are, the best one first: the result is never worse than this one.
+            random: source of random numbers of each design.
+            seeds: of the episodes.
+            steps: control steps of a stage.
+
+        Returns:
+            The best mean return and its gait, of each design, and the control steps ``[designs]`` that it took.
+        """
+        env, limit = self.env, self.env.max_episode_steps
+        searches = [
+            _Search(body, self.count, limit, gaits, rng)
+            for body, gaits, rng in zip(self.bodies, known, random, strict=True)
+        ]
+        spent = np.zeros(len(searches), np.int64)
+        with torch.no_grad():
+            env.reset(seed=seeds)
+            state = env.state()
+            for first in range(0, limit, steps):
+                last = min(first + steps, limit)
+                gaits = [search.continued(first, last) for search in searches]
+                state = _picked(state, self._environments(searches))
+                before = state["length"]
+                env.set_state(state)
+                for actions in actions_of_gaits(env, self.bodies, gaits, self.episodes, first, last):
+                    env.step(actions)
+                state = env.state()
+                spent += (state["length"] - before).view(len(searches), -1).sum(1).cpu().numpy()
+                values = state["return"].view(len(searches), self.count, -1).mean(2).tolist()
+                ended = (state["terminated"] | state["truncated"]).view(len(searches), self.count, -1).all(2).tolist()
+                for place, search in enumerate(searches):
+                    search.choose(values[place], ended[place])
+                if not any(search.beginnings for search in searches):
+                    break
+        return [search.best for search in searches], spent
+
+    def _environments(self, searches: Sequence[_Search]) -> torch.Tensor:
+        """The environment whose state each environment continues."""
+        sources = torch.tensor([search.sources for search in searches], device=self.env.device)
+        first = self.count * torch.arange(len(searches), device=self.env.device)[:, None]
+        each = self.episodes * (first + sources)[:, :, None]
+        return (each + torch.arange(self.episodes, device=self.env.device)).flatten()
+
+
+@dataclass(frozen=True)
+class _Beginning:
+    """Of an episode: the place that it was played in, its motions, and whether they are those of the best known gait,
+    which is continued whatever its value."""
+
+    place: int = 0
+    begun: Begun = ()
+    is_known: bool = False
+
+
+class _Search:
+    """The beam search of one design.
+
+    Attributes:
+        beginnings: what is continued; empty when all episodes have ended.
+        sources: for each continuation the place of what it continues.
+        best: the best mean return of an episode that has ended, and its gait.
+    """
+
+    def __init__(
+        self, body: np.ndarray, count: int, limit: int, known: Sequence[Gait], rng: np.random.Generator
+    ) -> None:
+        self.body, self.count, self.limit, self.rng = body, count, limit, rng
+        self.plan = motions_of(known[0]) if known else ()
+        self.motions = [motion for gait in known for _, motion in motions_of(gait)]
+        self.kept = max(1, round(KEPT * count))
+        self.beginnings = [_Beginning(is_known=bool(known))]
+        self.sources: list[int] = []
+        self.best: tuple[float, Gait] | None = None
+        self._tried: list[_Beginning] = []
+        self._gaits: list[Gait] = []
+
+    def continued(self, first: int, last: int) -> list[Gait]:
+        """What is tried from control step ``first`` to ``last``, which is not among them."""
+        if not self.beginnings:  # environments that have ended stay as they are
+            self.sources = list(range(self.count))
+            return self._gaits
+        each, more = divmod(self.count, len(self.beginnings))
+        self.sources, self._tried, self._gaits = [], [], []
+        for rank, beginning in enumerate(self.beginnings):
+            for number in range(each + (rank < more)):
+                is_known = beginning.is_known and number == 0
+                added = self._plan(first, last) if is_known else self._motions(beginning.begun, number, first, last)
+                self.sources.append(beginning.place)
+                self._tried.append(_Beginning(len(self._tried), _joined(beginning.begun, added), is_known))
+                self._gaits.append(gait_of(added))
+        return self._gaits
+
+    def choose(self, values: Sequence[float], ended: Sequence[bool]) -> None:
+        """Keep the best of what was tried.
+
+        Args:
+            values: mean return of each so far.
+            ended: whether its episodes have ended.
+        """
+        if not self.beginnings:
+            return
+        for tried in self._tried:
+            value = values[tried.place]
+            if ended[tried.place] and (self.best is None or value > self.best[0]):
+                self.best = value, gait_of(tried.begun)
+        going = [tried for tried in self._tried if not ended[tried.place]]
+        going.sort(key=lambda tried: (not tried.is_known, -values[tried.place]))
+        most = max(2, round(SIBLINGS * self.kept))
+        chosen: list[_Beginning] = []
+        children = dict.fromkeys(self.sources, 0)
+        for tried in going:
+            parent = self.sources[tried.place]
+            if len(chosen) < self.kept and children[parent] < most:
+                children[parent] += 1
+                chosen.append(tried)
+        self.beginnings = chosen
+
+    def _motions(self, begun: Begun, number: int, first: int, last: int) -> Begun:
+        """The ``number``-th continuation of a beginning."""
+        rng, body = self.rng, self.body
+        if begun and number == 0:
+            return ((first, begun[-1][1]),)
+        kind = rng.random()
+        if self.plan and kind < FOLLOWED:
+            return self._plan(first, last)
+        if begun and kind < VARIED:
+            motion = mutate_motion(rng, begun[-1][1], body)
+        elif self.motions and kind < KNOWN:
+            motion = self.motions[rng.integers(len(self.motions))]
+            if rng.random() < 0.5:
+                motion = mutate_motion(rng, motion, body)
+        elif begun and kind < EARLIER:
+            motion = mutate_motion(rng, begun[rng.integers(len(begun))][1], body)
+        else:
+            motion = draw_motion(rng, body)
+        return ((first, motion),)
+
+    def _plan(self, first: int, last: int) -> Begun:
+        """The motions of the best known gait."""
+        present = max(place for place, (begin, _) in enumerate(self.plan) if begin <= first)
+        later = tuple((begin, motion) for begin, motion in self.plan[present + 1 :] if begin < last)
+        return ((first, self.plan[present][1]), *later)
+
+
+def _joined(begun: Begun, added: Begun) -> Begun:
+    """Motions one after another; one that goes on is not begun again."""
+    return begun + (added[1:] if begun and begun[-1][1] is added[0][1] else added)
+
+
+def _picked(state: Any, rows: torch.Tensor) -> Any:
+    """Some rows of the tensors in nested dictionaries."""
+    if isinstance(state, dict):
+        return {name: _picked(values, rows) for name, values in state.items()}
+    return None if state is None else state[rows.to(state.device)]
