@@ -85,7 +85,8 @@ class Beam:
                     env.step(actions)
                 state = env.state()
                 spent += (state["length"] - before).view(len(searches), -1).sum(1).cpu().numpy()
-                values = state["return"].view(len(searches), self.count, -1).mean(2).tolist()
+                returns = state["return"].to(env.dtype).double()  # rounded as those of whole episodes are
+                values = returns.view(len(searches), self.count, -1).mean(2).tolist()
                 ended = (state["terminated"] | state["truncated"]).view(len(searches), self.count, -1).all(2).tolist()
                 for place, search in enumerate(searches):
                     search.choose(values[place], ended[place])

@@ -162,7 +162,8 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable, monkeypatch:
     assert warpvox("zoo", f"add={first}", "folder=mine").code == 0
     file = Path("mine/Walker-v0.npz")
     robot = read_robot(file)
-    folder = search(warpvox, *gaits, f"start=[zoo:{file}]", "screening.stages=6", "seed=1", "name=on")
+    passes = "screening.passes=1", "screening.beam=8", "screening.final_passes=1", "screening.final_beam=16"
+    folder = search(warpvox, *gaits, *passes, f"start=[zoo:{file}]", "screening.stages=6", "seed=1", "name=on")
     records = records_of(folder)
     assert [record.candidate.origin for record in records[:3]] == [START, "random", "random"]
     assert (records[0].candidate.body == robot.body).all()
@@ -192,7 +193,11 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable, monkeypatch:
     assert records_of(folder)[0].candidate.origin == START
     for words, says in [
         (["shape=[3,4]"], "shape [3, 3]: expected [3, 4]"),
-        (["evaluation=gaits", "screening.stages=5"], "its gait has 6 stages, more than screening.stages=5"),
+        (["evaluation=gaits", "screening.rounds=0"], "screening.passes and screening.rounds are both 0"),
+        (
+            ["evaluation=gaits", "screening.final_rounds=0"],
+            "screening.final_passes and screening.final_rounds are both 0",
+        ),
         (["search=cppn_neat"], "makes all bodies itself"),
     ]:
         shape = [] if words[0].startswith("shape") else ["shape=[3,3]"]
@@ -210,6 +215,8 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable, monkeypatch:
         ("evaluation=gaits screening.gaits=7 task=Catcher-v0", 3 * 7 * 4),  # a random task: four episodes of each gait
         ("evaluation=gaits screening.gaits=9 finalists=6", 6 * 9),
         ("evaluation=gaits screening.gaits=9 finalists=6 batch=2", 2 * 9),
+        ("evaluation=gaits screening.gaits=7 screening.passes=1 screening.beam=20", 3 * 20),
+        ("evaluation=gaits screening.final_passes=1 screening.final_beam=30 finalists=2", 2 * 30),
     ],
 )
 def test_environments_that_are_stepped_together(words: str, count: int) -> None:

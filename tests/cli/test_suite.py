@@ -136,7 +136,12 @@ def test_a_search_without_trainings_gets_the_control_steps_of_so_many() -> None:
     (member,) = members(*words, *gaits, "evaluations=24", "search.population=8")
     training = load("suite", []).training
     last = 3 * 5 * 500 + steps_of_design(training, 1)
-    assert member.config.search.max_evaluations == int((24 * steps_of_design(training, 8) - last) // (4 * 2 * 500))
+    whole = 24 * steps_of_design(training, 8)
+    assert member.config.search.max_evaluations == int((whole - last) // (4 * 2 * 500))
+    beams = ["screening.passes=1", "screening.beam=6", "screening.final_passes=2", "screening.final_beam=7"]
+    (member,) = members(*words, *gaits, *beams, "evaluations=24", "search.population=8")
+    left = whole - last - 2 * 7 * 500
+    assert member.config.search.max_evaluations == int(left // ((4 * 2 + 6) * 500))
     with pytest.raises(ConfigError, match=r"evaluations must be at least 3 for search=evolution, .* got 1"):
         members(*words, *gaits, "evaluations=1", "search.population=8")
 
