@@ -112,8 +112,8 @@ class ScreeningConfig:
         "evaluation=gaits: control steps of a stage in the first beam search; others have longer and shorter ones",
         low=1,
     )
-    final_passes: int = key(0, "evaluation=gaits: beam searches for finalists, before their rounds", low=0)
-    final_beam: int = key(256, "evaluation=gaits: motions that a finalist tries in each stage of a beam search", low=1)
+    final_passes: int = key(14, "evaluation=gaits: beam searches for finalists, before their rounds", low=0)
+    final_beam: int = key(64, "evaluation=gaits: motions that a finalist tries in each stage of a beam search", low=1)
 
     @property
     def gaits_of_finalist(self) -> int:

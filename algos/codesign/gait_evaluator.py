@@ -36,8 +36,8 @@ KEPT = 0.5
 """Share of designs with one gait each that move as their parent, where the body is another."""
 SAVE_INTERVAL = 20.0
 """Seconds between checkpoints."""
-STRETCH = (1.0, 1.5, 0.6, 1.2, 0.8, 2.0, 0.5)
-"""By what the stages of one pass after another are longer, so that they begin at other times."""
+STRETCH = (1.0, 3.0, 0.6, 2.0, 4.0, 1.4, 0.8)
+"""By what the stages of one pass after another are longer: a throw or a turn takes its time, and they end elsewhere."""
 STREAM = 0x6A17
 """Keeps the random numbers of gaits apart from those of the environments."""
 

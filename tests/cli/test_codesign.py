@@ -358,7 +358,9 @@ def test_killed_three_times_the_real_search_is_the_undisturbed_one(tmp_path: Pat
 
 @pytest.mark.slow  # tests/algos/codesign/test_ray_executor.py compares in the default run
 @pytest.mark.usefixtures("whole_episodes")  # as in other processes
-@pytest.mark.parametrize("words", ["", "evaluation=gaits screening.gaits=4 screening.final_rounds=3 finalists=3"])
+@pytest.mark.parametrize(
+    "words", ["", "evaluation=gaits screening.gaits=4 screening.final_rounds=3 screening.final_passes=2 finalists=3"]
+)
 def test_ray_finds_what_one_process_finds(search: Callable, words: str) -> None:
     pytest.importorskip("ray", reason="Ray is not installed")
     local = search("batch=2", *words.split())

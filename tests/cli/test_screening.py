@@ -24,6 +24,8 @@ TINY = (
     " screening.envs=8 screening.iterations=1 finalists=2 device=cpu threads=1"
 ).split()
 ROUNDING = 1e-6
+ROUNDS = "screening.final_passes=0"
+"""Finalists of evaluation=gaits have rounds alone."""
 TRAINED = "designs=random:4:3x3", "policy=grid", "num_envs=8", "max_iterations=2", "network={width:8}", "lanes=8"
 
 
@@ -97,7 +99,9 @@ def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -
 
 def test_a_search_by_gaits(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)  # of packs: what other tests have compiled
-    folder = search(warpvox, "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", "screening.final_rounds=2")
+    folder = search(
+        warpvox, "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", ROUNDS, "screening.final_rounds=2"
+    )
     records, figures = records_of(folder), summary(folder)
     assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
     assert figures["screened_fitness"] == max(record.fitness for record in records[:5])
@@ -117,7 +121,7 @@ def test_a_search_whose_bodies_come_back(warpvox: Callable, monkeypatch: pytest.
     monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)
     words = "search.population=2 search.children=3 search.max_evaluations=12 search.survivor_rate=null".split()
     settings = "screening.gaits=1 screening.rounds=1 screening.final_gaits=8 screening.final_rounds=1".split()
-    folder = search(warpvox, "search=evolution", "evaluation=gaits", *words, *settings)
+    folder = search(warpvox, "search=evolution", "evaluation=gaits", ROUNDS, *words, *settings)
     records = records_of(folder)
     searched, finals = records[:12], records[12:]
     children = [record for record in searched if record.candidate.origin == GAIT]
@@ -140,7 +144,9 @@ def test_a_search_whose_bodies_come_back(warpvox: Callable, monkeypatch: pytest.
 
 def test_a_search_of_a_version_with_fewer_keys_goes_on(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)
-    folder = search(warpvox, "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", "screening.final_rounds=1")
+    folder = search(
+        warpvox, "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", ROUNDS, "screening.final_rounds=1"
+    )
     with sqlite3.connect(folder / FILE) as database:
         (text,) = database.execute("SELECT value FROM experiment WHERE key = 'settings'").fetchone()
         settings = json.loads(text)
@@ -157,8 +163,14 @@ def test_a_search_of_a_version_with_fewer_keys_goes_on(warpvox: Callable, monkey
 
 def test_a_search_that_starts_with_a_known_robot(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)
-    gaits = "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", "screening.final_rounds=2", "dtype=float64"
-    first = search(warpvox, *gaits)
+    gaits = (
+        "evaluation=gaits",
+        "screening.gaits=8",
+        "screening.rounds=1",
+        "screening.final_rounds=2",
+        "dtype=float64",
+    )
+    first = search(warpvox, *gaits, ROUNDS)
     assert warpvox("zoo", f"add={first}", "folder=mine").code == 0
     file = Path("mine/Walker-v0.npz")
     robot = read_robot(file)
@@ -195,7 +207,7 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable, monkeypatch:
         (["shape=[3,4]"], "shape [3, 3]: expected [3, 4]"),
         (["evaluation=gaits", "screening.rounds=0"], "screening.passes and screening.rounds are both 0"),
         (
-            ["evaluation=gaits", "screening.final_rounds=0"],
+            ["evaluation=gaits", "screening.final_rounds=0", "screening.final_passes=0"],
             "screening.final_passes and screening.final_rounds are both 0",
         ),
         (["search=cppn_neat"], "makes all bodies itself"),
@@ -211,11 +223,20 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable, monkeypatch:
     [
         ("", 3 * 8),
         ("evaluation=shared screening.envs=16", 3 * 16),
-        ("evaluation=gaits screening.gaits=7", 3 * 7),
-        ("evaluation=gaits screening.gaits=7 task=Catcher-v0", 3 * 7 * 4),  # a random task: four episodes of each gait
-        ("evaluation=gaits screening.gaits=9 finalists=6", 6 * 9),
-        ("evaluation=gaits screening.gaits=9 finalists=6 batch=2", 2 * 9),
-        ("evaluation=gaits screening.gaits=7 screening.passes=1 screening.beam=20", 3 * 20),
+        ("evaluation=gaits screening.gaits=7 screening.final_passes=0", 3 * 7),
+        (
+            "evaluation=gaits screening.gaits=7 task=Catcher-v0 screening.final_passes=0",
+            3 * 7 * 4,
+        ),  # a random task: four episodes of each gait
+        ("evaluation=gaits screening.gaits=9 finalists=6 screening.final_passes=0", 6 * 9),
+        (
+            "evaluation=gaits screening.gaits=9 finalists=6 batch=2 screening.final_passes=0",
+            2 * 9,
+        ),
+        (
+            "evaluation=gaits screening.gaits=7 screening.passes=1 screening.beam=20 screening.final_passes=0",
+            3 * 20,
+        ),
         ("evaluation=gaits screening.final_passes=1 screening.final_beam=30 finalists=2", 2 * 30),
     ],
 )

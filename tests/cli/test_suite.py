@@ -122,7 +122,10 @@ def test_budgets_by_task() -> None:
     assert [member.config.search.max_evaluations for member in found] == [12] * 3
     # of search=auto the finalists take gaits and trainings; Walker-v0 has 500, Catcher-v0 400 steps, four at random
     words = ["tasks=[Walker-v0,Catcher-v0]", "searches=[auto,ga]", "seeds=[0]", "control_steps=5000000"]
-    walker, _, catcher, plain = members(*words, "screening.gaits=10", "screening.rounds=2", "screening.final_rounds=5")
+    walker, _, catcher, plain = members(
+        *words,
+        *(f"screening.{key}" for key in ("gaits=10", "rounds=2", "final_rounds=5", "final_passes=0")),
+    )
     last = [2 * (5 * 10 * steps + steps_of_design(training, 2)) for steps in (500, 4 * 400)]
     budgets = [int((5_000_000 - spent) // (2 * 10 * steps)) for spent, steps in zip(last, (500, 4 * 400), strict=True)]
     assert [walker.config.search.max_evaluations, catcher.config.search.max_evaluations] == budgets
@@ -132,14 +135,20 @@ def test_budgets_by_task() -> None:
 @pytest.mark.usefixtures("whole_episodes")
 def test_a_search_without_trainings_gets_the_control_steps_of_so_many() -> None:
     words = ["tasks=[Walker-v0]", "searches=[evolution]", "seeds=[0]", "evaluation=gaits", "finalists=1"]
-    gaits = ["screening.gaits=4", "screening.rounds=2", "screening.final_rounds=3", "screening.final_gaits=5"]
+    gaits = [
+        "screening.gaits=4",
+        "screening.rounds=2",
+        "screening.final_rounds=3",
+        "screening.final_gaits=5",
+        "screening.final_passes=0",
+    ]
     (member,) = members(*words, *gaits, "evaluations=24", "search.population=8")
     training = load("suite", []).training
     last = 3 * 5 * 500 + steps_of_design(training, 1)
     whole = 24 * steps_of_design(training, 8)
     assert member.config.search.max_evaluations == int((whole - last) // (4 * 2 * 500))
     beams = ["screening.passes=1", "screening.beam=6", "screening.final_passes=2", "screening.final_beam=7"]
-    (member,) = members(*words, *gaits, *beams, "evaluations=24", "search.population=8")
+    (member,) = members(*words, *gaits[:-1], *beams, "evaluations=24", "search.population=8")
     left = whole - last - 2 * 7 * 500
     assert member.config.search.max_evaluations == int(left // ((4 * 2 + 6) * 500))
     with pytest.raises(ConfigError, match=r"evaluations must be at least 3 for search=evolution, .* got 1"):

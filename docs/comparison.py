@@ -1,0 +1,113 @@
+"""Compares searches in ``docs/search.md`` by committed data. Not part of the library.
+
+    python docs/comparison.py add FOLDER ...   # members of suites that are done, into docs/results/searches.csv
+    python docs/comparison.py                  # the table of the page
+
+A suite may be run in parts, at different times: rows of the same search, task and seed replace each other.
+``tests/docs`` says when the page is out of date.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import statistics
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from warpvox.envs.known_returns import known_returns
+from warpvox.io.writing import write_text
+
+FOLDER = Path(__file__).resolve().parent
+TABLE, PAGE = FOLDER / "results" / "searches.csv", FOLDER / "search.md"
+COLUMNS = ("search", "task", "seed", "best_fitness", "control_steps", "evaluations", "wall_s", "commit")
+BEGIN, END = "<!-- comparison of searches -->", "<!-- end of comparison -->"
+BASE = "ga"
+"""What the others are compared with."""
+
+Row = Mapping[str, str]
+
+
+def page(text: str, rows: Sequence[Row]) -> str:
+    """A page with the table between its marks."""
+    return re.sub(f"{BEGIN}.*?{END}", f"{BEGIN}\n\n{table(rows)}\n{END}", text, flags=re.DOTALL)
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Mean returns of each task and search with those of all seeds, and in how many pairs a search beats the first."""
+    found: dict[str, dict[str, dict[int, float]]] = {}
+    for row in rows:
+        returns = found.setdefault(row["task"], {}).setdefault(row["search"], {})
+        returns[int(row["seed"])] = float(row["best_fitness"])
+    searches = sorted({row["search"] for row in rows}, key=lambda name: (name != BASE, name))
+    lines = [
+        f"| task | {' | '.join(f'`{name}`' for name in searches)} | best published |",
+        f"|---{'|---:' * (len(searches) + 1)}|",
+    ]
+    for task, by_search in found.items():
+        cells = [_cell(by_search.get(name, {})) for name in searches]
+        lines.append(f"| {task} | {' | '.join(cells)} | {known_returns()[task].best:.4g} |")
+    verdicts = [_verdict(name, found) for name in searches if name != BASE]
+    return "\n".join([*lines, "", *verdicts, ""])
+
+
+def _cell(returns: Mapping[int, float]) -> str:
+    if not returns:
+        return ""
+    each = ", ".join(f"{returns[seed]:.4g}" for seed in sorted(returns))
+    return f"{statistics.fmean(returns.values()):.4g} ({each})"
+
+
+def _verdict(name: str, found: Mapping[str, Mapping[str, Mapping[int, float]]]) -> str:
+    both = [(tasks[BASE], tasks[name]) for tasks in found.values() if BASE in tasks and name in tasks]
+    pairs = [(base[seed], ours[seed]) for base, ours in both for seed in base.keys() & ours.keys()]
+    means = sum(statistics.fmean(ours.values()) > statistics.fmean(base.values()) for base, ours in both)
+    better = sum(ours > base for base, ours in pairs)
+    return (
+        f"The mean of `{name}` is above that of `{BASE}` in {means} of {len(both)} tasks; it is better in {better} of"
+        f" {len(pairs)} pairs with the same task and seed."
+    )
+
+
+def read_table() -> list[dict[str, str]]:
+    """The committed rows."""
+    if not TABLE.is_file():
+        return []
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def with_suite(rows: Sequence[Row], folder: Path) -> list[Row]:
+    """Rows with those of a suite's members that are done."""
+    by_name = {(row["search"], row["task"], int(row["seed"])): row for row in rows}
+    with (folder / "members.csv").open(encoding="utf-8", newline="") as file:
+        for member in csv.DictReader(file):
+            if member["state"] == "done":
+                summary = json.loads((folder / member["folder"] / "summary.json").read_text(encoding="utf-8"))
+                row = member | {"commit": summary["commit"], "best_fitness": f"{float(member['best_fitness']):.6g}"}
+                by_name[row["search"], row["task"], int(row["seed"])] = {name: row[name] for name in COLUMNS}
+    return [by_name[key] for key in sorted(by_name)]
+
+
+def write_table(rows: Sequence[Row]) -> None:
+    """Replace the committed rows."""
+    lines = [",".join(COLUMNS), *(",".join(row[name] for name in COLUMNS) for row in rows)]
+    write_text(TABLE, "\n".join(lines) + "\n")
+
+
+def main(words: Sequence[str]) -> None:
+    """See the top of this file."""
+    if words[:1] == ["add"]:
+        rows: list[Row] = list(read_table())
+        for folder in words[1:]:
+            rows = with_suite(rows, Path(folder))
+        write_table(rows)
+    elif words:
+        raise SystemExit(__doc__)
+    write_text(PAGE, page(PAGE.read_text(encoding="utf-8"), read_table()))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
