@@ -115,10 +115,11 @@ tables: $(STAMP)
 pictures: $(STAMP)
 	$(BIN)/python docs/pictures.py
 
-# Renews the page of results from the zoo, and from design searches: SEARCHES="FOLDER ...".
+# Renews the page of results from the zoo, and from design searches: SEARCHES="FOLDER ...", and the comparison of searches.
 results: $(STAMP)
 	$(BIN)/python docs/results.py export $(SEARCHES)
 	$(BIN)/python docs/results.py
+	$(BIN)/python docs/comparison.py
 
 # The robots of the zoo at work; to be made again after entries have changed.
 zoo_picture: $(STAMP)

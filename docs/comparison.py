@@ -32,7 +32,7 @@ Row = Mapping[str, str]
 
 def page(text: str, rows: Sequence[Row]) -> str:
     """A page with the table between its marks."""
-    return re.sub(f"{BEGIN}.*?{END}", f"{BEGIN}\n\n{table(rows)}\n{END}", text, flags=re.DOTALL)
+    return re.sub(f"{BEGIN}.*?{END}", f"{BEGIN}\n\n{table(rows)}\n\n{END}", text, flags=re.DOTALL)
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -46,18 +46,18 @@ def table(rows: Sequence[Row]) -> str:
         f"| task | {' | '.join(f'`{name}`' for name in searches)} | best published |",
         f"|---{'|---:' * (len(searches) + 1)}|",
     ]
-    for task, by_search in found.items():
+    for task, by_search in sorted(found.items()):
         cells = [_cell(by_search.get(name, {})) for name in searches]
-        lines.append(f"| {task} | {' | '.join(cells)} | {known_returns()[task].best:.4g} |")
+        lines.append(f"| {task} | {' | '.join(cells)} | {known_returns()[task].best:.3f} |")
     verdicts = [_verdict(name, found) for name in searches if name != BASE]
-    return "\n".join([*lines, "", *verdicts, ""])
+    return "\n".join([*lines, *(["", *verdicts] if verdicts else [])])
 
 
 def _cell(returns: Mapping[int, float]) -> str:
     if not returns:
         return ""
-    each = ", ".join(f"{returns[seed]:.4g}" for seed in sorted(returns))
-    return f"{statistics.fmean(returns.values()):.4g} ({each})"
+    each = ", ".join(f"{returns[seed]:.3f}" for seed in sorted(returns))
+    return f"{statistics.fmean(returns.values()):.3f} ({each})"
 
 
 def _verdict(name: str, found: Mapping[str, Mapping[str, Mapping[int, float]]]) -> str:
