@@ -90,7 +90,11 @@ class GaitEvaluator:
         """
         if not candidates:
             return []
-        hint = f"Take less at once: screening.gaits is {self.count} for each of {len(candidates)} designs (batch)."
+        most = max(self.count, self.beam if self.passes else 0)
+        hint = (
+            f"Take less at once: {most} gaits are tried with each of {len(candidates)} designs (screening.gaits,"
+            " screening.beam, batch)."
+        )
         with enough_memory(hint):
             return _Rounds(self, candidates, parents).run(report, checkpoint and checkpoint.with_suffix(".gaits.json"))
 

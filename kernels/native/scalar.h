@@ -6,7 +6,6 @@ typedef double Wide;
 auto widen = [](Value a) -> Wide { return static_cast<Wide>(a); };
 auto narrow = [](Wide a) -> Value { return static_cast<Value>(a); };
 auto root = [](Value a) -> Value { return wp::sqrt(a); };
-auto root_wide = [](Wide a) -> Wide { return wp::sqrt(a); };
 #if defined(__CUDA_ARCH__)
 auto first_bit = [](int mask) -> int { return __ffs(mask) - 1; };
 auto fused = [](Value a, Value b, Value c) -> Value { return fma(a, b, c); };

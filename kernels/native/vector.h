@@ -6,7 +6,6 @@ typedef double Wide __attribute__((ext_vector_type(WIDTH), aligned(8)));
 auto widen = [](Value a) -> Wide { return __builtin_convertvector(a, Wide); };
 auto narrow = [](Wide a) -> Value { return __builtin_convertvector(a, Value); };
 auto root = [](Value a) -> Value { return __builtin_elementwise_sqrt(a); };
-auto root_wide = [](Wide a) -> Wide { return __builtin_elementwise_sqrt(a); };
 auto each_lane = [](auto&& act) { for (int k = 0; k < WIDTH; ++k) act(k); };
 auto lane_of = [](const Value& a, int k) -> Real { return a[k]; };
 auto set_lane = [](Value& a, int k, Real x) { a[k] = x; };
