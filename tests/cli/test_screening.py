@@ -191,7 +191,7 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable, monkeypatch:
     assert better.about["control_steps"] == summary(folder)["steps"] + robot.about["control_steps"]
     # a design of a search, which need not be its best
     words = f"start=[{folder}/designs/{records[1].id},{first}]", "screening.stages=6", "search.max_evaluations=3"
-    again = search(warpvox, *gaits, *words, "name=again")
+    again = search(warpvox, *gaits, ROUNDS, *words, "name=again")
     known = records_of(again)[:2]
     assert [record.candidate.origin for record in known] == [START] * 2
     assert (known[0].candidate.body == records[1].candidate.body).all()
