@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 
 from warpvox.envs.snapshot import Quantity, Snapshot
 
-__all__ = ["Episodes"]
+__all__ = ["Episodes", "state_rows"]
 
 
 class Episodes:
@@ -86,6 +87,18 @@ class Episodes:
         self.returns.copy_(state["return"])
         self.terminated.copy_(state["terminated"])
         self.truncated.copy_(state["truncated"])
+
+
+def state_rows(state: Any, rows: torch.Tensor) -> Any:
+    """Rows, in any order, of the state that an environment or an adapter of it has given.
+
+    Args:
+        state: tensors in dictionaries of dictionaries; None stays None.
+        rows: long ``[n]``.
+    """
+    if isinstance(state, dict):
+        return {name: state_rows(value, rows) for name, value in state.items()}
+    return None if state is None else state[rows]
 
 
 def _where(mask: torch.Tensor, new: torch.Tensor, old: torch.Tensor) -> torch.Tensor:

@@ -10,6 +10,7 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
 from warpvox.envs.checks import check_fields
+from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 
@@ -176,7 +177,7 @@ class RslRlVecEnv(VecEnv):
             raise ConfigError("Designs that share one scale of rewards cannot be separated.")
         mask = self.env.design_index[:, None] == torch.as_tensor(list(designs), device=self.device)
         rows = mask.T.nonzero()[:, 1]
-        state = _rows(self.state() | {"sums": None, "reward_norm": None}, rows)
+        state = state_rows(self.state() | {"sums": None, "reward_norm": None}, rows)
         # columns that only wider designs have
         state["obs"] = state["obs"][:, : int(self.env.obs_mask[list(designs)].sum(1).max())]
         norm = None if self.reward_norm is None else self.reward_norm.pick(rows, list(designs))
@@ -199,13 +200,6 @@ class RslRlVecEnv(VecEnv):
         self._sums[: len(state["sums"])] = state["sums"].to(self.device)
         if self.reward_norm is not None and state.get("reward_norm") is not None:
             self.reward_norm.set_state(state["reward_norm"])
-
-
-def _rows(state: Any, rows: torch.Tensor) -> Any:
-    """The rows of all tensors in dictionaries of dictionaries."""
-    if isinstance(state, dict):
-        return {name: _rows(value, rows) for name, value in state.items()}
-    return None if state is None else state[rows]
 
 
 class _ReturnScale:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 
 from warpvox.algos.codesign.gait_actions import actions_of_gaits
 from warpvox.algos.codesign.gaits import Gait, Motion, draw_motion, gait_of, motions_of, mutate_motion
+from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
 
 __all__ = ["Beam"]
@@ -68,8 +68,7 @@ class Beam:
         """
         env, limit = self.env, self.env.max_episode_steps
         searches = [
-            _Search(body, self.count, limit, gaits, rng)
-            for body, gaits, rng in zip(self.bodies, known, random, strict=True)
+            _Search(body, self.count, gaits, rng) for body, gaits, rng in zip(self.bodies, known, random, strict=True)
         ]
         spent = np.zeros(len(searches), np.int64)
         with torch.no_grad():
@@ -78,7 +77,7 @@ class Beam:
             for first in range(0, limit, steps):
                 last = min(first + steps, limit)
                 gaits = [search.continued(first, last) for search in searches]
-                state = _picked(state, self._environments(searches))
+                state = state_rows(state, self._environments(searches))
                 before = state["length"]
                 env.set_state(state)
                 for actions in actions_of_gaits(env, self.bodies, gaits, self.episodes, first, last):
@@ -121,10 +120,8 @@ class _Search:
         best: the best mean return of an episode that has ended, and its gait.
     """
 
-    def __init__(
-        self, body: np.ndarray, count: int, limit: int, known: Sequence[Gait], rng: np.random.Generator
-    ) -> None:
-        self.body, self.count, self.limit, self.rng = body, count, limit, rng
+    def __init__(self, body: np.ndarray, count: int, known: Sequence[Gait], rng: np.random.Generator) -> None:
+        self.body, self.count, self.rng = body, count, rng
         self.plan = motions_of(known[0]) if known else ()
         self.motions = [motion for gait in known for _, motion in motions_of(gait)]
         self.kept = max(1, round(KEPT * count))
@@ -205,10 +202,3 @@ class _Search:
 def _joined(begun: Begun, added: Begun) -> Begun:
     """Motions one after another; one that goes on is not begun again."""
     return begun + (added[1:] if begun and begun[-1][1] is added[0][1] else added)
-
-
-def _picked(state: Any, rows: torch.Tensor) -> Any:
-    """Some rows of the tensors in nested dictionaries."""
-    if isinstance(state, dict):
-        return {name: _picked(values, rows) for name, values in state.items()}
-    return None if state is None else state[rows.to(state.device)]

@@ -336,15 +336,15 @@ def _by_gaits(config: CodesignConfig, training: DesignEvaluator, known: Mapping[
     how, episodes = config.screening, episodes_of(config.task)
     gaits = GaitEvaluator(
         factory_of(config),
-        how.gaits,
-        how.rounds,
-        how.stages,
-        config.seed,
-        episodes,
-        how.passes,
-        how.beam,
-        how.stage_steps,
-        known,
+        count=how.gaits,
+        rounds=how.rounds,
+        stages=how.stages,
+        seed=config.seed,
+        episodes=episodes,
+        passes=how.passes,
+        beam=how.beam,
+        stage_steps=how.stage_steps,
+        known=known,
     )
     final = dataclasses.replace(
         gaits, count=how.gaits_of_finalist, rounds=how.final_rounds, passes=how.final_passes, beam=how.final_beam
