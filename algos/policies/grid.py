@@ -6,7 +6,7 @@ import torch
 from torch import nn
 
 from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelLayout
-from warpvox.algos.training.layers import fast_tanh
+from warpvox.algos.training.layers import fast_tanh, tanh_products
 
 __all__ = ["GridNetwork"]
 
@@ -62,5 +62,4 @@ class GridNetwork(nn.Module):
         summary = fast_tanh(self.hidden(fast_tanh(pooled)))
         if self.critic:
             return self.value(summary)[:, 0]
-        query = fast_tanh(self.query(flat).reshape(-1, count, self.local.shape[0]) + self.cell)
-        return (query * (0.25 * summary + self.local)[:, None]).sum(-1)
+        return tanh_products(flat, self.query.weight, self.cell + self.query.bias, 0.25 * summary + self.local)

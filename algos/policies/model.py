@@ -124,23 +124,29 @@ class VoxelModel(MLPModel):
     def scaled(self, obs: torch.Tensor) -> torch.Tensor:
         """What :meth:`run` takes, ``[rows, inputs]``, of observations ``[rows, num_obs]``."""
         latent = self.obs_normalizer(obs)
-        self._look(latent)
+        self.look(latent)
         return latent
 
-    def _look(self, latent: torch.Tensor) -> None:
+    def look(self, latent: torch.Tensor) -> None:
         """Tell the distribution which actions the bodies have."""
         if self.distribution is not None:
             self.distribution.look(latent[:, latent.shape[1] - self.layout.actions :])
 
-    def run(self, latent: torch.Tensor) -> torch.Tensor:
-        """Inputs to the means of the actions ``[rows, actions]``, or to values ``[rows, 1]``."""
-        features, rest, actions, _ = latent.split(self._parts, dim=1)
-        values = self.network(features.reshape(-1, self.layout.cells, FEATURES), rest)
+    def unpack(self, latent: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Inputs ``[rows, inputs]`` in parts: voxels ``[rows, cells, 26]``, the rest, order and kinds of actions."""
+        features, *others = latent.split(self._parts, dim=1)
+        return features.contiguous().view(-1, self.layout.cells, FEATURES), *others
+
+    def run(self, latent: torch.Tensor | tuple[torch.Tensor, ...]) -> torch.Tensor:
+        """Inputs, or what :meth:`unpack` made of them, to the means of the actions ``[rows, actions]``, or to values
+        ``[rows, 1]``."""
+        cells, rest, actions, kinds = self.unpack(latent) if isinstance(latent, torch.Tensor) else latent
+        values = self.network(cells, rest)
         if self.distribution is None:
             return values[:, None]
-        self._look(latent)
+        self.distribution.look(kinds)
         # cells without an actuator share the last column, which is dropped
-        means = values.new_zeros(latent.shape[0], self.layout.actions + 1).scatter(1, actions.long(), values)
+        means = values.new_zeros(values.shape[0], self.layout.actions + 1).scatter(1, actions.long(), values)
         return means[:, : self.layout.actions]
 
     def forward(
@@ -148,11 +154,12 @@ class VoxelModel(MLPModel):
     ) -> torch.Tensor:
         """As of rsl-rl's models."""
         latent = self.get_latent(obs)
-        out = self.run(latent)
-        if self.distribution is not None and stochastic_output:
-            self.distribution.update(out)
-            return self.distribution.sample()
-        return out
+        return self.sample(latent) if self.distribution is not None and stochastic_output else self.run(latent)
+
+    def sample(self, latent: torch.Tensor) -> torch.Tensor:
+        """Actions ``[rows, actions]`` drawn for inputs ``[rows, inputs]``."""
+        self.distribution.update(self.run(latent))
+        return self.distribution.sample()
 
     def update_normalization(self, obs: TensorDict) -> None:
         """Learn how observations are scaled."""

@@ -96,11 +96,16 @@ class PopulationModel(nn.Module):
         self, obs: TensorDict, masks: Any = None, hidden_state: Any = None, stochastic_output: bool = False
     ) -> torch.Tensor:
         """Rows of outputs: ``[rows, actions]`` of a policy, ``[rows, 1]`` of a value function."""
-        out = self.run(self.scaled(observations(self, obs)))
+        latent = self.scaled(observations(self, obs))
         if self.distribution is not None and stochastic_output:
-            self.distribution.update(out)
-            out = self.noise(out.shape[1]) * self.distribution.row_std + out
-        return out.flatten(0, 1)
+            return self.sample(latent)
+        return self.run(latent).flatten(0, 1)
+
+    def sample(self, latent: torch.Tensor) -> torch.Tensor:
+        """Actions ``[rows, actions]`` drawn for scaled inputs."""
+        out = self.run(latent)
+        self.distribution.update(out)
+        return (self.noise(out.shape[1]) * self.distribution.row_std + out).flatten(0, 1)
 
     @property
     def output_mean(self) -> torch.Tensor:

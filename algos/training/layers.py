@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch.autograd.function import once_differentiable
 
-__all__ = ["fast_tanh", "tanh_layers"]
+__all__ = ["fast_tanh", "tanh_layers", "tanh_products"]
 
 
 def tanh_layers(inputs: torch.Tensor, weights: Sequence[torch.Tensor], biases: Sequence[torch.Tensor]) -> torch.Tensor:
@@ -76,3 +76,50 @@ class _FastTanh(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, gradient: torch.Tensor) -> torch.Tensor:
         return torch.ops.aten.tanh_backward(gradient, ctx.saved_tensors[0])
+
+
+def tanh_products(
+    inputs: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, vectors: torch.Tensor
+) -> torch.Tensor:
+    """``[rows, cells]``: products of tanh(weight x + bias) of each cell with the vector of its row.
+
+    One autograd node, as :func:`tanh_layers`; there is no gradient by the inputs.
+
+    Args:
+        inputs: ``[rows * cells, inputs]``.
+        weight: ``[outputs, inputs]``, the same for all cells.
+        bias: ``[cells, outputs]``.
+        vectors: ``[rows, outputs]``.
+    """
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (weight, bias, vectors)):
+        return _TanhProducts.apply(inputs, weight, bias, vectors)
+    return _products(_sigmoids(inputs, weight, bias), vectors)
+
+
+def _sigmoids(inputs: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+    """s = sigmoid(-2 x) in tanh x = 1 - 2 s, for all cells."""
+    return (inputs @ weight.t().mul(-2)).view(-1, *bias.shape).add_(bias.mul(-2)).sigmoid_()
+
+
+def _products(s: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
+    return torch.baddbmm(vectors.sum(-1)[:, None, None], s, vectors[..., None], alpha=-2)[..., 0]
+
+
+class _TanhProducts(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, inputs: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, vectors: torch.Tensor
+    ) -> torch.Tensor:
+        s = _sigmoids(inputs, weight, bias)
+        ctx.save_for_backward(inputs, s, vectors)
+        return _products(s, vectors)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        inputs, s, vectors = ctx.saved_tensors
+        of_vectors = torch.baddbmm(gradient.sum(-1)[:, None, None], gradient[:, None], s, alpha=-2)[:, 0]
+        of_sigmoid = gradient[..., None] * (4 * vectors)[:, None]
+        of_sum = torch.ops.aten.sigmoid_backward.grad_input(of_sigmoid, s, grad_input=of_sigmoid)
+        of_weight = of_sum.view(-1, s.shape[-1]).t() @ inputs
+        return None, of_weight, of_sum.sum(0), of_vectors

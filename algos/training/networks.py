@@ -140,11 +140,13 @@ class Network(MLPModel):
         """As rsl-rl's."""
         if not self.training:
             return super().forward(obs, masks, hidden_state, stochastic_output)
-        out = self.run(self.get_latent(obs))
-        if self.distribution is not None and stochastic_output:
-            self.distribution.update(out)
-            return self.distribution.sample()
-        return out
+        latent = self.get_latent(obs)
+        return self.sample(latent) if self.distribution is not None and stochastic_output else self.run(latent)
+
+    def sample(self, latent: torch.Tensor) -> torch.Tensor:
+        """Actions ``[rows, actions]`` drawn for scaled inputs."""
+        self.distribution.update(self.run(latent))
+        return self.distribution.sample()
 
     def run(self, latent: torch.Tensor) -> torch.Tensor:
         """Scaled inputs to outputs."""

@@ -112,9 +112,14 @@ class PPO(RslRlPPO):
         storage, step = self.storage, self.storage.step
         if step >= storage.num_transitions_per_env:
             raise OverflowError(f"The storage is full: {step} steps, and no update since.")
+        inputs = self.actor.scaled(observations(self.actor, obs))
+        rows = inputs.reshape(-1, inputs.shape[-1])
         if storage.distribution_params is None:
             storage.distribution_params = (torch.zeros_like(storage.actions),)
-        actions = self.actor(obs, stochastic_output=True)
+            self._inputs = rows.new_empty(storage.num_transitions_per_env, *rows.shape)
+        actions = self.actor.sample(inputs)
+        # The normaliser learns after the update only: scaled once, the inputs serve all epochs.
+        self._inputs[step] = rows
         for name, values in obs.items():
             storage.observations[name][step] = values
         storage.actions[step] = actions
@@ -142,6 +147,9 @@ class PPO(RslRlPPO):
         # Looking first saves the forward pass of nearly all steps; on CUDA looking would wait for the device.
         if time_outs.device.type == "cpu" and not bool(time_outs.any()):
             return rewards
+        if time_outs.device.type == "cpu" and isinstance(self.critic, VoxelModel):  # picking rows costs less than it
+            rows = time_outs.nonzero()[:, 0]
+            return rewards.index_add(0, rows, self.critic(final_obs[rows])[:, 0], alpha=self.gamma)
         values = self.critic(final_obs.to(self.device)).detach().squeeze(-1)
         return rewards + self.gamma * values * time_outs.to(self.device)
 
@@ -149,17 +157,17 @@ class PPO(RslRlPPO):
     def compute_returns(self, obs: TensorDict) -> None:
         """Values and log-probabilities of the rollout, then returns and advantages; ``obs`` are those after it."""
         st, policy = self.storage, self.actor.distribution
-        kept = [observations(self.actor, st.observations), st.distribution_params[0], st.actions]
-        rows = [self._samples(values) for values in kept]
+        rows = [self._samples(values) for values in (self._inputs, st.distribution_params[0], st.actions)]
         axis = rows[0].ndim - 2
         size = -(-rows[0].shape[axis] // self.num_mini_batches)  # no more memory than learning takes
         parts: list[tuple[torch.Tensor, ...]] = []
-        for seen, mean, actions in zip(*(values.split(size, dim=axis) for values in rows), strict=True):
-            # The normaliser learns after the update only: scaled once, the inputs serve all epochs.
-            inputs = self.actor.scaled(seen)
+        for inputs, mean, actions in zip(*(values.split(size, dim=axis) for values in rows), strict=True):
+            values = self.critic.run(inputs)
+            if isinstance(self.actor, VoxelModel):
+                self.actor.look(inputs)
             policy.update(mean)
-            parts.append((inputs, self.critic.run(inputs), policy.log_prob(actions)[..., None]))
-        self._inputs, values, log_prob = (torch.cat(part, dim=axis) for part in zip(*parts, strict=True))
+            parts.append((values, policy.log_prob(actions)[..., None]))
+        values, log_prob = (torch.cat(part, dim=axis) for part in zip(*parts, strict=True))
         self._store(st.values, values)
         self._store(st.actions_log_prob, log_prob)
         super().compute_returns(obs)
@@ -197,12 +205,11 @@ class PPO(RslRlPPO):
         """The rollout in the order in which all epochs take it."""
         st = self.storage
         rows = Samples(
-            self._inputs,
+            self._samples(self._inputs),
             self._samples(st.actions),
             self._samples(st.distribution_params[0]),
             *(self._samples(values)[..., 0] for values in (st.actions_log_prob, st.values, st.returns, st.advantages)),
         )
-        self._inputs = None
         return self._in_random_order(rows, self._minibatch(rows) * self.num_mini_batches)
 
     def _in_random_order(self, rows: Samples, count: int) -> Samples:
@@ -222,7 +229,8 @@ class PPO(RslRlPPO):
         for k in range(times):
             first = k % self.num_mini_batches * size
             part = Samples(*(values.narrow(data.returns.ndim - 1, first, size) for values in data))
-            mean, values = actor.run(part.inputs), critic.run(part.inputs)[..., 0]
+            inputs = actor.unpack(part.inputs) if isinstance(actor, VoxelModel) else part.inputs
+            mean, values = actor.run(inputs), critic.run(inputs)[..., 0]
             with torch.no_grad():
                 policy.update(mean)
                 if self.schedule == "adaptive":

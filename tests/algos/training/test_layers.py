@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import nn
 
-from warpvox.algos.training.layers import tanh_layers
+from warpvox.algos.training.layers import tanh_layers, tanh_products
 
 SIZES = (5, 7, 6, 3)
 SHAPES = pytest.mark.parametrize("designs", [None, 4], ids=["one", "side by side"])
@@ -64,3 +64,20 @@ def test_tanh_is_close_far_from_zero_and_near_it() -> None:
     ours = tanh_layers(values, [one, one], [zero, zero])
     torch.testing.assert_close(ours.double(), nn.Tanh()(values.double()), rtol=0, atol=2e-7)
     assert tanh_layers(torch.tensor([[float("nan")]]), [one, one], [zero, zero]).isnan().all()
+
+
+@pytest.mark.parametrize("dtype", ROUNDING)
+def test_products_with_tanh_and_their_gradients_are_torchs(dtype: torch.dtype) -> None:
+    torch_random = torch.Generator().manual_seed(4)
+    shapes = (7, 5, 3), (4, 3), (5, 4), (7, 4), (7, 5)
+    inputs, *tensors = (torch.randn(*shape, generator=torch_random, dtype=dtype) for shape in shapes)
+    weight, bias, vectors, upstream = tensors
+    learned = [tensor.requires_grad_() for tensor in (weight, bias, vectors)]
+    ours = tanh_products(inputs.flatten(0, 1), weight, bias, vectors)
+    theirs = (torch.tanh(inputs @ weight.t() + bias) * vectors[:, None]).sum(-1)
+    gradients = (torch.autograd.grad(out, learned, upstream) for out in (ours, theirs))
+    for got, wanted in [(ours, theirs), *zip(*gradients, strict=True)]:
+        close = ROUNDING[dtype] * wanted.detach().abs().max().item()
+        torch.testing.assert_close(got, wanted, rtol=ROUNDING[dtype], atol=close)
+    with torch.no_grad():
+        assert torch.equal(tanh_products(inputs.flatten(0, 1), weight, bias, vectors), ours)
