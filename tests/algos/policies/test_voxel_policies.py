@@ -252,6 +252,24 @@ def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path, obs: 
     assert whole.last_return == second.last_return
 
 
+@pytest.mark.parametrize("name", NETWORKS)
+def test_values_beyond_a_time_limit_are_added_where_it_struck(name: str) -> None:
+    runner = make_runner(name)
+    env, algorithm = runner.env, runner.alg
+    env.episode_length_buf = torch.arange(ENVS)
+    seen = []
+    for _ in range(LIMIT):
+        with torch.no_grad():
+            algorithm.storage.clear()
+            obs, rewards, dones, extras = env.step(algorithm.act(env.get_observations()))
+            algorithm.process_env_step(obs, rewards, dones, extras)
+            beyond = algorithm.critic(extras["final_obs"]).squeeze(-1) * extras["time_outs"]
+        wanted = rewards + algorithm.gamma * beyond
+        torch.testing.assert_close(algorithm.storage.rewards[0].squeeze(-1), wanted, rtol=0, atol=1e-6)
+        seen.append(int(extras["time_outs"].sum()))
+    assert {0, 1} <= set(seen)
+
+
 # ----------------------------------------------------------------------------------------------- files
 
 
