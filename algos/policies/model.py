@@ -123,28 +123,25 @@ class VoxelModel(MLPModel):
 
     def scaled(self, obs: torch.Tensor) -> torch.Tensor:
         """What :meth:`run` takes, ``[rows, inputs]``, of observations ``[rows, num_obs]``."""
-        latent = self.obs_normalizer(obs)
-        self.look(latent)
-        return latent
-
-    def look(self, latent: torch.Tensor) -> None:
-        """Tell the distribution which actions the bodies have."""
-        if self.distribution is not None:
-            self.distribution.look(latent[:, latent.shape[1] - self.layout.actions :])
+        return self.obs_normalizer(obs)
 
     def unpack(self, latent: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Inputs ``[rows, inputs]`` in parts: voxels ``[rows, cells, 26]``, the rest, order and kinds of actions."""
-        features, *others = latent.split(self._parts, dim=1)
-        return features.contiguous().view(-1, self.layout.cells, FEATURES), *others
+        """Inputs ``[rows, inputs]`` in parts: voxels ``[rows, cells, 26]``, the rest, order of actions.
+
+        Tells the distribution which actions the bodies have. Actor and critic can share the parts.
+        """
+        features, rest, actions, kinds = latent.split(self._parts, dim=1)
+        if self.distribution is not None:
+            self.distribution.look(kinds)
+        return features.contiguous().view(-1, self.layout.cells, FEATURES), rest, actions
 
     def run(self, latent: torch.Tensor | tuple[torch.Tensor, ...]) -> torch.Tensor:
         """Inputs, or what :meth:`unpack` made of them, to the means of the actions ``[rows, actions]``, or to values
         ``[rows, 1]``."""
-        cells, rest, actions, kinds = self.unpack(latent) if isinstance(latent, torch.Tensor) else latent
+        cells, rest, actions = self.unpack(latent) if isinstance(latent, torch.Tensor) else latent
         values = self.network(cells, rest)
         if self.distribution is None:
             return values[:, None]
-        self.distribution.look(kinds)
         # cells without an actuator share the last column, which is dropped
         means = values.new_zeros(values.shape[0], self.layout.actions + 1).scatter(1, actions.long(), values)
         return means[:, : self.layout.actions]

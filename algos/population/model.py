@@ -81,6 +81,10 @@ class PopulationModel(nn.Module):
         obs = obs.reshape(self.num_designs, -1, obs.shape[-1])
         return self.obs_normalizer(obs)
 
+    def unpack(self, latent: torch.Tensor) -> torch.Tensor:
+        """What actor and critic can share of scaled inputs: these as they are."""
+        return latent
+
     def run(self, latent: torch.Tensor) -> torch.Tensor:
         """Scaled inputs to outputs ``[designs, rows, outputs]``."""
         if latent.device.type == "cpu" and type(self.activation) is nn.Tanh:

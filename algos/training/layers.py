@@ -83,7 +83,7 @@ def tanh_products(
 ) -> torch.Tensor:
     """``[rows, cells]``: products of tanh(weight x + bias) of each cell with the vector of its row.
 
-    One autograd node, as :func:`tanh_layers`; there is no gradient by the inputs.
+    One autograd node, as :func:`tanh_layers`.
 
     Args:
         inputs: ``[rows * cells, inputs]``.
@@ -91,7 +91,7 @@ def tanh_products(
         bias: ``[cells, outputs]``.
         vectors: ``[rows, outputs]``.
     """
-    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (weight, bias, vectors)):
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (inputs, weight, bias, vectors)):
         return _TanhProducts.apply(inputs, weight, bias, vectors)
     return _products(_sigmoids(inputs, weight, bias), vectors)
 
@@ -111,15 +111,16 @@ class _TanhProducts(torch.autograd.Function):
         ctx: Any, inputs: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, vectors: torch.Tensor
     ) -> torch.Tensor:
         s = _sigmoids(inputs, weight, bias)
-        ctx.save_for_backward(inputs, s, vectors)
+        ctx.save_for_backward(inputs, weight, s, vectors)
         return _products(s, vectors)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        inputs, s, vectors = ctx.saved_tensors
+        inputs, weight, s, vectors = ctx.saved_tensors
         of_vectors = torch.baddbmm(gradient.sum(-1)[:, None, None], gradient[:, None], s, alpha=-2)[:, 0]
         of_sigmoid = gradient[..., None] * (4 * vectors)[:, None]
         of_sum = torch.ops.aten.sigmoid_backward.grad_input(of_sigmoid, s, grad_input=of_sigmoid)
-        of_weight = of_sum.view(-1, s.shape[-1]).t() @ inputs
-        return None, of_weight, of_sum.sum(0), of_vectors
+        of_cells = of_sum.view(-1, s.shape[-1])
+        of_inputs = of_cells @ weight if ctx.needs_input_grad[0] else None
+        return of_inputs, of_cells.t() @ inputs, of_sum.sum(0), of_vectors

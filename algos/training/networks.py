@@ -148,6 +148,10 @@ class Network(MLPModel):
         self.distribution.update(self.run(latent))
         return self.distribution.sample()
 
+    def unpack(self, latent: torch.Tensor) -> torch.Tensor:
+        """What actor and critic can share of scaled inputs: these as they are."""
+        return latent
+
     def run(self, latent: torch.Tensor) -> torch.Tensor:
         """Scaled inputs to outputs."""
         layers = [layer for layer in self.mlp if isinstance(layer, nn.Linear)]

@@ -145,9 +145,10 @@ class PPO(RslRlPPO):
         self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict
     ) -> torch.Tensor:
         # Looking first saves the forward pass of nearly all steps; on CUDA looking would wait for the device.
-        if time_outs.device.type == "cpu" and not bool(time_outs.any()):
+        on_cpu = time_outs.device.type == "cpu"
+        if on_cpu and not bool(time_outs.any()):
             return rewards
-        if time_outs.device.type == "cpu" and isinstance(self.critic, VoxelModel):  # picking rows costs less than it
+        if on_cpu and isinstance(self.critic, VoxelModel):  # it costs more than to pick rows; a population needs all
             rows = time_outs.nonzero()[:, 0]
             return rewards.index_add(0, rows, self.critic(final_obs[rows])[:, 0], alpha=self.gamma)
         values = self.critic(final_obs.to(self.device)).detach().squeeze(-1)
@@ -162,9 +163,7 @@ class PPO(RslRlPPO):
         size = -(-rows[0].shape[axis] // self.num_mini_batches)  # no more memory than learning takes
         parts: list[tuple[torch.Tensor, ...]] = []
         for inputs, mean, actions in zip(*(values.split(size, dim=axis) for values in rows), strict=True):
-            values = self.critic.run(inputs)
-            if isinstance(self.actor, VoxelModel):
-                self.actor.look(inputs)
+            values = self.critic.run(self.actor.unpack(inputs))
             policy.update(mean)
             parts.append((values, policy.log_prob(actions)[..., None]))
         values, log_prob = (torch.cat(part, dim=axis) for part in zip(*parts, strict=True))
@@ -229,7 +228,7 @@ class PPO(RslRlPPO):
         for k in range(times):
             first = k % self.num_mini_batches * size
             part = Samples(*(values.narrow(data.returns.ndim - 1, first, size) for values in data))
-            inputs = actor.unpack(part.inputs) if isinstance(actor, VoxelModel) else part.inputs
+            inputs = actor.unpack(part.inputs)
             mean, values = actor.run(inputs), critic.run(inputs)[..., 0]
             with torch.no_grad():
                 policy.update(mean)

@@ -72,7 +72,7 @@ def test_products_with_tanh_and_their_gradients_are_torchs(dtype: torch.dtype) -
     shapes = (7, 5, 3), (4, 3), (5, 4), (7, 4), (7, 5)
     inputs, *tensors = (torch.randn(*shape, generator=torch_random, dtype=dtype) for shape in shapes)
     weight, bias, vectors, upstream = tensors
-    learned = [tensor.requires_grad_() for tensor in (weight, bias, vectors)]
+    learned = [tensor.requires_grad_() for tensor in (inputs, weight, bias, vectors)]
     ours = tanh_products(inputs.flatten(0, 1), weight, bias, vectors)
     theirs = (torch.tanh(inputs @ weight.t() + bias) * vectors[:, None]).sum(-1)
     gradients = (torch.autograd.grad(out, learned, upstream) for out in (ours, theirs))
