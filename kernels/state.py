@@ -1,4 +1,5 @@
-"""What the kernels read and write: Model (what bodies and worlds are) and Data (state, per environment).
+"""What the kernels read and write: Model (what bodies and worlds are), Data (state, per environment) and Tape
+(derivatives, and what they are computed from).
 
 The tables below say every array's type, shape and meaning once; structs and allocations follow from them. Shape
 symbols: a ``mesh`` is what one pack holds, or several alike; ``point, active, joint, spring, link, rigid, twin,
@@ -191,6 +192,30 @@ DATA = {
     "grid_voxel": (int, "unit entry", "the voxel of an entry"),
 }
 
+TAPE = {
+    "pos": (REAL, "pack 2*trail lane", "position at the start of each sub-step, and after the last one"),
+    "vel": (REAL, "pack 2*trail lane", "velocity, likewise"),
+    "contact": (
+        REAL,
+        "pack 6*trail lane",
+        "derivatives of the contact force with terrain: x by x, x by y, y by x, y by y, x and y by true velocity",
+    ),
+    "substeps": (int, "unit", "sub-steps on the tape"),
+    "by_pos": (REAL, "pack 2*point lane", "derivative of a loss by the position, at the end, later at the start ..."),
+    "by_vel": (REAL, "pack 2*point lane", "... by the velocity of the integrator"),
+    "by_true_vel": (REAL, "pack 2*point lane", "... by the displacement of the last sub-step / dt"),
+    "by_goal": (REAL, "pack spring lane", "... by the lengths toward which springs relax, over all sub-steps"),
+    "by_action": (REAL, "pack action lane", "... by the clipped actions"),
+    "by_force": (REAL, "pack 10*point lane", "... by the forces of the four stages, then by their sum"),
+    "product": (REAL, "pack 2*point lane", "a matrix of all springs times a vector"),
+    "spring": (
+        REAL,
+        "pack 6*spring lane",
+        "unit vector halfway, stiffness or share of a correction, force density, unit vector at the start",
+    ),
+}
+"""Of one control step at a time (see :mod:`warpvox.kernels.reverse`); ``trail`` are points times sub-steps plus 1."""
+
 
 def rows(shape: str, sizes: dict[str, int]) -> tuple[int, ...]:
     """The size of each axis of a shape such as 'pack 2*point lane'; never 0, which Warp could not index."""
@@ -204,7 +229,7 @@ def rows(shape: str, sizes: dict[str, int]) -> tuple[int, ...]:
 
 @functools.cache
 def structs(precision: str) -> SimpleNamespace:
-    """The Warp structs ``Model``, ``Data`` and ``Contact`` (constants of contacts) for a precision."""
+    """The Warp structs ``Model``, ``Data``, ``Tape`` and ``Contact`` (constants of contacts) for a precision."""
     real = REALS[precision]
 
     def struct(name, table, scalars):
@@ -214,7 +239,8 @@ def structs(precision: str) -> SimpleNamespace:
 
     contact = struct("Contact", {}, CONTACT)
     model = struct("Model", MODEL, CONSTANTS | {"contact": contact})
-    return SimpleNamespace(Model=model, Data=struct("Data", DATA, {}), Contact=contact)
+    tape = struct("Tape", TAPE, {"smoothing": REAL})
+    return SimpleNamespace(Model=model, Data=struct("Data", DATA, {}), Tape=tape, Contact=contact)
 
 
 def allocate(table, sizes, precision, device) -> dict[str, wp.array]:

@@ -116,6 +116,7 @@ class Simulation(Sensing):
         self.threads = choose_threads(threads)
         self._pool = ThreadPoolExecutor(self.threads)
         self._shares: list[Recorded] = []
+        self._take: Recorded | None = None
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
         self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
         self._slot = self._env[0] * self._state.lanes + self._env[1]
@@ -172,11 +173,20 @@ class Simulation(Sensing):
         """The second half of :meth:`step`; on CUDA it goes to torch's current stream, and a graph may capture it."""
         if not self._shares:
             self._shares = self._record_shares()
+        self.place_actions()
+        self.run(self._shares)
+
+    def place_actions(self) -> None:
+        """Clip the actions taken and sort them into the buffers, as :meth:`advance` does first."""
+        if self._take is None:
             self._take = step_stage.record_actions(self._state, self._action_array, *self._action_range)
         if self.num_actions:
             self._take.launch()
-        jobs = [self._pool.submit(share.launch) for share in self._shares[1:]]
-        self._shares[0].launch()
+
+    def run(self, shares: Sequence[Recorded]) -> None:
+        """Launch commands that change the points, each for some of the packs: side by side, if there are several."""
+        jobs = [self._pool.submit(share.launch) for share in shares[1:]]
+        shares[0].launch()
         for job in jobs:
             job.result()
         self._centres_are_new = False
@@ -386,6 +396,11 @@ class Simulation(Sensing):
                 values = view[pack[:, None], self._rows[envs], lane[:, None]]
                 state[name] = values.masked_fill(~self._has_row[envs], 0.0)
         return state
+
+    @property
+    def rows(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """long and bool [num_envs, rows]: where the entries of :meth:`state` lie in the arrays, and which are real."""
+        return self._rows, self._has_row
 
     @property
     def fixed_rows(self) -> torch.Tensor:
