@@ -1,7 +1,8 @@
 """What stages are written with: types for one precision and lane width, and decorators.
 
 A stage is made by a *builder*, a function of a :class:`Kit` that returns a Warp function. In Warp functions an argument
-without a type gets it by its name: ``model``, ``data`` and ``tape`` are the structs, ``dt`` and ``margin`` float64, others int.
+without a type gets it by its name: ``model``, ``data``, ``tape`` are the structs, ``dt`` and ``margin`` float64, all
+others int.
 """
 
 import functools
@@ -25,7 +26,7 @@ class Kit:
     def __init__(self, precision: str, width: int):
         self.precision, self.width, self.real = precision, width, REALS[precision]
         vars(self).update(vars(structs(precision)))
-        self._types = {"model": self.Model, "data": self.Data, "tape": self.Tape, "dt": wp.float64, "margin": wp.float64}
+        self._types = dict(model=self.Model, data=self.Data, tape=self.Tape, dt=wp.float64, margin=wp.float64)
 
     def func(self, source):
         """Decorator: a Warp function, inlined (structs are passed by value, so that a call would copy them)."""

@@ -1,11 +1,12 @@
-"""Derivatives of a control step by its actions and the state at its start: the reverse pass (fast arithmetic).
+"""Reverse pass of a control step, in fast arithmetic: from the derivatives of a loss by the state at the end of the
+step to those by the state at its start and by its actions.
 
-The control step is done again, with the state at the start of every sub-step on a :data:`warpvox.kernels.state.TAPE`,
-which is then gone through from its end. Contacts make this a choice. A point that touches the ground is at once pushed
-with 0.5 % of a voxel's worth of stiffness (section A.3, depth additive): a body on the ground is kept there by a
-hail of such kicks, of which the derivative knows nothing. Instead, contact
-with terrain has the derivative of a push that sets in gradually, over a ``smoothing`` of height. Contacts of voxels with each
-other, and corners of terrain in a voxel, have none.
+The control step is done again with the state at the start of each sub-step written to a
+:data:`warpvox.kernels.state.TAPE`, which is then read from its end. A corner of a voxel that enters the terrain is
+pushed at once with 0.5 % of a voxel times the stiffness (section A.3, depth additive), so that a body at rest is held
+by a rapid series of pushes. Their exact derivative says nothing of the mean force. Contact with terrain therefore has
+the derivative of a push that sets in gradually, over a ``smoothing`` of height. Contacts between voxels, and corners of
+the terrain inside a voxel, have derivative 0.
 """
 
 import functools
@@ -13,18 +14,17 @@ import functools
 import warp as wp
 
 from warpvox.kernels.broadphase import boxes, collect, on_lattice
-from warpvox.kernels.contact import contacts
+from warpvox.kernels.contact import contacts, surface_sides
 from warpvox.kernels.device import kernel, record
 from warpvox.kernels.kit import Kit, builder, kit_of
 from warpvox.kernels.reset import save
 from warpvox.kernels.springs import goals, limit, runge_kutta
-from warpvox.kernels.state import BOTTOM, LEFT, RIGHT, TOP
 from warpvox.types import VOXEL
 
 __all__ = ["record_reverse"]
 
 REACH = 30.0
-"""Smoothings: the height beyond which the ground is not felt any more."""
+"""Smoothings: a point higher than this above a side has no contact with it."""
 
 real = wp.float64
 
@@ -70,77 +70,72 @@ def sides_at(sides: wp.array2d(dtype=int), size: wp.vec2i, frame: int, x: int, y
 
 @builder
 def ground(kit: Kit):
-    """Function: derivatives of contacts with terrain at the start of the sub-step recorded last.
+    """Function: write the derivatives of contacts with terrain at the start of the last recorded sub-step.
 
     Every corner of a voxel counts, as in :mod:`warpvox.kernels.contact`.
     """
     add, width = soften(kit), kit.width
 
     @kit.func
-    def side(model, data, tape, frame, pack, k, p, row, cell, bit):
-        """The contact with one side of a cell."""
-        x, y = data.pos[pack, 2 * p, k], data.pos[pack, 2 * p + 1, k]
-        if bit == TOP:
-            add(model, data, tape, pack, k, p, row, y - model.terrain_box[frame, cell, 3], 1, real(1.0))
-        elif bit == BOTTOM:
-            add(model, data, tape, pack, k, p, row, model.terrain_box[frame, cell, 2] - y, 1, real(-1.0))
-        elif bit == RIGHT:
-            add(model, data, tape, pack, k, p, row, x - model.terrain_box[frame, cell, 1], 0, real(1.0))
-        elif bit == LEFT:
-            add(model, data, tape, pack, k, p, row, model.terrain_box[frame, cell, 0] - x, 0, real(-1.0))
+    def above(model, frame, cell, n, x: real, y: real):
+        """Height of a point above side n of a cell, in clockwise order from the top; below 0 inside the cell."""
+        height = y - model.terrain_box[frame, cell, 3]
+        if n == 1:
+            height = x - model.terrain_box[frame, cell, 1]
+        if n == 2:
+            height = model.terrain_box[frame, cell, 2] - y
+        if n == 3:
+            height = model.terrain_box[frame, cell, 0] - x
+        return height
 
     @kit.func
-    def nearest_side(model, frame, cell, bits, x: real, y: real):
-        """Of the surface sides of a cell the one under which a point in it is least deep."""
-        found, least = int(0), real(VOXEL)
+    def nearest(model, frame, cell, bits, x: real, y: real):
+        """Of the surface sides of the cell that a point is in the one that it is least deep under."""
+        found, highest = int(0), real(-VOXEL)
         for n in range(int(4)):
-            if (bits & (1 << n)) != 0:
-                depth = model.terrain_box[frame, cell, 3] - y
-                if n == 1:
-                    depth = model.terrain_box[frame, cell, 1] - x
-                if n == 2:
-                    depth = y - model.terrain_box[frame, cell, 2]
-                if n == 3:
-                    depth = x - model.terrain_box[frame, cell, 0]
-                if depth < least:
-                    found, least = 1 << n, depth
+            height = above(model, frame, cell, n, x, y)
+            if ((bits >> n) & 1) == 1 and height > highest:
+                found = n
+                highest = height
         return found
 
     @kit.func
+    def touch(model, data, tape, frame, pack, k, p, row, cell, n, x: real, y: real):
+        sign = wp.where(n < 2, real(1.0), real(-1.0))
+        add(model, data, tape, pack, k, p, row, above(model, frame, cell, n, x, y), 1 - (n & 1), sign)
+
+    @kit.func
     def point(model, data, tape, mesh, pack, k, p, row):
-        """The contacts of a point in one lane: with the cell that it is in, or with those about it."""
+        """The contacts of a point in one lane: with the cell that it is in, or with those around it."""
         x, y, frame = data.pos[pack, 2 * p, k], data.pos[pack, 2 * p + 1, k], model.frame[mesh]
         if not on_lattice(x, x, y, y):
             return
         size = model.terrain[frame]
         cx, cy = int(wp.floor(x * real(1.0 / VOXEL))), int(wp.floor(y * real(1.0 / VOXEL)))
-        cell = cy * size[0] + cx
         bits = sides_at(model.terrain_side, size, frame, cx, cy)
         if bits != 0:
-            side(model, data, tape, frame, pack, k, p, row, cell, nearest_side(model, frame, cell, bits, x, y))
+            cell = cy * size[0] + cx
+            n = nearest(model, frame, cell, bits, x, y)
+            touch(model, data, tape, frame, pack, k, p, row, cell, n, x, y)
             return
-        if (sides_at(model.terrain_side, size, frame, cx, cy - 1) & TOP) != 0:
-            side(model, data, tape, frame, pack, k, p, row, cell - size[0], TOP)
-        if (sides_at(model.terrain_side, size, frame, cx, cy + 1) & BOTTOM) != 0:
-            side(model, data, tape, frame, pack, k, p, row, cell + size[0], BOTTOM)
-        if (sides_at(model.terrain_side, size, frame, cx - 1, cy) & RIGHT) != 0:
-            side(model, data, tape, frame, pack, k, p, row, cell - 1, RIGHT)
-        if (sides_at(model.terrain_side, size, frame, cx + 1, cy) & LEFT) != 0:
-            side(model, data, tape, frame, pack, k, p, row, cell + 1, LEFT)
+        for n in range(int(4)):  # side n of the cell on the other side of it
+            nx = cx + wp.where(n == 3, 1, 0) - wp.where(n == 1, 1, 0)
+            ny = cy + wp.where(n == 2, 1, 0) - wp.where(n == 0, 1, 0)
+            if ((sides_at(model.terrain_side, size, frame, nx, ny) >> n) & 1) == 1:
+                touch(model, data, tape, frame, pack, k, p, row, ny * size[0] + nx, n, x, y)
 
     @kit.func
-    def near(model, data, tape, mesh, pack, lane, unit):
+    def all_near(model, data, tape, mesh, pack, lane, unit):
         first = (tape.substeps[unit] - 1) * model.points[mesh]
         for n in range(data.near_count[unit]):
             v = data.near[unit, n]
             for c in range(int(4)):
                 p = model.corner[mesh, v][c]
                 for k in range(lane, lane + int(width)):
-                    if ((model.side_lanes[mesh, v][0] | model.side_lanes[mesh, v][1] | model.side_lanes[mesh, v][2]
-                         | model.side_lanes[mesh, v][3]) >> k) & 1 == 1:
+                    if surface_sides(model.side_lanes, mesh, v, k) != 0:
                         point(model, data, tape, mesh, pack, k, p, first + p)
 
-    return near
+    return all_near
 
 
 @functools.cache
@@ -148,9 +143,8 @@ def reverse_kernel(precision: str, width: int) -> wp.Kernel:
     """The kernel; launch over (units of a pack, packs) with the first pack of this launch."""
     kit = kit_of(precision, width)
     begin, set_goals = save(kit), goals(kit)
-    stages = boxes(kit), collect(kit), contacts(kit), runge_kutta(kit), limit(kit)
-    bounds, candidates, contact, motion, strain = stages
-    soft = ground(kit)
+    bounds, candidates, contact = boxes(kit), collect(kit), contacts(kit)
+    motion, strain, contact_derivatives = runge_kutta(kit), limit(kit), ground(kit)
 
     @kit.func_native("native/record.h")
     def keep(model, data, tape, mesh, pack, lane, unit): ...
@@ -178,7 +172,7 @@ def reverse_kernel(precision: str, width: int) -> wp.Kernel:
             candidates(model, data, mesh, pack, lane, unit, dt)
             contact(model, data, mesh, pack, lane, unit, dt)
             keep(model, data, tape, mesh, pack, lane, unit)
-            soft(model, data, tape, mesh, pack, lane, unit)
+            contact_derivatives(model, data, tape, mesh, pack, lane, unit)
             motion(model, data, mesh, pack, lane, unit, dt)
             strain(model, data, mesh, pack, lane, unit, dt)
         keep(model, data, tape, mesh, pack, lane, unit)
@@ -189,10 +183,10 @@ def reverse_kernel(precision: str, width: int) -> wp.Kernel:
 
 
 def record_reverse(state, tape, substeps: int, first: int, packs: int):
-    """A command for the packs ``first`` to ``first + packs``: a control step from the state and the actions taken, which
+    """A command for the packs ``first`` to ``first + packs``: a control step with the actions taken, then back.
 
-    leaves the state at its end, and back; ``tape`` is the struct, with what a loss has for derivatives by the state at
-    the end in ``by_pos``, ``by_vel`` and ``by_true_vel``.
+    It leaves the state at the end of the step. ``tape`` is the struct; the caller has written the derivatives by that
+    state into its ``by_pos``, ``by_vel`` and ``by_true_vel``, which then hold those by the state at the start.
     """
     inputs = [state.model, state.data, tape, state.units, first, substeps, state.dt]
     return record(reverse_kernel(state.precision, state.width), (packs, state.units), inputs, state.device)

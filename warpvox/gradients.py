@@ -1,4 +1,4 @@
-"""Gradients of control steps: a loss on where bodies go, differentiated by what their actuators did."""
+"""Gradients through the physics: control steps that torch differentiates by their actions and by the state before."""
 
 from __future__ import annotations
 
@@ -17,34 +17,38 @@ from warpvox.types import AXES
 __all__ = ["SMOOTHING", "Gradients"]
 
 SMOOTHING = 4e-4
-"""Of contacts with terrain, in simulator units: 0.4 % of a voxel."""
+"""Of contacts with terrain, simulator units: 0.4 % of a voxel. ``warpvox bench suite=gradients`` compares others."""
 PARTS = ("pos", "vel", "true_vel")
-"""What changes in a control step, in the order of a state."""
+"""What a control step changes, in the order of a state."""
 
 
 class Gradients:
     """Control steps as functions that torch differentiates: a state and actions in, a state out.
 
-    Forward they are those of the simulation, bit for bit. Backward takes about twice as long and computes the control step once
-    more, so that a step keeps its first state only. Its derivatives are exact to a few percent, with two exceptions: contact with
-    terrain is smoothed (:mod:`warpvox.kernels.reverse` says why), and contacts of voxels with each other have none.
+    The states are those of the simulation, bit for bit. The reverse pass computes the control step once more, so that
+    of each step only its first state is kept. In the air derivatives are those of the physics; contact with terrain is
+    smoothed (see :mod:`warpvox.kernels.reverse`), and contacts between voxels have derivative 0.
+
+    A state is a float64 tensor ``[num_envs, 3, rows]``: positions, velocities and true velocities (the displacement of
+    the last sub-step / dt), in simulator units, x and y of the points alternately as in :meth:`Simulation.state`,
+    padded with 0.
 
     Args:
-        sim: in fast arithmetic; its state is where :meth:`state` begins.
+        sim: in fast arithmetic, in the layout ``lanes``.
         smoothing: of contacts with terrain, in simulator units.
 
-    Raises:
-        SimulationError: a simulation in exact arithmetic or in the layout ``group``, or a smoothing that is no positive number.
+    Attributes:
+        tape: the arrays of :data:`warpvox.kernels.state.TAPE`, of the control step that was differentiated last.
 
-    A state is a tensor ``[num_envs, 3, rows]``: positions, velocities and true velocities (the displacement of the last sub-step /
-    dt), in simulator units, with x and y of the points alternately as in :meth:`Simulation.state`, padded with 0.
+    Raises:
+        SimulationError: another arithmetic or layout, or a smoothing that is no positive number.
     """
 
     def __init__(self, sim: Simulation, smoothing: float = SMOOTHING) -> None:
         if sim.arithmetic != "fast":
-            raise SimulationError(f"Gradients need arithmetic='fast', got a simulation in {sim.arithmetic!r} arithmetic.")
+            raise SimulationError(f"Gradients need a simulation with arithmetic='fast', got {sim.arithmetic!r}.")
         if sim.layout != "lanes":
-            raise SimulationError(f"Gradients need layout='lanes', got a simulation in the layout {sim.layout!r}.")
+            raise SimulationError(f"Gradients need a simulation with layout='lanes', got {sim.layout!r}.")
         if not isinstance(smoothing, (int, float)) or not 0 < smoothing < float("inf"):
             raise SimulationError(f"smoothing must be a positive number of simulator units, got {smoothing!r:.80}.")
         self.sim, self.smoothing = sim, float(smoothing)
@@ -52,15 +56,14 @@ class Gradients:
         substeps = sim.physics.substeps
         sizes = buffers.sizes | {"trail": (substeps + 1) * buffers.sizes["point"]}
         precision = str(sim.dtype).removeprefix("torch.")
-        arrays = allocate(TAPE, sizes, precision, sim.device)
+        self.tape = allocate(TAPE, sizes, precision, sim.device)
         tape = structs(precision).Tape()
-        for name, array in arrays.items():
+        for name, array in self.tape.items():
             setattr(tape, name, array)
         tape.smoothing = self.smoothing
-        self._by = [wp.to_torch(arrays[f"by_{name}"]) for name in PARTS]
-        self._by_action = wp.to_torch(arrays["by_action"])
+        self._by = [wp.to_torch(self.tape[f"by_{name}"]) for name in PARTS]
+        self._by_action = wp.to_torch(self.tape["by_action"])
         self._env = tuple(wp.to_torch(array).long() for array in (buffers.env_pack, buffers.env_lane))
-        self._tape = arrays, tape  # the launches do not keep the arrays alive
         count = min(sim.threads, buffers.packs) if sim.device == "cpu" else 1
         cuts = [buffers.packs * k // count for k in range(count + 1)]
         self._shares = [
@@ -75,20 +78,24 @@ class Gradients:
     def step(self, state: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
         """The state after one control step from ``state``, in which the simulation is then.
 
-        An environment that is frozen or whose step is undone (:attr:`Simulation.unstable`) keeps its state, with the derivative of
-        something that does not move. Actions are clipped to the simulation's range; beyond it their derivative is that at the bound.
+        An environment that is frozen or whose step is undone (:attr:`Simulation.unstable`) keeps its state, and so
+        does its derivative. Actions are clipped to the simulation's range; beyond it their derivative is 0.
 
         Args:
             state: as :meth:`state` and this method give it, of the same worlds.
             actions: ``[num_envs, num_actions]``, as :meth:`Simulation.step` takes them.
 
         Raises:
-            SimulationError: a state of another shape. ActionError: see :meth:`Simulation.step`.
+            SimulationError: a state of another shape or type. ActionError: see :meth:`Simulation.step`.
         """
-        expected = (self.sim.num_envs, len(PARTS), self.sim.rows[0].shape[1])
-        if not isinstance(state, torch.Tensor) or tuple(state.shape) != expected:
-            got = list(state.shape) if isinstance(state, torch.Tensor) else f"{state!r:.60}"
-            raise SimulationError(f"A state must be a tensor {list(expected)}, got {got}.")
+        rows = self.sim.rows[0]
+        expected = torch.float64, (len(rows), len(PARTS), rows.shape[1])
+        got = (state.dtype, tuple(state.shape)) if isinstance(state, torch.Tensor) else None
+        if got != expected:
+            said, given = (
+                f"{kind} {list(shape)}".removeprefix("torch.") for kind, shape in (expected, got or expected)
+            )
+            raise SimulationError(f"A state must be a tensor {said}, got {given if got else f'{state!r:.60}'}.")
         return _Step.apply(self, state, actions)
 
     def com(self, state: torch.Tensor, name: str) -> torch.Tensor:
@@ -132,10 +139,11 @@ class Gradients:
         sim.place_actions()
         sim.run(self._shares)
         by_start = torch.stack([part[place] * real for part in self._by], dim=1)
-        by_actions = self._by_action[pack, :, lane]
+        low, high = sim.action_range
+        by_actions = self._by_action[pack, :, lane] * ((actions >= low) & (actions <= high))
         sim.set_state(before)
         sim.take(taken)
-        return by_start.to(by_end.dtype), by_actions
+        return by_start.to(by_end.dtype), by_actions.to(actions.dtype)
 
 
 class _Step(torch.autograd.Function):
@@ -153,5 +161,4 @@ class _Step(torch.autograd.Function):
     def backward(ctx: Any, by_end: torch.Tensor) -> tuple[None, torch.Tensor, torch.Tensor]:
         state, actions, moved = ctx.saved_tensors
         by_start, by_actions = ctx.gradients._backward(state, actions, by_end)
-        by_start = by_start.where(moved[:, None, None], by_end)
-        return None, by_start, by_actions.where(moved[:, None], torch.zeros_like(by_actions)).to(actions.dtype)
+        return None, by_start.where(moved[:, None, None], by_end), by_actions.where(moved[:, None], 0.0)

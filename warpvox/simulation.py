@@ -120,7 +120,7 @@ class Simulation(Sensing):
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
         self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
         self._slot = self._env[0] * self._state.lanes + self._env[1]
-        self._action_range = low, high
+        self.action_range = low, high
         self._actions = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
         self._action_array = wp.from_torch(self._actions)
         self._begin_sensing()
@@ -179,7 +179,7 @@ class Simulation(Sensing):
     def place_actions(self) -> None:
         """Clip the actions taken and sort them into the buffers, as :meth:`advance` does first."""
         if self._take is None:
-            self._take = step_stage.record_actions(self._state, self._action_array, *self._action_range)
+            self._take = step_stage.record_actions(self._state, self._action_array, *self.action_range)
         if self.num_actions:
             self._take.launch()
 

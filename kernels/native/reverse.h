@@ -166,12 +166,12 @@ auto reverse_stages = [&]() {
 };
 
 for (int s = 0; s < springs; ++s) by_goal[s] = Value{};
-fold_twins(by_pos, 0, 2, true);
-fold_twins(by_vel, 0, 2, true);
-fold_twins(by_true_vel, 0, 2, true);
+fold_twins(by_pos, 0, 2);
+fold_twins(by_vel, 0, 2);
+fold_twins(by_true_vel, 0, 2);
 for (int substep = wp::index(tape.substeps, unit) - 2; substep >= 0; --substep) {
     const int start = rows * substep, forces = 3 * start;
-    fold_twins(contact, forces, 6, true);
+    fold_twins(contact, forces, 6);
     for (int n = 0; n < actives; ++n) by_pos[active[n]] = by_pos[active[n]] + by_true_vel[active[n]] / h;
     reverse_rigid_limits(start + rows);
     reverse_limits(start + rows);
@@ -195,6 +195,3 @@ for (int substep = wp::index(tape.substeps, unit) - 2; substep >= 0; --substep) 
         by_true_vel[y] = contact[c + 5] * fy;
     }
 }
-fold_twins(by_pos, 0, 2, false);
-fold_twins(by_vel, 0, 2, false);
-fold_twins(by_true_vel, 0, 2, false);

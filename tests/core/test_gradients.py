@@ -1,0 +1,287 @@
+"""Gradients of control steps: against finite differences, the law of smoothed contact, and what they leave alone."""
+
+import functools
+import itertools
+
+import numpy as np
+import pytest
+import torch
+
+from warpvox.design import sample_design
+from warpvox.errors import ActionError, SimulationError
+from warpvox.gradients import Gradients
+from warpvox.simulation import Simulation
+from warpvox.types import VOXEL
+from warpvox.world import World
+
+FIELDS = dict(device="cpu", dtype="float64", arithmetic="fast", lanes=8)
+HEIGHT = 3.0  # in the air, in simulator units
+
+
+def world_of(body):
+    world = World(12, 8)
+    world.add_from_array("ground", np.full((1, 12), 5), 0, 0)
+    world.add_from_array("step", np.full((2, 2), 5), 7, 1)
+    world.add_from_array("shelf", np.full((1, 4), 5), 0, 7)
+    world.add_from_array("robot", body, 1, 1)
+    return world
+
+
+def bodies(count=8):
+    """Of all kinds of cells, with holes: lanes differ, so that there are twins; no cells that meet at a corner only."""
+    found = (sample_design((4, 4), seed=seed) for seed in itertools.count())
+
+    def apart(body):
+        full = np.pad(body > 0, 1)
+        blocks = np.stack([full[:-1, :-1], full[:-1, 1:], full[1:, :-1], full[1:, 1:]])
+        return not ((blocks[0] == blocks[3]) & (blocks[1] == blocks[2]) & (blocks[0] != blocks[1])).any()
+
+    return list(itertools.islice(filter(apart, found), count))
+
+
+def simulation(**options):
+    return Simulation([world_of(body) for body in bodies()], **FIELDS | options)
+
+
+@functools.cache
+def gradients():
+    return Gradients(simulation())
+
+
+@pytest.fixture
+def grads():
+    made = gradients()
+    made.sim.set_frozen(torch.zeros(made.sim.num_envs, dtype=torch.bool))
+    made.sim.reset()
+    return made
+
+
+def lifted(grads):
+    """A state in the air."""
+    state = grads.state()
+    state[:, 0, 1::2] += HEIGHT * grads.sim.rows[1][:, 1::2]
+    return state
+
+
+def noise(like, seed=0):
+    return torch.randn(like.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+def errors(grads, state, actions):
+    """Relative errors of directional derivatives by actions, positions and velocities, against central differences."""
+    real = grads.sim.rows[1][:, None]
+    weights = noise(state) * real * torch.tensor([1.0, 0.01, 0.0])[:, None]
+
+    def loss(state, actions):
+        return (grads.step(state, actions) * weights).sum((1, 2))
+
+    start, acts = state.clone().requires_grad_(), actions.clone().requires_grad_()
+    loss(start, acts).sum().backward()
+    found = []
+    for part, step in ((None, 1e-5), (0, 1e-6), (1, 1e-4)):
+        by, given = (acts.grad, actions) if part is None else (start.grad, state)
+        way = noise(given, 1) * (1 if part is None else real)
+        if part is not None:
+            way[:, [k for k in range(3) if k != part]] = 0.0
+        ahead, behind = given + step * way, given - step * way
+        if part is None:
+            ends = loss(state, ahead), loss(state, behind)
+        else:
+            ends = loss(ahead, actions), loss(behind, actions)
+        expected = (ends[0] - ends[1]) / (2 * step)
+        found.append(float(((by * way).flatten(1).sum(1) - expected).norm() / expected.norm()))
+    return found
+
+
+def test_at_rest_in_the_air_derivatives_are_those_of_the_physics(grads):
+    actions = torch.ones(8, grads.sim.num_actions, dtype=torch.float64)
+    assert max(errors(grads, lifted(grads), actions)) < 1e-5
+
+
+@pytest.mark.parametrize("amplitude", [0.1, 0.4])
+def test_in_motion_they_are_near(grads, amplitude):
+    state, turns = lifted(grads), noise(grads.sim.actions)
+    for step in range(5):
+        state = grads.step(state, 1 + amplitude * torch.sin(step / 3 + turns))
+    by_actions, by_positions, by_velocities = errors(grads, state, 1 + amplitude * torch.sin(5 / 3 + turns))
+    assert by_actions < 0.02
+    assert by_positions < 0.1  # strain limits, which depend on how far a spring is beyond them
+    assert by_velocities < 0.03
+
+
+def test_several_steps_in_a_row(grads):
+    state, turns = lifted(grads), noise(grads.sim.actions)
+
+    def end(actions):
+        after = state
+        for k in range(6):
+            after = grads.step(after, 1 + 0.15 * torch.sin(actions + k))
+        return (after[:, 0] * noise(after[:, 0], 2) * grads.sim.rows[1]).sum(1)
+
+    actions = turns.clone().requires_grad_()
+    end(actions).sum().backward()
+    way = noise(turns, 3)
+    expected = (end(turns + 1e-5 * way) - end(turns - 1e-5 * way)) / 2e-5
+    assert float(((actions.grad * way).sum(1) - expected).norm() / expected.norm()) < 0.1
+
+
+def test_forward_is_the_simulation_and_backward_leaves_it_alone(grads):
+    other, actions = simulation(), 1 + 0.3 * torch.sin(noise(grads.sim.actions)).requires_grad_()
+    state = grads.state()
+    for _ in range(10):
+        state = grads.step(state, actions)
+        other.step(actions.detach())
+    expected = other.state()
+    for part, name in enumerate(("pos", "vel", "true_vel")):
+        assert torch.equal(state[:, part], expected[name])
+    taken = grads.sim.actions
+    state.sum().backward()
+    assert actions.is_leaf or torch.equal(grads.sim.actions, taken)
+    grads.sim.step(taken * 0.9)
+    other.step(taken * 0.9)
+    assert all(torch.equal(value, other.state()[name]) for name, value in grads.sim.state().items())
+
+
+def test_threads_and_neighbours_change_nothing():
+    def derivative(sim):
+        grads = Gradients(sim)
+        actions = 1 + 0.3 * torch.sin(torch.arange(sim.num_actions, dtype=torch.float64)).expand(sim.num_envs, -1)
+        actions = actions.clone().requires_grad_()
+        state = grads.state()
+        for _ in range(20):
+            state = grads.step(state, actions)
+        grads.com(state, "robot")[:, 0].sum().backward()
+        return actions.grad
+
+    worlds = [world_of(body) for body in bodies()] * 2
+    expected = derivative(Simulation(worlds, threads=1, **FIELDS))
+    assert torch.equal(derivative(Simulation(worlds, threads=2, **FIELDS)), expected)
+    assert float(expected.abs().max()) > 0
+    alone = derivative(Simulation(worlds[3:4], **FIELDS))
+    torch.testing.assert_close(alone[0], expected[3, : alone.shape[1]], rtol=1e-6, atol=1e-12)
+
+
+def law(model, x, y, size, smoothing, slip):
+    """Derivatives of the force on a corner: [x by x, x by y, y by x, y by y, x by velocity, y by velocity]."""
+    found, contact = np.zeros(6), model.contact
+    sides, boxes = model.terrain_side.numpy()[0], model.terrain_box.numpy()[0]
+    column, row = int(np.floor(x / VOXEL)), int(np.floor(y / VOXEL))
+
+    def side(cell, n):
+        left, right, bottom, top = boxes[cell]
+        height = (y - top, x - right, bottom - y, left - x)[n]
+        way, sign = np.array(((0, 1), (1, 0), (0, -1), (-1, 0))[n]), (1, 1, -1, -1)[n]
+        return height, way, sign
+
+    def touched():
+        cell = row * size[0] + column
+        if 0 <= column < size[0] and 0 <= row < size[1] and sides[cell]:
+            inside = [side(cell, n) for n in range(4) if sides[cell] >> n & 1]
+            yield max(inside, key=lambda found: found[0])
+            return
+        for n, (dx, dy) in enumerate(((0, -1), (-1, 0), (0, 1), (1, 0))):
+            to_x, to_y = column + dx, row + dy
+            if 0 <= to_x < size[0] and 0 <= to_y < size[1] and sides[to_y * size[0] + to_x] >> n & 1:
+                yield side(to_y * size[0] + to_x, n)
+
+    for height, way, sign in touched():
+        z = height / smoothing
+        if z >= 30:
+            continue
+        share, growth = (1 - z / np.hypot(z, 2)) / 2, 2 / smoothing / np.hypot(z, 2) ** 3
+        normal, along = int(way[1] != 0), int(way[0] != 0)
+        found[2 * normal + normal] -= contact.stiffness * (contact.depth * growth + share)
+        found[2 * along + normal] += contact.friction_multiplier * slip[along] * growth * sign
+        found[4 + normal] -= contact.damping * share
+        found[4 + along] -= contact.friction_multiplier * share
+    return found
+
+
+@pytest.mark.parametrize("place", [(3.0, 0.0), (4.98, 0.5), (0.2, 4.99), (6.5, 1.98), (5.0, 0.005)])
+def test_contact_with_terrain_has_the_derivative_of_a_gradual_push(place):
+    """Of one voxel in each lane, at random about the floor, a wall, a ceiling and an inner corner."""
+    sim = Simulation([world_of(np.array([[3]]))] * 8, **FIELDS)
+    grads, random = Gradients(sim, smoothing=2e-3), np.random.default_rng(0)
+    state = grads.state()
+    shift = torch.tensor(np.array(place) * VOXEL + random.normal(0, 0.003, (8, 2)))
+    state[:, 0] += shift.repeat(1, 4)
+    state[:, 2] = torch.tensor(random.normal(0, 1, state[:, 2].shape))
+    start = state.clone().requires_grad_()
+    grads.step(start, torch.ones(8, 1)).sum().backward()
+    contact = grads.tape["contact"].numpy()[0]
+    rows, model = sim.rows[0].numpy(), sim.buffers.model
+    points = int(model.points.numpy()[0])
+    pack, lane = sim.buffers.env_pack.numpy(), sim.buffers.env_lane.numpy()
+    assert set(pack) == {0}
+    checked = 0
+    for env, at in itertools.product(range(8), range(4)):
+        point = rows[env, 2 * at] // 2
+        assert point < points
+        x, y = state[env, 0, 2 * at : 2 * at + 2].tolist()
+        expected = law(model, x, y, model.terrain.numpy()[0], 2e-3, state[env, 2, 2 * at : 2 * at + 2].numpy())
+        np.testing.assert_allclose(contact[6 * point : 6 * point + 6, lane[env]], expected, rtol=1e-9, atol=1e-6)
+        checked += bool(expected.any())
+    assert checked >= 8
+
+
+def test_gradients_make_a_gait(grads):
+    """Descent on a table of actions for each body: it repeats every 10 steps, and in the end they have gone farther."""
+    table = noise(grads.sim.actions[:, None].expand(-1, 10, -1)).mul_(0.5).requires_grad_()
+    optimizer, gone = torch.optim.Adam([table], 0.2), []
+    for _ in range(12):
+        grads.sim.reset()
+        state = grads.state()
+        for k in range(60):
+            state = grads.step(state, 1.1 + 0.5 * torch.tanh(table[:, k % 10]))
+        gone.append(grads.com(state, "robot")[:, 0].mean())
+        optimizer.zero_grad()
+        (-gone[-1]).backward()
+        optimizer.step()
+    assert gone[-1] > gone[0] + 0.5 * VOXEL
+    assert grads.velocity(state, "robot").any()
+
+
+def test_who_stands_still_keeps_its_state_and_its_derivative(grads):
+    sim = grads.sim
+    sim.set_frozen(torch.arange(8) == 2)
+    state = lifted(grads)
+    state[5, 1] += 1e6 * sim.rows[1][5]  # diverges: the step is undone
+    start = state.clone().requires_grad_()
+    actions = torch.full((8, sim.num_actions), 1.1, dtype=torch.float64, requires_grad=True)
+    after = grads.step(start, actions)
+    assert sim.unstable.tolist() == [env == 5 for env in range(8)]
+    weights = noise(state) * sim.rows[1][:, None]
+    (after * weights).sum().backward()
+    for env in (2, 5):
+        assert torch.equal(start.grad[env], weights[env])
+        assert not actions.grad[env].any()
+    assert torch.isfinite(start.grad).all()
+    assert actions.grad[3].any()
+    assert torch.equal(after[2], state[2])
+
+
+def test_actions_beyond_the_range_have_no_derivative(grads):
+    actions = torch.full((8, grads.sim.num_actions), 1.2, dtype=torch.float32)
+    actions[:, 0] = 2.0
+    actions.requires_grad_()
+    grads.step(lifted(grads), actions)[:, 0].square().sum().backward()
+    assert not actions.grad[:, 0].any()
+    assert actions.grad[0, 1].any()
+    assert actions.grad.dtype is torch.float32
+
+
+def test_mistakes(grads):
+    world = world_of(np.array([[3]]))
+    with pytest.raises(SimulationError, match="arithmetic='fast', got 'exact'"):
+        Gradients(Simulation([world], device="cpu", dtype="float64"))
+    with pytest.raises(SimulationError, match="layout='lanes', got 'group'"):
+        Gradients(Simulation([world], device="cpu", layout="group"))
+    for smoothing in (0, -1.0, float("inf"), float("nan"), "thin"):
+        with pytest.raises(SimulationError, match="smoothing must be a positive number"):
+            Gradients(grads.sim, smoothing)
+    actions = grads.sim.actions
+    for state in (grads.state()[:3], grads.state()[:, :2], grads.state().float(), None):
+        with pytest.raises(SimulationError, match=r"A state must be a tensor float64 \[8, 3, "):
+            grads.step(state, actions)
+    with pytest.raises(ActionError, match="must have the shape"):
+        grads.step(grads.state(), actions[:, :1])
