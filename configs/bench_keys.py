@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from warpvox.keys import key
 
-__all__ = ["COLUMNS", "PPO", "SUITES", "LearningConfig", "PeerConfig", "ScalingConfig"]
+__all__ = ["COLUMNS", "PPO", "SUITES", "GradientsConfig", "LearningConfig", "PeerConfig", "ScalingConfig"]
 
 PPO = ("parallel", "evogym")
 """Names of configs/ppo."""
@@ -19,6 +19,7 @@ SUITES = {
     "mixed": "a different body in every environment, compared with one body in all",
     "scaling": "bodies of n x n voxels, numbers of environments, threads",
     "learning": "time to a return",
+    "gradients": "derivatives of control steps: their error, their time, and gaits found with them",
     "kernels": "times of the stages, memory, compilation",
     "cuda": "the CUDA kernel without a GPU: limits, instructions by stage, predicted speed",
     "gpu": "checks and measurements of a CUDA device in one command",
@@ -57,3 +58,15 @@ class LearningConfig:
     seeds: int = key(3, "number of runs of each", low=1)
     stop_return: float = key(10.0, "return to reach in a deterministic evaluation")
     seconds: float = key(150.0, "time limit of a run, in seconds", above=0)
+
+
+@dataclass
+class GradientsConfig:
+    """Keys ``gradients.*``: the gaits that are improved."""
+
+    bodies: int = key(32, "number of different random bodies", low=1)
+    steps: int = key(120, "control steps whose displacement counts", low=1)
+    iterations: int = key(40, "steps of Adam", low=1)
+    smoothing: list[float] = key(
+        [1e-6, 1e-4, 4e-4, 8e-4, 1.6e-3, 6.4e-3], "of contacts with terrain, in simulator units", above=0
+    )

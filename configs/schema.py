@@ -14,7 +14,7 @@ from typing import Any, get_origin, get_type_hints
 
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
 from warpvox.algos.settings import LOGGERS, REFRESH, PpoConfig, ScreeningConfig, TrainingConfig
-from warpvox.configs.bench_keys import COLUMNS, SUITES, LearningConfig, PeerConfig, ScalingConfig
+from warpvox.configs.bench_keys import COLUMNS, SUITES, GradientsConfig, LearningConfig, PeerConfig, ScalingConfig
 from warpvox.configs.physics_keys import PhysicsConfig
 from warpvox.configs.suite_keys import suite_config
 from warpvox.keys import MISSING, key
@@ -420,6 +420,7 @@ class BenchConfig:
     peer: PeerConfig = key(PeerConfig, "the reference")
     scaling: ScalingConfig = key(ScalingConfig, "suite=scaling")
     learning: LearningConfig = key(LearningConfig, "suite=learning")
+    gradients: GradientsConfig = key(GradientsConfig, "suite=gradients")
     seconds: float = key(400.0, "suite=gpu: no further part begins after so many seconds", above=0)
     document: str | None = key(
         None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)", path="written"

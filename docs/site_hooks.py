@@ -23,6 +23,7 @@ ORDER = (
     "policies",
     "universal",
     "design_in_episode",
+    "gradients",
     "results",
     "physics",
     "paper",

@@ -64,6 +64,7 @@ def make_vec(
     arithmetic: str | None = None,
     memory_check: bool = True,
     grid: tuple[int, int] | None = None,
+    layout: str | None = None,
 ) -> VoxelVecEnv:
     """Make ``num_envs`` environments of a task, ready to be stepped.
 
@@ -81,7 +82,7 @@ def make_vec(
             they were alone; or one for each environment.
         auto_reset: reset environments in the step in which they end; otherwise they stay as they ended.
         physics: preset or constants; default: the preset named as the rules.
-        lanes, threads: see :class:`warpvox.Simulation`.
+        lanes, threads, layout: see :class:`warpvox.Simulation`.
         connections: for each design EvoGym's ``[2, k]`` index pairs, or None to connect all neighbours.
         max_episode_steps: another time limit than the task's.
         obs: ``task`` (what the task observes) or ``voxel`` (every cell of the body, then the rest of what the task
@@ -127,6 +128,7 @@ def make_vec(
         dtype=dtype,
         arithmetic=arithmetic,
         lanes=lanes,
+        layout=layout,
         threads=threads,
         loose=spec.randomized,
         grid=check_grid(grid),

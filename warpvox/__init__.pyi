@@ -69,6 +69,7 @@ from .errors import (
 from .errors import (
     WorldError as WorldError,
 )
+from .gradients import Gradients as Gradients
 from .robots.entry import zoo as zoo
 from .simulation import Simulation as Simulation
 from .types import Cell as Cell

@@ -16,8 +16,8 @@ from warpvox.types import AXES
 
 __all__ = ["SMOOTHING", "Gradients"]
 
-SMOOTHING = 4e-4
-"""Of contacts with terrain, simulator units: 0.4 % of a voxel. ``warpvox bench suite=gradients`` compares others."""
+SMOOTHING = 8e-4
+"""Of contacts with terrain, simulator units: 0.8 % of a voxel. ``warpvox bench suite=gradients`` compares others."""
 PARTS = ("pos", "vel", "true_vel")
 """What a control step changes, in the order of a state."""
 

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from warpvox.bench import check, kernels, memory, reference, scaling
+from warpvox.bench import check, gradients, kernels, memory, reference, scaling
 from warpvox.bench.case import Case, full_body, sampled_or_full
 from warpvox.bench.ptxas import find_program
 from warpvox.bench.report import number
@@ -25,6 +25,7 @@ from warpvox.kernels.state import DATA
 from warpvox.kernels.step import STAGES
 
 TINY = "design=mini num_envs=8 steps=2 repeats=1 columns=[step]".split()
+SMOOTH = "gradients.smoothing=[0.001]"
 FIGURE_2 = "scaling.bodies=2 scaling.seconds=0.04".split()
 
 # A package that looks like the reference to the worker, and is warpvox: the whole protocol runs without evogym.
@@ -142,6 +143,23 @@ def test_mixed_builds_times_and_exchanges_bodies(bench: Callable) -> None:
     assert figures["check_error"] < check.ROUNDING["float32"]
     assert figures["built"] > 0 < figures["changed"][0]
     assert "8 different bodies" in said
+
+
+def test_gradients_are_checked_then_timed_then_used(bench: Callable) -> None:
+    said, figures = bench("gradients", *"gradients.bodies=8 gradients.steps=12 gradients.iterations=2".split(), SMOOTH)
+    assert figures["error"] < 0.05
+    assert [len(times) for times in figures["times"].values()] == [1, 1, 1]
+    assert list(figures["gaits"]) == ["0.001"]
+    assert all(low <= mean <= high for mean, low, high in (*figures["gaits"].values(), figures["waves"]))
+    assert "8 different bodies" in said
+
+
+def test_wrong_derivatives_are_not_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gradients, "_error", lambda *_: float("nan"))
+    config = SimpleNamespace(gradients=SimpleNamespace(bodies=2), seed=0)
+    report = SimpleNamespace(status=lambda _: nullcontext())
+    with pytest.raises(SimulationError, match="differ by nan% from finite differences"):
+        gradients.run(config, report)
 
 
 def test_scaling_in_three_ways(bench: Callable, fake_reference: Callable) -> None:
