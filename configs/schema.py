@@ -124,7 +124,7 @@ class _TrainingRunConfig:
     )
     policy: str = key(
         "mlp",
-        "network of the policy: mlp (layers: ppo.hidden), grid or transformer (both observe voxels: obs=task"
+        "network of the policy: mlp (layers: ppo.hidden), grid, transformer or cpg (all observe voxels: obs=task"
         " becomes voxel, timed becomes timed_voxel), or your own: module:Class, file.py:Class",
         path="read",
     )
@@ -177,6 +177,12 @@ class TrainConfig(_TrainingRunConfig, PresetConfig):
     """Keys of ``warpvox train``."""
 
     designs: DesignsConfig = key(DesignsConfig, "many bodies for one policy")
+    method: str = key(
+        "ppo",
+        "how the policy learns: ppo, or gradients through the physics (policy=cpg; of ppo.* only steps, learning_rate,"
+        " schedule, max_grad_norm, adam_eps and action_scale count)",
+        choices=("ppo", "gradients"),
+    )
 
 
 def _search_fields() -> list[tuple[str, Any, Any]]:

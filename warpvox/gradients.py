@@ -45,10 +45,7 @@ class Gradients:
     """
 
     def __init__(self, sim: Simulation, smoothing: float = SMOOTHING) -> None:
-        if sim.arithmetic != "fast":
-            raise SimulationError(f"Gradients need a simulation with arithmetic='fast', got {sim.arithmetic!r}.")
-        if sim.layout != "lanes":
-            raise SimulationError(f"Gradients need a simulation with layout='lanes', got {sim.layout!r}.")
+        self.check(sim)
         if not isinstance(smoothing, (int, float)) or not 0 < smoothing < float("inf"):
             raise SimulationError(f"smoothing must be a positive number of simulator units, got {smoothing!r:.80}.")
         self.sim, self.smoothing = sim, float(smoothing)
@@ -69,6 +66,14 @@ class Gradients:
         self._shares = [
             record_reverse(buffers, tape, substeps, begin, end - begin) for begin, end in itertools.pairwise(cuts)
         ]
+
+    @staticmethod
+    def check(sim: Simulation) -> None:
+        """Raise SimulationError where control steps of a simulation cannot be differentiated."""
+        if sim.arithmetic != "fast":
+            raise SimulationError(f"Gradients need a simulation with arithmetic='fast', got {sim.arithmetic!r}.")
+        if sim.layout != "lanes":
+            raise SimulationError(f"Gradients need a simulation with layout='lanes', got {sim.layout!r}.")
 
     def state(self) -> torch.Tensor:
         """The present state of the simulation."""

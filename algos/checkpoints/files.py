@@ -18,7 +18,7 @@ from tensordict import TensorDict
 from torch.func import functional_call
 
 from warpvox.algos.policies.gait import GaitModel
-from warpvox.algos.policies.layout import VoxelLayout
+from warpvox.algos.policies.layout import CLOCK, VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.sources import is_code
@@ -220,9 +220,12 @@ def _check_voxels(spec: PolicySpec, weights: dict[str, torch.Tensor]) -> None:
     layout = given.get("layout")
     if given.keys() != {"network", "settings", "layout"} or not isinstance(layout, dict):
         raise ValueError(f"a policy for voxels has network, settings and layout, got {given!r:.100}")
-    sizes, timed = {name: size for name, size in layout.items() if name != "timed"}, layout.get("timed", False)
+    sizes = {name: size for name, size in layout.items() if name not in ("timed", "periods")}
+    timed, periods = layout.get("timed", False), layout.get("periods", CLOCK)
     if not all(type(size) is int and 0 <= size <= WIDEST for size in sizes.values()) or type(timed) is not bool:
         raise ValueError(f"sizes of a layout are integers up to {WIDEST}, timed is true or false; got {layout!r:.120}")
+    if type(periods) is not tuple or not all(type(period) is float and period > 0 for period in periods):
+        raise ValueError(f"periods of a clock are positive numbers, got {periods!r:.100}")
     layout = VoxelLayout(**layout)
     if (layout.num_obs, layout.actions) != (spec.num_obs, spec.num_actions):
         raise ValueError("the layout is that of other observations or actions")

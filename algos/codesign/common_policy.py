@@ -16,7 +16,7 @@ from warpvox.algos.codesign.population_evaluator import describe, read_evaluatio
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import Evaluation, evaluate
-from warpvox.algos.policies.layout import layout_of
+from warpvox.algos.policies.registry import layout_for
 from warpvox.algos.settings import PpoConfig, ScreeningConfig
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
@@ -170,7 +170,7 @@ class _Course:
         bodies = [candidate.body for candidate in self.candidates]
         env = adapt(self.factory.make(bodies, settings.envs, self.seeds, auto_reset=True), ppo)
         voxels = {"network": settings.policy, "settings": dict(settings.network or {})}
-        voxels["layout"] = layout_of(env.env).dict()
+        voxels["layout"] = layout_for(settings.policy, env.env).dict()
 
         def save() -> None:
             if checkpoint is not None and runner.current_learning_iteration > 0:

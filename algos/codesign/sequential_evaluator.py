@@ -24,7 +24,7 @@ from warpvox.algos.codesign.population_evaluator import (
 )
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import Evaluation, evaluator
-from warpvox.algos.policies.layout import layout_of
+from warpvox.algos.policies.registry import layout_for
 from warpvox.algos.population.training import Networks
 from warpvox.algos.settings import TrainingConfig
 from warpvox.algos.training.runner import Runner, Schedule, adapt
@@ -129,7 +129,11 @@ class SequentialEvaluator:
     def _voxels(self, env: VoxelVecEnv) -> dict[str, Any] | None:
         if self.network is None:
             return None
-        return {"network": self.network, "settings": dict(self.network_settings), "layout": layout_of(env).dict()}
+        return {
+            "network": self.network,
+            "settings": dict(self.network_settings),
+            "layout": layout_for(self.network, env).dict(),
+        }
 
     def _progress(self, outcomes: Sequence[Outcome], count: int) -> dict[str, Any]:
         left = count - len(outcomes)

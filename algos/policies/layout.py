@@ -39,7 +39,7 @@ MOVING = 16
 FEATURES = 26
 """Inputs of a voxel."""
 CLOCK = (7.0, 14.0, 28.0)
-"""Periods, in control steps, of what a policy makes of the time: a sine and a cosine of each."""
+"""Periods, in control steps, of the sines and cosines that a policy gets for the time; a network may have others."""
 _SPREADS = ((1, 1, 1, 1), (-1, 1, 1, -1), (1, 1, -1, -1), (1, -1, 1, -1))
 """Signs of the corners (top left, top right, bottom right, bottom left) in centre and shape."""
 
@@ -54,6 +54,7 @@ class VoxelLayout:
             the time.
         actions: entries of an action; a body has so many actuators at most.
         timed: whether an observation ends with the time (``obs="timed_voxel"``).
+        periods: of the clock, in control steps.
     """
 
     rows: int
@@ -61,11 +62,12 @@ class VoxelLayout:
     rest: int
     actions: int
     timed: bool = False
+    periods: tuple[float, ...] = CLOCK
 
     @property
     def scaled(self) -> int:
         """Entries of ``rest`` that are observed, without those of the clock."""
-        return self.rest - 2 * len(CLOCK) * self.timed
+        return self.rest - 2 * len(self.periods) * self.timed
 
     @property
     def cells(self) -> int:
@@ -82,8 +84,8 @@ class VoxelLayout:
         return asdict(self)
 
 
-def layout_of(env: VoxelVecEnv) -> VoxelLayout:
-    """The layout of environments with ``obs="voxel"`` or ``obs="timed_voxel"``.
+def layout_of(env: VoxelVecEnv, periods: tuple[float, ...] = CLOCK) -> VoxelLayout:
+    """The layout of environments with ``obs="voxel"`` or ``obs="timed_voxel"``; ``periods`` are those of the clock.
 
     Raises:
         ConfigError: they have another one, or several robots.
@@ -96,12 +98,13 @@ def layout_of(env: VoxelVecEnv) -> VoxelLayout:
     if grid.place != slice(0, cells * NUM_FEATURES):
         raise ConfigError("A policy for voxels needs the grid at the beginning of an observation.")
     rest, timed = env.num_obs - cells * NUM_FEATURES, is_timed(env)
-    return VoxelLayout(grid.rows, grid.columns, rest + (2 * len(CLOCK) - 1) * timed, env.num_actions, timed)
+    rest += (2 * len(periods) - 1) * timed
+    return VoxelLayout(grid.rows, grid.columns, rest, env.num_actions, timed, periods)
 
 
-def clock(time: torch.Tensor) -> torch.Tensor:
-    """Sines and cosines ``[rows, 2 * len(CLOCK)]`` of control steps ``[rows, 1]`` since the episode began."""
-    phase = phase_at(time, time.new_tensor(CLOCK))
+def clock(time: torch.Tensor, periods: tuple[float, ...]) -> torch.Tensor:
+    """Sines, then cosines, ``[rows, 2 * len(periods)]`` of control steps ``[rows, 1]`` since the episode began."""
+    phase = phase_at(time, time.new_tensor(periods))
     return torch.cat([phase.sin(), phase.cos()], dim=1)
 
 

@@ -8,17 +8,19 @@ from typing import Any
 
 from torch import nn
 
+from warpvox.algos.policies.cpg import CpgNetwork
 from warpvox.algos.policies.grid import GridNetwork
-from warpvox.algos.policies.layout import VoxelLayout
+from warpvox.algos.policies.layout import CLOCK, VoxelLayout, layout_of
 from warpvox.algos.policies.transformer import TransformerNetwork
 from warpvox.envs.sources import is_code, lacks_module, load_code, split
+from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, WarpvoxError, did_you_mean, listing
 
-__all__ = ["MLP", "POLICIES", "check_policy", "make_network"]
+__all__ = ["MLP", "POLICIES", "check_policy", "layout_for", "make_network"]
 
 MLP = "mlp"
 """The policy that is no network for voxels: fully connected layers on the whole observation."""
-NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork}
+NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork, "cpg": CpgNetwork}
 POLICIES = (MLP, *NETWORKS)
 
 
@@ -29,6 +31,16 @@ def check_policy(name: object) -> None:
             f"policy must be one of {listing(POLICIES)}, or a network of your own, module:Class or file.py:Class; got"
             f" {name!r:.80}.{did_you_mean(str(name), POLICIES)}"
         )
+
+
+def layout_for(name: str, env: VoxelVecEnv) -> VoxelLayout:
+    """The layout of environments for a network, whose attribute ``periods``, if it has one, are those of its clock.
+
+    Raises:
+        ConfigError: no such network, or environments that it is not for.
+    """
+    check_policy(name)
+    return layout_of(env, tuple(map(float, getattr(NETWORKS.get(name) or _load(name), "periods", CLOCK))))
 
 
 def make_network(name: str, layout: VoxelLayout, critic: bool, settings: Mapping[str, Any] | None = None) -> nn.Module:

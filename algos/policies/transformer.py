@@ -9,7 +9,7 @@ from torch.nn import functional
 from warpvox.algos.policies.layout import FEATURES, INPUTS, VoxelLayout
 from warpvox.errors import ConfigError
 
-__all__ = ["TransformerNetwork"]
+__all__ = ["AttentionBlock", "TransformerNetwork"]
 
 
 class TransformerNetwork(nn.Module):
@@ -36,7 +36,7 @@ class TransformerNetwork(nn.Module):
         self.critic = critic
         self.token = nn.Linear(FEATURES, width)
         self.place = nn.Parameter(torch.randn(layout.cells, width) * 0.02)
-        self.blocks = nn.ModuleList([_Block(width, heads) for _ in range(layers)])
+        self.blocks = nn.ModuleList([AttentionBlock(width, heads) for _ in range(layers)])
         self.join = nn.Linear(width + layout.rest, width)
         self.out = nn.Linear(width, 1)
         nn.init.orthogonal_(self.out.weight, 1.0 if critic else 0.05)
@@ -58,7 +58,7 @@ class TransformerNetwork(nn.Module):
         return self.out(torch.tanh(self.join(joined)))[..., 0]
 
 
-class _Block(nn.Module):
+class AttentionBlock(nn.Module):
     """Attention and a small network, each added to what comes in, which is normalised first."""
 
     def __init__(self, width: int, heads: int) -> None:

@@ -183,8 +183,7 @@ class PPO(RslRlPPO):
 
     def update(self) -> dict[str, float]:
         """One iteration's optimisation; returns the mean losses."""
-        if self.decays:
-            self.rates.fill_(self.initial_learning_rate * max(0.0, 1.0 - self.updates / self.total_iterations))
+        self._decay()
         losses = self._optimise(self._shuffled())
         self.optimizer.steps += self.num_learning_epochs * self.num_mini_batches
         for group in self.optimizer.param_groups:
@@ -194,6 +193,11 @@ class PPO(RslRlPPO):
         self.storage.clear()
         self.updates += 1
         return losses
+
+    def _decay(self) -> None:
+        """The linear schedule."""
+        if self.decays:
+            self.rates.fill_(self.initial_learning_rate * max(0.0, 1.0 - self.updates / self.total_iterations))
 
     def _optimise(self, data: Samples) -> dict[str, float]:
         losses = self._epochs(data, self.actor, self.critic)
@@ -298,7 +302,9 @@ class PPO(RslRlPPO):
         return result
 
 
-def rsl_rl_config(ppo: PpoConfig, total_iterations: int, voxels: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def rsl_rl_config(
+    ppo: PpoConfig, total_iterations: int, voxels: Mapping[str, Any] | None = None, algorithm: type[PPO] = PPO
+) -> dict[str, Any]:
     """The dictionary that rsl-rl's runner wants.
 
     Args:
@@ -306,6 +312,7 @@ def rsl_rl_config(ppo: PpoConfig, total_iterations: int, voxels: Mapping[str, An
         total_iterations: the end of a linear schedule.
         voxels: ``network``, ``settings`` and ``layout`` of :class:`~warpvox.algos.policies.model.VoxelModel`; None:
             fully connected layers.
+        algorithm: the class that learns.
     """
     network = {"class_name": Network, "hidden_dims": list(ppo.hidden), "activation": ppo.activation}
     if voxels is not None:
@@ -320,7 +327,7 @@ def rsl_rl_config(ppo: PpoConfig, total_iterations: int, voxels: Mapping[str, An
         "actor": network | {"distribution_cfg": noise},
         "critic": dict(network),
         "algorithm": {
-            "class_name": PPO,
+            "class_name": algorithm,
             "total_iterations": total_iterations,
             "adam_eps": ppo.adam_eps,
             "schedule": ppo.schedule,

@@ -82,6 +82,8 @@ class Runner:
         trained_on: what checkpoints say of the training, by name.
     """
 
+    algorithm: type[PPO] = PPO
+
     def __init__(
         self,
         env: RslRlVecEnv,
@@ -103,7 +105,7 @@ class Runner:
         self.bodies, self.trained_on = bodies, dict(trained_on or {})
         self._judged: Evaluation | None = None
         self.device, self.logger = str(env.device), logger
-        config = rsl_rl_config(ppo, schedule.total, voxels)
+        config = rsl_rl_config(ppo, schedule.total, voxels, self.algorithm)
         ranks = {"global_rank": group.rank, "local_rank": group.local_rank, "world_size": group.size}
         config["multi_gpu"] = ranks if group.size > 1 else None
         self.alg = PPO.construct_algorithm(env.get_observations(), env, config, self.device)
@@ -195,7 +197,7 @@ class Runner:
         """One iteration: collect, learn, then evaluate, log and save as scheduled."""
         started = time.perf_counter()
         logs, ended = self._collect()
-        losses = self.alg.update()
+        losses = self._update()
         self._check(losses)
         if self.bodies is not None:
             self.bodies.exchange(self.env, ended)
@@ -229,6 +231,10 @@ class Runner:
                 self.bodies.record(dones, extras["returns"])
         self.alg.compute_returns(obs)
         return logs, ended
+
+    def _update(self) -> dict[str, float]:
+        """Learn from what was collected; returns the mean losses."""
+        return self.alg.update()
 
     def _check(self, losses: dict[str, float]) -> None:
         """Raise DivergenceError if losses, weights or moments are not finite."""
@@ -286,10 +292,14 @@ class Runner:
             "surrogate_loss": losses["surrogate"],
             "entropy": losses["entropy"],
             "learning_rate": self.alg.learning_rate,
-            "action_std": self.alg.get_policy().output_std.mean().item(),
+            "action_std": self._action_std(),
             "steps_per_second": self.steps_per_iteration / seconds,
             "elapsed": self.elapsed,
         }
+
+    def _action_std(self) -> float:
+        """Mean deviation of the actions drawn."""
+        return self.alg.get_policy().output_std.mean().item()
 
     def _quantiles(self, evaluated: float) -> dict[str, float]:
         """Of the returns of the last evaluation, over its bodies where there are several."""

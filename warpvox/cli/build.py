@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.algos.policies.layout import layout_of
-from warpvox.algos.policies.registry import MLP, check_policy, make_network
+from warpvox.algos.policies.registry import MLP, check_policy, layout_for, make_network
 from warpvox.batch.options import lanes_for
 from warpvox.design import load_design
 from warpvox.devices.names import resolve_device
@@ -129,7 +128,7 @@ def voxels_of(config: Any, env: VoxelVecEnv) -> dict[str, Any] | None:
         return None
     if config.network is not None and not isinstance(config.network, Mapping):
         raise ConfigError(f"network must be settings by name, such as {{width:32}}; got {config.network!r:.80}.")
-    layout = layout_of(env)
+    layout = layout_for(config.policy, env)
     settings = dict(config.network or {})
     make_network(config.policy, layout, False, settings)
     return {"network": config.policy, "settings": settings, "layout": layout.dict()}

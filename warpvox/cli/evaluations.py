@@ -147,8 +147,8 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
     Raises:
         WarpvoxError: a network, its settings, or a pretrained policy that is not to be had or does not fit.
     """
-    from warpvox.algos.policies.layout import VoxelLayout, layout_of
-    from warpvox.algos.policies.registry import MLP, make_network
+    from warpvox.algos.policies.layout import VoxelLayout
+    from warpvox.algos.policies.registry import MLP, layout_for, make_network
 
     networks = {}
     if config.policy != MLP:
@@ -163,10 +163,11 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
     pretrained = read_pretrained(config, folder)
     body = np.full(config.shape, FULL, np.int8)
     factory = dataclasses.replace(_common_factory(config, pretrained), threads=1)
-    layout = layout_of(factory.make([body], 1, [0], auto_reset=False))
+    env = factory.make([body], 1, [0], auto_reset=False)
     for key, (name, settings) in networks.items():
         if settings is not None and not isinstance(settings, Mapping):
             raise ConfigError(f"{key}: settings of a network have names, {{width:32}}; got {settings!r:.80}.")
+        layout = layout_for(name, env)
         make_network(name, layout, False, settings)
     if pretrained is not None and (found := VoxelLayout(**pretrained["policy"]["voxels"]["layout"])) != layout:
         raise ConfigError(

@@ -153,6 +153,7 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
     """
     with console.status("loading"):
         from warpvox.algos.evaluate import evaluator
+        from warpvox.algos.training.ascent import AscentRunner
         from warpvox.algos.training.distributed import join_process_group
         from warpvox.algos.training.runner import Runner, Schedule, adapt
         from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes, voxels_of
@@ -173,7 +174,10 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         schedule = Schedule(config.max_iterations, config.save_interval, config.eval_interval, config.stop_return)
         seed, guard = group.seed(config.seed), config.nan_guard
         room = {"designs": designs, "grid": grid_of(config)} if many else {}
-        options = {"auto_reset": True, "seed": seed, "nan_guard": guard} | room
+        ascends = getattr(config, "method", "ppo") == "gradients"
+        options = (
+            {"auto_reset": True, "seed": seed, "nan_guard": guard} | ({"layout": "lanes"} if ascends else {}) | room
+        )
         env = adapt(make_env(config, config.num_envs, **options), config.ppo)
         judge = None
         if group.is_main_process:
@@ -185,7 +189,7 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
             judge = HeldOut(judge, designs) if many else judge
         parts = {"voxels": voxels_of(config, env.env), "bodies": bodies, "trained_on": trained_on(config)}
         parts |= {"evaluator": judge, "group": group, "logger": config.logger}
-        runner = Runner(env, config.ppo, schedule, **parts)
+        runner = (AscentRunner if ascends else Runner)(env, config.ppo, schedule, **parts)
         if job.checkpoint is not None:
             runner.resume(job.checkpoint)
             _check_left(job.folder, runner)
