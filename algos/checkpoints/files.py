@@ -224,7 +224,7 @@ def _check_voxels(spec: PolicySpec, weights: dict[str, torch.Tensor]) -> None:
     timed, periods = layout.get("timed", False), layout.get("periods", CLOCK)
     if not all(type(size) is int and 0 <= size <= WIDEST for size in sizes.values()) or type(timed) is not bool:
         raise ValueError(f"sizes of a layout are integers up to {WIDEST}, timed is true or false; got {layout!r:.120}")
-    if type(periods) is not tuple or not all(type(period) is float and period > 0 for period in periods):
+    if type(periods) not in (list, tuple) or not all(type(period) is float and period > 0 for period in periods):
         raise ValueError(f"periods of a clock are positive numbers, got {periods!r:.100}")
     layout = VoxelLayout(**layout)
     if (layout.num_obs, layout.actions) != (spec.num_obs, spec.num_actions):

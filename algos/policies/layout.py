@@ -64,6 +64,9 @@ class VoxelLayout:
     timed: bool = False
     periods: tuple[float, ...] = CLOCK
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "periods", tuple(map(float, self.periods)))
+
     @property
     def scaled(self) -> int:
         """Entries of ``rest`` that are observed, without those of the clock."""
@@ -80,8 +83,11 @@ class VoxelLayout:
         return self.cells * NUM_FEATURES + self.scaled + self.timed
 
     def dict(self) -> dict[str, Any]:
-        """The layout as stored in a checkpoint."""
-        return asdict(self)
+        """The layout as stored in a checkpoint; without the usual periods."""
+        own = asdict(self) | {"periods": list(self.periods)}
+        if self.periods == CLOCK:
+            del own["periods"]
+        return own
 
 
 def layout_of(env: VoxelVecEnv, periods: tuple[float, ...] = CLOCK) -> VoxelLayout:

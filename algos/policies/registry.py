@@ -40,7 +40,7 @@ def layout_for(name: str, env: VoxelVecEnv) -> VoxelLayout:
         ConfigError: no such network, or environments that it is not for.
     """
     check_policy(name)
-    return layout_of(env, tuple(map(float, getattr(NETWORKS.get(name) or _load(name), "periods", CLOCK))))
+    return layout_of(env, getattr(NETWORKS.get(name) or _load(name), "periods", CLOCK))
 
 
 def make_network(name: str, layout: VoxelLayout, critic: bool, settings: Mapping[str, Any] | None = None) -> nn.Module:

@@ -21,7 +21,7 @@ from warpvox.algos.checkpoints.sampling import SampledController
 from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.policies.layout import FEATURES, INPUTS, VoxelLayout, layout_of, voxel_inputs
 from warpvox.algos.policies.model import VoxelNormalizer
-from warpvox.algos.policies.registry import check_policy, make_network
+from warpvox.algos.policies.registry import check_policy, layout_for, make_network
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -32,7 +32,11 @@ BODIES = ([[3, 3, 3], [4, 1, 4]], [[2, 3], [4, 0]])
 STEPS, LIMIT = 6, 12
 ROUNDING = 1e-9
 """What rounding in float64 can grow to in two updates."""
-NETWORKS = {"grid": {"width": 6, "summary": 8, "heads": 4}, "transformer": {"width": 8}}
+NETWORKS = {
+    "grid": {"width": 6, "summary": 8, "heads": 4},
+    "transformer": {"width": 8},
+    "cpg": {"width": 8, "heads": 2, "layers": 1},
+}
 OWN = """
 import torch
 
@@ -56,12 +60,17 @@ def make_env(num_envs: int = ENVS, auto_reset: bool = True, obs: str = "voxel") 
     return small_env(num_envs, designs=BODIES, max_episode_steps=LIMIT, obs=obs, auto_reset=auto_reset)
 
 
+def env_for(name: str, num_envs: int = ENVS, auto_reset: bool = True) -> VoxelVecEnv:
+    return make_env(num_envs, auto_reset, "timed_voxel" if name == "cpg" else "voxel")
+
+
 def voxels(env: VoxelVecEnv, name: str) -> dict:
-    return {"network": name, "settings": NETWORKS.get(name, {}), "layout": layout_of(env).dict()}
+    return {"network": name, "settings": NETWORKS.get(name, {}), "layout": layout_for(name, env).dict()}
 
 
 def make_runner(name: str, folder: Path | None = None, total: int = 2, seed: int = 0, obs: str = "voxel") -> Runner:
     torch.manual_seed(seed)
+    obs = "timed_voxel" if name == "cpg" else obs
     env, judge = make_env(obs=obs), evaluator(make_env(2, auto_reset=False, obs=obs))
     ppo = ppo_settings()
     return Runner(adapt(env, ppo), ppo, Schedule(total, 100, 1), folder, judge, voxels=voxels(env, name))
@@ -154,8 +163,9 @@ def config(env: VoxelVecEnv, name: str) -> dict:
 
 
 @pytest.mark.parametrize("name", NETWORKS)
-def test_what_a_body_has_not_changes_no_bit(env: VoxelVecEnv, name: str) -> None:
-    obs, layout = some_obs(env), layout_of(env)
+def test_what_a_body_has_not_changes_no_bit(name: str) -> None:
+    env = env_for(name)
+    obs, layout = some_obs(env), layout_for(name, env)
     actions = torch.rand((ENVS, env.num_actions))
     before = learned(name, obs, actions, env)
     other = obs.clone()
@@ -188,7 +198,8 @@ def test_likelihood_and_entropy_are_those_of_the_actions_there_are(env: VoxelVec
 
 
 @pytest.mark.parametrize("name", NETWORKS)
-def test_environments_may_change_places(env: VoxelVecEnv, name: str) -> None:
+def test_environments_may_change_places(name: str) -> None:
+    env = env_for(name)
     controller, obs = make_runner(name).controller, some_obs(env)
     order = torch.randperm(ENVS, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(controller(obs[order]), controller(obs)[order], rtol=0, atol=1e-6)
@@ -201,7 +212,7 @@ def test_environments_may_change_places(env: VoxelVecEnv, name: str) -> None:
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("name", NETWORKS)
 def test_rsl_rls_own_ppo_learns_the_same(name: str) -> None:
-    env = adapt(make_env(), ppo_settings(schedule="adaptive"))
+    env = adapt(env_for(name), ppo_settings(schedule="adaptive"))
     ours_config, stock_config = config(env.env, name), config(env.env, name)
     for drop in ("total_iterations", "adam_eps", "class_name"):
         del stock_config["algorithm"][drop]
@@ -279,9 +290,12 @@ def test_values_beyond_a_time_limit_are_added_where_it_struck(name: str) -> None
         ("grid", {"policy.pt": write_script, "policy.onnx": write_onnx}),
         ("transformer", {"policy.pt": write_script}),
         pytest.param("transformer", {"policy.onnx": write_onnx}, marks=pytest.mark.slow),
+        ("cpg", {"policy.pt": write_script}),
+        pytest.param("cpg", {"policy.onnx": write_onnx}, marks=pytest.mark.slow),
     ],
 )
-def test_a_policy_trains_and_comes_back_from_files(env: VoxelVecEnv, tmp_path: Path, name: str, formats: dict) -> None:
+def test_a_policy_trains_and_comes_back_from_files(tmp_path: Path, name: str, formats: dict) -> None:
+    env = env_for(name)
     runner, obs = make_runner(name, tmp_path, total=1), some_obs(env)
     before = copy.deepcopy(runner.alg.actor.state_dict())
     runner.run()
@@ -295,7 +309,7 @@ def test_a_policy_trains_and_comes_back_from_files(env: VoxelVecEnv, tmp_path: P
         write(policy, tmp_path / file)
         again = read_exported(tmp_path / file)
         assert torch.equal(again(obs), policy(obs))
-    assert evaluate(make_env(2, auto_reset=False), controller).returns.isfinite().all()
+    assert evaluate(env_for(name, 2, auto_reset=False), controller).returns.isfinite().all()
     sampled = SampledController(controller)(obs)
     assert bool((sampled != controller(obs))[env.action_mask[env.design_index]].any())
 

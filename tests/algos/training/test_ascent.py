@@ -1,0 +1,145 @@
+"""Training by gradients through the physics: it climbs, resumes exactly, and refuses what has no derivative."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from learning import assert_same_weights, ppo_settings, small_env
+
+from warpvox.algos.evaluate import evaluator
+from warpvox.algos.policies.registry import layout_for
+from warpvox.algos.training.ascent import AscentRunner
+from warpvox.algos.training.bodies import Bodies, draw_bodies
+from warpvox.algos.training.runner import STATE, Schedule, adapt
+from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.errors import ConfigError
+
+ENVS, SHAPE, STEPS = 8, (3, 3), 40
+SETTINGS = {"width": 8, "heads": 2, "layers": 1}
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def make_env(bodies: list, auto_reset: bool = True, **changes: object) -> VoxelVecEnv:
+    options = dict(max_episode_steps=60, obs="timed_voxel", grid=SHAPE, lanes=8, auto_reset=auto_reset) | changes
+    return small_env(len(bodies), designs=bodies, **options)
+
+
+def make_runner(
+    refresh: str = "none",
+    total: int = 4,
+    folder: Path | None = None,
+    seed: int = 0,
+    network: str = "cpg",
+    schedule: str = "fixed",
+    **changes: object,
+) -> AscentRunner:
+    torch.manual_seed(seed)
+    pool = draw_bodies(12, SHAPE, np.random.default_rng(0))
+    bodies = Bodies(pool[:ENVS], refresh, np.random.default_rng(seed))
+    env = make_env(bodies.first(ENVS), **changes)
+    settings = SETTINGS if network == "cpg" else {}
+    voxels = {"network": network, "settings": settings, "layout": layout_for(network, env).dict()}
+    ppo = ppo_settings(steps=STEPS, learning_rate=0.01, schedule=schedule, max_grad_norm=1.0)
+    judge = evaluator(make_env(pool[-4:], auto_reset=False, **changes))
+    return AscentRunner(adapt(env, ppo), ppo, Schedule(total, 100, total), folder, judge, voxels=voxels, bodies=bodies)
+
+
+def test_returns_rise() -> None:
+    runner, rows = make_runner(total=12, schedule="linear"), []
+    runner.report = rows.append
+    critic = [parameter.clone() for parameter in runner.alg.critic.parameters()]
+    runner.run()
+    returns = [row["return_mean"] for row in rows]
+    assert returns[-1] > returns[0] + 0.01, returns
+    assert rows[-1]["episodes"] == ENVS
+    assert rows[-1]["steps"] == 12 * ENVS * STEPS
+    assert rows[0]["learning_rate"] > rows[-1]["learning_rate"]
+    assert np.isfinite(runner.last_return)
+    assert all(torch.equal(one, two) for one, two in zip(critic, runner.alg.critic.parameters(), strict=True))
+
+
+def test_the_rollout_is_what_the_policy_does() -> None:
+    """Returns that are differentiated are those of the environment."""
+    runner = make_runner()
+    env = runner.env
+    with torch.no_grad():
+        rewards = [env.step(runner.alg.actor(env.get_observations()))[1] for _ in range(STEPS)]
+    runner._collect()
+    total = float(sum(rewards).mean()) / runner.ppo.reward_scale
+    assert runner._found["return"] == pytest.approx(total, abs=1e-6)
+
+
+@pytest.mark.parametrize("refresh", ["none", "new"])
+def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path, refresh: str) -> None:
+    whole = make_runner(refresh)
+    whole.run()
+    make_runner(refresh, 2, tmp_path).run()
+    second = make_runner(refresh, seed=5)
+    second.resume(tmp_path / STATE)
+    second.run()
+    assert_same_weights(whole, second)
+    assert whole.last_return == second.last_return
+
+
+def test_weights_that_are_kept_are_those_of_the_body_and_of_what_was_learned() -> None:
+    runner = make_runner()
+    runner.run()
+    actor, obs = runner.alg.actor.eval(), runner.env.reset()
+    with torch.no_grad():
+        first = actor(obs)
+        assert torch.equal(actor(obs), first)
+        later = obs.clone()
+        later["policy"][:, -1] = 3.0
+        assert not torch.equal(actor(later), first)
+        runner.env.set_designs([np.full(SHAPE, 3, np.int8)], torch.arange(ENVS) == 0)
+        changed = actor(runner.env.get_observations())
+        assert not torch.equal(changed[0], first[0])
+        assert torch.equal(changed[1:], first[1:])
+        actor.train()
+        for parameter in actor.network.parameters():
+            parameter.mul_(0.5)
+        assert not torch.equal(actor.eval()(obs), first)
+
+
+def test_what_moves_does_not_matter() -> None:
+    runner = make_runner()
+    obs = runner.env.reset()
+    with torch.no_grad():
+        first = runner.alg.actor(obs)
+        runner.env.step(torch.ones_like(first))
+        moved = runner.env.get_observations()
+        moved["policy"][:, -1] = obs["policy"][:, -1]
+        assert torch.equal(runner.alg.actor(moved), first)
+
+
+def test_what_has_no_derivative_is_refused() -> None:
+    with pytest.raises(ConfigError, match="method=gradients trains policy=cpg"):
+        make_runner(network="grid")
+    with pytest.raises(ConfigError, match=r"those of AreaMaximizer-v0 are made of hull_area, too"):
+        make_runner(task="AreaMaximizer-v0")
+    with pytest.raises(ConfigError, match=r"those of BidirectionalWalker-v0 are made of memory, too"):
+        make_runner(task="BidirectionalWalker-v0")
+    with pytest.raises(ConfigError, match="layout='lanes', got 'group'"):
+        make_runner(layout="group", lanes=None)
+    with pytest.raises(ConfigError, match="which is not observed: it needs obs=timed"):
+        make_runner(obs="voxel")
+
+
+def test_commands(warpvox) -> None:
+    """A training, its continuation, and what is made of it."""
+    words = "task=Walker-v0 obs=timed policy=cpg method=gradients designs=random:8:3x3 num_envs=8 ppo.steps=4".split()
+    words += ["network={width:8,heads:2,layers:1}", "device=cpu", "threads=1", "designs.held_out=random:2:3x3"]
+    done = warpvox("train", *words, "max_iterations=2")
+    assert done.code == 0, done.err
+    assert "done after 64 control steps" in done.out
+    assert warpvox("train", "resume=latest", "max_iterations=3").code == 0
+    assert warpvox("evaluate", "runs=latest", "designs=random:2:3x3", "device=cpu", "threads=1").code == 0
+    assert warpvox("play", "run=latest", "num_envs=1", "steps=3", "device=cpu", "export=[html]", "window=off").code == 0
+    words = [word for word in words if not word.startswith(("policy", "network"))]
+    refused = warpvox("train", *words, "policy=grid", "max_iterations=2")
+    assert refused.code == 2
+    assert "method=gradients trains policy=cpg" in refused.err
