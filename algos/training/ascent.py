@@ -19,6 +19,9 @@ __all__ = ["Ascent", "AscentRunner", "check_gradients"]
 
 DERIVED = ("com", "velocity")
 """What of a state is differentiated: quantities that rewards may be made of."""
+PROBE = 40
+"""Control steps in which some reward must have a derivative."""
+TINY = 1e-12
 
 
 class Ascent(PPO):
@@ -56,7 +59,7 @@ class AscentRunner(Runner):
     norm at most, and those of episodes that were stopped are left out.
 
     Raises:
-        ConfigError: see :func:`check_gradients`.
+        ConfigError: see :func:`check_gradients`, and where all derivatives are 0.
     """
 
     algorithm = Ascent
@@ -66,18 +69,29 @@ class AscentRunner(Runner):
         super().__init__(*args, **settings)
         check_gradients(self.env.env, self.alg.actor.network, self.group.size)
         self._gradients = Gradients(self.env.env.sim)
+        _, slope, _, stopped = self._roll_out(min(PROBE, self.ppo.steps))
+        self.env.reset()
+        if not bool(slope.any()) and not bool(stopped.any()):
+            raise ConfigError(
+                f"method=gradients: the rewards of {self.env.env.spec.id} have no derivative by the actions. What a"
+                " robot pushes or carries has none, nor have contacts of voxels with each other."
+            )
         self._found: dict[str, float] = {}
 
-    def _collect(self) -> tuple[list[dict[str, torch.Tensor]], torch.Tensor]:
-        """Roll out, and take a step; returns logs, and that all episodes have ended."""
+    def _roll_out(self, steps: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """New episodes, so many control steps of them.
+
+        Returns:
+            The weights that the policy has for the bodies, the derivatives of returns by them, the returns, and bool
+            ``[num_envs]``: where an episode was stopped or derivatives are not finite. These derivatives are 0.
+        """
         env, layout = self.env.env, self.alg.actor.layout
-        obs = self.env.reset()
-        weights = self.alg.weights(obs)
+        weights = self.alg.weights(self.env.reset())
         leaf = weights.detach().requires_grad_()
         state, total = self._gradients.state(), 0.0
         stopped = torch.zeros(self.env.num_envs, dtype=torch.bool, device=self.device)
         before = Snapshot(_Differentiated(self._gradients, state))
-        for step in range(self.ppo.steps):
+        for step in range(steps):
             outputs = CpgNetwork.motion(leaf, clock(leaf.new_tensor([[step]]), layout.periods))
             state = self._gradients.step(state, ACTION_CENTER + self.ppo.action_scale * outputs)
             stopped |= env.sim.unstable
@@ -85,16 +99,20 @@ class AscentRunner(Runner):
             total = total + sum(term(before, after) * term.weight for term in env.spec.rewards)
             before = after
         (slope,) = torch.autograd.grad(total.sum(), leaf)
-        norm = slope.flatten(1).norm(dim=1)
-        stopped |= ~norm.isfinite()
-        norm = norm.masked_fill(stopped, 0.0)
-        middle = norm[~stopped].median() if bool((~stopped).any()) else norm.new_ones(())
-        scale = 1 / torch.maximum(norm, middle).clamp(min=1e-12)
-        slope = (slope * scale[:, None, None]).masked_fill(stopped[:, None, None], 0.0)
-        self.alg.ascend(weights, slope)
+        stopped |= ~slope.isfinite().flatten(1).all(1)
         returns = total.detach().masked_fill(stopped, 0.0)
+        return weights, slope.masked_fill(stopped[:, None, None], 0.0), returns, stopped
+
+    def _collect(self) -> tuple[list[dict[str, torch.Tensor]], torch.Tensor]:
+        """Roll out and take a step of ascent; returns logs, and that all episodes have ended."""
+        weights, slope, returns, stopped = self._roll_out(self.ppo.steps)
+        norm = slope.flatten(1).norm(dim=1)
+        going = norm[~stopped]
+        middle = going.median() if len(going) else norm.new_zeros(())
+        scale = 1 / torch.maximum(norm, middle).clamp(min=TINY)
+        self.alg.ascend(weights, slope * scale[:, None, None])
         self._found = {"return": float(returns.mean()), "unstable": int(stopped.sum())}
-        logs = {"Gradient/norm": middle.detach(), "Episode/unstable": stopped.float().mean()}
+        logs = {"Gradient/norm": middle, "Episode/unstable": stopped.float().mean()}
         return [logs], torch.ones_like(stopped)
 
     def _update(self) -> dict[str, float]:

@@ -124,7 +124,7 @@ def voxels_of(config: Any, env: VoxelVecEnv) -> dict[str, Any] | None:
     """
     if config.policy == MLP:
         if config.network is not None:
-            raise ConfigError("network has the settings of policy=grid, transformer or your own; mlp has ppo.hidden.")
+            raise ConfigError("network has the settings of the other policies; those of policy=mlp are ppo.hidden.")
         return None
     if config.network is not None and not isinstance(config.network, Mapping):
         raise ConfigError(f"network must be settings by name, such as {{width:32}}; got {config.network!r:.80}.")

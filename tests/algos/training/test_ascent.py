@@ -123,6 +123,8 @@ def test_what_has_no_derivative_is_refused() -> None:
         make_runner(task="AreaMaximizer-v0")
     with pytest.raises(ConfigError, match=r"those of BidirectionalWalker-v0 are made of memory, too"):
         make_runner(task="BidirectionalWalker-v0")
+    with pytest.raises(ConfigError, match="the rewards of Lifter-v0 have no derivative by the actions"):
+        make_runner(task="Lifter-v0")
     with pytest.raises(ConfigError, match="layout='lanes', got 'group'"):
         make_runner(layout="group", lanes=None)
     with pytest.raises(ConfigError, match="which is not observed: it needs obs=timed"):
