@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import torch
+from torch import nn
 
 from warpvox.algos.policies.cpg import CpgNetwork
 from warpvox.algos.policies.layout import clock
@@ -12,10 +13,11 @@ from warpvox.algos.training.ppo import PPO
 from warpvox.algos.training.runner import Runner
 from warpvox.envs.rsl_rl import ACTION_CENTER
 from warpvox.envs.snapshot import Snapshot
+from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, SimulationError
 from warpvox.gradients import Gradients
 
-__all__ = ["Ascent", "AscentRunner", "check_gradients"]
+__all__ = ["Ascent", "AscentRunner"]
 
 DERIVED = ("com", "velocity")
 """What of a state is differentiated: quantities that rewards may be made of."""
@@ -59,7 +61,8 @@ class AscentRunner(Runner):
     norm at most, and those of episodes that were stopped are left out.
 
     Raises:
-        ConfigError: see :func:`check_gradients`, and where all derivatives are 0.
+        ConfigError: another policy than cpg, several processes, an environment that :class:`Gradients` refuses, or rewards
+            without derivatives.
     """
 
     algorithm = Ascent
@@ -67,7 +70,7 @@ class AscentRunner(Runner):
 
     def __init__(self, *args: Any, **settings: Any) -> None:
         super().__init__(*args, **settings)
-        check_gradients(self.env.env, self.alg.actor.network, self.group.size)
+        _check_gradients(self.env.env, self.alg.actor.network, self.group.size)
         self._gradients = Gradients(self.env.env.sim)
         _, slope, _, stopped = self._roll_out(min(PROBE, self.ppo.steps))
         self.env.reset()
@@ -140,13 +143,8 @@ class _Differentiated:
         return self._gradients.velocity(self._state, name)
 
 
-def check_gradients(env: Any, network: Any, processes: int = 1) -> None:
-    """Check that a training by gradients is possible.
-
-    Raises:
-        ConfigError: another policy than cpg, a task whose rewards are not made of centres of mass and velocities,
-            another arithmetic or layout than those of :class:`Gradients`, or several processes.
-    """
+def _check_gradients(env: VoxelVecEnv, network: nn.Module, processes: int) -> None:
+    """Raise ConfigError where a training by gradients is not possible."""
     if not isinstance(network, CpgNetwork):
         raise ConfigError("method=gradients trains policy=cpg: what other policies observe is not differentiated.")
     asked = {quantity[0] for quantity in env.episodes.before} | ({"memory"} if env.spec.memory else set())

@@ -161,6 +161,23 @@ def test_threads_and_neighbours_change_nothing():
     torch.testing.assert_close(alone[0], expected[3, : alone.shape[1]], rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.gpu
+def test_a_gpu_gives_the_derivatives_of_a_cpu():
+    def derivative(device):
+        sim = Simulation(
+            [world_of(body) for body in bodies()], device=device, dtype="float64", arithmetic="fast", lanes=1
+        )
+        grads = Gradients(sim)
+        actions = torch.full((8, sim.num_actions), 1.2, dtype=torch.float64, device=device, requires_grad=True)
+        state = lifted(grads)
+        for _ in range(5):
+            state = grads.step(state, actions)
+        state[:, 0].square().sum().backward()
+        return actions.grad.cpu()
+
+    torch.testing.assert_close(derivative("cuda"), derivative("cpu"), rtol=1e-6, atol=1e-12)
+
+
 def law(model, x, y, size, smoothing, slip):
     """Derivatives of the force on a corner: [x by x, x by y, y by x, y by y, x by velocity, y by velocity]."""
     found, contact = np.zeros(6), model.contact

@@ -10,6 +10,7 @@ from warpvox.kernels import sensing
 from warpvox.kernels.group import choose, group_kernel
 from warpvox.kernels.launch import stage_kernel
 from warpvox.kernels.reset import reset_kernel, save, settle
+from warpvox.kernels.reverse import reverse_kernel
 from warpvox.kernels.step import STAGES, action_kernel, step_kernel
 
 AMPERE, ADA, HOPPER, BLACKWELL = 80, 89, 90, 100
@@ -45,6 +46,11 @@ def build(kernel, architecture, folder):
 )
 def test_every_kernel_of_a_step_becomes_ptx(arithmetic, precision, tmp_path):
     check(kernels_of_steps(arithmetic, precision), tmp_path)
+
+
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
+def test_the_reverse_pass_becomes_ptx(precision, tmp_path):
+    check([reverse_kernel(precision, 1)], tmp_path)
 
 
 def test_every_kernel_of_sensing_becomes_ptx(tmp_path):

@@ -174,10 +174,10 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         schedule = Schedule(config.max_iterations, config.save_interval, config.eval_interval, config.stop_return)
         seed, guard = group.seed(config.seed), config.nan_guard
         room = {"designs": designs, "grid": grid_of(config)} if many else {}
-        ascends = getattr(config, "method", "ppo") == "gradients"
-        options = (
-            {"auto_reset": True, "seed": seed, "nan_guard": guard} | ({"layout": "lanes"} if ascends else {}) | room
-        )
+        ascends = getattr(config, "method", "ppo") == "gradients"  # a demo has no such key
+        options = {"auto_reset": True, "seed": seed, "nan_guard": guard} | room
+        if ascends:
+            options["layout"] = "lanes"
         env = adapt(make_env(config, config.num_envs, **options), config.ppo)
         judge = None
         if group.is_main_process:
