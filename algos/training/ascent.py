@@ -61,8 +61,8 @@ class AscentRunner(Runner):
     norm at most, and those of episodes that were stopped are left out.
 
     Raises:
-        ConfigError: another policy than cpg, several processes, an environment that :class:`Gradients` refuses, or rewards
-            without derivatives.
+        ConfigError: another policy than cpg, several processes, an environment that :class:`Gradients` refuses, or
+            rewards without derivatives.
     """
 
     algorithm = Ascent
