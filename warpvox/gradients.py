@@ -121,12 +121,9 @@ class Gradients:
     def _forward(self, state: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """The next state, and bool ``[num_envs]``: which environments have moved."""
         still = self.sim.frozen
-        self._put(state)
+        self.sim.set_state(self.sim.state() | _parts(state))
         self.sim.step(actions)
         return self.state(), ~(still | self.sim.unstable)
-
-    def _put(self, state: torch.Tensor) -> None:
-        self.sim.set_state(self.sim.state() | dict(zip(PARTS, state.unbind(1), strict=True)))
 
     def _backward(
         self, state: torch.Tensor, actions: torch.Tensor, by_end: torch.Tensor
@@ -139,7 +136,8 @@ class Gradients:
         for part, values in zip(self._by, by_end.unbind(1), strict=True):
             part.zero_()
             part.index_put_(place, (values * real).to(part.dtype), accumulate=True)
-        self._put(state)
+        # those that have been frozen since were not yet
+        sim.set_state(before | _parts(state) | {"frozen": torch.zeros_like(before["frozen"])})
         sim.take(actions)
         sim.place_actions()
         sim.run(self._shares)
@@ -149,6 +147,11 @@ class Gradients:
         sim.set_state(before)
         sim.take(taken)
         return by_start.to(by_end.dtype), by_actions.to(actions.dtype)
+
+
+def _parts(state: torch.Tensor) -> dict[str, torch.Tensor]:
+    """A state as fields of that of the simulation."""
+    return dict(zip(PARTS, state.unbind(1), strict=True))
 
 
 class _Step(torch.autograd.Function):

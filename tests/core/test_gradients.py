@@ -277,6 +277,22 @@ def test_who_stands_still_keeps_its_state_and_its_derivative(grads):
     assert torch.equal(after[2], state[2])
 
 
+def test_what_is_frozen_later_has_moved_before(grads):
+    def derivative(frozen):
+        grads.sim.set_frozen(torch.zeros(8, dtype=torch.bool))
+        grads.sim.reset()
+        actions = torch.full((8, grads.sim.num_actions), 1.3, dtype=torch.float64, requires_grad=True)
+        state = grads.state()
+        for _ in range(5):
+            state = grads.step(state, actions)
+        grads.sim.set_frozen(torch.full((8,), frozen))
+        grads.com(state, "robot").sum().backward()
+        assert grads.sim.frozen.tolist() == [frozen] * 8
+        return actions.grad
+
+    assert torch.equal(derivative(True), derivative(False))
+
+
 def test_actions_beyond_the_range_have_no_derivative(grads):
     actions = torch.full((8, grads.sim.num_actions), 1.2, dtype=torch.float32)
     actions[:, 0] = 2.0
