@@ -61,7 +61,8 @@ def difference(first: Sequence[float], second: Sequence[float], level: float = L
     total = sum(parts)
     if total == 0:
         return Interval(mean, mean, mean, n)
-    freedom = total**2 / sum(part**2 / (len(data) - 1) for part, data in zip(parts, (a, b), strict=True))
+    shares = (part / total for part in parts)  # whose squares do not vanish as those of tiny variances do
+    freedom = 1 / sum(share**2 / (len(data) - 1) for share, data in zip(shares, (a, b), strict=True))
     half = _quantile(freedom, level) * math.sqrt(total)
     return Interval(mean, mean - half, mean + half, n)
 

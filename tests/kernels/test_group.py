@@ -1,7 +1,6 @@
 """The group layout, on the CPU in Warp's cooperative blocks, against the lanes: the same bits."""
 
 from dataclasses import replace
-from functools import partialmethod
 
 import numpy as np
 import pytest
@@ -196,11 +195,12 @@ def test_worlds_are_exchanged_in_the_running_batch():
         assert torch.equal(fresh.state()[name][1], sims[1].state()[name][1])
 
 
-def test_an_environment_runs_in_the_group_layout(monkeypatch):
+def test_an_environment_runs_in_the_group_layout():
     """Episodes with resets of their own, observations and rewards, with several threads."""
 
-    def play():
-        env = make_vec("Pusher-v0", num_envs=3, device="cpu", dtype="float32", threads=2, max_episode_steps=4)
+    def play(layout):
+        options = dict(device="cpu", dtype="float32", threads=2, layout=layout)
+        env = make_vec("Pusher-v0", num_envs=3, max_episode_steps=4, **options)
         env.reset()
         said = []
         for step in range(6):
@@ -208,9 +208,8 @@ def test_an_environment_runs_in_the_group_layout(monkeypatch):
             said += [obs, reward, terminated | truncated]
         return env.sim.layout, said
 
-    layout, expected = play()
-    monkeypatch.setattr(Simulation, "__init__", partialmethod(Simulation.__init__, layout="group"))
-    other, found = play()
+    layout, expected = play(None)
+    other, found = play("group")
     assert (layout, other) == ("lanes", "group")
     for mine, theirs in zip(found, expected, strict=True):
         assert torch.equal(mine, theirs)
