@@ -17,9 +17,6 @@ WAVE = (-0.3, -1.0, -2.6)
 """Phases by which the first motion of all bodies runs ahead, in radians: of a column, of a row (counted downward), of a
 vertical actuator. The best of 96 random waves for 256 random bodies on Walker-v0: 0.7 voxels in 100 control steps."""
 
-MOST_REST, MOST_SWING = 0.8, 1.5
-"""Bounds of the weights of a constant and of an oscillation: no actuator comes to rest at the end of its range."""
-
 
 class CpgNetwork(nn.Module):
     """Motion without feedback: what moves does not matter, only the body and the time.
@@ -68,7 +65,6 @@ class CpgNetwork(nn.Module):
         wave = torch.zeros(layout.cells, 2, 1 + self.clock)  # of horizontal and of vertical actuators
         wave[..., 1], wave[..., 1 + len(layout.periods)] = phases.cos(), phases.sin()
         self.wave = nn.Parameter(wave)
-        self.register_buffer("limit", torch.tensor([MOST_REST] + [MOST_SWING] * self.clock))
 
     def forward(self, cells: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
         """Inputs ``[rows, cells, 26]`` and ``[rows, k]`` to ``[rows, cells]``, or ``[rows]`` of a critic."""
@@ -100,8 +96,7 @@ class CpgNetwork(nn.Module):
             grid = (norm(tokens) * present).transpose(1, 2).unflatten(2, self.shape)
             tokens = tokens + functional.silu(local(grid)).flatten(2).transpose(1, 2) * present
             tokens = block(tokens, distance, present[..., 0] > 0)
-        found = self.out(self.norms[-1](tokens)) + torch.einsum("rct,ctk->rck", types[..., 2:], self.wave)
-        return self.limit * torch.tanh(found / self.limit)
+        return self.out(self.norms[-1](tokens)) + torch.einsum("rct,ctk->rck", types[..., 2:], self.wave)
 
     @staticmethod
     def motion(weights: torch.Tensor, clock: torch.Tensor) -> torch.Tensor:
