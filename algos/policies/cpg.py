@@ -8,6 +8,7 @@ from torch.nn import functional
 
 from warpvox.algos.policies.grid import GridNetwork
 from warpvox.algos.policies.layout import FEATURES, INPUTS, MOVING, VoxelLayout
+from warpvox.algos.policies.response import LinearResponse
 from warpvox.algos.policies.transformer import AttentionBlock
 from warpvox.errors import ConfigError
 
@@ -16,22 +17,26 @@ __all__ = ["CpgNetwork"]
 WAVE = (-0.3, -1.0, -2.6)
 """Phases by which the first motion of all bodies runs ahead, in radians: of a column, of a row (counted downward), of a
 vertical actuator. The best of 96 random waves for 256 random bodies on Walker-v0."""
+TYPE, PLACE = (slice(INPUTS[name].start - MOVING, INPUTS[name].stop - MOVING) for name in ("type", "place"))
+"""Where they lie in what does not move."""
 
 
 class CpgNetwork(nn.Module):
     """Motion without feedback: what moves does not matter, only the body and the time.
 
     The action of voxel c at time t is ``tanh(w_c0 + sum over k of w_ck clock_k(t))``, with sines and cosines of
-    :attr:`periods`. The weights ``w_c`` are made by convolutions over the grid and attention between the voxels, from
-    their places, types and connections. At first all bodies move in the same travelling wave. A critic is a
-    :class:`GridNetwork`.
+    :attr:`periods`. At first the weights ``w_c`` are those of a travelling wave, the same for all bodies. Each layer
+    sees how the weights so far would move the voxels (:class:`~warpvox.algos.policies.response.LinearResponse`), mixes
+    that with types and places by a convolution over the grid and attention between the voxels, and changes the weights
+    in two ways: of each actuator by itself, and by a motion that is wanted of the voxels, which each actuator serves as
+    far as it moves them so (the transposed response). A critic is a :class:`GridNetwork`.
 
     Args:
         layout: sizes; of observations with the time.
         critic: whether there is one value for the body instead of one for each cell.
         width: of a voxel's token, a multiple of ``heads``.
         heads: of attention.
-        layers: each a convolution over 3 x 3 cells, and a block of attention.
+        layers: how often the weights are changed.
 
     Raises:
         ConfigError: ``width`` is not a multiple of ``heads``, or observations without the time.
@@ -39,6 +44,8 @@ class CpgNetwork(nn.Module):
 
     periods = (10.0, 5.0)
     """Of the clock, in control steps."""
+    moved = (0.035, 0.016)
+    """By how many voxels random bodies' voxels move in a random wave of amplitude 0.4, for each period."""
 
     def __init__(self, layout: VoxelLayout, critic: bool, width: int = 64, heads: int = 4, layers: int = 3) -> None:
         super().__init__()
@@ -46,31 +53,37 @@ class CpgNetwork(nn.Module):
             raise ConfigError("policy=cpg moves by the time, which is not observed: it needs obs=timed.")
         if width % heads:
             raise ConfigError(f"The width of policy=cpg must be a multiple of its heads ({heads}), got {width}.")
-        self.shape, self.clock = (layout.rows, layout.columns), 2 * len(layout.periods)
+        self.shape, self.oscillations = (layout.rows, layout.columns), len(layout.periods)
         self.value = GridNetwork(layout, critic) if critic else None
         self._known: tuple[torch.Tensor, torch.Tensor] | None = None
         if critic:
             return
+        self.response = LinearResponse(layout.rows, layout.columns, layout.periods)
+        swing = 4 * self.oscillations  # sine and cosine of x and y
         self.token = nn.Linear(FEATURES - MOVING, width)
         self.place = nn.Parameter(torch.randn(layout.cells, width) * 0.3)
+        self.seen = nn.ModuleList(nn.Linear(swing, width) for _ in range(layers))
         self.local = nn.ModuleList(nn.Conv2d(width, width, 3, padding=1) for _ in range(layers))
-        self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(layers + 1))
+        self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(2 * layers + 1))
         self.blocks = nn.ModuleList(AttentionBlock(width, heads) for _ in range(layers))
-        self.out = nn.Linear(width, 1 + self.clock)
-        nn.init.zeros_(self.out.weight)
-        nn.init.zeros_(self.out.bias)
+        self.wanted = nn.ModuleList(nn.Linear(width, swing) for _ in range(layers))
+        self.own = nn.ModuleList(nn.Linear(width, 2 * self.oscillations) for _ in range(layers))
+        self.rest = nn.Linear(width, 1)
+        for last in (*self.wanted, *self.own, self.rest):
+            nn.init.zeros_(last.weight)
+            nn.init.zeros_(last.bias)
         cell = torch.arange(layout.cells)
         ahead = WAVE[0] * (cell % layout.columns) + WAVE[1] * (cell // layout.columns)
         phases = torch.stack([ahead, ahead + WAVE[2]], dim=1)
-        wave = torch.zeros(layout.cells, 2, 1 + self.clock)  # of horizontal and of vertical actuators
-        wave[..., 1], wave[..., 1 + len(layout.periods)] = phases.cos(), phases.sin()
+        wave = torch.zeros(layout.cells, 2, 1 + 2 * self.oscillations)  # of horizontal and of vertical actuators
+        wave[..., 1], wave[..., 1 + self.oscillations] = phases.cos(), phases.sin()
         self.wave = nn.Parameter(wave)
 
     def forward(self, cells: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
         """Inputs ``[rows, cells, 26]`` and ``[rows, k]`` to ``[rows, cells]``, or ``[rows]`` of a critic."""
         if self.value is not None:
             return self.value(cells, rest)
-        return self.motion(self._weights_once(cells), rest[:, -self.clock :])
+        return self.motion(self._weights_once(cells), rest[:, -2 * self.oscillations :])
 
     def train(self, mode: bool = True) -> CpgNetwork:
         """See ``torch.nn.Module``."""
@@ -79,26 +92,68 @@ class CpgNetwork(nn.Module):
 
     def _weights_once(self, cells: torch.Tensor) -> torch.Tensor:
         """:meth:`weights`; those of the last call, while nothing learns and the bodies are the same."""
-        if self.training or torch.is_grad_enabled() or torch.compiler.is_exporting() or torch.jit.is_tracing():
-            return self.weights(cells)
         bodies = cells[..., MOVING:]
+        if self.training or torch.is_grad_enabled() or _becomes_a_file():
+            return self.weights(bodies)
         if self._known is None or not torch.equal(self._known[0], bodies):
-            self._known = bodies.clone(), self.weights(cells)
+            self._known = bodies.clone(), self.weights(bodies)
         return self._known[1]
 
-    def weights(self, cells: torch.Tensor) -> torch.Tensor:
-        """``[rows, cells, 1 + clock]`` of inputs ``[rows, cells, 26]``."""
-        types, places = cells[..., INPUTS["type"]], cells[..., INPUTS["place"]]
-        present = types.sum(-1, keepdim=True)
+    def weights(self, bodies: torch.Tensor) -> torch.Tensor:
+        """``[rows, cells, 1 + clock]`` of what does not move in the inputs, ``[rows, cells, 10]``."""
+        types, places = bodies[..., TYPE], bodies[..., PLACE]
+        present, driven = types.sum(-1, keepdim=True), types[..., 2:].sum(-1)[:, None, :, None]
         distance = (places[:, :, None] - places[:, None]).square().sum(-1).add(1e-6).sqrt()[:, None]
-        tokens = (self.token(cells[..., MOVING:]) + self.place) * present
-        for norm, local, block in zip(self.norms, self.local, self.blocks, strict=False):
-            grid = (norm(tokens) * present).transpose(1, 2).unflatten(2, self.shape)
-            tokens = tokens + functional.silu(local(grid)).flatten(2).transpose(1, 2) * present
+        response = (self.response(types) if _becomes_a_file() else self.response.known(types)).to(bodies)
+        response = response / response.new_tensor(self.moved)[:, None, None, None]
+        reach = response.square().sum((2, 3)).add(1e-3).sqrt()[..., None]
+        wave = torch.einsum("rct,ctk->rck", types[..., 2:], self.wave)
+        swing = wave[..., 1:].unflatten(2, (2, -1)).permute(0, 3, 1, 2) * driven
+        tokens = (self.token(bodies) + self.place) * present
+        for k, block in enumerate(self.blocks):
+            tokens = tokens + self.seen[k](_by_cell(_moved(response, swing), present.shape[1])) * present
+            grid = (self.norms[2 * k](tokens) * present).transpose(1, 2).unflatten(2, self.shape)
+            tokens = tokens + functional.silu(self.local[k](grid)).flatten(2).transpose(1, 2) * present
             tokens = block(tokens, distance, present[..., 0] > 0)
-        return self.out(self.norms[-1](tokens)) + torch.einsum("rct,ctk->rck", types[..., 2:], self.wave)
+            scaled = self.norms[2 * k + 1](tokens)
+            added = _driving(response, _by_oscillation(self.wanted[k](scaled), self.oscillations)) / reach
+            own = self.own[k](scaled).unflatten(2, (self.oscillations, 2)).transpose(1, 2)
+            swing = swing + (added + own) * driven
+        middle = wave[..., :1] + self.rest(self.norms[-1](tokens))
+        return torch.cat([middle, swing.permute(0, 2, 3, 1).flatten(2)], dim=-1)
 
     @staticmethod
     def motion(weights: torch.Tensor, clock: torch.Tensor) -> torch.Tensor:
         """Actions ``[rows, n]`` in [-1, 1] of weights ``[rows, n, 1 + clock]`` and a clock, ``[rows or 1, clock]``."""
         return torch.tanh(weights[..., 0] + (weights[..., 1:] * clock[:, None]).sum(-1))
+
+
+def _becomes_a_file() -> bool:
+    return torch.compiler.is_exporting() or torch.jit.is_tracing()
+
+
+def _moved(response: torch.Tensor, swing: torch.Tensor) -> torch.Tensor:
+    """How voxels move, ``[rows, periods, 2 * cells, 2]``, by actions ``[rows, periods, cells, 2]``.
+
+    The last axis are the factors of sine and cosine.
+    """
+    real, imaginary = response.unbind(2)
+    quarter = torch.stack([-swing[..., 1], swing[..., 0]], dim=-1)
+    return real @ swing + imaginary @ quarter
+
+
+def _driving(response: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+    """The transposed of :func:`_moved`."""
+    real, imaginary = response.mT.unbind(2)
+    quarter = torch.stack([wanted[..., 1], -wanted[..., 0]], dim=-1)
+    return real @ wanted + imaginary @ quarter
+
+
+def _by_cell(motion: torch.Tensor, cells: int) -> torch.Tensor:
+    """``[rows, periods, 2 * cells, 2]`` as ``[rows, cells, 4 * periods]``."""
+    return motion.unflatten(2, (cells, 2)).transpose(1, 2).flatten(2)
+
+
+def _by_oscillation(values: torch.Tensor, periods: int) -> torch.Tensor:
+    """The inverse of :func:`_by_cell`."""
+    return values.unflatten(2, (periods, 2, 2)).transpose(1, 2).flatten(2, 3)

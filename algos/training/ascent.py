@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import torch
 from torch import nn
 
-from warpvox.algos.policies.cpg import CpgNetwork
-from warpvox.algos.policies.layout import clock
+from warpvox.algos.policies.cpg import TYPE, CpgNetwork
+from warpvox.algos.policies.layout import MOVING, clock
 from warpvox.algos.training.ppo import PPO
 from warpvox.algos.training.runner import Runner
+from warpvox.algos.training.targets import Targets
 from warpvox.envs.rsl_rl import ACTION_CENTER
 from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -23,42 +25,89 @@ DERIVED = ("com", "velocity")
 """What of a state is differentiated: quantities that rewards may be made of."""
 PROBE = 40
 """Control steps in which some reward must have a derivative."""
+STEP = 0.25
+"""From the weights of a body to its target, root mean square."""
+MEMORY = 20
+"""Rollouts whose bodies keep their targets."""
+SMOOTHING = 0.995
+"""Share of the policy that stays when the learner has made a step."""
+DECAY = 0.01
+"""Of the learner's parameters, by learning rate and step."""
+DRIVEN = slice(TYPE.start + 2, TYPE.stop)
+"""The types with an actuator, in what does not move."""
 TINY = 1e-12
 
 
 class Ascent(PPO):
     """Ascent along given derivatives of returns by the weights of a :class:`CpgNetwork`, in the place of PPO's update.
 
-    ``learning_rate``, ``schedule`` and ``max_grad_norm`` are those of PPO; critic and deviations do not learn.
+    Each body gets a target: the weights that the network gives it, and :data:`STEP` along its derivative. A copy of
+    the network, the learner, is fitted to the targets of the last :data:`MEMORY` rollouts by ``epochs * minibatches``
+    steps of Adam, each for as many bodies as there are environments. The policy is the mean of the learner's
+    parameters over its last steps. (One step of Adam along the derivatives by parameters is a compromise between the
+    bodies of one rollout; it stops at two thirds of the return.) ``learning_rate``, ``schedule`` and ``max_grad_norm``
+    are those of PPO; critic and deviations do not learn.
     """
 
-    def weights(self, obs: Any) -> torch.Tensor:
-        """``[num_envs, actions, 1 + clock]``: those of the network for each action, 0 where a body has none."""
-        cells, _, actions = self.actor.unpack(self.actor.get_latent(obs))
-        by_cell = self.actor.network.weights(cells)
-        place = actions.long()[..., None].expand(-1, -1, by_cell.shape[2])
-        count = self.actor.layout.actions
-        return by_cell.new_zeros(len(by_cell), count + 1, by_cell.shape[2]).scatter(1, place, by_cell)[:, :count]
+    learner: CpgNetwork
 
-    def ascend(self, weights: torch.Tensor, slope: torch.Tensor) -> None:
-        """A step of Adam: ``weights`` as :meth:`weights` gave them, ``slope`` the derivatives of returns by them."""
+    def _optimizer(self) -> torch.optim.Optimizer:
+        if not isinstance(getattr(self.actor, "network", None), CpgNetwork):
+            raise ConfigError("method=gradients trains policy=cpg: what other policies observe is not differentiated.")
+        self.learner, self.steps = copy.deepcopy(self.actor.network), 0
+        self.learner.response = self.actor.network.response  # known responses are known to both
+        rate, betas = self.initial_learning_rate, (0.9, 0.99)
+        return torch.optim.AdamW(self.learner.parameters(), rate, betas, self.adam_eps, weight_decay=DECAY)
+
+    def look(self, obs: Any) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """What does not move in the inputs of the network, its weights for the bodies, and the actions of the cells:
+        ``[num_envs, cells, 10]``, ``[num_envs, cells, 1 + clock]`` and long ``[num_envs, cells]``."""
+        with torch.no_grad():
+            cells, _, actions = self.actor.unpack(self.actor.get_latent(obs))
+            bodies = cells[..., MOVING:].contiguous()
+            return bodies, self.actor.network.weights(bodies), actions.long()
+
+    def ascend(self, targets: Targets, batch: int) -> float:
+        """Fit the learner, ``batch`` bodies at a time; returns the mean squared distance to the targets."""
         self._decay()
-        parameters = [*self.actor.parameters(), *self.critic.parameters()]
-        gradients = torch.autograd.grad(weights, parameters, -slope / len(slope), allow_unused=True)
-        found = [p.new_zeros(p.shape) if g is None else g for g, p in zip(gradients, parameters, strict=True)]
-        self.optimizer.steps += 1
-        self.optimizer.descend(self.optimizer.flat(found), self.max_grad_norm, self.rates, self.optimizer.steps)
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate
+        total, times = 0.0, self.num_learning_epochs * self.num_mini_batches
+        for _ in range(times):
+            bodies, wanted = targets.draw(batch)
+            driven = bodies[..., DRIVEN].sum(-1, keepdim=True)
+            apart = ((self.learner.weights(bodies) - wanted).square() * driven).sum()
+            loss = apart / (driven.sum().clamp(min=1) * wanted.shape[2])
+            self.optimizer.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(self.learner.parameters(), self.max_grad_norm)
+            self.optimizer.step()
+            self._follow()
+            total += loss.item() / times
         self.updates += 1
+        return total
+
+    @torch.no_grad()
+    def _follow(self) -> None:
+        """Move the policy toward the learner; at first it is the mean of all the learner has been."""
+        self.steps += 1
+        share = max(1 - SMOOTHING, 9 / (self.steps + 9))
+        for mean, value in zip(self.actor.network.parameters(), self.learner.parameters(), strict=True):
+            mean.lerp_(value, share)
+
+    def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
+        """Restore what :meth:`save` gave; the learner begins with the policy's parameters."""
+        result = super().load(loaded_dict, load_cfg, strict)
+        self.learner.load_state_dict(self.actor.network.state_dict())
+        return result
 
 
 class AscentRunner(Runner):
     """Trains one policy by the derivatives of what it gets in the first control steps of episodes.
 
     Each iteration begins new episodes, ``ppo.steps`` control steps of which are differentiated: rewards of the task by
-    the weights of the policy. Bonuses at ends of episodes do not count. Each body's derivative is scaled to the median
-    norm at most, and those of episodes that were stopped are left out.
+    the weights that the policy gives the bodies. Bonuses at ends of episodes do not count, and episodes that were
+    stopped are left out.
 
     Raises:
         ConfigError: another policy than cpg, several processes, an environment that :class:`Gradients` refuses, or
@@ -70,32 +119,36 @@ class AscentRunner(Runner):
 
     def __init__(self, *args: Any, **settings: Any) -> None:
         super().__init__(*args, **settings)
-        _check_gradients(self.env.env, self.alg.actor.network, self.group.size)
+        _check_gradients(self.env.env, self.group.size)
         self._gradients = Gradients(self.env.env.sim)
-        _, slope, _, stopped = self._roll_out(min(PROBE, self.ppo.steps))
+        _, slope, stopped = self._roll_out(*self.alg.look(self.env.reset())[1:], min(PROBE, self.ppo.steps))
         self.env.reset()
         if not bool(slope.any()) and not bool(stopped.any()):
             raise ConfigError(
                 f"method=gradients: the rewards of {self.env.env.spec.id} have no derivative by the actions. What a"
                 " robot pushes or carries has none, nor have contacts of voxels with each other."
             )
+        self._targets = Targets(MEMORY * self.env.num_envs)
         self._found: dict[str, float] = {}
 
-    def _roll_out(self, steps: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """New episodes, so many control steps of them.
+    def _roll_out(
+        self, weights: torch.Tensor, actions: torch.Tensor, steps: int
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """So many control steps of episodes that have just begun.
 
         Returns:
-            The weights that the policy has for the bodies, the derivatives of returns by them, the returns, and bool
-            ``[num_envs]``: where an episode was stopped or derivatives are not finite. These derivatives are 0.
+            The returns ``[num_envs]``, their derivatives by the weights, and bool ``[num_envs]``: where an episode was
+            stopped or derivatives are not finite. These derivatives are 0.
         """
         env, layout = self.env.env, self.alg.actor.layout
-        weights = self.alg.weights(self.env.reset())
-        leaf = weights.detach().requires_grad_()
+        leaf = weights.clone().requires_grad_()
+        place = actions[..., None].expand(-1, -1, leaf.shape[2])
+        by_action = leaf.new_zeros(len(leaf), layout.actions + 1, leaf.shape[2]).scatter(1, place, leaf)[:, :-1]
         state, total = self._gradients.state(), 0.0
         stopped = torch.zeros(self.env.num_envs, dtype=torch.bool, device=self.device)
         before = Snapshot(_Differentiated(self._gradients, state))
         for step in range(steps):
-            outputs = CpgNetwork.motion(leaf, clock(leaf.new_tensor([[step]]), layout.periods))
+            outputs = CpgNetwork.motion(by_action, clock(leaf.new_tensor([[step]]), layout.periods))
             state = self._gradients.step(state, ACTION_CENTER + self.ppo.action_scale * outputs)
             stopped |= env.sim.unstable
             after = Snapshot(_Differentiated(self._gradients, state))
@@ -104,22 +157,40 @@ class AscentRunner(Runner):
         (slope,) = torch.autograd.grad(total.sum(), leaf)
         stopped |= ~slope.isfinite().flatten(1).all(1)
         returns = total.detach().masked_fill(stopped, 0.0)
-        return weights, slope.masked_fill(stopped[:, None, None], 0.0), returns, stopped
+        return returns, slope.masked_fill(stopped[:, None, None], 0.0), stopped
 
     def _collect(self) -> tuple[list[dict[str, torch.Tensor]], torch.Tensor]:
-        """Roll out and take a step of ascent; returns logs, and that all episodes have ended."""
-        weights, slope, returns, stopped = self._roll_out(self.ppo.steps)
+        """Roll out, and give the bodies targets; returns logs, and that all episodes have ended."""
+        bodies, weights, actions = self.alg.look(self.env.reset())
+        returns, slope, stopped = self._roll_out(weights, actions, self.ppo.steps)
         norm = slope.flatten(1).norm(dim=1)
-        going = norm[~stopped]
-        middle = going.median() if len(going) else norm.new_zeros(())
-        scale = 1 / torch.maximum(norm, middle).clamp(min=TINY)
-        self.alg.ascend(weights, slope * scale[:, None, None])
+        known = ~stopped & (norm > 0)
+        size = (bodies[..., DRIVEN].sum((1, 2)) * slope.shape[2]).sqrt()  # of a vector of ones for the body's weights
+        targets = weights + (STEP * size / norm.clamp(min=TINY))[:, None, None] * slope
+        if bool(known.any()):
+            self._targets.add(bodies[known], targets[known])
         self._found = {"return": float(returns.mean()), "unstable": int(stopped.sum())}
-        logs = {"Gradient/norm": middle, "Episode/unstable": stopped.float().mean()}
+        logs = {"Gradient/norm": norm.median(), "Episode/unstable": stopped.float().mean()}
         return [logs], torch.ones_like(stopped)
 
     def _update(self) -> dict[str, float]:
-        return {"value": 0.0, "surrogate": -self._found["return"], "entropy": 0.0}
+        distance = self.alg.ascend(self._targets, self.env.num_envs) if len(self._targets) else 0.0
+        return {"value": distance, "surrogate": -self._found["return"], "entropy": 0.0}
+
+    def state(self) -> dict[str, Any]:
+        """See :meth:`Runner.state`."""
+        own = {"learner": self.alg.learner.state_dict(), "steps": self.alg.steps, "targets": self._targets.state()}
+        return super().state() | {"ascent": own}
+
+    def set_state(self, content: dict[str, Any]) -> None:
+        """See :meth:`Runner.set_state`."""
+        super().set_state(content)
+        if "env" not in content:
+            return
+        own = content["ascent"]
+        self.alg.learner.load_state_dict(own["learner"])
+        self.alg.steps = own["steps"]
+        self._targets.set_state(own["targets"])
 
     def _action_std(self) -> float:
         return 0.0
@@ -143,10 +214,8 @@ class _Differentiated:
         return self._gradients.velocity(self._state, name)
 
 
-def _check_gradients(env: VoxelVecEnv, network: nn.Module, processes: int) -> None:
+def _check_gradients(env: VoxelVecEnv, processes: int) -> None:
     """Raise ConfigError where a training by gradients is not possible."""
-    if not isinstance(network, CpgNetwork):
-        raise ConfigError("method=gradients trains policy=cpg: what other policies observe is not differentiated.")
     asked = {quantity[0] for quantity in env.episodes.before} | ({"memory"} if env.spec.memory else set())
     if not asked <= set(DERIVED):
         other = ", ".join(sorted(asked - set(DERIVED)))
