@@ -179,8 +179,8 @@ class TrainConfig(_TrainingRunConfig, PresetConfig):
     designs: DesignsConfig = key(DesignsConfig, "many bodies for one policy")
     method: str = key(
         "ppo",
-        "how the policy learns: ppo, or gradients through the physics (policy=cpg; of ppo.* only steps, learning_rate,"
-        " schedule, max_grad_norm, adam_eps and action_scale count)",
+        "how the policy learns: ppo, or gradients through the physics (policy=cpg; of ppo.* only steps, epochs,"
+        " minibatches, learning_rate, schedule, max_grad_norm, adam_eps and action_scale count)",
         choices=("ppo", "gradients"),
     )
 

@@ -27,8 +27,10 @@ PROBE = 40
 """Control steps in which some reward must have a derivative."""
 STEP = 0.25
 """From the weights of a body to its target, root mean square."""
-MEMORY = 20
+MEMORY = 16
 """Rollouts whose bodies keep their targets."""
+BATCH = 256
+"""Bodies that a step of Adam is for."""
 SMOOTHING = 0.995
 """Share of the policy that stays when the learner has made a step."""
 DECAY = 0.01
@@ -43,7 +45,7 @@ class Ascent(PPO):
 
     Each body gets a target: the weights that the network gives it, and :data:`STEP` along its derivative. A copy of
     the network, the learner, is fitted to the targets of the last :data:`MEMORY` rollouts by ``epochs * minibatches``
-    steps of Adam, each for as many bodies as there are environments. The policy is the mean of the learner's
+    steps of Adam, each for :data:`BATCH` bodies. The policy is the mean of the learner's
     parameters over its last steps. (One step of Adam along the derivatives by parameters is a compromise between the
     bodies of one rollout; it stops at two thirds of the return.) ``learning_rate``, ``schedule`` and ``max_grad_norm``
     are those of PPO; critic and deviations do not learn.
@@ -67,14 +69,14 @@ class Ascent(PPO):
             bodies = cells[..., MOVING:].contiguous()
             return bodies, self.actor.network.weights(bodies), actions.long()
 
-    def ascend(self, targets: Targets, batch: int) -> float:
-        """Fit the learner, ``batch`` bodies at a time; returns the mean squared distance to the targets."""
+    def ascend(self, targets: Targets) -> float:
+        """Fit the learner; returns the mean squared distance to the targets."""
         self._decay()
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate
         total, times = 0.0, self.num_learning_epochs * self.num_mini_batches
         for _ in range(times):
-            bodies, wanted = targets.draw(batch)
+            bodies, wanted = targets.draw(BATCH)
             driven = bodies[..., DRIVEN].sum(-1, keepdim=True)
             apart = ((self.learner.weights(bodies) - wanted).square() * driven).sum()
             loss = apart / (driven.sum().clamp(min=1) * wanted.shape[2])
@@ -174,7 +176,7 @@ class AscentRunner(Runner):
         return [logs], torch.ones_like(stopped)
 
     def _update(self) -> dict[str, float]:
-        distance = self.alg.ascend(self._targets, self.env.num_envs) if len(self._targets) else 0.0
+        distance = self.alg.ascend(self._targets) if len(self._targets) else 0.0
         return {"value": distance, "surrogate": -self._found["return"], "entropy": 0.0}
 
     def state(self) -> dict[str, Any]:
