@@ -17,6 +17,8 @@ __all__ = ["CpgNetwork"]
 WAVE = (-0.3, -1.0, -2.6)
 """Phases by which the first motion of all bodies runs ahead, in radians: of a column, of a row (counted downward), of a
 vertical actuator. The best of 96 random waves for 256 random bodies on Walker-v0."""
+LARGEST = 100
+"""Cells of a grid: responses take memory with the square of their number."""
 TYPE, PLACE = (slice(INPUTS[name].start - MOVING, INPUTS[name].stop - MOVING) for name in ("type", "place"))
 """Where they lie in what does not move."""
 
@@ -39,7 +41,7 @@ class CpgNetwork(nn.Module):
         layers: how often the weights are changed.
 
     Raises:
-        ConfigError: ``width`` is not a multiple of ``heads``, or observations without the time.
+        ConfigError: ``width`` is not a multiple of ``heads``, observations without the time, or a large grid.
     """
 
     periods = (10.0, 5.0)
@@ -51,6 +53,11 @@ class CpgNetwork(nn.Module):
         super().__init__()
         if not layout.timed:
             raise ConfigError("policy=cpg moves by the time, which is not observed: it needs obs=timed.")
+        if layout.cells > LARGEST:
+            raise ConfigError(
+                f"policy=cpg computes how each voxel moves by each other one; its grid may have {LARGEST} cells,"
+                f" got {layout.rows}x{layout.columns}."
+            )
         if width % heads:
             raise ConfigError(f"The width of policy=cpg must be a multiple of its heads ({heads}), got {width}.")
         self.shape, self.oscillations = (layout.rows, layout.columns), len(layout.periods)

@@ -45,10 +45,8 @@ class Ascent(PPO):
 
     Each body gets a target: the weights that the network gives it, and :data:`STEP` along its derivative. A copy of
     the network, the learner, is fitted to the targets of the last :data:`MEMORY` rollouts by ``epochs * minibatches``
-    steps of Adam, each for :data:`BATCH` bodies. The policy is the mean of the learner's
-    parameters over its last steps. (One step of Adam along the derivatives by parameters is a compromise between the
-    bodies of one rollout; it stops at two thirds of the return.) ``learning_rate``, ``schedule`` and ``max_grad_norm``
-    are those of PPO; critic and deviations do not learn.
+    steps of Adam, each for :data:`BATCH` bodies. The policy is the mean of the learner's parameters over its last
+    steps. ``learning_rate``, ``schedule`` and ``max_grad_norm`` are those of PPO; critic and deviations do not learn.
     """
 
     learner: CpgNetwork
@@ -91,7 +89,7 @@ class Ascent(PPO):
 
     @torch.no_grad()
     def _follow(self) -> None:
-        """Move the policy toward the learner; at first it is the mean of all the learner has been."""
+        """Move the policy toward the learner, faster at first."""
         self.steps += 1
         share = max(1 - SMOOTHING, 9 / (self.steps + 9))
         for mean, value in zip(self.actor.network.parameters(), self.learner.parameters(), strict=True):

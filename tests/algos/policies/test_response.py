@@ -11,9 +11,10 @@ import torch
 from warpvox import make_vec
 from warpvox.algos.policies import response as response_module
 from warpvox.algos.policies.cpg import CpgNetwork, _driving, _moved
-from warpvox.algos.policies.layout import layout_of, voxel_inputs
+from warpvox.algos.policies.layout import VoxelLayout, layout_of, voxel_inputs
 from warpvox.algos.policies.response import LinearResponse
 from warpvox.design import sample_design
+from warpvox.errors import ConfigError
 from warpvox.types import DT, SUBSTEPS, Physics
 
 BODY = np.array([[3, 1, 4], [0, 2, 3], [4, 3, 1]])
@@ -114,6 +115,11 @@ def test_driving_is_the_transposed_of_moving() -> None:
     assert (_moved(response, swing) * wanted).sum().item() == pytest.approx(
         (swing * _driving(response, wanted)).sum().item()
     )
+
+
+def test_large_grids_are_refused() -> None:
+    with pytest.raises(ConfigError, match="its grid may have 100 cells, got 11x10"):
+        CpgNetwork(VoxelLayout(11, 10, 4, 110, timed=True, periods=CpgNetwork.periods), critic=False)
 
 
 def test_known_bodies_are_not_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
