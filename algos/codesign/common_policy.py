@@ -16,8 +16,9 @@ from warpvox.algos.codesign.population_evaluator import describe, read_evaluatio
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import Evaluation, evaluate
-from warpvox.algos.policies.registry import layout_for
+from warpvox.algos.policies.registry import CPG, layout_for
 from warpvox.algos.settings import PpoConfig, ScreeningConfig
+from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
@@ -31,6 +32,8 @@ Report = Callable[[dict[str, Any]], None]
 @dataclass
 class SharedEvaluator:
     """One policy goes on learning from generation to generation, over all designs of each in one batch.
+
+    By PPO, or by gradients through the physics (``policy=cpg``).
 
     The fitness of a design is its deterministic return after the iterations of its generation. What the policy has
     learned is kept beside the checkpoints (``shared/<generation>.pt``), for an experiment that is resumed.
@@ -182,13 +185,16 @@ class _Course:
 
         schedule = Schedule(settings.iterations, settings.save_interval)
         options = {"memory_hint": self.hint, "voxels": voxels, "on_save": save, "report": tell}
-        runner = Runner(env, ppo, schedule, **options)
+        # without feedback there is nothing that PPO could learn from single actions
+        climbs = settings.policy == CPG and settings.iterations > 0
+        runner = (AscentRunner if climbs else Runner)(env, ppo, schedule, **options)
         if checkpoint is not None and checkpoint.exists():
             runner.set_state(read_evaluation(checkpoint, self.about)["training"])
         elif self.learned is not None:
             if self.fresh:
                 _check_fits(runner.spec, spec_of(self.learned["policy"]))
-            runner.alg.load(dict(self.learned))
+            # moments of another optimiser, or of other bodies' derivatives, are of no use
+            runner.alg.load(dict(self.learned), {"actor": True, "critic": True} if settings.policy == CPG else None)
             if self.fresh:
                 runner.alg.updates = 0
                 if ppo.schedule != "adaptive":  # which goes on with the rate that it has found

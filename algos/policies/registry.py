@@ -16,11 +16,13 @@ from warpvox.envs.sources import is_code, lacks_module, load_code, split
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, WarpvoxError, did_you_mean, listing
 
-__all__ = ["MLP", "POLICIES", "check_policy", "layout_for", "make_network"]
+__all__ = ["CPG", "MLP", "POLICIES", "check_policy", "layout_for", "make_network"]
 
 MLP = "mlp"
 """The policy that is no network for voxels: fully connected layers on the whole observation."""
-NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork, "cpg": CpgNetwork}
+CPG = "cpg"
+"""The policy without feedback, which gradients through the physics train."""
+NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork, CPG: CpgNetwork}
 POLICIES = (MLP, *NETWORKS)
 
 

@@ -19,7 +19,7 @@ from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, SimulationError
 from warpvox.gradients import Gradients
 
-__all__ = ["Ascent", "AscentRunner"]
+__all__ = ["Ascent", "AscentRunner", "check_gradients"]
 
 DERIVED = ("com", "velocity")
 """What of a state is differentiated: quantities that rewards may be made of."""
@@ -30,7 +30,7 @@ STEP = 0.25
 MEMORY = 16
 """Rollouts whose bodies keep their targets."""
 BATCH = 256
-"""Bodies that a step of Adam is for."""
+"""Bodies that a step of Adam is for, unless there are fewer."""
 SMOOTHING = 0.995
 """Share of the policy that stays when the learner has made a step."""
 DECAY = 0.01
@@ -45,8 +45,9 @@ class Ascent(PPO):
 
     Each body gets a target: the weights that the network gives it, and :data:`STEP` along its derivative. A copy of
     the network, the learner, is fitted to the targets of the last :data:`MEMORY` rollouts by ``epochs * minibatches``
-    steps of Adam, each for :data:`BATCH` bodies. The policy is the mean of the learner's parameters over its last
-    steps. ``learning_rate``, ``schedule`` and ``max_grad_norm`` are those of PPO; critic and deviations do not learn.
+    steps of Adam, each for :data:`BATCH` bodies at most. The policy is the mean of the learner's parameters over its
+    last steps. ``learning_rate``, ``schedule`` and ``max_grad_norm`` are those of PPO; critic and deviations do not
+    learn.
     """
 
     learner: CpgNetwork
@@ -74,7 +75,7 @@ class Ascent(PPO):
             group["lr"] = self.learning_rate
         total, times = 0.0, self.num_learning_epochs * self.num_mini_batches
         for _ in range(times):
-            bodies, wanted = targets.draw(BATCH)
+            bodies, wanted = targets.draw(min(BATCH, len(targets)))
             driven = bodies[..., DRIVEN].sum(-1, keepdim=True)
             apart = ((self.learner.weights(bodies) - wanted).square() * driven).sum()
             loss = apart / (driven.sum().clamp(min=1) * wanted.shape[2])
@@ -119,7 +120,7 @@ class AscentRunner(Runner):
 
     def __init__(self, *args: Any, **settings: Any) -> None:
         super().__init__(*args, **settings)
-        _check_gradients(self.env.env, self.group.size)
+        check_gradients(self.env.env, self.group.size)
         self._gradients = Gradients(self.env.env.sim)
         _, slope, stopped = self._roll_out(*self.alg.look(self.env.reset())[1:], min(PROBE, self.ppo.steps))
         self.env.reset()
@@ -214,7 +215,7 @@ class _Differentiated:
         return self._gradients.velocity(self._state, name)
 
 
-def _check_gradients(env: VoxelVecEnv, processes: int) -> None:
+def check_gradients(env: VoxelVecEnv, processes: int = 1) -> None:
     """Raise ConfigError where a training by gradients is not possible."""
     asked = {quantity[0] for quantity in env.episodes.before} | ({"memory"} if env.spec.memory else set())
     if not asked <= set(DERIVED):

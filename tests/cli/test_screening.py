@@ -97,6 +97,20 @@ def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
 
 
+def test_a_search_that_tunes_by_gradients(warpvox: Callable, train: Callable) -> None:
+    network = "network={width:8,heads:2,layers:1}"
+    how = "policy=cpg", "method=gradients", "obs=timed", network, "ppo.steps=4", "designs.held_out=random:2:3x3"
+    train(*(word for word in TRAINED if not word.startswith(("policy", "network"))), *how)
+    words = "preset=universal_cpg", "screening.iterations=2", "screening.ppo={steps:4}", "screening.envs=1"
+    folder = search(warpvox, *words)
+    one = max(records_of(folder)[:5], key=lambda record: abs(record.fitness))
+    assert 2 * 4 < one.steps <= 2 * 4 + 500
+    assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
+    refused = warpvox("codesign", *TINY, "evaluation=shared", "screening.policy=cpg", "task=AreaMaximizer-v0")
+    assert refused.code == 2
+    assert "those of AreaMaximizer-v0 are made of hull_area, too" in refused.err
+
+
 def test_a_search_by_gaits(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)  # of packs: what other tests have compiled
     folder = search(

@@ -148,7 +148,8 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
         WarpvoxError: a network, its settings, or a pretrained policy that is not to be had or does not fit.
     """
     from warpvox.algos.policies.layout import VoxelLayout
-    from warpvox.algos.policies.registry import MLP, layout_for, make_network
+    from warpvox.algos.policies.registry import CPG, MLP, layout_for, make_network
+    from warpvox.algos.training.ascent import check_gradients
 
     networks = {}
     if config.policy != MLP:
@@ -175,6 +176,8 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
             f" inputs; {config.task} with shape={list(config.shape)} has {layout.rows}x{layout.columns} with"
             f" {layout.rest}."
         )
+    if has_common_policy(config) and config.screening.policy == CPG and config.screening.iterations:
+        check_gradients(env)
     return config
 
 
@@ -319,7 +322,10 @@ def evaluator_of(
 
 def _common_factory(config: CodesignConfig, pretrained: Mapping[str, Any] | None) -> EnvFactory:
     """Makes environments for a policy that controls all designs: what a pretrained one observes, it observes."""
-    obs = "voxel" if pretrained is None else observed_by(pretrained["policy"])
+    from warpvox.algos.policies.registry import CPG
+
+    timed = config.screening.policy == CPG
+    obs = observed_by(pretrained["policy"]) if pretrained is not None else "timed_voxel" if timed else "voxel"
     return dataclasses.replace(factory_of(config, obs), grid=tuple(config.shape))
 
 
