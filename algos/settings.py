@@ -84,7 +84,7 @@ class ScreeningConfig:
 
     policy: str = key(
         "grid",
-        "network of the policy: grid, transformer, module:Class, file.py:Class; with evaluation=few_shot that of"
+        "network of the policy: grid, transformer, cpg, module:Class, file.py:Class; with evaluation=few_shot that of"
         " pretrained",
         path="read",
     )
