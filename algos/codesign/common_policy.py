@@ -205,6 +205,7 @@ class _Course:
         runner, settings = self.runner, self.settings
         bodies = [candidate.body for candidate in self.candidates]
         env = self.factory.make(bodies, settings.eval_envs, self.seeds, auto_reset=False)
+        runner.alg.eval_mode()
         result = evaluate(env, runner.controller, seed=self.seeds)
         state = runner.alg.get_policy().state_dict()
         policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
