@@ -106,7 +106,7 @@ def test_a_preset_of_ones_own(tmp_path: Path) -> None:
     config, default = load("train", ["preset=mine"], tmp_path), load("train", [])
     expected = dataclasses.replace(default.ppo, gamma=0.5)
     assert config == dataclasses.replace(default, preset="mine", seed=9, ppo=expected)
-    with pytest.raises(ConfigError, match="one of paper or null, got 'mine'"):
+    with pytest.raises(ConfigError, match="one of paper, universal_cpg or null, got 'mine'"):
         load("codesign", ["preset=mine"], tmp_path)
     for text, words in (
         ("sed: 9\n", "sed"),
