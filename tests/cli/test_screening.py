@@ -99,7 +99,15 @@ def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -
 
 def test_a_search_that_tunes_by_gradients(warpvox: Callable, train: Callable) -> None:
     network = "network={width:8,heads:2,layers:1}"
-    how = "policy=cpg", "method=gradients", "obs=timed", network, "ppo.steps=4", "designs.held_out=random:2:3x3"
+    how = (
+        "policy=cpg",
+        "method=gradients",
+        "obs=timed",
+        network,
+        "ppo.steps=4",
+        "ppo.epochs=1",
+        "designs.held_out=random:2:3x3",
+    )
     train(*(word for word in TRAINED if not word.startswith(("policy", "network"))), *how)
     words = "preset=universal_cpg", "screening.iterations=2", "screening.ppo={steps:4}", "screening.envs=1"
     folder = search(warpvox, *words)

@@ -134,7 +134,14 @@ def test_what_has_no_derivative_is_refused() -> None:
 def test_commands(warpvox) -> None:
     """A training, its continuation, and what is made of it."""
     words = "task=Walker-v0 obs=timed policy=cpg method=gradients designs=random:8:3x3 num_envs=8 ppo.steps=4".split()
-    words += ["network={width:8,heads:2,layers:1}", "device=cpu", "threads=1", "designs.held_out=random:2:3x3"]
+    words += [
+        "ppo.epochs=1",
+        "ppo.minibatches=2",
+        "network={width:8,heads:2,layers:1}",
+        "device=cpu",
+        "threads=1",
+        "designs.held_out=random:2:3x3",
+    ]
     done = warpvox("train", *words, "max_iterations=2")
     assert done.code == 0, done.err
     assert "done after 64 control steps" in done.out
