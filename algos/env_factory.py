@@ -30,6 +30,7 @@ class EnvFactory:
     obs: str = "task"
     grid: tuple[int, int] | None = None
     lanes: int | None = None
+    layout: str | None = None
 
     def make(self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool) -> VoxelVecEnv:
         """``envs`` environments of each body; random tasks draw as if each body were alone with its seed."""
@@ -48,6 +49,7 @@ class EnvFactory:
             auto_reset=auto_reset,
             physics=self.physics,
             lanes=lanes,
+            layout=self.layout,
             threads=self.threads,
             max_episode_steps=self.max_episode_steps,
             obs=self.obs,

@@ -33,10 +33,9 @@ Report = Callable[[dict[str, Any]], None]
 class SharedEvaluator:
     """One policy goes on learning from generation to generation, over all designs of each in one batch.
 
-    By PPO, or by gradients through the physics (``policy=cpg``).
-
-    The fitness of a design is its deterministic return after the iterations of its generation. What the policy has
-    learned is kept beside the checkpoints (``shared/<generation>.pt``), for an experiment that is resumed.
+    It learns by PPO, or by gradients through the physics (``policy=cpg``). The fitness of a design is its
+    deterministic return after the iterations of its generation. What the policy has learned is kept beside the
+    checkpoints (``shared/<generation>.pt``), for an experiment that is resumed.
 
     Attributes:
         factory: makes environments with ``obs="voxel"`` and a grid that has room for all designs.

@@ -15,6 +15,7 @@ from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.cli.commands.codesign import check, environments
 from warpvox.cli.config import load
+from warpvox.cli.evaluations import _common_factory
 from warpvox.errors import ConfigError
 from warpvox.robots import read_robot
 
@@ -114,6 +115,9 @@ def test_a_search_that_tunes_by_gradients(warpvox: Callable, train: Callable) ->
     one = max(records_of(folder)[:5], key=lambda record: abs(record.fitness))
     assert 2 * 4 < one.steps <= 2 * 4 + 500
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
+    # on CUDA another layout would be chosen, through which gradients do not go
+    assert _common_factory(load("codesign", ["evaluation=shared", "screening.policy=cpg"]), None).layout == "lanes"
+    assert _common_factory(load("codesign", ["evaluation=shared"]), None).layout is None
     refused = warpvox("codesign", *TINY, "evaluation=shared", "screening.policy=cpg", "task=AreaMaximizer-v0")
     assert refused.code == 2
     assert "those of AreaMaximizer-v0 are made of hull_area, too" in refused.err

@@ -324,9 +324,14 @@ def _common_factory(config: CodesignConfig, pretrained: Mapping[str, Any] | None
     """Makes environments for a policy that controls all designs: what a pretrained one observes, it observes."""
     from warpvox.algos.policies.registry import CPG
 
-    timed = config.screening.policy == CPG
-    obs = observed_by(pretrained["policy"]) if pretrained is not None else "timed_voxel" if timed else "voxel"
-    return dataclasses.replace(factory_of(config, obs), grid=tuple(config.shape))
+    # gradients, which train the policy without feedback, go through the layout of lanes
+    without_feedback = config.screening.policy == CPG
+    if pretrained is not None:
+        obs = observed_by(pretrained["policy"])
+    else:
+        obs = "timed_voxel" if without_feedback else "voxel"
+    layout = "lanes" if without_feedback else None
+    return dataclasses.replace(factory_of(config, obs), grid=tuple(config.shape), layout=layout)
 
 
 def observed_by(spec: Mapping[str, Any] | None) -> str:
