@@ -6,11 +6,10 @@ import dataclasses
 from importlib.resources import files
 from typing import Any
 
-from hydra import compose
 from omegaconf import OmegaConf
 
 from warpvox.algos.settings import TrainingConfig
-from warpvox.configs.composition import opened
+from warpvox.configs.composition import composed
 from warpvox.errors import ConfigError, did_you_mean, listing
 
 __all__ = ["training_preset"]
@@ -26,8 +25,7 @@ def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any
     names = sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml"))
     if name not in names:
         raise ConfigError(f"training must be one of {listing(names)}; got {name!r}.{did_you_mean(name, names)}")
-    with opened():
-        preset = OmegaConf.to_object(compose("codesign", [f"training={name}"]).training)
+    preset = OmegaConf.to_object(composed("codesign", [f"training={name}"]).training)
     for settings, given in ((preset, changes), (preset.ppo, ppo or {})):
         for key in given:
             if key not in vars(settings):

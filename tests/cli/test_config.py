@@ -9,13 +9,16 @@ from typing import Any
 
 import pytest
 import yaml
+from hydra import compose
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.cli import COMMANDS, main
 from warpvox.cli.build import physics_of
-from warpvox.cli.config import Arguments, expand, load, load_values, to_yaml
+from warpvox.cli.config import Arguments, composition, expand, load, load_values, to_yaml
 from warpvox.cli.help import flat_keys, flat_values
 from warpvox.configs import physics_keys, schema
+from warpvox.configs.composition import opened
 from warpvox.design import load_design
 from warpvox.errors import ConfigError
 from warpvox.types import Physics
@@ -278,6 +281,22 @@ def test_a_request_to_end_while_hydra_composes(
             raise OmegaConfBaseException("half built")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("warpvox.cli.config.compose", compose)
+    monkeypatch.setattr("warpvox.cli.config.composed", compose)
     assert main(["train", "task=Walker-v0"]) == 128 + signal.SIGTERM
     assert capsys.readouterr().err == "warpvox: asked to end (SIGTERM)\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("train", ["ppo.steps=7", "ppo.hidden=[8,8]", "design=[[3,0],[3,4]]", "name='a, b'"]),
+        ("train", ["preset=universal", "designs.held_out=random:8:5x5", "ppo=evogym", "ppo.gamma=0.5"]),
+        ("codesign", ["search=bo", "training=paper", "training.ppo.steps=9", "physics=paper", "shape=[3,4]"]),
+        ("suite", ["suite=paper", "training.envs=8"]),
+    ],
+)
+def test_what_is_composed_once_is_what_hydra_composes(command: str, words: list[str]) -> None:
+    with opened():
+        expected = OmegaConf.to_object(compose(*composition(command, words, None)))
+    assert [load(command, words) for _ in range(2)] == [expected, expected]
+    assert load(command, []) != expected

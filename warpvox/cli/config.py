@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from hydra import compose
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
@@ -22,7 +21,7 @@ from warpvox.cli.help import MAPPINGS, flat_keys, options_of, presets_of
 from warpvox.cli.hydra_parts import CFG, INFO, is_plugin_key, one_line
 from warpvox.cli.quoting import as_list, parse, readable
 from warpvox.cli.trust import allow_code
-from warpvox.configs.composition import opened
+from warpvox.configs.composition import composed
 from warpvox.configs.schema import COMMANDS, GROUPS, GROUPS_OF, PRESET, PRESET_OF
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values
@@ -164,7 +163,8 @@ def composition(command: str, overrides: list[str], config_dir: Path | None) -> 
     parsed = _checked(command, overrides, config_dir)
     if any(override.key_or_group == "config" and override.value() is not None for override in parsed):
         raise ConfigError("--info and --cfg hydra|all do not show the values of config=FILE; --cfg job does.")
-    return _entry(command, parsed, config_dir)
+    name, given = _entry(command, parsed, config_dir)
+    return name, [str(override.input_line) for override in given]
 
 
 @uninterrupted()  # OmegaConf's clean-up turns an interrupt into errors of its own
@@ -181,11 +181,13 @@ def _composed(
     # Hydra would take a mapping for changes of the one that a file has
     whole = {key: value for key, value in named.items() if isinstance(value, dict) and key in MAPPINGS}
     try:
-        name, words = _entry(command, [item for item in parsed if item.key_or_group not in whole], config_dir)
-        with opened(config_dir) as (_, search):
-            config = compose(name, [*words, *search])
-            missing = OmegaConf.missing_keys(config)
-            defaults = compose(name, search) if missing or file is not None else None
+        name, given = _entry(command, [item for item in parsed if item.key_or_group not in whole], config_dir)
+        groups = GROUPS_OF.get(command, GROUPS)
+        choices = [str(item.input_line) for item in given if item.key_or_group in groups]
+        changes = [item for item in given if item.key_or_group not in groups]
+        config = composed(name, choices, changes, config_dir)
+        missing = OmegaConf.missing_keys(config)
+        defaults = composed(name, config_dir=config_dir) if missing or file is not None else None
         for key, value in whole.items():
             OmegaConf.update(config, key, value, merge=False)
         for key in missing:  # what a file of the user's own leaves open
@@ -273,12 +275,12 @@ def _checked(command: str, overrides: list[str], config_dir: Path | None) -> lis
     return parsed
 
 
-def _entry(command: str, parsed: list[Override], config_dir: Path | None) -> tuple[str, list[str]]:
+def _entry(command: str, parsed: list[Override], config_dir: Path | None) -> tuple[str, list[Override]]:
     """The name of the configuration that the overrides start from, and those that change it."""
     key, preset = PRESET_OF.get(command, (PRESET, None))
     preset = next((override.value() for override in parsed if override.key_or_group == key), preset)
     name = command if preset is None else _preset_config(preset, command, config_dir)
-    return name, [str(override.input_line) for override in parsed if override.key_or_group != key]
+    return name, [override for override in parsed if override.key_or_group != key]
 
 
 def _preset_config(preset: str, command: str, config_dir: Path | None) -> str:
@@ -292,8 +294,9 @@ def _preset_config(preset: str, command: str, config_dir: Path | None) -> str:
         raise ConfigError(f"The preset {file} must hold keys with their values.")
     own = yaml.safe_load((files("warpvox.configs") / f"{command}.yaml").read_text(encoding="utf-8"))
     content = {"defaults": own["defaults"]} | content | {PRESET_OF.get(command, (PRESET,))[0]: preset}
-    ConfigStore.instance().store(name=f"{command}_{PRESET}", node=OmegaConf.create(content))
-    return f"{command}_{PRESET}"
+    name = f"{command}_{PRESET}_{preset}"
+    ConfigStore.instance().store(name=name, node=OmegaConf.create(content))
+    return name
 
 
 @uninterrupted()
