@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from warpvox.batch.options import lanes_for
+from warpvox.batch.options import MAX_WIDTH, lanes_for, resolve_arithmetic
 from warpvox.design import Design
 from warpvox.devices.names import resolve_device
 from warpvox.envs.spec import TaskSpec
@@ -56,3 +56,11 @@ class EnvFactory:
             grid=self.grid,
             memory_check=False,  # the command has checked the whole; here the batch before may still hold memory
         )
+
+    def shared_lanes(self, envs: int) -> int:
+        """Lanes of a pack with ``envs`` environments of a design, whatever designs are simulated with it.
+
+        In fast arithmetic different bodies share packs, in exact arithmetic they do not.
+        """
+        fast = resolve_arithmetic(self.arithmetic, self.dtype) == "fast"
+        return MAX_WIDTH if fast else lanes_for(envs)

@@ -68,6 +68,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.skip(reason="no CUDA device"))
 
 
+@pytest.fixture
+def narrow_packs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Packs that different bodies share have the width that other tests have compiled; results hold for any."""
+    monkeypatch.setattr("warpvox.algos.env_factory.MAX_WIDTH", 8)
+
+
 @pytest.fixture(autouse=True)
 def interrupts_arrive() -> Iterator[None]:
     """Tests send SIGINT, to themselves and to their children; a shell script's background jobs ignore it."""

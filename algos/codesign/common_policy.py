@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from warpvox.algos.settings import PpoConfig, ScreeningConfig
 from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
+from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import writing
 
@@ -169,8 +170,7 @@ class _Course:
 
     def _runner(self, report: Report | None, checkpoint: Path | None) -> Runner:
         settings, ppo = self.settings, self.ppo
-        bodies = [candidate.body for candidate in self.candidates]
-        env = adapt(self.factory.make(bodies, settings.envs, self.seeds, auto_reset=True), ppo)
+        env = adapt(self._make(settings.envs, auto_reset=True), ppo)
         voxels = {"network": settings.policy, "settings": dict(settings.network or {})}
         voxels["layout"] = layout_for(settings.policy, env.env).dict()
 
@@ -200,10 +200,14 @@ class _Course:
                     runner.alg.learning_rate = ppo.learning_rate
         return runner
 
+    def _make(self, envs: int, auto_reset: bool) -> VoxelVecEnv:
+        """Environments of all candidates in shared packs, which few environments of one body would not fill."""
+        factory = replace(self.factory, lanes=self.factory.shared_lanes(envs))
+        return factory.make([candidate.body for candidate in self.candidates], envs, self.seeds, auto_reset)
+
     def _judge(self) -> list[Outcome]:
         runner, settings = self.runner, self.settings
-        bodies = [candidate.body for candidate in self.candidates]
-        env = self.factory.make(bodies, settings.eval_envs, self.seeds, auto_reset=False)
+        env = self._make(settings.eval_envs, auto_reset=False)
         runner.alg.eval_mode()
         result = evaluate(env, runner.controller, seed=self.seeds)
         state = runner.alg.get_policy().state_dict()

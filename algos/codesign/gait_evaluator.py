@@ -21,14 +21,13 @@ from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait, with_stag
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.gait import AMPLITUDE
-from warpvox.batch.options import MAX_WIDTH, lanes_for, resolve_arithmetic
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError
 from warpvox.io.writing import write_text
 from warpvox.types import Cell
 
-__all__ = ["GaitEvaluator", "gait_lanes"]
+__all__ = ["GaitEvaluator"]
 
 FRESH = 0.125
 """Share of the first gaits of a design with a parent that owe nothing to it."""
@@ -118,7 +117,7 @@ class _Rounds:
     def _environments(self, count: int) -> VoxelVecEnv:
         """``count`` of each design, times the episodes of a gait."""
         envs = count * self.how.episodes
-        factory = replace(self.how.factory, lanes=gait_lanes(self.how.factory, envs))
+        factory = replace(self.how.factory, lanes=self.how.factory.shared_lanes(envs))
         return factory.make(self.bodies, envs, self.seeds, auto_reset=False)
 
     def run(self, report: Callable[[dict[str, Any]], None] | None, checkpoint: Path | None) -> list[Outcome]:
@@ -243,12 +242,3 @@ class _Rounds:
                     "training": [self.round < self.rounds] * len(self.bodies),
                 }
             )
-
-
-def gait_lanes(factory: EnvFactory, envs: int) -> int:
-    """Lanes of a pack with ``envs`` environments of a design, whatever designs are evaluated with it.
-
-    In fast arithmetic different bodies share packs, in exact arithmetic they do not.
-    """
-    fast = resolve_arithmetic(factory.arithmetic, factory.dtype) == "fast"
-    return MAX_WIDTH if fast else lanes_for(envs)

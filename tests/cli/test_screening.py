@@ -11,7 +11,6 @@ import pytest
 import yaml
 
 from warpvox.algos.candidate import FINALIST, GAIT, START
-from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.cli.commands.codesign import check, environments
 from warpvox.cli.config import load
@@ -19,6 +18,7 @@ from warpvox.cli.evaluations import _common_factory
 from warpvox.errors import ConfigError
 from warpvox.robots import read_robot
 
+pytestmark = pytest.mark.usefixtures("narrow_packs")
 TINY = (
     "shape=[3,3] search.population=3 search.max_evaluations=5 search.survivor_rate=0.3 training.envs=8"
     " training.iterations=1 training.eval_interval=1 training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1"
@@ -123,8 +123,7 @@ def test_a_search_that_tunes_by_gradients(warpvox: Callable, train: Callable) ->
     assert "those of AreaMaximizer-v0 are made of hull_area, too" in refused.err
 
 
-def test_a_search_by_gaits(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)  # of packs: what other tests have compiled
+def test_a_search_by_gaits(warpvox: Callable) -> None:
     folder = search(
         warpvox, "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", ROUNDS, "screening.final_rounds=2"
     )
@@ -143,8 +142,7 @@ def test_a_search_by_gaits(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -
     assert warpvox("export", f"run={folder}/designs/0", "format=[jit]").code == 0
 
 
-def test_a_search_whose_bodies_come_back(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)
+def test_a_search_whose_bodies_come_back(warpvox: Callable) -> None:
     words = "search.population=2 search.children=3 search.max_evaluations=12 search.survivor_rate=null".split()
     settings = "screening.gaits=1 screening.rounds=1 screening.final_gaits=8 screening.final_rounds=1".split()
     folder = search(warpvox, "search=evolution", "evaluation=gaits", ROUNDS, *words, *settings)
@@ -168,8 +166,7 @@ def test_a_search_whose_bodies_come_back(warpvox: Callable, monkeypatch: pytest.
     assert played(warpvox, folder / "designs" / str(best.id)) == pytest.approx(best.fitness, abs=ROUNDING)
 
 
-def test_a_search_of_a_version_with_fewer_keys_goes_on(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)
+def test_a_search_of_a_version_with_fewer_keys_goes_on(warpvox: Callable) -> None:
     folder = search(
         warpvox, "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", ROUNDS, "screening.final_rounds=1"
     )
@@ -187,8 +184,7 @@ def test_a_search_of_a_version_with_fewer_keys_goes_on(warpvox: Callable, monkey
     assert "made with another value of 'screening'" in warpvox("codesign", f"resume={folder}").err
 
 
-def test_a_search_that_starts_with_a_known_robot(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", 8)
+def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     gaits = (
         "evaluation=gaits",
         "screening.gaits=8",

@@ -11,7 +11,6 @@ import numpy as np
 
 from warpvox.algos.candidate import FINALIST, Candidate
 from warpvox.algos.settings import PpoConfig, ScreeningConfig
-from warpvox.batch.options import lanes_for
 from warpvox.cli.runs import CONFIG, TRAINING, find_run
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
@@ -210,7 +209,7 @@ def screened_values(config: CodesignConfig, candidate: Candidate) -> dict[str, A
         "max_iterations": max(1, how.iterations),
         "eval_interval": max(1, how.iterations),
         "eval_envs": how.eval_envs,
-        "lanes": lanes_for(how.eval_envs),
+        "lanes": factory_of(config).shared_lanes(how.eval_envs),
         "designs": {"bodies": bodies, "refresh": "none", "held_out": bodies},
     }
 
@@ -366,12 +365,11 @@ def _by_gaits(config: CodesignConfig, training: DesignEvaluator, known: Mapping[
 
 def values_of_gait(config: CodesignConfig, candidate: Candidate) -> dict[str, Any]:
     """What the configuration of a design with a gait has, which is simulated as in the evaluation of its fitness."""
-    from warpvox.algos.codesign.gait_evaluator import gait_lanes
     from warpvox.algos.policies.registry import MLP
 
     how = config.screening
     count = how.gaits_of_finalist if candidate.origin == FINALIST else how.gaits
-    lanes = gait_lanes(factory_of(config), count * episodes_of(config.task))
+    lanes = factory_of(config).shared_lanes(count * episodes_of(config.task))
     return {"policy": MLP, "network": None, "obs": "timed", "lanes": lanes}
 
 

@@ -24,13 +24,8 @@ from warpvox.errors import RunError
 from warpvox.robots import Gait as RobotGait
 from warpvox.types import Cell
 
+pytestmark = pytest.mark.usefixtures("narrow_packs")
 COUNT, LANES, STEPS = 8, 8, 5
-
-
-@pytest.fixture(autouse=True)
-def narrow_packs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Packs of the width that other tests have compiled; results hold for any."""
-    monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", LANES)
 
 
 def evaluator(where: EnvFactory, **changes: object) -> GaitEvaluator:

@@ -23,13 +23,8 @@ from warpvox.algos.policies.gait import gait_outputs
 from warpvox.errors import RunError
 from warpvox.types import Cell
 
+pytestmark = pytest.mark.usefixtures("narrow_packs")
 COUNT, LANES = 8, 8
-
-
-@pytest.fixture(autouse=True)
-def narrow_packs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Packs of the width that other tests have compiled; results hold for any."""
-    monkeypatch.setattr(gait_evaluator, "MAX_WIDTH", LANES)
 
 
 def evaluator(rounds: int = 1, seed: int = 0) -> GaitEvaluator:
