@@ -14,7 +14,7 @@ from warpvox.algos.candidate import FINALIST, GAIT, START
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.cli.commands.codesign import check, environments
 from warpvox.cli.config import load
-from warpvox.cli.evaluations import _common_factory
+from warpvox.cli.evaluations import _common_factory, learns_by_gradients
 from warpvox.errors import ConfigError
 from warpvox.robots import read_robot
 
@@ -118,6 +118,8 @@ def test_a_search_that_tunes_by_gradients(warpvox: Callable, train: Callable) ->
     # on CUDA another layout would be chosen, through which gradients do not go
     assert _common_factory(load("codesign", ["evaluation=shared", "screening.policy=cpg"]), None).layout == "lanes"
     assert _common_factory(load("codesign", ["evaluation=shared"]), None).layout is None
+    assert learns_by_gradients(load("codesign", ["evaluation=shared", "screening.policy=cpg"]))
+    assert not learns_by_gradients(load("codesign", ["screening.policy=cpg"]))
     refused = warpvox("codesign", *TINY, "evaluation=shared", "screening.policy=cpg", "task=AreaMaximizer-v0")
     assert refused.code == 2
     assert "those of AreaMaximizer-v0 are made of hull_area, too" in refused.err

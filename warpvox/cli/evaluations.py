@@ -31,6 +31,7 @@ __all__ = [
     "has_common_policy",
     "is_screened",
     "keep_pretrained",
+    "learns_by_gradients",
     "read_pretrained",
     "resolve_evaluation",
     "screened_values",
@@ -54,6 +55,14 @@ def is_screened(config: CodesignConfig) -> bool:
 def has_common_policy(config: CodesignConfig) -> bool:
     """Whether one policy controls the designs of a generation."""
     return config.evaluation in ("shared", "few_shot")
+
+
+def learns_by_gradients(config: CodesignConfig) -> bool:
+    """Whether the policy of all designs, once resolved, is tuned by gradients through the physics."""
+    from warpvox.algos.policies.registry import CPG
+
+    how = config.screening
+    return has_common_policy(config) and how.policy == CPG and how.iterations > 0
 
 
 def check_evaluation(config: CodesignConfig) -> None:
@@ -147,7 +156,7 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
         WarpvoxError: a network, its settings, or a pretrained policy that is not to be had or does not fit.
     """
     from warpvox.algos.policies.layout import VoxelLayout
-    from warpvox.algos.policies.registry import CPG, MLP, layout_for, make_network
+    from warpvox.algos.policies.registry import MLP, layout_for, make_network
     from warpvox.algos.training.ascent import check_gradients
 
     networks = {}
@@ -175,7 +184,7 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
             f" inputs; {config.task} with shape={list(config.shape)} has {layout.rows}x{layout.columns} with"
             f" {layout.rest}."
         )
-    if has_common_policy(config) and config.screening.policy == CPG and config.screening.iterations:
+    if learns_by_gradients(config):
         check_gradients(env)
     return config
 

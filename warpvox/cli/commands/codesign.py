@@ -34,6 +34,7 @@ from warpvox.cli.evaluations import (
     has_common_policy,
     is_screened,
     keep_pretrained,
+    learns_by_gradients,
     observed_by,
     read_pretrained,
     resolve_evaluation,
@@ -70,6 +71,9 @@ OF_DESIGNS = (
     "network",
 )  # fmt: skip
 """Keys that the configuration of a design has from that of its search."""
+
+GRADIENTS = 17.0
+"""Control steps of PPO that take as long as one of tuning by gradients, both with their updates: for the time left."""
 
 
 @dataclass
@@ -233,7 +237,8 @@ def codesign(job: Job, console: Console) -> Path:
             if is_screened(config):
                 finalists = config.finalists
                 cost, last = costs_of(config, get_task(config.task))
-                search, total, worth = Finalists(search, finalists), total + finalists, last / finalists / cost
+                worth = last / finalists / cost / (GRADIENTS if learns_by_gradients(config) else 1)
+                search, total = Finalists(search, finalists), total + finalists
             results = Results(folder, archive, written, (pretrained or {}).get(STEPS))
             watch = SearchProgress(results, total, console, finalists, worth)
             loop = Loop(
