@@ -32,11 +32,17 @@ class EnvFactory:
     lanes: int | None = None
     layout: str | None = None
 
-    def make(self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool) -> VoxelVecEnv:
-        """``envs`` environments of each body; random tasks draw as if each body were alone with its seed."""
+    def make(
+        self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool, shared: bool = False
+    ) -> VoxelVecEnv:
+        """``envs`` environments of each body; random tasks draw as if each body were alone with its seed.
+
+        With ``shared`` different bodies share packs, which few environments of one body would not fill.
+        """
         # Lanes follow from `envs` alone, however often a body occurs, so that all batches run the same kernels.
         device = resolve_device(self.device, envs * len(bodies))
-        lanes = (self.lanes or lanes_for(envs)) if device == "cpu" else None
+        chosen = self.shared_lanes(envs) if shared else lanes_for(envs)
+        lanes = (self.lanes or chosen) if device == "cpu" else None
         return make_vec(
             self.task,
             list(bodies),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -201,9 +201,9 @@ class _Course:
         return runner
 
     def _make(self, envs: int, auto_reset: bool) -> VoxelVecEnv:
-        """Environments of all candidates in shared packs, which few environments of one body would not fill."""
-        factory = replace(self.factory, lanes=self.factory.shared_lanes(envs))
-        return factory.make([candidate.body for candidate in self.candidates], envs, self.seeds, auto_reset)
+        """Environments of all candidates."""
+        bodies = [candidate.body for candidate in self.candidates]
+        return self.factory.make(bodies, envs, self.seeds, auto_reset, shared=True)
 
     def _judge(self) -> list[Outcome]:
         runner, settings = self.runner, self.settings

@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -117,8 +117,7 @@ class _Rounds:
     def _environments(self, count: int) -> VoxelVecEnv:
         """``count`` of each design, times the episodes of a gait."""
         envs = count * self.how.episodes
-        factory = replace(self.how.factory, lanes=self.how.factory.shared_lanes(envs))
-        return factory.make(self.bodies, envs, self.seeds, auto_reset=False)
+        return self.how.factory.make(self.bodies, envs, self.seeds, auto_reset=False, shared=True)
 
     def run(self, report: Callable[[dict[str, Any]], None] | None, checkpoint: Path | None) -> list[Outcome]:
         if checkpoint is not None and checkpoint.is_file():
