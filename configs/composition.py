@@ -18,7 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 from warpvox.configs.paper import design_of, shape_of
 from warpvox.configs.schema import COMMANDS
 
-__all__ = ["composed", "opened", "quoted"]
+__all__ = ["composed", "opened", "quoted", "schema_of"]
 
 
 def composed(
@@ -47,6 +47,16 @@ def composed(
 def _from_package(name: str, choices: tuple[str, ...]) -> DictConfig:
     with opened():
         return compose(name, list(choices))
+
+
+def schema_of(command: str) -> DictConfig:
+    """The schema of a command with its default values, the caller's own; made once in a process, as that is slow."""
+    return copy.deepcopy(_structured(command))
+
+
+@functools.cache
+def _structured(command: str) -> DictConfig:
+    return OmegaConf.structured(COMMANDS[command])
 
 
 @contextmanager

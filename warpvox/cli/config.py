@@ -21,7 +21,7 @@ from warpvox.cli.help import MAPPINGS, flat_keys, options_of, presets_of
 from warpvox.cli.hydra_parts import CFG, INFO, is_plugin_key, one_line
 from warpvox.cli.quoting import as_list, parse, readable
 from warpvox.cli.trust import allow_code
-from warpvox.configs.composition import composed
+from warpvox.configs.composition import composed, schema_of
 from warpvox.configs.schema import COMMANDS, GROUPS, GROUPS_OF, PRESET, PRESET_OF
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values
@@ -197,7 +197,7 @@ def _composed(
             below = OmegaConf.merge(defaults, stored)
             config = _changed(below, config, parsed, _brought(parsed, defaults, config))
         elif base is not None:
-            below = OmegaConf.merge(OmegaConf.structured(COMMANDS[command]), base)
+            below = OmegaConf.merge(schema_of(command), base)
             config = _changed(below, config, parsed, [])
         result = OmegaConf.to_object(config)
     except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
@@ -214,11 +214,10 @@ def load_values(command: str, values: dict[str, Any]) -> Any:
     Raises:
         ConfigError: values of the wrong type or out of range.
     """
-    schema = COMMANDS[command]
-    names = {item.name for item in dataclasses.fields(schema)}
+    names = {item.name for item in dataclasses.fields(COMMANDS[command])}
     try:
         known = {name: value for name, value in values.items() if name in names}
-        result = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), known))
+        result = OmegaConf.to_object(OmegaConf.merge(schema_of(command), known))
     except (OmegaConfBaseException, OverflowError) as error:
         raise ConfigError(f"The stored configuration is not valid: {one_line(error)}") from None
     check_values(result)
@@ -269,7 +268,7 @@ _Dumper.add_representer(list, _represent_list)
 def _checked(command: str, overrides: list[str], config_dir: Path | None) -> list[Override]:
     """The overrides of a single run, each with a known key and a value of its type."""
     parsed = parse_overrides(Arguments(overrides), command)
-    scratch = OmegaConf.structured(COMMANDS[command])
+    scratch = schema_of(command)
     for override in parsed:
         _check_override(override, command, scratch, config_dir)
     return parsed
