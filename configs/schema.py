@@ -28,6 +28,7 @@ __all__ = [
     "BenchConfig",
     "CodesignConfig",
     "DemoConfig",
+    "DesignsConfig",
     "EvaluateConfig",
     "ExportConfig",
     "PhysicsConfig",
@@ -99,6 +100,9 @@ class DesignsConfig:
         None,
         "bodies for evaluation only, never trained on, given as designs; null: 32 random ones of the same size",
         path="read",
+    )
+    grid: list[int] | None = key(
+        None, "rows and columns that bodies have room for; null: those of the largest", low=1, form="[rows,columns]"
     )
 
 
@@ -177,6 +181,12 @@ class TrainConfig(_TrainingRunConfig, PresetConfig):
     """Keys of ``warpvox train``."""
 
     designs: DesignsConfig = key(DesignsConfig, "many bodies for one policy")
+    pretrained: str | None = key(
+        None,
+        "policy to begin with instead of a new one: latest, the folder of a run of `warpvox train` or a checkpoint in"
+        " it; network, observations and method are its own",
+        path="read",
+    )
     method: str = key(
         "ppo",
         "how the policy learns: ppo, or gradients through the physics (policy=cpg; of ppo.* only steps, epochs,"

@@ -283,6 +283,18 @@ def spec_of(values: Mapping[str, Any]) -> PolicySpec:
     return PolicySpec(**{name: value for name, value in values.items() if name != "width"})  # of earlier versions
 
 
+def check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:
+    """Raise RunError unless a pretrained policy has the sizes of ``ours``, which is one for other environments."""
+    names = ["action_scale", "normalize_obs"]
+    names += ["num_obs", "num_actions", "hidden", "activation"] if ours.voxels is None else []
+    sizes = [(name, getattr(ours, name), getattr(pretrained, name)) for name in names]
+    if ours.voxels is not None:
+        sizes.insert(0, ("layout", ours.voxels["layout"], (pretrained.voxels or {}).get("layout")))
+    for name, wanted, found in sizes:
+        if wanted != found:
+            raise RunError(f"The pretrained policy has another {name}: {found}, here it is {wanted}.")
+
+
 def spec_dict(spec: PolicySpec) -> dict[str, Any]:
     """The form in which a checkpoint stores a specification."""
     return {name: value for name, value in asdict(spec).items() if name not in KINDS or value is not None}

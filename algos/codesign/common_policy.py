@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
-from warpvox.algos.checkpoints.files import PolicySpec, read_tensors, save_checkpoint, spec_dict, spec_of
+from warpvox.algos.checkpoints.files import check_fits, read_tensors, save_checkpoint, spec_dict, spec_of
 from warpvox.algos.codesign.population_evaluator import describe, read_evaluation, save_evaluation
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.env_factory import EnvFactory
@@ -22,7 +22,7 @@ from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
+from warpvox.errors import ActionError, ConfigError, DivergenceError
 from warpvox.io.writing import writing
 
 __all__ = ["FewShotEvaluator", "SharedEvaluator"]
@@ -191,7 +191,7 @@ class _Course:
             runner.set_state(read_evaluation(checkpoint, self.about)["training"])
         elif self.learned is not None:
             if self.fresh:
-                _check_fits(runner.spec, spec_of(self.learned["policy"]))
+                check_fits(runner.spec, spec_of(self.learned["policy"]))
             # moments of another optimiser, or of other bodies' derivatives, are of no use
             runner.alg.load(dict(self.learned), {"actor": True, "critic": True} if settings.policy == CPG else None)
             if self.fresh:
@@ -245,14 +245,3 @@ def _states(checkpoint: Path | None, generation: int) -> list[Path]:
         return []
     last = _state_file(checkpoint, generation)
     return sorted(file for file in last.parent.glob("[0-9]*.pt") if file.name < last.name)
-
-
-def _check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:
-    """Raise RunError unless a pretrained policy is one for these environments."""
-    for what, wanted, found in (
-        ("layout", ours.voxels["layout"], (pretrained.voxels or {}).get("layout")),
-        ("action_scale", ours.action_scale, pretrained.action_scale),
-        ("normalize_obs", ours.normalize_obs, pretrained.normalize_obs),
-    ):
-        if wanted != found:
-            raise RunError(f"The pretrained policy has another {what}: {found}, here it is {wanted}.")

@@ -11,7 +11,15 @@ from typing import Any
 
 import torch
 
-from warpvox.algos.checkpoints.files import Controller, PolicySpec, load_checkpoint, save_checkpoint, spec_dict, spec_of
+from warpvox.algos.checkpoints.files import (
+    Controller,
+    PolicySpec,
+    check_fits,
+    load_checkpoint,
+    save_checkpoint,
+    spec_dict,
+    spec_of,
+)
 from warpvox.algos.evaluate import Evaluation, Evaluator, StatefulEvaluator
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.settings import PpoConfig
@@ -409,6 +417,16 @@ class Runner:
         if (found := spec_of(content["policy"])) != self.spec:
             raise RunError(f"{path} holds another kind of policy: {found}, not {self.spec}.")
         self.set_state(content)
+
+    def begin_with(self, learned: Mapping[str, Any]) -> None:
+        """Begin with the networks of a checkpoint that another training has left; the optimiser is a new one.
+
+        Raises:
+            RunError: they are not those of a policy for these environments.
+        """
+        check_fits(self.spec, spec_of(learned["policy"]))
+        self.alg.load(dict(learned), {"actor": True, "critic": True})
+        self.alg.updates = 0
 
     def set_state(self, content: dict[str, Any]) -> None:
         """Go on from :meth:`state`, or with new episodes from the content of ``model_<iteration>.pt``."""

@@ -37,6 +37,7 @@ def train(warpvox: Callable[..., Any]) -> Callable[..., Path]:
     def call(*words: str) -> Path:
         before = set(Path("outputs").glob("train/*/*"))
         keys = [word.split("=")[0] for word in words]
+        keys += ["design"] if any(key.startswith("designs") for key in keys) else []
         outcome = warpvox("train", *(word for word in SMALL if word.split("=")[0] not in keys), *words)
         assert outcome.code == 0, outcome.err
         (folder,) = set(Path("outputs").glob("train/*/*")) - before

@@ -94,8 +94,18 @@ def held_out_of(config: Any) -> list[Design]:
 
 
 def grid_of(config: Any) -> tuple[int, int]:
-    """Rows and columns that there is room for: those of the largest of all bodies."""
-    return _shape([*read_bodies(config.designs.bodies, config.seed, "designs"), *held_out_of(config)])
+    """Rows and columns that there is room for: those of the key, or of the largest of all bodies.
+
+    Raises:
+        DesignError: a body that there is no room for.
+    """
+    largest = _shape([*read_bodies(config.designs.bodies, config.seed, "designs"), *held_out_of(config)])
+    if config.designs.grid is None:
+        return largest
+    rows, columns = config.designs.grid
+    if largest[0] > rows or largest[1] > columns:
+        raise DesignError(f"There are bodies of {largest[0]}x{largest[1]}, and designs.grid is {rows}x{columns}.")
+    return rows, columns
 
 
 def resolved(spec: Any, seed: int, key: str) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 
 from warpvox.algos.candidate import FINALIST, Candidate
 from warpvox.algos.settings import PpoConfig, ScreeningConfig
-from warpvox.cli.runs import CONFIG, TRAINING, find_run
+from warpvox.cli.pretrained import check_learned, find_pretrained, observed_by
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, did_you_mean
@@ -165,7 +165,8 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
     if has_common_policy(config):
         config = dataclasses.replace(config, screening=_resolved_screening(config, folder))
         if config.evaluation == "few_shot" and folder is None:
-            config = dataclasses.replace(config, pretrained=str(_checkpoint(config)[0].absolute()))
+            file, _ = find_pretrained(config.pretrained, config.output_dir)
+            config = dataclasses.replace(config, pretrained=str(file.absolute()))
         networks["screening.policy"] = config.screening.policy, config.screening.network
     if not networks:
         return config
@@ -226,15 +227,6 @@ def screened_values(config: CodesignConfig, candidate: Candidate) -> dict[str, A
 # ----------------------------------------------------------------------------------------- the pretrained policy
 
 
-def _checkpoint(config: CodesignConfig) -> tuple[Path, dict[str, Any]]:
-    """The file that ``pretrained`` names, and the configuration of its run; empty for a file by itself."""
-    path = Path(config.pretrained).expanduser()
-    if path.is_file() and not (path.parent / CONFIG).is_file():
-        return path, {}
-    run = find_run(config.pretrained, config.output_dir, TRAINING)
-    return run.find_checkpoint("best"), run.config
-
-
 def read_pretrained(config: CodesignConfig, folder: Path | None) -> dict[str, Any] | None:
     """The checkpoint of the policy that ``evaluation=few_shot`` begins with; None: another evaluation.
 
@@ -244,11 +236,11 @@ def read_pretrained(config: CodesignConfig, folder: Path | None) -> dict[str, An
     Raises:
         RunError: no such run or file. ConfigError: a policy that cannot be tuned for other bodies.
     """
-    from warpvox.algos.checkpoints.files import load_checkpoint, load_controller
+    from warpvox.algos.checkpoints.files import load_checkpoint
 
     if config.evaluation != "few_shot":
         return None
-    path, run = (folder / PRETRAINED, {}) if folder is not None else _checkpoint(config)
+    path, run = (folder / PRETRAINED, {}) if folder else find_pretrained(config.pretrained, config.output_dir)
     content = load_checkpoint(path)
     voxels = content["policy"].get("voxels") if isinstance(content["policy"], Mapping) else None
     if not voxels:
@@ -259,9 +251,7 @@ def read_pretrained(config: CodesignConfig, folder: Path | None) -> dict[str, An
     own = isinstance(voxels, Mapping) and is_code(voxels.get("network"))
     if own and not is_code(config.screening.policy):
         raise ConfigError(f"The policy in {path} has a network of its own: name it, screening.policy=FILE.py:Class.")
-    load_controller(path, network=config.screening.policy)  # checks all of it
-    if "critic_state_dict" not in content or "optimizer_state_dict" not in content:
-        raise ConfigError(f"{path} holds no value function to learn with: take a checkpoint of `warpvox train`.")
+    check_learned(path, content, config.screening.policy)
     if {"num_envs", "ppo"} <= run.keys():
         content[STEPS] = int(content["iter"]) * int(run["num_envs"]) * int(run["ppo"]["steps"])
     return content
@@ -340,12 +330,6 @@ def _common_factory(config: CodesignConfig, pretrained: Mapping[str, Any] | None
         obs = "timed_voxel" if without_feedback else "voxel"
     layout = "lanes" if without_feedback else None
     return dataclasses.replace(factory_of(config, obs), grid=tuple(config.shape), layout=layout)
-
-
-def observed_by(spec: Mapping[str, Any] | None) -> str:
-    """What a policy for voxels observes, by its ``PolicySpec`` if that is known."""
-    voxels = (spec or {}).get("voxels") or {}
-    return "timed_voxel" if voxels.get("layout", {}).get("timed") else "voxel"
 
 
 def _by_gaits(config: CodesignConfig, training: DesignEvaluator, known: Mapping[bytes, Gait]) -> DesignEvaluator:

@@ -62,7 +62,8 @@ LONGEST_NAME, LONGEST_BYTES = 100, 150
 """What a name may add to that of a folder: date and a sweep's values need room as well, and 255 bytes are the end."""
 END = "...\n"
 """The last line of a run's configuration, YAML's own mark of an end: what lacks it has been cut short."""
-ADDED = {"policy", "network", "logger", "designs.bodies", "designs.refresh", "designs.held_out"}
+ADDED = {"policy", "network", "logger", "pretrained"}
+ADDED |= {"designs.bodies", "designs.refresh", "designs.held_out", "designs.grid"}
 """Keys that the version before had not, which wrote the configurations of designs without such a last line."""
 
 

@@ -35,13 +35,13 @@ from warpvox.cli.evaluations import (
     is_screened,
     keep_pretrained,
     learns_by_gradients,
-    observed_by,
     read_pretrained,
     resolve_evaluation,
     screened_values,
     values_of_gait,
 )
 from warpvox.cli.fresh_seeds import evaluate_winner, fresh_text
+from warpvox.cli.pretrained import observed_by
 from warpvox.cli.runs import CONFIG, END, find_codesign, find_searches, new_folder, read_summary, run_folder
 from warpvox.cli.start import gaits_of, keep_start, read_start
 from warpvox.cli.trust import STORED, again, as_stored, keep_code

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +17,7 @@ from warpvox.cli.application import prepared, run_command
 from warpvox.cli.config import load, to_yaml
 from warpvox.cli.console import echo, shell_argument
 from warpvox.cli.help import flat_values
+from warpvox.cli.pretrained import adopted
 from warpvox.cli.runs import (
     STATE,
     TRAINING,
@@ -27,7 +28,7 @@ from warpvox.cli.runs import (
     write_summary,
 )
 from warpvox.cli.trust import again, as_stored, keep_code
-from warpvox.configs.schema import TrainConfig
+from warpvox.configs.schema import DesignsConfig, TrainConfig
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.writing import check_writable
@@ -50,12 +51,16 @@ But for rounding: another device, or other ``torch_threads``, adds up the produc
 
 @dataclass
 class Job:
-    """One run to be made: a configuration, and what it resumes, with the configuration that this has."""
+    """One run to be made: a configuration, and what it resumes, with the configuration that this has.
+
+    ``learned``: the checkpoint of a pretrained policy that a new run begins with.
+    """
 
     config: TrainConfig
     folder: Path | None = None
     checkpoint: Path | None = None
     stored: dict[str, Any] = field(default_factory=dict)
+    learned: dict[str, Any] | None = None
 
 
 def run(words: list[str]) -> None:
@@ -83,7 +88,10 @@ def _prepare(config: TrainConfig, overrides: list[str], config_dir: Path | None)
     """
     check_logger(config.logger)
     if config.resume is None:
-        return Job(config)
+        named = {word.partition("=")[0] for word in overrides}
+        config = _of_design(config, named)
+        config, learned = (config, None) if config.pretrained is None else adopted(config, named)
+        return Job(config, learned=learned)
     source = find_run(config.resume, config.output_dir, TRAINING, resume=True)
     check_writable(source.folder)
     stored = _known(source.config)
@@ -97,6 +105,19 @@ def _prepare(config: TrainConfig, overrides: list[str], config_dir: Path | None)
         )
     _check_readable(source, checkpoint)
     return Job(dataclasses.replace(config, resume=None), source.folder, checkpoint, stored)
+
+
+def _of_design(config: TrainConfig, named: Collection[str]) -> TrainConfig:
+    """Without the bodies of a preset where the user names one: ``design`` or ``designs``, not both.
+
+    Raises:
+        ConfigError: both are named.
+    """
+    if "design" not in named or config.designs.bodies is None:
+        return config
+    if {"designs", "designs.bodies"} & set(named):
+        raise ConfigError("design is one body, designs are many for one policy: give one of the two.")
+    return dataclasses.replace(config, designs=DesignsConfig())
 
 
 def _check_readable(source: Run, checkpoint: Path) -> None:
@@ -193,6 +214,8 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         if job.checkpoint is not None:
             runner.resume(job.checkpoint)
             _check_left(job.folder, runner)
+        elif job.learned is not None:
+            runner.begin_with(job.learned)
     if group.size > 1:
         config = dataclasses.replace(config, num_envs=job.config.num_envs, device=config.device.split(":")[0])
     with _folder(job, config, command, group) as folder:
@@ -260,6 +283,9 @@ def _announce(console: Console, config: TrainConfig, runner: Any, folder: Path) 
     verb = f"resuming after iteration {done}" if done else "training"
     where = config.device if runner.group.size == 1 else f"{runner.group.size} processes, {config.device}"
     text = f"{verb}: {config.task}, {config.num_envs} environments on {where}, rules {config.rules}"
+    pretrained = getattr(config, "pretrained", None)  # a demo has no such key
+    if pretrained is not None and not done:
+        text += f"\nbeginning with the policy {shown(Path(pretrained))}"
     echo(console, f"{text}\nrun folder: {shown(folder)}")
     if done and done == runner.schedule.total:
         more = f"max_iterations={2 * done}"

@@ -1,0 +1,117 @@
+"""``warpvox train pretrained=``: trainings that begin with the policy of another one."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.cli.commands.train import make_job
+
+pytestmark = pytest.mark.usefixtures("narrow_packs")
+VOXELS = "designs=random:4:3x3", "designs.held_out=random:2:3x3", "policy=grid", "network={width:8}", "lanes=8"
+CPG = "designs=random:4:3x3", "designs.held_out=random:2:3x3", "policy=cpg", "obs=timed", "method=gradients", "lanes=8"
+CPG = *CPG, "network={width:8,heads:2,layers:1}"
+STILL = "ppo.learning_rate=1e-12", "ppo.schedule=fixed", "max_iterations=1", "eval_interval=1"
+BODY = "design=[[3,3],[4,0]]"
+
+
+def weights(run: Path, name: str = "model_best.pt") -> dict[str, torch.Tensor]:
+    content = load_checkpoint(run / name)
+    found = {
+        f"{part}.{key}": value for part in ("actor", "critic") for key, value in content[f"{part}_state_dict"].items()
+    }
+    # moments of observations go on
+    return {key: value for key, value in found.items() if "obs_normalizer" not in key}
+
+
+def config_of(run: Path) -> dict:
+    return yaml.safe_load((run / "config.yaml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("words", [(), VOXELS], ids=["mlp", "grid"])
+def test_a_training_begins_with_the_networks_of_another(train: Callable, words: tuple[str, ...]) -> None:
+    first = train(*words, "max_iterations=2", "ppo.action_scale=0.4")
+    given = [word for word in words if word.startswith(("designs", "lanes"))]
+    second = train("pretrained=latest", *given, *STILL)
+    before, after, fresh = weights(first), weights(second), weights(train(*words, *STILL, "seed=5"))
+    assert before.keys() == after.keys()
+    assert all(torch.allclose(value, after[name], atol=1e-6) for name, value in before.items())
+    assert not all(torch.allclose(value, fresh[name], atol=1e-3) for name, value in before.items())
+    config = config_of(second)
+    assert Path(config["pretrained"]) == (first / "model_best.pt").absolute()
+    same = {"policy", "network", "obs"}
+    assert {key: config[key] for key in same} == {key: config_of(first)[key] for key in same}
+    assert config["ppo"]["action_scale"] == 0.4
+
+
+def test_a_policy_for_many_bodies_is_tuned_for_one(warpvox: Callable, train: Callable) -> None:
+    first = train(*VOXELS, "max_iterations=2")
+    second = train("pretrained=latest", BODY, "max_iterations=2", "lanes=8")
+    config = config_of(second)
+    assert config["designs"]["bodies"] == config["designs"]["held_out"] == [[[3, 3], [4, 0]]]
+    assert config["designs"]["grid"] == [3, 3]  # that of the policy
+    # nothing depends on the first run any more
+    (first / "model_best.pt").unlink()
+    (second / "summary.json").unlink()
+    outcome = warpvox("train", f"resume={second}", "max_iterations=4")
+    assert outcome.code == 0, outcome.err
+    outcome = warpvox("play", f"run={second}", "num_envs=1", "steps=3", "export=[]", "device=cpu")
+    assert outcome.code == 0, outcome.err
+
+
+def test_the_preset_tunes_by_gradients(warpvox: Callable, train: Callable) -> None:
+    first = train(*CPG, "max_iterations=1", "ppo.steps=4", "ppo.epochs=1")
+    words = "preset=fine_tune_cpg", BODY, "max_iterations=2", "ppo.steps=40", "lanes=8", "device=cpu", "threads=1"
+    outcome = warpvox("train", *words)
+    assert outcome.code == 0, outcome.err
+    assert f"beginning with the policy {first / 'model_best.pt'}" in outcome.out
+    second = max(Path("outputs/train/Walker-v0").iterdir())
+    before, after = weights(first), weights(second)
+    assert any(not torch.equal(value, after[name]) for name, value in before.items())
+    assert json.loads((second / "summary.json").read_text())["steps"] == 2 * 40
+
+
+def test_a_body_takes_the_place_of_those_of_a_preset() -> None:
+    assert make_job(["preset=universal"]).config.designs.bodies == "random:512:5x5"
+    job = make_job(["preset=universal", "design=worm"])
+    assert (job.config.designs.bodies, job.config.design) == (None, "worm")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("policy=mlp", "policy=mlp is not that of the policy in .*: policy=grid"),
+        ("obs=timed", "obs=timed is not that of the policy in .*: obs=voxel"),
+        ("ppo.action_scale=0.1", "ppo.action_scale=0.1 is not that of the policy in .*: ppo.action_scale=0.5"),
+        ("method=gradients", "method=gradients is not that of the policy in .*: method=ppo"),
+        ("design=random:4x4", "There are bodies of 4x4, and designs.grid is 3x3"),
+        ("designs.grid=[4,4]", r"designs.grid=\[4, 4\]: the grid of the pretrained policy is \[3, 3\]"),
+        ("task=Thrower-v0 design=mini", "The pretrained policy has another layout"),
+        ("design=worm designs=random:3", "design is one body, designs are many for one policy"),
+        ("pretrained=zoo:Walker-v0", "robots of the zoo are stored without what it takes to learn on"),
+        ("pretrained=nowhere", "There is no run at nowhere"),
+    ],
+)
+def test_what_does_not_go_with_the_policy_is_refused(
+    warpvox: Callable, train: Callable, words: str, message: str
+) -> None:
+    run = train(*VOXELS, "max_iterations=1")
+    words = words.split() if "pretrained" in words else ["pretrained=latest", *words.split()]
+    outcome = warpvox("train", *words, "num_envs=4", "max_iterations=1", "device=cpu")
+    assert outcome.code != 0
+    assert re.search(message, " ".join(outcome.err.split()))
+    assert list(Path("outputs/train/Walker-v0").iterdir()) == [run]  # nothing was written
+
+
+def test_other_observations_are_refused(warpvox: Callable, train: Callable) -> None:
+    train("max_iterations=1")
+    outcome = warpvox("train", "pretrained=latest", "design=worm", "num_envs=4", "max_iterations=1", "device=cpu")
+    assert outcome.code != 0
+    assert "The pretrained policy has another num_obs" in outcome.err
