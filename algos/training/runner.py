@@ -425,7 +425,10 @@ class Runner:
             RunError: they are not those of a policy for these environments.
         """
         check_fits(self.spec, spec_of(learned["policy"]))
-        self.alg.load(dict(learned), {"actor": True, "critic": True})
+        try:
+            self.alg.load(dict(learned), {"actor": True, "critic": True})
+        except RuntimeError as error:  # torch's, of a critic with other weights
+            raise RunError(f"The pretrained policy has another kind of network: {str(error)[:200]}") from None
         self.alg.updates = 0
 
     def set_state(self, content: dict[str, Any]) -> None:

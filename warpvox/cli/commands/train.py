@@ -115,7 +115,7 @@ def _of_design(config: TrainConfig, named: Collection[str]) -> TrainConfig:
     """
     if "design" not in named or config.designs.bodies is None:
         return config
-    if {"designs", "designs.bodies"} & set(named):
+    if any(key.startswith("designs") for key in named):
         raise ConfigError("design is one body, designs are many for one policy: give one of the two.")
     return dataclasses.replace(config, designs=DesignsConfig())
 
