@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -72,6 +73,10 @@ class LinearResponse(nn.Module):
         self.largest = (4 * max(main) + 6 * max(structural)) / physics.point_mass
         self._keep("coefficients", np.stack([_polynomial(physics, period, self.largest) for period in periods]))
         self._known: dict[bytes, torch.Tensor] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles begin without known responses, which may be hundreds of megabytes."""
+        return self.__dict__ | {"_known": {}}
 
     def _keep(self, name: str, values: np.ndarray) -> None:
         self.register_buffer(name, torch.from_numpy(values), persistent=False)
