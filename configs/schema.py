@@ -183,8 +183,9 @@ class TrainConfig(_TrainingRunConfig, PresetConfig):
     designs: DesignsConfig = key(DesignsConfig, "many bodies for one policy")
     pretrained: str | None = key(
         None,
-        "policy to begin with instead of a new one: latest, the folder of a run of `warpvox train` or a checkpoint in"
-        " it; network, observations and method are its own",
+        "policy to begin with instead of a new one: universal (comes with warpvox: bodies up to 5x5, Walker-v0),"
+        " latest, the folder of a run of `warpvox train` or a checkpoint in it; network, observations and method are"
+        " its own",
         path="read",
     )
     method: str = key(
@@ -249,8 +250,8 @@ class CodesignConfig(PresetConfig):
     network: Any = key(None, "settings of a network other than mlp, {width:32} for instance; null: its defaults")
     pretrained: str | None = key(
         None,
-        "evaluation=few_shot: the policy to start from: latest, the folder of a run of `warpvox train"
-        " designs=...` or a checkpoint in it",
+        "evaluation=few_shot: the policy to start from: universal (comes with warpvox: bodies up to 5x5, Walker-v0),"
+        " latest, the folder of a run of `warpvox train designs=...` or a checkpoint in it",
         path="read",
     )
     finalists: int = key(

@@ -21,7 +21,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-DATA_SUFFIXES = {".pyi", ".yaml", ".cfg", ".html", ".js", ".css", ".h", ".typed", ".npz", ".csv"}
+DATA_SUFFIXES = {".pyi", ".yaml", ".cfg", ".html", ".js", ".css", ".h", ".typed", ".npz", ".csv", ".pt"}
 HEAVY = (
     "torch",
     "warp",

@@ -110,7 +110,13 @@ def test_a_search_that_tunes_by_gradients(warpvox: Callable, train: Callable) ->
         "designs.held_out=random:2:3x3",
     )
     train(*(word for word in TRAINED if not word.startswith(("policy", "network"))), *how)
-    words = "preset=universal_cpg", "screening.iterations=2", "screening.ppo={steps:4}", "screening.envs=1"
+    words = (
+        "preset=universal_cpg",
+        "pretrained=latest",
+        "screening.iterations=2",
+        "screening.ppo={steps:4}",
+        "screening.envs=1",
+    )
     folder = search(warpvox, *words)
     one = max(records_of(folder)[:5], key=lambda record: abs(record.fitness))
     assert 2 * 4 < one.steps <= 2 * 4 + 500

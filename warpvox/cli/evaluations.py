@@ -11,7 +11,7 @@ import numpy as np
 
 from warpvox.algos.candidate import FINALIST, Candidate
 from warpvox.algos.settings import PpoConfig, ScreeningConfig
-from warpvox.cli.pretrained import check_learned, find_pretrained, observed_by
+from warpvox.cli.pretrained import check_learned, find_pretrained, kept_name, observed_by
 from warpvox.configs.schema import CodesignConfig
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, did_you_mean
@@ -166,7 +166,7 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
         config = dataclasses.replace(config, screening=_resolved_screening(config, folder))
         if config.evaluation == "few_shot" and folder is None:
             file, _ = find_pretrained(config.pretrained, config.output_dir)
-            config = dataclasses.replace(config, pretrained=str(file.absolute()))
+            config = dataclasses.replace(config, pretrained=kept_name(config.pretrained, file))
         networks["screening.policy"] = config.screening.policy, config.screening.network
     if not networks:
         return config

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from warpvox.algos import checkpoints
 from warpvox.cli.runs import CONFIG, TRAINING, ZOO, find_run
 from warpvox.configs.schema import TrainConfig
 from warpvox.errors import ConfigError
@@ -14,7 +15,11 @@ from warpvox.errors import ConfigError
 if TYPE_CHECKING:
     from warpvox.algos.checkpoints.files import PolicySpec
 
-__all__ = ["adopted", "check_learned", "find_pretrained", "observed_by"]
+__all__ = ["UNIVERSAL_FILE", "adopted", "check_learned", "find_pretrained", "kept_name", "observed_by"]
+
+UNIVERSAL = "universal"
+"""The policy that comes with warpvox, made by ``preset=universal_cpg``: for bodies up to 5x5 on Walker-v0."""
+UNIVERSAL_FILE = Path(checkpoints.__file__).with_name("data") / f"{UNIVERSAL}.pt"
 
 
 def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]:
@@ -23,6 +28,8 @@ def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]
     Raises:
         RunError: no such run or file. ConfigError: a stored robot.
     """
+    if source == UNIVERSAL:
+        return UNIVERSAL_FILE, {"method": "gradients"}
     path = Path(source).expanduser()
     if path.is_file() and not (path.parent / CONFIG).is_file():
         return path, {}
@@ -30,6 +37,11 @@ def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]
         raise ConfigError(f"pretrained={source}: robots of the zoo are stored without what it takes to learn on.")
     run = find_run(source, output_dir, TRAINING)
     return run.find_checkpoint("best"), run.config
+
+
+def kept_name(source: str, file: Path) -> str:
+    """How a configuration names a policy, as the latest run is another one later."""
+    return source if source == UNIVERSAL else str(file.absolute())
 
 
 def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -> PolicySpec:
@@ -89,7 +101,7 @@ def adopted(config: TrainConfig, named: Collection[str]) -> tuple[TrainConfig, d
         given = getattr(config.ppo, key[4:]) if key.startswith("ppo.") else getattr(config, key)
         if given != known[key] and (key != "obs" or OBS_OF_VOXELS.get(given) != known[key]):
             raise ConfigError(f"{key}={given} is not that of the policy in {path}: {key}={known[key]}.")
-    changes |= {"ppo": dataclasses.replace(config.ppo, **ppo), "pretrained": str(path.absolute())}
+    changes |= {"ppo": dataclasses.replace(config.ppo, **ppo), "pretrained": kept_name(config.pretrained, path)}
     return dataclasses.replace(config, **changes), content
 
 
