@@ -97,7 +97,7 @@ def adopted(config: TrainConfig, named: Collection[str]) -> tuple[TrainConfig, d
         changes["designs"] = _on_the_grid(config, spec.voxels["layout"])
     known = changes | {f"ppo.{key}": value for key, value in ppo.items()}
     known.pop("designs", None)
-    for key in known.keys() & set(named):
+    for key in [key for key in known if key in named]:
         given = getattr(config.ppo, key[4:]) if key.startswith("ppo.") else getattr(config, key)
         if given != known[key] and (key != "obs" or OBS_OF_VOXELS.get(given) != known[key]):
             raise ConfigError(f"{key}={given} is not that of the policy in {path}: {key}={known[key]}.")
