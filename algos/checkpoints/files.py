@@ -196,16 +196,22 @@ def check_spec(spec: PolicySpec, weights: object) -> None:
         raise ValueError(f"action_scale must be a finite number, got {scale!r:.100}")
     if not isinstance(spec.activation, str) or type(spec.normalize_obs) is not bool:
         raise ValueError(f"activation must be a name, got {spec.activation!r:.100}, and normalize_obs true or false")
-    if not isinstance(weights, dict) or not all(isinstance(value, torch.Tensor) for value in weights.values()):
-        raise ValueError("the weights are no tensors")
-    if not all(value.is_contiguous() for value in weights.values()):  # one number can pose as a million
-        raise ValueError("the weights are views of other tensors")
+    weights = checked_weights(weights)
     if spec.gait is not None:
         _check_gait(spec, weights)
     else:
         _check_voxels(spec, weights) if spec.voxels is not None else _check_layers(sizes, weights)
+
+
+def checked_weights(weights: object) -> dict[str, torch.Tensor]:
+    """``weights`` of a network, if that is what they are; otherwise ValueError says why not."""
+    if not isinstance(weights, dict) or not all(isinstance(value, torch.Tensor) for value in weights.values()):
+        raise ValueError("the weights are no tensors")
+    if not all(value.is_contiguous() for value in weights.values()):  # one number can pose as a million
+        raise ValueError("the weights are views of other tensors")
     if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
         raise ValueError("the weights are not finite numbers")
+    return weights
 
 
 def _check_layers(sizes: list[int], weights: dict[str, torch.Tensor]) -> None:

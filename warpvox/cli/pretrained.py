@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from warpvox.algos import checkpoints
 from warpvox.cli.runs import CONFIG, TRAINING, ZOO, find_run
 from warpvox.configs.schema import TrainConfig
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
     from warpvox.algos.checkpoints.files import PolicySpec
@@ -54,11 +54,15 @@ def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -
     Raises:
         RunError: it holds something else. ConfigError: it has no value function.
     """
-    from warpvox.algos.checkpoints.files import load_controller
+    from warpvox.algos.checkpoints.files import checked_weights, load_controller
 
     spec = load_controller(path, network=network).spec
     if "critic_state_dict" not in content or "optimizer_state_dict" not in content:
         raise ConfigError(f"{path} holds no value function to learn with: take a checkpoint of `warpvox train`.")
+    try:
+        checked_weights(content["critic_state_dict"])
+    except ValueError as error:
+        raise RunError(f"{path} holds a value function of another kind ({error}).") from None
     return spec
 
 
