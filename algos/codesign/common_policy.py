@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
-from warpvox.algos.checkpoints.files import check_fits, read_tensors, save_checkpoint, spec_dict, spec_of
+from warpvox.algos.checkpoints.files import read_tensors, save_checkpoint, spec_dict
 from warpvox.algos.codesign.population_evaluator import describe, read_evaluation, save_evaluation
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.env_factory import EnvFactory
@@ -187,17 +187,15 @@ class _Course:
         # without feedback there is nothing that PPO could learn from single actions
         climbs = settings.policy == CPG and settings.iterations > 0
         runner = (AscentRunner if climbs else Runner)(env, ppo, schedule, **options)
+        moments = settings.policy != CPG  # those of other bodies' derivatives are of no use
         if checkpoint is not None and checkpoint.exists():
             runner.set_state(read_evaluation(checkpoint, self.about)["training"])
+        elif self.fresh and self.learned is not None:
+            runner.begin_with(self.learned, optimizer=moments)
+            if ppo.schedule != "adaptive":  # which goes on with the rate that it has found
+                runner.alg.learning_rate = ppo.learning_rate
         elif self.learned is not None:
-            if self.fresh:
-                check_fits(runner.spec, spec_of(self.learned["policy"]))
-            # moments of another optimiser, or of other bodies' derivatives, are of no use
-            runner.alg.load(dict(self.learned), {"actor": True, "critic": True} if settings.policy == CPG else None)
-            if self.fresh:
-                runner.alg.updates = 0
-                if ppo.schedule != "adaptive":  # which goes on with the rate that it has found
-                    runner.alg.learning_rate = ppo.learning_rate
+            runner.alg.load(dict(self.learned), None if moments else {"actor": True, "critic": True})
         return runner
 
     def _make(self, envs: int, auto_reset: bool) -> VoxelVecEnv:

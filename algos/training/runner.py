@@ -418,15 +418,18 @@ class Runner:
             raise RunError(f"{path} holds another kind of policy: {found}, not {self.spec}.")
         self.set_state(content)
 
-    def begin_with(self, learned: Mapping[str, Any]) -> None:
-        """Begin with the networks of a checkpoint that another training has left; the optimiser is a new one.
+    def begin_with(self, learned: Mapping[str, Any], optimizer: bool = False) -> None:
+        """Begin with the networks of a checkpoint that another training has left, at the beginning of the schedule.
+
+        Args:
+            optimizer: whether to take the moments of its optimiser and the rate that it had come to, too.
 
         Raises:
             RunError: they are not those of a policy for these environments.
         """
         check_fits(self.spec, spec_of(learned["policy"]))
         try:
-            self.alg.load(dict(learned), {"actor": True, "critic": True})
+            self.alg.load(dict(learned), None if optimizer else {"actor": True, "critic": True})
         except RuntimeError as error:  # torch's, of a critic with other weights
             raise RunError(f"The pretrained policy has another kind of network: {str(error)[:200]}") from None
         self.alg.updates = 0
