@@ -192,8 +192,6 @@ class _Course:
             runner.set_state(read_evaluation(checkpoint, self.about)["training"])
         elif self.fresh and self.learned is not None:
             runner.begin_with(self.learned, optimizer=moments)
-            if ppo.schedule != "adaptive":  # which goes on with the rate that it has found
-                runner.alg.learning_rate = ppo.learning_rate
         elif self.learned is not None:
             runner.alg.load(dict(self.learned), None if moments else {"actor": True, "critic": True})
         return runner

@@ -422,7 +422,7 @@ class Runner:
         """Begin with the networks of a checkpoint that another training has left, at the beginning of the schedule.
 
         Args:
-            optimizer: whether to take the moments of its optimiser and the rate that it had come to, too.
+            optimizer: whether to take the moments of its optimiser, and the rate that an adaptive schedule has found.
 
         Raises:
             RunError: they are not those of a policy for these environments.
@@ -433,6 +433,8 @@ class Runner:
         except RuntimeError as error:  # torch's, of a critic with other weights
             raise RunError(f"The pretrained policy has another kind of network: {str(error)[:200]}") from None
         self.alg.updates = 0
+        if self.ppo.schedule != "adaptive":
+            self.alg.learning_rate = self.ppo.learning_rate
 
     def set_state(self, content: dict[str, Any]) -> None:
         """Go on from :meth:`state`, or with new episodes from the content of ``model_<iteration>.pt``."""
