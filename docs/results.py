@@ -52,10 +52,10 @@ NOTES = """
 ([the zoo](zoo.md)): one deterministic episode or, in tasks that draw at random, the mean of eight episodes of fresh
 seeds. Where the zoo has no robot yet it is the best deterministic evaluation of a search, in float32, and in italics.
 *Control steps* and *wall time* are those of the whole search or training that the robot comes from, and of the robots
-that it started from: one thread of a machine with 2 virtual cores of an AMD EPYC (CaveCrawler-v0, Climber-v2, Jumper-v0:
-in part of an Intel Xeon) that was busy with other work, so that the time is an upper bound. ▼ marks a return
-below the best published one, ○ an open-loop policy: a [gait](zoo.md#gaits), whose actions depend on the time
-alone. All others are networks that see what the task observes.
+that it started from: one thread of a machine with 2 virtual cores of an AMD EPYC (CaveCrawler-v0, Climber-v2,
+Jumper-v0, PlatformJumper-v0: in part of an Intel Xeon) that was busy with other work, so that the time is an upper
+bound. ▼ marks a return below the best published one, ○ an open-loop policy: a [gait](zoo.md#gaits), whose actions
+depend on the time alone. All others are networks that see what the task observes.
 
 Most open-loop robots come from several searches, each of which [started](codesign.md#starting-from-known-robots) from
 the robot of the one before; the command is that of the last. They are episodes in which nothing is random, and each is
