@@ -32,7 +32,10 @@ from warpvox.robots import Gait, zoo_tasks
 FOLDER = Path(__file__).resolve().parent
 KNOWN = FOLDER.parent / "envs" / known.FILE
 TABLE, PAGE = FOLDER / "results" / "returns.csv", FOLDER / "results.md"
-COLUMNS = ("task", "return", "episodes", "evaluation", "shape", "policy", "control_steps", "seconds", "date", "command")
+COLUMNS = (
+    *("task", "return", "episodes", "evaluation", "shape", "policy", "control_steps", "seconds", "date", "processor"),
+    "command",
+)
 """``return``: of the robot of the zoo; ``evaluation``: the best deterministic evaluation of the search; ``policy``:
 ``gait``, open loop; else a network, without a name."""
 GAIT = "gait"
@@ -52,10 +55,9 @@ NOTES = """
 ([the zoo](zoo.md)): one deterministic episode or, in tasks that draw at random, the mean of eight episodes of fresh
 seeds. Where the zoo has no robot yet it is the best deterministic evaluation of a search, in float32, and in italics.
 *Control steps* and *wall time* are those of the whole search or training that the robot comes from, and of the robots
-that it started from: one thread of a machine with 2 virtual cores of an AMD EPYC (CaveCrawler-v0, Climber-v2,
-Jumper-v0, PlatformJumper-v0: in part of an Intel Xeon) that was busy with other work, so that the time is an upper
-bound. ▼ marks a return below the best published one, ○ an open-loop policy: a [gait](zoo.md#gaits), whose actions
-depend on the time alone. All others are networks that see what the task observes.
+that it started from: one thread of a machine with 2 virtual cores of the [processor](#commands) that was busy with
+other work, so that the time is an upper bound. ▼ marks a return below the best published one, ○ an open-loop policy:
+a [gait](zoo.md#gaits), whose actions depend on the time alone. All others are networks that see what the task observes.
 
 Most open-loop robots come from several searches, each of which [started](codesign.md#starting-from-known-robots) from
 the robot of the one before; the command is that of the last. They are episodes in which nothing is random, and each is
@@ -70,10 +72,11 @@ REPEAT = """
 ## Commands
 
 Each search or training can be made again with the version that made it (`warpvox zoo task=TASK` names its
-commit): equal seeds give equal results on equal machines.
+commit): equal seeds give equal results on equal machines. *Processors*: also those of the robots that a search started
+from.
 
-| task | date | command |
-|---|---|---|
+| task | date | processors | command |
+|---|---|---|---|
 """
 
 
@@ -131,7 +134,8 @@ def _sources(published: Iterable[known.KnownReturn]) -> list[str]:
 
 def _commands(ours: Mapping[str, Mapping[str, str]]) -> list[str]:
     """How to make each search again."""
-    lines = [f"| {task} | {ours[task]['date']} | `{ours[task]['command']}` |\n" for task in task_ids() if task in ours]
+    found = [ours[task] for task in task_ids() if task in ours]
+    lines = [f"| {row['task']} | {row['date']} | {row['processor']} | `{row['command']}` |\n" for row in found]
     return [REPEAT, *lines]
 
 
@@ -183,6 +187,7 @@ def _search(member: Member) -> dict[str, str]:
         policy = load_checkpoint(member.folder / member.winner.policy)["policy"]
         values |= {"policy": GAIT} if policy.get("gait") else {}
     values |= {} if member.seconds is None else {"seconds": f"{member.seconds:.0f}"}
+    values |= {"processor": member.summary.get("processor") or ""}
     command = command_of("codesign", find_codesign(str(member.folder), "").config)
     return _row(member.task, member.winner.candidate.body, command, date, **values)
 
@@ -197,6 +202,8 @@ def _robot(task: str) -> dict[str, str]:
         "seconds": "" if about["wall_s"] is None else f"{about['wall_s']:.0f}",
     }
     values |= {"evaluation": f"{about['fitness']:.9g}"} if "fitness" in about else {}
+    processors = {one.get("processor") for one in (about, *about.get("start", ()))}
+    values |= {"processor": ", ".join(sorted(processors - {None}))}
     return _row(task, robot.body, about["command"], about["date"], **values)
 
 

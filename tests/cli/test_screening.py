@@ -17,6 +17,7 @@ from warpvox.cli.config import load
 from warpvox.cli.evaluations import _common_factory, learns_by_gradients
 from warpvox.errors import ConfigError
 from warpvox.robots import read_robot
+from warpvox.system import processor_name
 
 pytestmark = pytest.mark.usefixtures("narrow_packs")
 TINY = (
@@ -218,6 +219,7 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     assert better.mean_return >= robot.mean_return
     (known,) = better.about["start"]
     assert (known["sha256"], known["return"]) == (robot.sha256, robot.mean_return)
+    assert (better.about["processor"], known["processor"]) == (processor_name(), robot.about["processor"])
     assert better.about["control_steps"] == summary(folder)["steps"] + robot.about["control_steps"]
     # a design of a search, which need not be its best
     words = f"start=[{folder}/designs/{records[1].id},{first}]", "screening.stages=6", "search.max_evaluations=3"

@@ -16,6 +16,7 @@ from warpvox.cli.sweep import LONGEST_LABEL, Member, members
 from warpvox.design import example_design
 from warpvox.devices.startup import LOGGER
 from warpvox.errors import DivergenceError
+from warpvox.system import processor_name
 
 TINY = "design=mini num_envs=8 threads=1 device=cpu ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 max_iterations=1".split()
 
@@ -125,6 +126,7 @@ def test_a_summary_says_what_made_it(train: Callable, repository: Path) -> None:
     summary = json.loads((train("max_iterations=1", "seed=5") / "summary.json").read_text())
     assert (summary["seed"], summary["version"]) == (5, wv.__version__)
     assert summary["design"] == example_design("mini").tolist()
+    assert summary["processor"] == processor_name()
     if (repository / ".git").exists():
         assert len(summary["commit"].removesuffix("-dirty")) == 40
     else:

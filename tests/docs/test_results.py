@@ -58,7 +58,7 @@ def make_search(
     folder.mkdir(parents=True)
     config = load("codesign", [f"task={task}", "search.max_evaluations=30", "device=cpu"])
     (folder / "config.yaml").write_text(to_yaml(config) + END)
-    (folder / "summary.json").write_text(json.dumps({"status": status, "elapsed_seconds": 61.4}))
+    (folder / "summary.json").write_text(json.dumps({"status": status, "elapsed_seconds": 61.4, "processor": "M7"}))
     with Archive.create(folder / FILE, {"task": task, "rules": "evogym", "seed": 0}) as archive:
         archive.propose([Candidate(0, sample_design((5, 7), 0))], 0)
         if policy is not None:
@@ -80,9 +80,10 @@ def test_the_table_keeps_the_best_of_searches_and_prefers_the_zoo(
     found = rows["Lifter-v0"]
     assert (found["evaluation"], found["return"], found["shape"], found["policy"]) == ("1.5", "", "5x7", "gait")
     assert rows[robot]["policy"] == ("gait" if isinstance(zoo(robot).policy, Gait) else "")
-    assert (found["control_steps"], found["seconds"]) == ("500", "61")
+    assert (found["control_steps"], found["seconds"], found["processor"]) == ("500", "61", "M7")
     assert found["command"] == "warpvox codesign task=Lifter-v0 search.max_evaluations=30"
     assert float(rows[robot]["return"]) == zoo(robot).mean_return
+    assert rows[robot]["processor"] == zoo(robot).about["processor"]
     make_search(tmp_path / "later/e", "Lifter-v0", 1.375)
     path = tmp_path / "table.csv"
     results.write_table(path, results.export([tmp_path / "later"], list(rows.values())))

@@ -1,4 +1,4 @@
-"""Which program has made a result."""
+"""Which program has made a result, and on which processor."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 from warpvox import __version__
+from warpvox.system import processor_name
 
 __all__ = ["provenance"]
 
@@ -15,8 +16,8 @@ PATIENCE = 20.0
 
 
 def provenance() -> dict[str, str | None]:
-    """For ``summary.json``: the version and, in a checkout, the commit (with ``-dirty`` where files were changed)."""
-    return {"version": __version__, "commit": _commit()}
+    """For ``summary.json``: version, processor and, in a checkout, the commit (``-dirty`` where files were changed)."""
+    return {"version": __version__, "commit": _commit(), "processor": processor_name()}
 
 
 @functools.cache

@@ -158,6 +158,7 @@ def _about(run: Run, command: str) -> dict[str, Any]:
         "wall_s": summary.get("elapsed_seconds"),
         "version": summary.get("version"),
         "commit": summary.get("commit"),
+        "processor": summary.get("processor"),
         "config": {name: value for name, value in run.config.items() if name not in ("output_dir", "name")},
     }
 

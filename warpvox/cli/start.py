@@ -87,6 +87,7 @@ def history_of(folder: Path) -> list[dict[str, Any]]:
             "return": robot.about.get("return"),
             "control_steps": robot.about.get("control_steps"),
             "wall_s": robot.about.get("wall_s"),
+            "processor": robot.about.get("processor"),
         }
         for robot in copies_of(folder)
     ]

@@ -100,6 +100,7 @@ def _print_one(path: Path, console: Console) -> None:
             "made",
             f"{about.get('date', '-')}, warpvox {about.get('version')}, commit {about.get('commit') or 'unknown'}",
         ),
+        ("processor", about.get("processor") or "unknown"),
         ("SHA-256", robot.sha256),
         ("file", path),
     ]
