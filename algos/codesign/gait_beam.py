@@ -181,13 +181,13 @@ class _Search:
         if self.plan and kind < FOLLOWED:
             return self._plan(first, last)
         if begun and kind < VARIED:
-            motion = mutate_motion(rng, begun[-1][1], body)
+            motion = mutate_motion(rng, begun[-1][1], body, first)
         elif self.motions and kind < KNOWN:
             motion = self.motions[rng.integers(len(self.motions))]
             if rng.random() < 0.5:
-                motion = mutate_motion(rng, motion, body)
+                motion = mutate_motion(rng, motion, body, first)
         elif begun and kind < EARLIER:
-            motion = mutate_motion(rng, begun[rng.integers(len(begun))][1], body)
+            motion = mutate_motion(rng, begun[rng.integers(len(begun))][1], body, first)
         else:
             motion = draw_motion(rng, body)
         return ((first, motion),)

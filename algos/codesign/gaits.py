@@ -88,6 +88,8 @@ def gait_of(motions: Sequence[tuple[int, Motion]]) -> Gait:
 def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -> Gait:
     """A random gait: each stage a wave or a pose, or one motion for the whole episode.
 
+    Stages are short at the beginning of the episode as often as at its end, which alone counts in some tasks.
+
     Args:
         steps: control steps of an episode.
         stages: how many.
@@ -95,7 +97,8 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
     motions = [draw_motion(rng, body) for _ in range(stages)]
     if rng.random() < 0.5:
         motions = motions[:1] * stages
-    begin = np.sort(np.exp(rng.uniform(np.log(3.0), np.log(max(steps, 4)), stages)).round())
+    begin = np.exp(rng.uniform(np.log(3.0), np.log(max(steps, 4)), stages)).round()
+    begin = np.sort(begin if rng.random() < 0.5 else np.maximum(steps - begin, 0.0))
     begin[0] = 0.0
     return Gait(begin, *(np.array(values) for values in zip(*motions, strict=True)))
 
@@ -152,11 +155,11 @@ def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) 
     return gait
 
 
-def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design) -> Motion:
-    """A motion that differs from ``motion`` in one to three ways."""
-    gait, everywhere = gait_of([(0, motion)]), np.ones(1, bool)
+def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin: int) -> Motion:
+    """A motion from control step ``begin`` on that differs from ``motion`` in one to three ways."""
+    gait, everywhere = gait_of([(begin, motion)]), np.ones(1, bool)
     for _ in range(rng.integers(1, 4)):
-        gait = replace(gait, **_change(rng, gait, body, 0, everywhere))
+        gait = replace(gait, **_change(rng, gait, body, begin, everywhere))
     return motions_of(gait)[0][1]
 
 
@@ -184,7 +187,10 @@ def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chos
     kind = rng.integers(7)
     if kind == 0:
         factor = np.exp(0.5 * size * rng.normal() * chosen)
-        return {"period": np.clip(gait.period * factor, SHORTEST, LONGEST)}
+        period = np.clip(gait.period * factor, SHORTEST, LONGEST)
+        turns = gait.begin / gait.period - gait.begin / period
+        turns -= turns.round()  # the wave begins its stage as before: a long time would magnify a small change
+        return {"period": period, "phase": gait.phase + 2 * np.pi * turns[:, None, None]}
     if kind == 1:
         begin = gait.begin.copy()
         begin[1:] *= np.exp(size * rng.normal(size=len(begin) - 1))
