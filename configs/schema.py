@@ -306,7 +306,8 @@ class CodesignConfig(PresetConfig):
     start: list[str] = key(
         [],
         "robots whose bodies the first generation contains, with evaluation=gaits also their gaits: zoo:TASK, zoo:FILE,"
-        " the folder of a search (its best design), of one of its designs or of a run, or a body as for design",
+        " the folder of a search (its best design), of one of its designs or of a run, or bodies: random:100:5x5 (drawn"
+        " with seed as train's designs are), a folder of design files, or what design takes",
         path="read",
     )
     search: SearchConfig = key(SearchConfig, "search algorithm")

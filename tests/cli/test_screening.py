@@ -7,14 +7,18 @@ import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 from warpvox.algos.candidate import FINALIST, GAIT, START
 from warpvox.algos.codesign.archive import FILE, Archive, Record
+from warpvox.algos.training.bodies import draw_bodies
 from warpvox.cli.commands.codesign import check, environments
 from warpvox.cli.config import load
 from warpvox.cli.evaluations import _common_factory, learns_by_gradients
+from warpvox.cli.start import read_start
+from warpvox.design import load_design, save_design
 from warpvox.errors import ConfigError
 from warpvox.robots import read_robot
 from warpvox.system import processor_name
@@ -248,6 +252,21 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
         outcome = warpvox("codesign", f"start=[zoo:{file}]", "threads=1", *shape, *words)
         assert outcome.code == 2
         assert says in " ".join(outcome.err.split())
+
+
+def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path) -> None:
+    folder = search(warpvox, "start=[random:3:3x3]", "search.max_evaluations=3", "seed=5")
+    records = records_of(folder)
+    drawn = draw_bodies(3, (3, 3), np.random.default_rng(5))  # as for `warpvox evaluate designs=random:3:3x3 seed=5`
+    assert [record.candidate.origin for record in records] == [START] * 3
+    assert all(np.array_equal(record.candidate.body, body) for record, body in zip(records, drawn, strict=True))
+    for number, body in enumerate(drawn[::-1]):
+        save_design(tmp_path / "robots" / f"{number}.json", body)
+    config = load("codesign", [f"start=[{tmp_path / 'robots'},walker]"])
+    bodies = [robot.body for robot in read_start(config)]
+    assert all(np.array_equal(*pair) for pair in zip(bodies, [*drawn[::-1], load_design("walker")], strict=True))
+    outcome = warpvox("codesign", "start=[random:4]", "search.population=3", "threads=1")
+    assert (outcome.code, "start has 4 robots, the first generation 3 designs" in outcome.err) == (2, True)
 
 
 @pytest.mark.parametrize(

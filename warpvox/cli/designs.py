@@ -13,6 +13,7 @@ import torch
 from warpvox.algos.settings import REFRESH
 from warpvox.algos.training.bodies import Bodies, draw_bodies
 from warpvox.cli.build import load_bodies
+from warpvox.cli.runs import CONFIG
 from warpvox.design import Design, load_design
 from warpvox.errors import ConfigError, DesignError
 from warpvox.io.writing import write_table
@@ -20,7 +21,17 @@ from warpvox.io.writing import write_table
 if TYPE_CHECKING:
     from warpvox.algos.evaluate import Evaluation, Evaluator
 
-__all__ = ["HeldOut", "bodies_of", "grid_of", "held_out_of", "is_many", "read_bodies", "resolved", "trained_on"]
+__all__ = [
+    "HeldOut",
+    "bodies_of",
+    "grid_of",
+    "has_designs",
+    "held_out_of",
+    "is_many",
+    "read_bodies",
+    "resolved",
+    "trained_on",
+]
 
 RANDOM = re.compile(r"random:(\d+)(?::(\d+)x(\d+))?")
 SHAPE = (5, 5)
@@ -78,10 +89,19 @@ def _of_folder(folder: Path, key: str) -> list[Design]:
         if not best:
             raise DesignError(f"{key}: the search in {folder} has evaluated no body yet.")
         return best
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in FILES)
+    files = _files(folder)
     if not files:
         raise DesignError(f"{key}: {folder} is neither a design search nor a folder of designs ({', '.join(FILES)}).")
     return [load_design(path) for path in files]
+
+
+def has_designs(folder: Path) -> bool:
+    """Whether a folder holds design files, and is not that of a run."""
+    return bool(_files(folder)) and not (folder / CONFIG).is_file()
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in FILES)
 
 
 def held_out_of(config: Any) -> list[Design]:

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from warpvox.cli.designs import has_designs, read_bodies
 from warpvox.cli.runs import ZOO
 from warpvox.configs.schema import CodesignConfig
-from warpvox.design import full_connections, load_design
+from warpvox.design import full_connections
 from warpvox.errors import ConfigError
 from warpvox.robots.entry import Robot, find_robot, read_robot, save_robot
 from warpvox.robots.gait import Gait as RobotGait
@@ -34,25 +35,28 @@ def read_start(config: CodesignConfig, folder: Path | None = None) -> list[Robot
     """
     if folder is not None:
         return copies_of(folder)
-    robots = [_robot(text, config) for text in config.start]
-    for text, robot in zip(config.start, robots, strict=True):
-        if not robot.fully_connected:
+    robots = []
+    for text in config.start:
+        found = _robots(text, config)
+        if not all(robot.fully_connected for robot in found):
             raise ConfigError(f"start={text}: this robot lacks connections, which designs of a search have.")
+        robots += found
     return robots
 
 
-def _robot(text: str, config: CodesignConfig) -> Robot:
+def _robots(text: str, config: CodesignConfig) -> list[Robot]:
     if text.startswith(ZOO):
-        return find_robot(text.removeprefix(ZOO))
-    if Path(text).expanduser().is_dir():
+        return [find_robot(text.removeprefix(ZOO))]
+    folder = Path(text).expanduser()
+    if folder.is_dir() and not has_designs(folder):
         from warpvox.cli.robot_entries import robots_of
 
-        robot = next(robots_of(Path(text).expanduser(), 1), None)
+        robot = next(robots_of(folder, 1), None)
         if robot is None:
             raise ConfigError(f"start={text}: this search has evaluated no design yet.")
-        return robot
-    body = load_design(text, seed=config.seed)
-    return Robot(config.task, body, full_connections(body).T, None)
+        return [robot]
+    bodies = read_bodies(text, config.seed, "start")
+    return [Robot(config.task, body, full_connections(body).T, None) for body in bodies]
 
 
 def keep_start(robots: Sequence[Robot], folder: Path) -> None:
