@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -226,3 +227,15 @@ def test_python_m_warpvox(tmp_path: Path) -> None:
             sys.argv = sys_argv
     assert exit_info.value.code == 0
     assert main(["--version"]) == 0
+
+
+def test_help_lists_and_mistakes_do_not_wait_for_torch_and_warp() -> None:
+    code = """
+import sys
+from warpvox.cli import COMMANDS, main
+answers = [main([name, "--help"]) for name in COMMANDS] + [main(["zoo"]), main(["tasks"])]
+mistakes = [main([name, "sed=3"]) for name in ("train", "codesign", "suite", "play", "zoo")]
+sys.exit(str((set(answers), set(mistakes), {"torch", "warp", "rsl_rl"} & set(sys.modules))))
+"""
+    outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert outcome.stderr.splitlines()[-1] == str(({0}, {2}, set()))

@@ -31,6 +31,7 @@ from warpvox.cli.suite.plan import BENCHMARK10, plan, task_names
 from warpvox.cli.suite.pool import LOG, LocalPool
 from warpvox.configs.schema import CodesignConfig
 from warpvox.configs.suite_keys import OF_RECIPES
+from warpvox.devices import names
 from warpvox.envs.registry import task_ids
 from warpvox.errors import ConfigError, DivergenceError, WarpvoxError
 
@@ -298,7 +299,7 @@ def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(
 def test_a_suite_counts_environments_as_its_members_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """With device=auto: 16 environments for each training, and of gaits 32 designs x 8 gaits x 4 episodes."""
     asked = []
-    monkeypatch.setattr(suite, "resolve_device", lambda device, envs: asked.append(envs) or "cpu")
+    monkeypatch.setattr(names, "resolve_device", lambda device, envs: asked.append(envs) or "cpu")
     config = load("suite", ["tasks=[Catcher-v0]", "searches=[ga,auto]", "search.population=32", "workers=1"])
     suite._pool(config, [member.config for member in plan(config)])[0].close()
     assert asked == [32 * 8 * 4]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +20,7 @@ from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError, DesignError
 from warpvox.types import Physics
 
-__all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "shown", "training_lanes", "voxels_of"]
+__all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "training_lanes", "voxels_of"]
 
 OBS_OF_VOXELS = {"task": "voxel", "timed": "timed_voxel"}
 """What a policy for voxels observes in place of what ``obs`` says."""
@@ -156,9 +154,3 @@ def training_lanes(config: Any, device: str) -> int | None:
     if config.lanes is not None or device != "cpu":
         return config.lanes if device == "cpu" else None
     return lanes_for(config.num_envs // len(load_bodies(config.design, config.seed)))
-
-
-def shown(path: Path) -> str:
-    """A path as people like to read it: relative to here where that is shorter."""
-    relative = os.path.relpath(path)
-    return relative if len(relative) < len(str(path)) else str(path)

@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-__all__ = ["duration", "echo", "escaped", "figure", "literal", "shell_argument"]
+__all__ = ["duration", "echo", "escaped", "figure", "literal", "shell_argument", "shown"]
 
 CONTROL = {"Cc", "Cs", "Zl", "Zp"}
 """Unicode's categories of control characters, halves of characters, and ends of lines and paragraphs."""
@@ -23,6 +23,12 @@ def echo(console: Console, text: str) -> None:
     """Print ``text`` as it is: neither coloured, nor folded, nor searched for markup such as ``[gif,html]``."""
     lines = "\n".join(escaped(line) for line in text.split("\n"))
     console.print(lines, highlight=False, soft_wrap=True, markup=False, emoji=False)
+
+
+def shown(path: Path) -> str:
+    """A path as people like to read it: relative to here where that is shorter."""
+    relative = os.path.relpath(path)
+    return relative if len(relative) < len(str(path)) else str(path)
 
 
 def escaped(text: object) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from warpvox.cli.console import echo
+from warpvox.cli.console import echo, shown
 from warpvox.cli.runs import Run
 from warpvox.errors import ConfigError
 
@@ -203,8 +203,6 @@ def write_exports(
 
     ``every``: show every n-th control step only; films then run n times as fast.
     """
-    from warpvox.cli.build import shown
-
     written = [folder / ROLLOUT] if (folder / ROLLOUT).is_file() else []
     for name in dict.fromkeys(formats):
         file, module, function = WRITERS[name]

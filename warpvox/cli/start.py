@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpvox.cli.designs import has_designs, read_bodies
 from warpvox.cli.runs import ZOO
 from warpvox.configs.schema import CodesignConfig
 from warpvox.design import full_connections
 from warpvox.errors import ConfigError
 from warpvox.robots.entry import Robot, find_robot, read_robot, save_robot
 from warpvox.robots.gait import Gait as RobotGait
-from warpvox.robots.replay import by_cell
 
 if TYPE_CHECKING:
     from warpvox.algos.codesign.gaits import Gait
@@ -47,6 +45,8 @@ def read_start(config: CodesignConfig, folder: Path | None = None) -> list[Robot
 def _robots(text: str, config: CodesignConfig) -> list[Robot]:
     if text.startswith(ZOO):
         return [find_robot(text.removeprefix(ZOO))]
+    from warpvox.cli.designs import has_designs, read_bodies
+
     folder = Path(text).expanduser()
     if folder.is_dir() and not has_designs(folder):
         from warpvox.cli.robot_entries import robots_of
@@ -74,6 +74,7 @@ def copies_of(folder: Path) -> list[Robot]:
 def gaits_of(robots: Sequence[Robot]) -> dict[bytes, Gait]:
     """The gaits of those robots that have one, by the bytes of their bodies."""
     from warpvox.algos.codesign.gaits import Gait
+    from warpvox.robots.replay import by_cell
 
     return {
         robot.body.tobytes(): Gait(robot.policy.begin, robot.policy.period, **by_cell(robot.policy, robot.body))

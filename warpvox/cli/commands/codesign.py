@@ -18,13 +18,11 @@ from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.codesign.archive import FILE as ARCHIVE
 from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.codesign.archive_export import export
-from warpvox.algos.policies.registry import MLP
 from warpvox.algos.search import make_search, settings_from
-from warpvox.batch.options import lanes_for
 from warpvox.cli.application import run_command
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
-from warpvox.cli.console import echo, shell_argument
+from warpvox.cli.console import echo, shell_argument, shown
 from warpvox.cli.costs import costs_of
 from warpvox.cli.evaluations import (
     STEPS,
@@ -210,7 +208,7 @@ def codesign(job: Job, console: Console) -> Path:
         from warpvox.algos.codesign.finalists import Finalists
         from warpvox.algos.codesign.loop import Loop
         from warpvox.algos.codesign.stored_policies import StoredPolicies
-        from warpvox.cli.build import prepare, shown
+        from warpvox.cli.build import prepare
         from warpvox.cli.codesign_progress import Results, SearchProgress
         from warpvox.envs.registry import get_task
 
@@ -326,6 +324,9 @@ def _default(name: str) -> Any:
 
 def design_config(config: CodesignConfig, candidate: Candidate, outcome: Outcome) -> str:
     """The text of ``config.yaml`` beside the policy of a design: that of a training which ``warpvox play`` can show."""
+    from warpvox.algos.policies.registry import MLP
+    from warpvox.batch.options import lanes_for
+
     training = config.training
     values = {name: getattr(config, name) for name in OF_DESIGNS} | {
         "design": candidate.body.tolist(),
@@ -411,8 +412,6 @@ def _where(config: CodesignConfig, executor: Executor) -> str:
 
 def write_exports(archive: Archive, folder: Path, formats: list[str], console: Console) -> None:
     """Write the archive in other formats and say where."""
-    from warpvox.cli.build import shown
-
     for name in dict.fromkeys(formats):
         echo(console, shown(export(archive, folder, name)))
 
@@ -423,7 +422,6 @@ def write_again(config: CodesignConfig, console: Console) -> Path:
     Raises:
         RunError: no such search.
     """
-    from warpvox.cli.build import shown
     from warpvox.cli.codesign_progress import Results
 
     texts = [str(text) for text in (config.report if isinstance(config.report, list) else [config.report])]

@@ -15,7 +15,7 @@ from rich.table import Table
 from warpvox.algos.statistics import Interval, difference, mean_interval
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
-from warpvox.cli.console import echo, literal
+from warpvox.cli.console import echo, literal, shown
 from warpvox.cli.exports import draws_at_random, load_run
 from warpvox.cli.run_groups import Group, group_runs
 from warpvox.cli.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
@@ -84,8 +84,6 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
         _print(judged, config, console)
         _say_alike(alike, found, config, console)
         _write(folder, judged, every, config)
-    from warpvox.cli.build import shown
-
     for name in ("runs.csv", "groups.csv", "comparisons.csv", "summary.json"):
         if (folder / name).is_file():
             echo(console, shown(folder / name))

@@ -11,7 +11,7 @@ from rich.console import Console
 from warpvox.cli.application import run_command
 from warpvox.cli.commands.play import check_source, play_run, write_results
 from warpvox.cli.config import to_yaml
-from warpvox.cli.console import echo
+from warpvox.cli.console import echo, shown
 from warpvox.cli.runs import ZOO, as_name, new_folder, write_summary
 from warpvox.configs.schema import EXPORTS, POLICY_EXPORTS
 from warpvox.errors import ConfigError, listing
@@ -74,7 +74,6 @@ def _export_policy(policy: Policy, config: Any, formats: list[str], console: Con
 def _write_policy(policy: Policy | None, folder: Path, formats: list[str], console: Console) -> dict[str, str]:
     """Write the policy in each format and say what there is; returns how each was checked."""
     from warpvox.algos.checkpoints.export import POLICY_WRITERS
-    from warpvox.cli.build import shown
 
     checks = {}
     for name in dict.fromkeys(formats):

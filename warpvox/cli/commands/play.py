@@ -13,7 +13,7 @@ from rich.table import Table
 
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
-from warpvox.cli.console import echo, literal
+from warpvox.cli.console import echo, literal, shown
 from warpvox.cli.exports import (
     ROLLOUT,
     load_run,
@@ -94,7 +94,7 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     if (source.config.get("designs") or {}).get("bodies") is None:
         _refuse(given)
     with console.status("loading"):
-        from warpvox.cli.build import prepare, shown
+        from warpvox.cli.build import prepare
 
         prepare(config.torch_threads, config.seed or 0)
         env, controller = load_run(source, config, getattr(config, "design", None))

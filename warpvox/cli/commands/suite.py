@@ -18,11 +18,10 @@ from warpvox.algos.codesign.archive import FILE as ARCHIVE
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.cli import sweep
 from warpvox.cli.application import run_command
-from warpvox.cli.build import shown
 from warpvox.cli.commands import codesign
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
-from warpvox.cli.console import echo, shell_argument
+from warpvox.cli.console import echo, shell_argument, shown
 from warpvox.cli.evaluations import resolve_evaluation
 from warpvox.cli.runs import STAMP, find_suite, going_on, make_folder
 from warpvox.cli.suite.members import DONE, FAILED, MEMBERS, RUNNING, WAITING, Table
@@ -31,7 +30,6 @@ from warpvox.cli.suite.pool import LocalPool, Pool, RayPool
 from warpvox.cli.suite.progress import SuiteProgress, results
 from warpvox.cli.trust import as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig, SuiteConfig
-from warpvox.devices.names import resolve_device
 from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.writing import check_writable
@@ -219,6 +217,8 @@ def _pool(config: SuiteConfig, members: list[CodesignConfig]) -> tuple[Pool, int
         threads = config.threads or 1
         gpus = 0 if config.device == "cpu" else None
         return RayPool(make_member, config.workers, config.address, threads, gpus), threads
+    from warpvox.devices.names import resolve_device
+
     cores, envs = usable_cores(), max(map(codesign.environments, members))
     room = cores if resolve_device(config.device, envs) == "cpu" else 1
     free = available_memory()

@@ -15,7 +15,7 @@ from rich.console import Console
 from warpvox.algos.training.metrics import check_logger
 from warpvox.cli.application import prepared, run_command
 from warpvox.cli.config import load, to_yaml
-from warpvox.cli.console import echo, shell_argument
+from warpvox.cli.console import echo, shell_argument, shown
 from warpvox.cli.help import flat_values
 from warpvox.cli.pretrained import adopted
 from warpvox.cli.runs import (
@@ -277,8 +277,6 @@ def _folder(job: Job, config: TrainConfig, command: str, group: ProcessGroup) ->
 
 
 def _announce(console: Console, config: TrainConfig, runner: Any, folder: Path) -> None:
-    from warpvox.cli.build import shown
-
     done = runner.current_learning_iteration
     verb = f"resuming after iteration {done}" if done else "training"
     where = config.device if runner.group.size == 1 else f"{runner.group.size} processes, {config.device}"
