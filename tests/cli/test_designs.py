@@ -54,6 +54,11 @@ def test_mistakes_are_explained(spec: object, error: type, says: str) -> None:
         read_bodies(spec, 0, "designs")
 
 
+def test_held_out_bodies_are_those_of_one_seed_that_the_docs_name() -> None:
+    held_out = held_out_of(config("designs=random:4:4x5", "designs.held_out=random:6:4x5", "seed=7"))
+    assert all(np.array_equal(*pair) for pair in zip(held_out, read_bodies("random:6:4x5", 1000003, "x"), strict=True))
+
+
 def test_a_folder_without_designs_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DesignError, match="neither a design search nor a folder of designs"):
         read_bodies(str(tmp_path), 0, "designs")
