@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-MAPPED = ("kernels", "envs", "algos", "configs")
+LINKED = ("kernels", "envs", "algos", "configs")
 MAX_LINES = 600
 
 CORE = ("errors", "system", "types", "examples", "io", "design", "world", "contact_order", "compile")
@@ -17,12 +17,12 @@ HEAVY = {"torch", "warp", "hydra", "omegaconf", "rsl_rl", "gymnasium", "matplotl
 
 def module_name(path: Path) -> str:
     parts = path.relative_to(ROOT).with_suffix("").parts
-    if parts[0] in MAPPED:
+    if parts[0] in LINKED:
         parts = ("warpvox", *parts)
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-SOURCES = {module_name(path): path for folder in ("warpvox", *MAPPED) for path in sorted((ROOT / folder).rglob("*.py"))}
+SOURCES = {module_name(path): path for folder in ("warpvox", *LINKED) for path in sorted((ROOT / folder).rglob("*.py"))}
 ALL_FILES = [*SOURCES.values(), *sorted((ROOT / "tests").rglob("*.py"))]
 
 
@@ -93,13 +93,13 @@ def test_no_layer_imports_a_later_one() -> None:
     assert not wrong, "\n".join(wrong)
 
 
-def test_mapped_folders_are_imported_by_their_full_name() -> None:
+def test_linked_folders_are_imported_by_their_full_name() -> None:
     # `import kernels.x` works when the root is on sys.path and registers every Warp module twice
     wrong = [
         f"{place(path, line)} imports {target}"
         for path in ALL_FILES
         for line, target in imports(parse(path))
-        if target.split(".")[0] in MAPPED
+        if target.split(".")[0] in LINKED
     ]
     assert not wrong, "\n".join(wrong)
 

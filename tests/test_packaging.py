@@ -12,7 +12,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from build_distributions import MAPPED, build
+from build_distributions import LINKED, build
 
 import warpvox
 
@@ -44,35 +44,23 @@ def project(repository: Path) -> dict[str, object]:
     return tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))
 
 
-def installed_name(repository: Path, path: Path) -> str:
-    """Where a file of the checkout lies after installation, e.g. envs/spec.py -> warpvox/envs/spec.py."""
-    relative = path.relative_to(repository)
-    return (Path("warpvox") / relative if relative.parts[0] in MAPPED else relative).as_posix()
-
-
 def shipped_files(repository: Path) -> set[str]:
-    """Every source and data file of the five package folders, by installed name."""
+    """Every source and data file of the package, those behind the links included."""
     return {
-        installed_name(repository, path)
-        for folder in ("warpvox", *MAPPED)
-        for path in (repository / folder).rglob("*")
-        if path.is_file() and (path.suffix == ".py" or path.suffix in DATA_SUFFIXES)
+        Path(place, name).relative_to(repository).as_posix()
+        for place, _, names in os.walk(repository / "warpvox", followlinks=True)
+        for name in names
+        if Path(name).suffix in {".py", *DATA_SUFFIXES}
     }
 
 
-def test_every_package_is_listed(repository: Path, project: dict) -> None:
-    # setuptools cannot discover packages in mapped folders, and an editable install misses none
-    listed = project["tool"]["setuptools"]["packages"]
-    found = {
-        Path(name).parent.as_posix().replace("/", ".") for name in shipped_files(repository) if name.endswith(".py")
-    }
-    assert sorted(listed) == sorted(found)
-    for package in found:
-        assert package.replace(".", "/") + "/__init__.py" in shipped_files(repository)
+def test_links_make_the_four_folders_subpackages(repository: Path) -> None:
+    links = {path.name: path.readlink() for path in (repository / "warpvox").iterdir() if path.is_symlink()}
+    assert links == {folder: Path("..", folder) for folder in LINKED}
 
 
-def test_mapped_folders_refuse_a_second_import(repository: Path) -> None:
-    for folder in MAPPED:
+def test_linked_folders_refuse_a_second_import(repository: Path) -> None:
+    for folder in LINKED:
         code = f"import {folder}"
         run = subprocess.run([sys.executable, "-c", code], cwd=repository, capture_output=True, text=True)
         assert run.returncode != 0
@@ -101,9 +89,8 @@ def test_the_source_distribution_holds_nothing_else(repository: Path, sdist: Pat
     with tarfile.open(sdist) as archive:
         inside = {name.partition("/")[2] for name in archive.getnames() if archive.getmember(name).isfile()}
     described = {name for name in inside if name.startswith("warpvox.egg-info/")} | {"PKG-INFO", "setup.cfg"}
-    sources = {name for name in inside - described if installed_name(repository, repository / name) != name}
-    sources |= {name for name in inside - described if name.startswith("warpvox/")}
-    assert {installed_name(repository, repository / name) for name in sources} == shipped_files(repository)
+    sources = {name for name in inside - described if name.startswith("warpvox/")}
+    assert sources == shipped_files(repository)
     assert inside - described - sources == {"pyproject.toml", "README.md", "LICENSE", "MANIFEST.in"}
 
 

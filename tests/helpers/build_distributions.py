@@ -7,16 +7,17 @@ import subprocess
 import sys
 from pathlib import Path
 
-MAPPED = ("kernels", "envs", "algos", "configs")
-"""Top-level folders that are subpackages of warpvox."""
-FOLDERS = ("warpvox", *MAPPED, "tests")
+LINKED = ("kernels", "envs", "algos", "configs")
+"""Top-level folders that are subpackages of warpvox, by links in its folder."""
+FOLDERS = ("warpvox", *LINKED, "tests")
 
 
 def copy_sources(repository: Path, place: Path) -> Path:
     """Everything of a checkout that a build may look at, tests included, since they must stay out."""
     for path in repository.iterdir():
         if path.name in FOLDERS:
-            shutil.copytree(path, place / path.name, ignore=shutil.ignore_patterns("__pycache__", "recordings"))
+            ignore = shutil.ignore_patterns("__pycache__", "recordings")
+            shutil.copytree(path, place / path.name, symlinks=True, ignore=ignore)
         elif path.is_file() and not path.is_symlink():  # in a worktree, .git is a file
             shutil.copy(path, place / path.name)
     return place
