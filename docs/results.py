@@ -1,8 +1,9 @@
 """Makes ``docs/results.md`` from committed data; ``make results`` runs it. Not part of the library.
 
-    python docs/results.py                       # the page, from docs/results/returns.csv and envs/known_returns.csv
+    python docs/results.py                       # the page, from docs/results/*.csv and envs/known_returns.csv
     python docs/results.py export [FOLDER ...]   # the table from the zoo and from the design searches in folders
     python docs/results.py random                # what chance reaches, into envs/known_returns.csv; takes minutes
+    python docs/results.py noise                 # the zoo's robots under noise, into docs/results/noise.csv; minutes
 
 ``export`` takes a robot of the zoo before a search: its return is exact and can be replayed. Of several searches of a
 task the one with the best return stays, that of the table included. ``tests/docs`` says when the page is out of date.
@@ -11,10 +12,13 @@ task the one with the best return stays, that of the table included. ``tests/doc
 from __future__ import annotations
 
 import csv
+import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
@@ -22,46 +26,67 @@ from warpvox.algos.codesign.archive import FILE as ARCHIVE
 from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.report.members import Member, archives_in, read_members
+from warpvox.algos.statistics import mean_interval
+from warpvox.cli.config import load
 from warpvox.cli.robot_entries import command_of
 from warpvox.cli.runs import find_codesign
-from warpvox.envs import known_returns as known
+from warpvox.envs.known_returns import FILE as KNOWN_RETURNS
+from warpvox.envs.known_returns import KnownReturn, known_returns
 from warpvox.envs.registry import task_ids
+from warpvox.errors import ConfigError
 from warpvox.io import writing
-from warpvox.robots import Gait, zoo_tasks
+from warpvox.robots import Gait, Robot, robot_env, zoo_tasks
+from warpvox.robots.entry import DIGITS
+from warpvox.robots.replay import SEEDS
+from warpvox.system import processor_name
+from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 FOLDER = Path(__file__).resolve().parent
-KNOWN = FOLDER.parent / "envs" / known.FILE
-TABLE, PAGE = FOLDER / "results" / "returns.csv", FOLDER / "results.md"
+KNOWN = FOLDER.parent / "envs" / KNOWN_RETURNS
+TABLE, NOISE, PAGE = FOLDER / "results" / "returns.csv", FOLDER / "results" / "noise.csv", FOLDER / "results.md"
 COLUMNS = (
     *("task", "return", "episodes", "evaluation", "shape", "policy", "control_steps", "seconds", "date", "processor"),
-    "command",
+    *("commit", "command"),
 )
 """``return``: of the robot of the zoo; ``evaluation``: the best deterministic evaluation of the search; ``policy``:
 ``gait``, open loop; else a network, without a name."""
+NOISE_COLUMNS = ("task", "episodes", "mean", "low", "high", "processor")
+"""``low``, ``high``: the 95 % interval of the mean (Student's t)."""
+EPISODES, SIGMA = 32, 0.01
+"""Under noise: normal on each action, with this deviation in units of goal length, 1 % of the range of actions."""
 GAIT = "gait"
 BODIES = 64
 """Random bodies of 5 x 5 cells, one episode each."""
 HEAD = """# Results
 
-The best robots found so far beside the best published returns with bodies of 5 x 5 cells.
+The best robots found so far beside the best published returns with bodies of 5 x 5 cells.{sizes}
 
 {summary}
 
-| task | our return | | best published | by | its protocol | our control steps | our wall time |
-|---|---:|---|---:|---|---|---:|---:|
+| task | our return | | under noise | best published | by | its protocol | our control steps | our wall time |
+|---|---:|---|---:|---:|---|---|---:|---:|
 """
+SUMMARY = """\
+In one deterministic episode (two tasks: eight), the best of thousands tried, {reached} of {known} robots are at or
+above the best published return; {gaits} of the {known} are open loop and {networks} have feedback, and with normal
+noise of 1 % of the action range on every action {held} of the {known} hold (mean of {episodes} episodes)."""
 NOTES = """
 *Our return* is the one that `warpvox play zoo=TASK` repeats in the released simulator's arithmetic
-([the zoo](zoo.md)): one deterministic episode or, in tasks that draw at random, the mean of eight episodes of fresh
-seeds. Where the zoo has no robot yet it is the best deterministic evaluation of a search, in float32, and in italics.
+([the zoo](zoo.md)): one deterministic episode or, in BidirectionalWalker-v0 and Catcher-v0, which draw at random, the
+mean of eight episodes of fresh seeds. Where the zoo has no robot yet it is the best deterministic evaluation of a
+search, in float32, and in italics. ▼ marks a return below the best published one, ○ an open-loop policy: a
+[gait](zoo.md#gaits), whose actions depend on the time alone. All others are networks that see what the task observes.
+
+*Under noise* is the mean return of {episodes} episodes in the same arithmetic with its 95 % interval (Student's t), in
+bold where it is at or above the best published return. Normal noise with a deviation of {sigma:g} (actuators' rest
+lengths) is added to each action, which is clipped to the range of 0.6 to 1.6. `python docs/results.py noise` measures
+it ({processor}; `docs/results/noise.csv`). Where the return falls, the robot shows what its body can do once, not what
+it does reliably.
+
 *Control steps* and *wall time* are those of the whole search or training that the robot comes from, and of the robots
 that it started from: one thread of a machine with 2 virtual cores of the [processor](#commands) that was busy with
-other work, so that the time is an upper bound. ▼ marks a return below the best published one, ○ an open-loop policy:
-a [gait](zoo.md#gaits), whose actions depend on the time alone. All others are networks that see what the task observes.
-
-Most open-loop robots come from several searches, each of which [started](codesign.md#starting-from-known-robots) from
-the robot of the one before; the command is that of the last. They are episodes in which nothing is random, and each is
-the best of thousands: they show what a body can do. The same gait may fail where an episode begins otherwise.
+other work, so that the time is an upper bound. Most open-loop robots come from several searches, each of which
+[started](codesign.md#starting-from-known-robots) from the robot of the one before; the command is that of the last.
 
 Published returns are the best of anybody. Their protocols differ; most are the best evaluation of several searches. A
 score of 1 in a [comparison of searches](evaluation.md#comparing-searches) is such a return.
@@ -71,47 +96,64 @@ score of 1 in a [comparison of searches](evaluation.md#comparing-searches) is su
 REPEAT = """
 ## Commands
 
-Each search or training can be made again with the version that made it (`warpvox zoo task=TASK` names its
-commit): equal seeds give equal results on equal machines. *Processors*: also those of the robots that a search started
-from.
+Commands are those of the version at the commit that made the robot: equal seeds give equal results on equal machines.
+† marks what the version that this page comes with refuses. A robot of the zoo in `start` is the one that the zoo had
+at that commit; a folder in `start` is that of an earlier search and is not published. *Processors*: also those of the
+robots that a search started from.
 
-| task | date | processors | command |
-|---|---|---|---|
+| task | date | commit | processors | command |
+|---|---|---|---|---|
 """
 
 
 # ------------------------------------------------------------------------------------------------------ the page
 
 
-def page(rows: Sequence[Mapping[str, str]]) -> str:
-    """``docs/results.md`` from the rows of the table."""
-    ours, published = {row["task"]: row for row in rows}, known.known_returns()
-    both = [task for task in ours if published[task].best is not None]
-    below = [task for task in both if _return(ours[task]) < published[task].best]
-    reached = (
-        f"**{len(both) - len(below)}** of the {len(both)} tasks with a published return that have been searched so far"
+def page(rows: Sequence[Mapping[str, str]], noise: Sequence[Mapping[str, str]] = ()) -> str:
+    """``docs/results.md`` from the rows of the two tables."""
+    ours, noisy, published = {row["task"]: row for row in rows}, {row["task"]: row for row in noise}, known_returns()
+    larger = [f"{row['task']} ({row['shape']})" for row in rows if row["shape"] not in ("", "5x5")]
+    sizes = f"\nOurs are as large, except those of {', '.join(larger)}." if larger else ""
+    lines = [_line(one, ours.get(task), noisy.get(task)) for task, one in published.items()]
+    processors = ", ".join(sorted({row["processor"] for row in noise}))
+    notes = NOTES.format(episodes=EPISODES, sigma=SIGMA, processor=processors)
+    head = HEAD.format(sizes=sizes, summary=summary(rows, noise))
+    return "".join([head, *lines, notes, *_sources(published.values()), *_commands(ours)])
+
+
+def summary(rows: Sequence[Mapping[str, str]], noise: Sequence[Mapping[str, str]]) -> str:
+    """The sentence that README repeats."""
+    best = {task: one.best for task, one in known_returns().items() if one.best is not None}
+    ours = {row["task"]: row for row in rows if row["task"] in best}
+    gaits = sum(row["policy"] == GAIT for row in ours.values())
+    return SUMMARY.format(
+        reached=sum(_return(row) >= best[task] for task, row in ours.items()),
+        known=len(ours),
+        gaits=gaits,
+        networks=len(ours) - gaits,
+        held=sum(float(row["mean"]) >= best[row["task"]] for row in noise if row["task"] in ours),
+        episodes=EPISODES,
     )
-    left = len(published) - len(ours)
-    missing = f"; {left} of all {len(published)} tasks are still to be searched" if left else ""
-    summary = f"{reached} are at or above it{missing}."
-    lines = [_line(one, ours.get(task)) for task, one in published.items()]
-    return "".join([HEAD.format(summary=summary), *lines, NOTES, *_sources(published.values()), *_commands(ours)])
 
 
 def _return(row: Mapping[str, str]) -> float:
     return float(row["return"] or row["evaluation"])
 
 
-def _line(one: known.KnownReturn, row: Mapping[str, str] | None) -> str:
+def _line(one: KnownReturn, row: Mapping[str, str] | None, noisy: Mapping[str, str] | None) -> str:
     best = "" if one.best is None else f"{one.best:g}"
     protocol = f"{one.protocol}; {one.note}" if one.protocol and one.note else one.protocol or one.note
-    cells = ["-", "", best, one.method, protocol, "", ""]
+    cells = ["-", "", "", best, one.method, protocol, "", ""]
     if row is not None:
         value = _return(row)
         cells[0] = f"{value:.3f}" if row["return"] else f"*{value:.3f}*"
         below = one.best is not None and value < one.best
         cells[1] = "▼" * below + "○" * (row["policy"] == GAIT)
-        cells[5:] = [f"{int(row['control_steps']):,}", _duration(row["seconds"])]
+        cells[6:] = [f"{int(row['control_steps']):,}", _duration(row["seconds"])]
+    if noisy is not None:
+        mean, high = float(noisy["mean"]), float(noisy["high"])
+        bold = "**" * (one.best is not None and mean >= one.best)
+        cells[2] = f"{bold}{mean:.3f}{bold} ± {high - mean:.3f}"
     return f"| {' | '.join([one.task, *cells])} |\n"
 
 
@@ -120,7 +162,7 @@ def _duration(seconds: str) -> str:
     return "" if minutes is None else f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
 
 
-def _sources(published: Iterable[known.KnownReturn]) -> list[str]:
+def _sources(published: Iterable[KnownReturn]) -> list[str]:
     found: dict[tuple[str, str], list[str]] = {}
     for one in published:
         if one.method:
@@ -135,8 +177,24 @@ def _sources(published: Iterable[known.KnownReturn]) -> list[str]:
 def _commands(ours: Mapping[str, Mapping[str, str]]) -> list[str]:
     """How to make each search again."""
     found = [ours[task] for task in task_ids() if task in ours]
-    lines = [f"| {row['task']} | {row['date']} | {row['processor']} | `{row['command']}` |\n" for row in found]
-    return [REPEAT, *lines]
+    return [
+        REPEAT,
+        *(
+            f"| {row['task']} | {row['date']} | {row['commit'][:7]} | {row['processor']} |"
+            f" {'' if accepted(row['command']) else '† '}`{row['command']}` |\n"
+            for row in found
+        ),
+    ]
+
+
+def accepted(command: str) -> bool:
+    """Whether this version takes a command line; nothing is run."""
+    _, name, *words = shlex.split(command)
+    try:
+        load(name, words)
+    except ConfigError:
+        return False
+    return True
 
 
 # ----------------------------------------------------------------------------------------------------- the table
@@ -187,7 +245,7 @@ def _search(member: Member) -> dict[str, str]:
         policy = load_checkpoint(member.folder / member.winner.policy)["policy"]
         values |= {"policy": GAIT} if policy.get("gait") else {}
     values |= {} if member.seconds is None else {"seconds": f"{member.seconds:.0f}"}
-    values |= {"processor": member.summary.get("processor") or ""}
+    values |= {name: member.summary.get(name) or "" for name in ("processor", "commit")}
     command = command_of("codesign", find_codesign(str(member.folder), "").config)
     return _row(member.task, member.winner.candidate.body, command, date, **values)
 
@@ -203,7 +261,7 @@ def _robot(task: str) -> dict[str, str]:
     }
     values |= {"evaluation": f"{about['fitness']:.9g}"} if "fitness" in about else {}
     processors = {one.get("processor") for one in (about, *about.get("start", ()))}
-    values |= {"processor": ", ".join(sorted(processors - {None}))}
+    values |= {"processor": ", ".join(sorted(processors - {None})), "commit": about.get("commit") or ""}
     return _row(task, robot.body, about["command"], about["date"], **values)
 
 
@@ -239,10 +297,48 @@ def measure_random() -> None:
     write_table(KNOWN, rows.values())
 
 
+# ------------------------------------------------------------------------------------------------------------ noise
+
+
+def noisy_returns(robot: Robot) -> np.ndarray:
+    """Returns ``[EPISODES]`` of ``robot`` in exact arithmetic with noise on each action.
+
+    A further episode without noise runs beside them.
+
+    Raises:
+        ValueError: that one does not repeat the recorded return.
+    """
+    draws = np.random.default_rng(0)
+    env = robot_env(robot, seeds=[SEEDS[0], *range(SEEDS[0], SEEDS[0] + EPISODES)])
+
+    def policy(obs: Any) -> np.ndarray:
+        noise = SIGMA * draws.standard_normal((1 + EPISODES, env.num_actions))
+        noise[0] = 0.0
+        return np.clip(robot.policy(obs) + noise.astype(np.float32), ACTION_LOW, ACTION_HIGH)
+
+    without, *returns = evaluate(env, policy).returns.tolist()
+    if round(without, DIGITS) != robot.about["returns"][0]:
+        raise ValueError(f"{robot.task}: {without!r} without noise, but {robot.about['returns'][0]} is recorded")
+    return np.array(returns)
+
+
+def measure_noise() -> None:
+    """Renew the table of returns under noise."""
+    rows = []
+    for task in zoo_tasks():
+        found = mean_interval(noisy_returns(wv.zoo(task)))
+        values = [f"{value:.3f}" for value in (found.mean, found.low, found.high)]
+        rows.append(dict(zip(NOISE_COLUMNS, (task, EPISODES, *values, processor_name()), strict=True)))
+        print(task, *values, flush=True)
+    write_table(NOISE, rows)
+
+
 if __name__ == "__main__":
     if sys.argv[1:2] == ["random"]:
         measure_random()
+    elif sys.argv[1:2] == ["noise"]:
+        measure_noise()
     elif sys.argv[1:2] == ["export"]:
         write_table(TABLE, export([Path(text) for text in sys.argv[2:]], read_table()))
     else:
-        writing.write_text(PAGE, page(read_table()))
+        writing.write_text(PAGE, page(read_table(), read_table(NOISE)))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import json
-import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from warpvox.algos.candidate import Candidate, Outcome
@@ -17,24 +18,53 @@ from warpvox.cli.config import load, to_yaml
 from warpvox.cli.runs import END
 from warpvox.design import sample_design
 from warpvox.envs.known_returns import known_returns
+from warpvox.envs.registry import task_ids
 from warpvox.robots import Gait, zoo, zoo_tasks
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 SPEC = importlib.util.spec_from_file_location("results", DOCS / "results.py")
 results = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(results)
+ROW = dict.fromkeys(results.COLUMNS, "") | {"task": "Walker-v0", "evaluation": "1", "command": "warpvox codesign"}
+ROW |= {"control_steps": "2000", "seconds": "7500"}
 
 
-def test_the_page_is_up_to_date() -> None:
+def test_the_page_is_up_to_date_and_readme_says_what_it_says() -> None:
     text = (DOCS / "results.md").read_text(encoding="utf-8")
-    assert text == results.page(results.read_table()), "run `python docs/results.py`"
-    reached, known = re.search(r"\*\*(\d+)\*\* of the (\d+) tasks", text).groups()
-    assert f"On {reached} of {known} tasks" in (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    rows, noise = results.read_table(), results.read_table(results.NOISE)
+    assert text == results.page(rows, noise), "run `python docs/results.py`"
+    readme = " ".join((DOCS.parent / "README.md").read_text(encoding="utf-8").split())
+    assert " ".join(results.summary(rows, noise).split()) in readme
+
+
+def test_commands_that_this_version_refuses_are_marked() -> None:
+    lines = [
+        results.page([ROW | {"command": f"warpvox codesign evaluation={name}"}]).splitlines()[-1]
+        for name in ("gaits", "waves")
+    ]
+    assert ["† `warpvox" in line for line in lines] == [False, True]
+
+
+def test_the_robots_of_the_table_of_noise_are_those_of_the_zoo_and_its_interval_is_shown() -> None:
+    assert [row["task"] for row in results.read_table(results.NOISE)] == [*filter(zoo_tasks().__contains__, task_ids())]
+    best = known_returns()["Walker-v0"].best
+    for mean, held, shown in (best, 1, f"**{best:.3f}** ± 0.250"), (best - 0.5, 0, f"{best - 0.5:.3f} ± 0.250"):
+        noise = [{"task": "Walker-v0", "mean": str(mean), "high": str(mean + 0.25), "processor": "M7"}]
+        assert f"every action {held} of the 1 hold" in " ".join(results.summary([ROW], noise).split())
+        assert f"| {shown} |" in results.page([ROW], noise)
+
+
+def test_noise_is_beside_an_episode_that_repeats_the_record(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "EPISODES", 3)
+    robot = zoo("Walker-v0")
+    assert 0 < np.ptp(results.noisy_returns(robot)) < 0.1
+    wrong = dataclasses.replace(robot, about=robot.about | {"returns": [1.0]})
+    with pytest.raises(ValueError, match=r"Walker-v0: .* without noise, but 1.0 is recorded"):
+        results.noisy_returns(wrong)
 
 
 def test_returns_below_the_best_published_ones_are_marked() -> None:
     best = known_returns()["Walker-v0"].best
-    row = dict.fromkeys(results.COLUMNS, "") | {"task": "Walker-v0", "control_steps": "2000", "seconds": "7500"}
     lines = {}
     for name, values in {
         "above": {"return": str(best + 0.1), "evaluation": "0"},
@@ -43,13 +73,13 @@ def test_returns_below_the_best_published_ones_are_marked() -> None:
         "gait": {"return": str(best + 0.1), "policy": "gait"},
         "low gait": {"return": str(best - 0.1), "policy": "gait"},
     }.items():
-        text = results.page([row | values])
+        text = results.page([ROW | values])
         lines[name] = next(line for line in text.splitlines() if line.startswith("| Walker-v0 | ")).split(" | ")
     above, below = f"{best + 0.1:.3f}", f"{best - 0.1:.3f}"
     assert [cells[1] for cells in lines.values()] == [above, below, f"*{best:.3f}*", above, below]
     assert [cells[2] for cells in lines.values()] == ["", "▼", "", "○", "▼○"]
     assert lines["above"][-2:] == ["2,000", "2 h 05 min |"]
-    assert "**0** of the 0 tasks with" in results.page([row | {"task": "Traverser-v0", "evaluation": "1"}])
+    assert "tried, 0 of 0 robots are" in results.page([ROW | {"task": "Traverser-v0", "evaluation": "1"}])
 
 
 def make_search(
@@ -83,7 +113,9 @@ def test_the_table_keeps_the_best_of_searches_and_prefers_the_zoo(
     assert (found["control_steps"], found["seconds"], found["processor"]) == ("500", "61", "M7")
     assert found["command"] == "warpvox codesign task=Lifter-v0 search.max_evaluations=30"
     assert float(rows[robot]["return"]) == zoo(robot).mean_return
-    assert rows[robot]["processor"] == zoo(robot).about["processor"]
+    assert [rows[robot][name] for name in ("processor", "commit")] == [
+        zoo(robot).about[name] for name in ("processor", "commit")
+    ]
     make_search(tmp_path / "later/e", "Lifter-v0", 1.375)
     path = tmp_path / "table.csv"
     results.write_table(path, results.export([tmp_path / "later"], list(rows.values())))
