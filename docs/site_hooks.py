@@ -28,6 +28,7 @@ ORDER = (
     "physics",
     "paper",
     "performance",
+    "trials",
     "formats",
     "evogym",
     "faq",
