@@ -181,7 +181,7 @@ def _commands(ours: Mapping[str, Mapping[str, str]]) -> list[str]:
         REPEAT,
         *(
             f"| {row['task']} | {row['date']} | {row['commit'][:7]} | {row['processor']} |"
-            f" {'' if accepted(row['command']) else '† '}`{row['command']}` |\n"
+            f" {'' if accepted(row['command']) else '† '}`{shlex.join(shlex.split(row['command']))}` |\n"
             for row in found
         ),
     ]

@@ -1,0 +1,37 @@
+"""Every command line of the pages that is not run is one that the parser takes."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from warpvox.cli.config import expand, load, read_arguments
+from warpvox.configs.schema import COMMANDS
+
+ROOT = Path(__file__).resolve().parents[2]
+CODE = re.compile(r"^```\w.*?^```$", re.DOTALL | re.MULTILINE)
+QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
+LINE = re.compile(rf"^(?: {{4}})?warpvox ((?:{'|'.join(COMMANDS)})(?: .+)?)$", re.MULTILINE)
+
+
+def command_lines() -> list[str]:
+    """Those of README and the pages, after ``warpvox``, in blocks without a language and indented ones."""
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    texts = (CODE.sub("", page.read_text(encoding="utf-8")).replace("\\\n", " ") for page in pages)
+    return list(dict.fromkeys(re.sub(r" +(#.*)?$", "", line) for text in texts for line in LINE.findall(text)))
+
+
+def test_there_are_command_lines() -> None:
+    assert len(command_lines()) > 50
+
+
+@pytest.mark.parametrize("line", command_lines())
+def test_a_command_line_is_taken(line: str) -> None:
+    assert not re.search(r"[][*?{}]", QUOTED.sub("", line)), "a shell such as zsh takes this for a pattern: quote it"
+    command, *words = (word for word in shlex.split(line) if word != "...")
+    arguments = read_arguments(words)
+    for overrides in expand(arguments, command)[:1]:
+        load(command, overrides, arguments.config_dir)
