@@ -1,0 +1,66 @@
+"""Figures that README and the FAQ repeat are those of the tables, which commands have written."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+ROW = re.compile(r"^\| ([\w-]+-v\d)[^|]* \| ([\d,]+) \| ([\d,]+) \| (\d+) \|$", re.MULTILINE)
+
+
+def text_of(page: str) -> str:
+    return (ROOT / page).read_text(encoding="utf-8")
+
+
+def tables(suite: str) -> str:
+    """What ``warpvox bench`` has put into the page of performance."""
+    return text_of("docs/performance.md").split(f"<!-- bench {suite} -->")[1].split("<!-- end -->")[0]
+
+
+def cells(text: str, first: str) -> list[str]:
+    """Of the row that begins with ``first``, without the ranges in brackets."""
+    (line,) = re.findall(rf"^\| {re.escape(first)} \| (.+) \|$", text, re.MULTILINE)
+    return [re.sub(r" \(.*", "", cell) for cell in line.split(" | ")]
+
+
+def phrases() -> Iterator[tuple[str, str]]:
+    """Pages, and the words that they must have."""
+    median, least, most = re.search(r"Ratio: median (\S+), least (\S+), most (\S+)\.", tables("tasks")).groups()
+    fast = f"{float(least):.0f} to {most} times Evolution Gym on one CPU core (median of all tasks: {median})"
+    yield "README.md", fast
+    batch = cells(tables("peer"), "warpvox, 512 environments")[-1]
+    single = cells(tables("peer"), "warpvox, one gymnasium environment")[-1]
+    yield "docs/faq.md", f"a single one is {float(single):.0f} times as fast as EvoGym's, 512 together {batch} times"
+    share, seconds = re.search(r"step at (\d+)% of the speed .* built in (\S+) s;", tables("mixed")).groups()
+    yield "README.md", f"built in {seconds} s and runs at {share} % of the speed of 512 copies"
+    _, seconds, _, _, steps, _ = cells(tables("learning"), "ppo=parallel, 512 environments")
+    yield "README.md", f"a return of 10 after {steps} control steps, in {float(seconds):.0f} seconds on two cores"
+    found = re.search(
+        r"^\| Climber-v0 \| (\S+) \((.+?)\) \| (\S+) \((.+?)\) \| (\S+) \|$", text_of("docs/search.md"), re.M
+    )
+    *both, best = found.groups()
+    yield "README.md", f"best published return {best};"
+    for name, mean, seeds in ("ga", *both[:2]), ("auto", *both[2:]):
+        values = sorted(seeds.split(", "), key=float)
+        yield "README.md", f"| `search={name}` | {mean} | {values[0]} to {values[-1]} |"
+
+
+@pytest.mark.parametrize(("page", "words"), list(phrases()))
+def test_a_page_repeats_a_figure(page: str, words: str) -> None:
+    assert words in " ".join(text_of(page).split())
+
+
+def test_the_table_of_readme_is_a_part_of_the_tables() -> None:
+    rows = ROW.findall(text_of("README.md"))
+    assert len(rows) > 3
+    *batches, (task, *single) = rows
+    for name, *shown in batches:
+        ours, *_, reference, ratio = cells(tables("tasks"), name)
+        assert shown == [ours, reference, f"{float(ratio):.0f}"]
+    ours, *_, ratio = cells(tables("peer"), "warpvox, one gymnasium environment")
+    reference, *_ = cells(tables("peer"), "evogym 2.0.0, Python 3.10.13")
+    assert (task, *single) == ("Walker-v0", ours, reference, f"{float(ratio):.0f}")
