@@ -10,7 +10,6 @@
 #   make tables      write the keys of all commands into docs/commands.md
 #   make results     renew docs/results.md from the zoo and from design searches (SEARCHES="FOLDER ...")
 #   make docs        build the documentation into site/ and check its links
-#   make gpu_pack    pack what a GPU machine without a package index needs into build/gpu
 #   make clean       remove what builds leave behind (make distclean: .venv as well)
 # PYTHON=python3.12 make demo   chooses the interpreter that .venv is made from.
 
@@ -33,11 +32,11 @@ COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test ptxas fast parity lint format licences packaging audit lock docs tables pictures results zoo_picture gpu_pack clean distclean
+.PHONY: help install demo test ptxas fast parity lint format licences packaging audit lock docs tables pictures results zoo_picture clean distclean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,15s/^# *//p' Makefile
+	@sed -n '2,14s/^# *//p' Makefile
 
 install: $(STAMP)
 
@@ -124,11 +123,6 @@ results: $(STAMP)
 # The robots of the zoo at work; to be made again after entries have changed.
 zoo_picture: $(STAMP)
 	$(BIN)/python docs/zoo_picture.py
-
-# For torch of another machine: GPU_PYTHON=3.11 make gpu_pack.
-GPU_PYTHON ?= 3.12
-gpu_pack: $(STAMP)
-	$(BIN)/python .ci/gpu_pack.py --python $(GPU_PYTHON)
 
 # Removes what builds and runs of tools leave behind; keeps .venv and outputs/.
 clean:
