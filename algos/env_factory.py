@@ -17,7 +17,10 @@ __all__ = ["EnvFactory"]
 
 @dataclass(frozen=True)
 class EnvFactory:
-    """A task and how it is simulated; the arguments are those of :func:`warpvox.envs.vec_env.make_vec`."""
+    """A task and how it is simulated; the arguments are those of :func:`warpvox.envs.vec_env.make_vec`.
+
+    ``device="auto"`` is a GPU where there is one: all environments of a training are on one device, however many.
+    """
 
     task: str | TaskSpec
     rules: str = "evogym"
@@ -32,6 +35,10 @@ class EnvFactory:
     lanes: int | None = None
     layout: str | None = None
 
+    def __post_init__(self) -> None:
+        if self.device == "auto":
+            object.__setattr__(self, "device", resolve_device(self.device))
+
     def make(
         self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool, shared: bool = False
     ) -> VoxelVecEnv:
@@ -40,14 +47,13 @@ class EnvFactory:
         With ``shared`` different bodies share packs, which few environments of one body would not fill.
         """
         # Lanes follow from `envs` alone, however often a body occurs, so that all batches run the same kernels.
-        device = resolve_device(self.device, envs * len(bodies))
         chosen = self.shared_lanes(envs) if shared else lanes_for(envs)
-        lanes = (self.lanes or chosen) if device == "cpu" else None
+        lanes = (self.lanes or chosen) if self.device == "cpu" else None
         return make_vec(
             self.task,
             list(bodies),
             envs * len(bodies),
-            device=device,
+            device=self.device,
             rules=self.rules,
             dtype=self.dtype,
             arithmetic=self.arithmetic,

@@ -49,7 +49,7 @@ AUTO = "auto"
 MOST_THREADS = 1024
 """More than any machine has cores; a stored file may not make a process start a million."""
 ARITHMETICS = ("fast", "exact")
-DEVICES = "auto (CUDA if there is a device and 1,000 environments or more), cpu, cuda, cuda:<index>"
+DEVICES = "auto (CUDA where there is a device, from 100 environments per CPU core on), cpu, cuda, cuda:<index>"
 CONFIG_FILE = "file to take values from, such as a run's config.yaml (or its folder); keys that are given override them"
 
 

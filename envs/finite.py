@@ -47,7 +47,10 @@ class FiniteGuard:
         odd = ~torch.isfinite(obs)
         counted = odd if where is None else odd & where[:, None]
         # in place: a captured graph adds to the same memory
-        self._of_columns.index_add_(0, self._design, counted.int())
+        if len(self._of_columns) == 1:  # on CUDA all environments would add to one row, by atomics
+            self._of_columns += counted.sum(0, dtype=torch.int32)
+        else:
+            self._of_columns.index_add_(0, self._design, counted.int())
         return obs.masked_fill(odd, 0.0), counted.any(1)
 
     def first(self, obs: torch.Tensor, where: torch.Tensor | None, on_cpu: bool) -> torch.Tensor:

@@ -6,6 +6,7 @@ written to in place (:mod:`warpvox.envs.episodes`), so the step is captured as i
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Hashable
 from typing import Any
 
@@ -30,7 +31,9 @@ def capture_on_cuda(device: str) -> Capture:
         graph = torch.cuda.CUDAGraph()
         # Within, torch's current stream is this one, and kernels are launched on it (warpvox.kernels.device).
         # thread_local: what other threads do meanwhile (data loaders, loggers) cannot spoil the capture.
-        with torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local"):
+        capturing = torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local")
+        # the outer context brings the stream back; that of torch leaves it current when a capture fails
+        with torch.cuda.stream(torch.cuda.current_stream(device)), capturing:
             ours = current_stream(device)
             wp.capture_begin(stream=ours, external=True)
             try:
@@ -52,7 +55,7 @@ class StepGraph:
 
     Under settings that it meets for the first time some steps run as they are; the next is captured, and from then on
     replayed. Each settings have a recording of their own, so that a change of them is never missed and costs nothing
-    when they come back.
+    when they come back. Where a capture fails, a warning says so once, and all steps run as they are.
 
     Args:
         step: takes no arguments, reads and writes tensors that stay where they are.
@@ -63,6 +66,7 @@ class StepGraph:
         self._step, self._capture = step, capture
         self._eager: dict[Hashable, int] = {}
         self._recorded: dict[Hashable, tuple[Callable[[], None], Any]] = {}
+        self._failed = False
 
     def __call__(self, settings: Hashable) -> Any:
         """One step; returns fresh tensors.
@@ -72,12 +76,22 @@ class StepGraph:
         """
         if settings not in self._recorded:
             done = self._eager[settings] = self._eager.get(settings, 0) + 1
-            if done <= EAGER_STEPS:
+            if done <= EAGER_STEPS or self._failed or not self._record(settings):
                 return self._step()
-            self._recorded[settings] = self._capture(self._step)
         replay, results = self._recorded[settings]
         replay()
         return _cloned(results)
+
+    def _record(self, settings: Hashable) -> bool:
+        """Capture a step, without doing it; False if that fails."""
+        try:
+            self._recorded[settings] = self._capture(self._step)
+        except RuntimeError as error:  # of torch and of Warp
+            self._failed = True
+            reason = " ".join(str(error).split())[:200]
+            text = f"Control steps cannot be captured as a CUDA graph and are launched one by one: {reason}"
+            warnings.warn(text, RuntimeWarning, stacklevel=2)
+        return not self._failed
 
     @property
     def recorded(self) -> tuple[Hashable, ...]:

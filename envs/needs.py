@@ -86,16 +86,14 @@ def is_small(worlds: Sequence[World], per_design: int, free: int | None) -> bool
     return free is None or len(worlds) * per_design * cells * MOST_PER_CELL <= SMALL * free
 
 
-def check_environments(
-    worlds: Sequence[World], per_design: int, device: str, make: Callable[[list[World]], Simulation]
-) -> None:
+def check_environments(worlds: Sequence[World], per_design: int, device: str, make: Callable[..., Simulation]) -> None:
     """Refuse environments whose simulation does not fit into what is free; costs nothing where they are few.
 
     Args:
         worlds: one of each design.
         per_design: environments of each.
         device: as for :class:`warpvox.Simulation`.
-        make: makes a simulation as it will be made, of other worlds.
+        make: makes a simulation as it will be made, of other worlds, on a ``device``.
 
     Raises:
         MemoryLimitError: with the number of environments that fits.
@@ -103,7 +101,7 @@ def check_environments(
     device = resolve_device(device, len(worlds) * per_design)
     free = free_memory(device)
     if not is_small(worlds, per_design, free):
-        needed = simulation_bytes(make(probed(worlds, per_design)), len(worlds), per_design)
+        needed = simulation_bytes(make(probed(worlds, per_design), device=device), len(worlds), per_design)
         check_fits(needed, free, len(worlds) * per_design, len(worlds), device)
 
 

@@ -74,7 +74,7 @@ def make_vec(
             Environments come in equal blocks, design by design. Default: the example design ``walker``. Where a
             task has several robots, a design is a mapping ``{name: body}``; a single body is meant for all of them.
         num_envs: a multiple of the number of designs.
-        device: ``auto`` (CUDA where there is one, from 1,000 environments on), ``cpu``, ``cuda`` or ``cuda:<index>``.
+        device: ``auto`` (CUDA where there is one, from 100 environments per CPU core on), ``cpu``, ``cuda[:<index>]``.
         rules: ``evogym`` (as released) or ``paper`` (section B as printed).
         dtype: ``float32`` or ``float64``, of the simulation, observations and rewards.
         seed: of all random numbers of a task (there are none in the deterministic ones). The numbers of environment k

@@ -47,7 +47,7 @@ class Simulation(Sensing):
 
     Args:
         worlds: one :class:`World` per environment.
-        device: 'auto' (CUDA where there is one, from 1,000 environments on), 'cpu', 'cuda' or 'cuda:<index>'.
+        device: 'auto' (CUDA where there is one, from 100 environments per CPU core on), 'cpu', 'cuda', 'cuda:<index>'.
         physics: a preset's name or a :class:`Physics`.
         dtype: precision of the springs and of what is returned: 'float32' or 'float64'. State and contacts are float64
             in both.

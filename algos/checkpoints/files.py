@@ -62,7 +62,7 @@ class Controller:
 
     The network is evaluated in float64: how its sums are rounded depends on the size of the batch and the CPU, and
     would be magnified by contacts. An evaluation during training and a later one thus give the same actions, whatever
-    else is in their batches.
+    else is in their batches. It is evaluated where the observations are, with copies of the weights of now.
 
     Args:
         actor: rsl-rl's model of the mean of the outputs.
@@ -71,8 +71,9 @@ class Controller:
 
     def __init__(self, actor: MLPModel, spec: PolicySpec) -> None:
         self.actor, self.spec = actor, spec
+        parts = {**dict(actor.named_parameters()), **dict(actor.named_buffers())}  # tables that are not saved, too
         self._state = {
-            name: value.double() if value.is_floating_point() else value for name, value in actor.state_dict().items()
+            name: value.detach().double() if value.is_floating_point() else value for name, value in parts.items()
         }
 
     @torch.no_grad()
@@ -82,6 +83,8 @@ class Controller:
 
     def outputs(self, obs: torch.Tensor) -> torch.Tensor:
         """``obs`` ``[n, num_obs]`` to the mean of the policy's outputs, float32 ``[n, num_actions]``."""
+        if next(iter(self._state.values())).device != obs.device:
+            self._state = {name: value.to(obs.device) for name, value in self._state.items()}
         group = TensorDict({OBS_GROUP: obs.double()}, batch_size=[len(obs)])
         return functional_call(self.actor, self._state, (group,)).float()
 

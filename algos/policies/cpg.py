@@ -66,6 +66,7 @@ class CpgNetwork(nn.Module):
         if critic:
             return
         self.response = LinearResponse(layout.rows, layout.columns, layout.periods)
+        self.register_buffer("typical", torch.tensor(self.moved, dtype=torch.float64), persistent=False)
         swing = 4 * self.oscillations  # sine and cosine of x and y
         self.token = nn.Linear(FEATURES - MOVING, width)
         self.place = nn.Parameter(torch.randn(layout.cells, width) * 0.3)
@@ -112,7 +113,7 @@ class CpgNetwork(nn.Module):
         present, driven = types.sum(-1, keepdim=True), types[..., 2:].sum(-1)[:, None, :, None]
         distance = (places[:, :, None] - places[:, None]).square().sum(-1).add(1e-6).sqrt()[:, None]
         response = (self.response(types) if _becomes_a_file() else self.response.known(types)).to(bodies)
-        response = response / response.new_tensor(self.moved)[:, None, None, None]
+        response = response / self.typical.to(response)[:, None, None, None]
         reach = response.square().sum((2, 3)).add(1e-3).sqrt()[..., None]
         wave = torch.einsum("rct,ctk->rck", types[..., 2:], self.wave)
         swing = wave[..., 1:].unflatten(2, (2, -1)).permute(0, 3, 1, 2) * driven

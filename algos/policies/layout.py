@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
+from torch import nn
 
 from warpvox.algos.policies.gait import phase_at
 from warpvox.envs.terms.elapsed import is_timed
@@ -15,7 +16,7 @@ from warpvox.envs.voxels import NUM_FEATURES
 from warpvox.errors import ConfigError
 from warpvox.types import VOXEL
 
-__all__ = ["CLOCK", "FEATURES", "INPUTS", "MOVING", "VoxelLayout", "clock", "layout_of", "voxel_inputs"]
+__all__ = ["CLOCK", "FEATURES", "INPUTS", "MOVING", "VoxelInputs", "VoxelLayout", "layout_of"]
 
 INPUTS = {
     "shift": slice(0, 2),
@@ -108,58 +109,76 @@ def layout_of(env: VoxelVecEnv, periods: tuple[float, ...] = CLOCK) -> VoxelLayo
     return VoxelLayout(grid.rows, grid.columns, rest, env.num_actions, timed, periods)
 
 
-def clock(time: torch.Tensor, periods: tuple[float, ...]) -> torch.Tensor:
-    """Sines, then cosines, ``[rows, 2 * len(periods)]`` of control steps ``[rows, 1]`` since the episode began."""
-    phase = phase_at(time, time.new_tensor(periods))
-    return torch.cat([phase.sin(), phase.cos()], dim=1)
+class VoxelInputs(nn.Module):
+    """What a policy makes of observations; nothing of a cell without a voxel gets through.
+
+    Its tables are buffers, so that they lie where the policy is: a step brings nothing to the device.
+
+    Args:
+        layout: of the observations.
+    """
+
+    transform: torch.Tensor
+    places: torch.Tensor
+    periods: torch.Tensor
+
+    def __init__(self, layout: VoxelLayout) -> None:
+        super().__init__()
+        self.layout = layout
+        tables = {"transform": input_transform(), "places": rest_places(layout)}
+        tables["periods"] = torch.tensor(layout.periods, dtype=torch.float64)
+        for name, table in tables.items():
+            self.register_buffer(name, table, persistent=False)
+
+    def clock(self, time: torch.Tensor) -> torch.Tensor:
+        """Sines, then cosines, ``[rows, 2 * len(periods)]`` of control steps ``[rows, 1]`` since the episode began."""
+        phase = phase_at(time, self.periods.to(time.dtype))
+        return torch.cat([phase.sin(), phase.cos()], dim=1)
+
+    def forward(self, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """What observations ``[rows, num_obs]`` hold.
+
+        Returns:
+            Features of the voxels ``[rows, cells, 26]`` (:data:`INPUTS`, not scaled yet), 1 where there is a voxel
+            ``[rows, cells, 1]``, the actions of the cells ``[rows, cells]`` (``layout.actions`` where there is no
+            actuator) and the kinds of the actions ``[rows, actions]`` (0: the body has no such action, 1: horizontal,
+            2: vertical).
+        """
+        layout = self.layout
+        cells = obs[:, : layout.cells * NUM_FEATURES].reshape(-1, layout.cells, NUM_FEATURES)
+        types = cells[..., OBSERVED["type"]]
+        present = 1 - types[..., :1]
+        features = cells @ self.transform.to(obs.dtype)
+        # not a product: what is not finite in an absent cell must not get through either
+        features = features.masked_fill_(present == 0, 0.0)
+        count = present.sum(1, keepdim=True).clamp(min=1)
+        place = self.places.to(obs.dtype) * present
+        place = (place - place.sum(1, keepdim=True) / count) * present
+        shift = features[..., INPUTS["shift"]] - VOXEL * place
+        features[..., INPUTS["shift"]] = (shift - shift.sum(1, keepdim=True) / count) * present
+        features[..., INPUTS["place"]] = place
+        kind = types[..., 3] + 2 * types[..., 4]
+        driving = kind > 0
+        actions = torch.where(driving, driving.long().cumsum(-1) - 1, layout.actions)
+        kinds = torch.zeros(obs.shape[0], layout.actions + 1, dtype=obs.dtype, device=obs.device)
+        kinds = kinds.scatter(1, actions, kind)[:, : layout.actions]
+        return features, present, actions, kinds
 
 
-def input_transform(like: torch.Tensor) -> torch.Tensor:
+def input_transform() -> torch.Tensor:
     """``[25, 26]``: from the features of an observed cell to the inputs of a policy; columns of ``place`` are 0."""
     axes = [(0, 0), (1, 0), *((axis, spread) for axis in (0, 1) for spread in (1, 2, 3))]
     columns = [[_SPREADS[spread][k // 2] / 4 * (k % 2 == axis) for k in range(8)] for axis, spread in axes]
-    corners = torch.tensor(columns, dtype=like.dtype, device=like.device).T
-    transform = like.new_zeros(NUM_FEATURES, FEATURES)
+    corners = torch.tensor(columns).T
+    transform = torch.zeros(NUM_FEATURES, FEATURES)
     transform[OBSERVED["positions"], :8] = corners
     transform[OBSERVED["velocities"], 8:MOVING] = corners
     fixed = slice(OBSERVED["type"].start + 1, OBSERVED["neighbours"].stop)
-    transform[fixed, INPUTS["type"].start :] = torch.eye(fixed.stop - fixed.start, dtype=like.dtype, device=like.device)
+    transform[fixed, INPUTS["type"].start :] = torch.eye(fixed.stop - fixed.start)
     return transform
 
 
-def rest_places(layout: VoxelLayout, like: torch.Tensor) -> torch.Tensor:
+def rest_places(layout: VoxelLayout) -> torch.Tensor:
     """``[cells, 2]``: x to the right and y upward of the cells' centres, in voxels."""
-    rows = torch.arange(layout.rows, dtype=like.dtype, device=like.device)
-    columns = torch.arange(layout.columns, dtype=like.dtype, device=like.device)
-    y, x = torch.meshgrid(-rows, columns, indexing="ij")
-    return torch.stack([x.flatten(), y.flatten()], dim=1)
-
-
-def voxel_inputs(
-    obs: torch.Tensor, layout: VoxelLayout
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """What a policy makes of observations ``[rows, num_obs]``; nothing of a cell without a voxel gets through.
-
-    Returns:
-        Features of the voxels ``[rows, cells, 26]`` (:data:`INPUTS`, not scaled yet), 1 where there is a voxel
-        ``[rows, cells, 1]``, the actions of the cells ``[rows, cells]`` (``layout.actions`` where there is no actuator)
-        and the kinds of the actions ``[rows, actions]`` (0: the body has no such action, 1: horizontal, 2: vertical).
-    """
-    cells = obs[:, : layout.cells * NUM_FEATURES].reshape(-1, layout.cells, NUM_FEATURES)
-    types = cells[..., OBSERVED["type"]]
-    present = 1 - types[..., :1]
-    features = cells @ input_transform(cells)
-    # not a product: what is not finite in an absent cell must not get through either
-    features = features.masked_fill_(present == 0, 0.0)
-    count = present.sum(1, keepdim=True).clamp(min=1)
-    place = rest_places(layout, present) * present
-    place = (place - place.sum(1, keepdim=True) / count) * present
-    shift = features[..., INPUTS["shift"]] - VOXEL * place
-    features[..., INPUTS["shift"]] = (shift - shift.sum(1, keepdim=True) / count) * present
-    features[..., INPUTS["place"]] = place
-    kind = types[..., 3] + 2 * types[..., 4]
-    driving = kind > 0
-    actions = torch.where(driving, driving.long().cumsum(-1) - 1, layout.actions)
-    kinds = torch.zeros(obs.shape[0], layout.actions + 1, dtype=obs.dtype, device=obs.device)
-    kinds = kinds.scatter(1, actions, kind)[:, : layout.actions]
-    return features, present, actions, kinds
+    y, x = torch.meshgrid(-torch.arange(layout.rows), torch.arange(layout.columns), indexing="ij")
+    return torch.stack([x.flatten(), y.flatten()], dim=1).float()

@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from warpvox.algos.policies.distribution import VoxelGaussian
-from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelLayout, clock, voxel_inputs
+from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelInputs, VoxelLayout
 from warpvox.algos.policies.registry import make_network
 from warpvox.algos.training.networks import observations
 
@@ -38,21 +38,21 @@ class VoxelNormalizer(nn.Module):
 
     def __init__(self, layout: VoxelLayout, learns: bool = True) -> None:
         super().__init__()
-        self.layout, self.learns = layout, learns
+        self.layout, self.learns, self.inputs = layout, learns, VoxelInputs(layout)
         self.register_buffer("mean", torch.zeros(MOVING + layout.scaled))
         self.register_buffer("var", torch.ones(MOVING + layout.scaled))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[rows, num_obs]`` to the inputs of a network, and behind them order and kinds of actions."""
-        features, present, actions, kinds = voxel_inputs(obs, self.layout)
+        features, present, actions, kinds = self.inputs(obs)
         deviation = self.var.sqrt() + LEAST
         moving = features[..., :MOVING].sub_(self.mean[:MOVING]).div_(deviation[:MOVING])
         moving.clamp_(-FARTHEST, FARTHEST).mul_(present)
         rest = (self._rest(obs) - self.mean[MOVING:]) / deviation[MOVING:]
         rest = [
             rest.clamp_(-FARTHEST, FARTHEST),
-            *([clock(obs[:, -1:], self.layout.periods)] if self.layout.timed else []),
+            *([self.inputs.clock(obs[:, -1:])] if self.layout.timed else []),
         ]
         return torch.cat([features.flatten(1), *rest, actions.to(obs.dtype), kinds], dim=1)
 
@@ -79,7 +79,7 @@ class VoxelNormalizer(nn.Module):
 
     def _sums(self, obs: torch.Tensor) -> torch.Tensor:
         """Sums and sums of squares of what is scaled, numbers of voxels and of rows; float64."""
-        features, present, _, _ = voxel_inputs(obs, self.layout)
+        features, present, _, _ = self.inputs(obs)
         moving, rest = features[..., :MOVING], self._rest(obs)
         sums = torch.cat([moving.sum((0, 1)), rest.sum(0), moving.square().sum((0, 1)), rest.square().sum(0)])
         return torch.cat([sums.double(), present.sum().double()[None], sums.new_full((1,), len(obs)).double()])

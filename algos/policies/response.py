@@ -72,7 +72,7 @@ class LinearResponse(nn.Module):
         # by Gershgorin's theorem no eigenvalue is larger: two springs along an axis, four diagonals
         self.largest = (4 * max(main) + 6 * max(structural)) / physics.point_mass
         self._keep("coefficients", np.stack([_polynomial(physics, period, self.largest) for period in periods]))
-        self._known: dict[bytes, torch.Tensor] = {}
+        self._known: dict[tuple[str, bytes], torch.Tensor] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles begin without known responses, which may be hundreds of megabytes."""
@@ -120,7 +120,8 @@ class LinearResponse(nn.Module):
     @torch.no_grad()
     def known(self, types: torch.Tensor) -> torch.Tensor:
         """:meth:`forward`, float32; those of bodies that were here before are kept."""
-        keys = [row.tobytes() for row in (types.argmax(-1) + types.sum(-1)).to(torch.int8).cpu().numpy()]
+        bodies, where = (types.argmax(-1) + types.sum(-1)).to(torch.int8).cpu().numpy(), str(types.device)
+        keys = [(where, row.tobytes()) for row in bodies]
         first = {key: row for row, key in enumerate(keys)}
         here = {key: self._known[key] for key in first if key in self._known}
         if missing := [key for key in first if key not in here]:

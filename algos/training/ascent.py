@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from warpvox.algos.policies.cpg import TYPE, CpgNetwork
-from warpvox.algos.policies.layout import MOVING, clock
+from warpvox.algos.policies.layout import MOVING
 from warpvox.algos.training.ppo import PPO
 from warpvox.algos.training.runner import Runner
 from warpvox.algos.training.targets import Targets
@@ -141,7 +141,7 @@ class AscentRunner(Runner):
             The returns ``[num_envs]``, their derivatives by the weights, and bool ``[num_envs]``: where an episode was
             stopped or derivatives are not finite. These derivatives are 0.
         """
-        env, layout = self.env.env, self.alg.actor.layout
+        env, layout, inputs = self.env.env, self.alg.actor.layout, self.alg.actor.obs_normalizer.inputs
         leaf = weights.clone().requires_grad_()
         place = actions[..., None].expand(-1, -1, leaf.shape[2])
         by_action = leaf.new_zeros(len(leaf), layout.actions + 1, leaf.shape[2]).scatter(1, place, leaf)[:, :-1]
@@ -149,7 +149,7 @@ class AscentRunner(Runner):
         stopped = torch.zeros(self.env.num_envs, dtype=torch.bool, device=self.device)
         before = Snapshot(_Differentiated(self._gradients, state))
         for step in range(steps):
-            outputs = CpgNetwork.motion(by_action, clock(leaf.new_tensor([[step]]), layout.periods))
+            outputs = CpgNetwork.motion(by_action, inputs.clock(leaf.new_full((1, 1), step)))
             state = self._gradients.step(state, ACTION_CENTER + self.ppo.action_scale * outputs)
             stopped |= env.sim.unstable
             after = Snapshot(_Differentiated(self._gradients, state))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -11,8 +13,8 @@ import warp as wp
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.cli.build import resolve
 from warpvox.cli.config import load
-from warpvox.design import example_design
-from warpvox.devices.names import ENOUGH, resolve_device
+from warpvox.devices import names
+from warpvox.devices.names import resolve_device
 from warpvox.envs import needs
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import DeviceError, MemoryLimitError
@@ -29,23 +31,57 @@ def gpu(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("gpu")
-def test_auto_takes_a_gpu_where_there_are_environments_enough() -> None:
-    assert [resolve_device("auto", count) for count in (1, ENOUGH - 1, ENOUGH)] == ["cpu", "cpu", "cuda:0"]
+def test_auto_takes_a_gpu_where_there_are_environments_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    for cores in (1, 16):
+        monkeypatch.setattr(names, "usable_cores", lambda cores=cores: cores)
+        found = [resolve_device("auto", count) for count in (1, 100 * cores - 1, 100 * cores)]
+        assert found == ["cpu", "cpu", "cuda:0"]
     assert resolve_device("auto") == "cuda:0"
     assert resolve_device("cuda", 1) == "cuda:0"
 
 
 def test_auto_is_the_cpu_where_there_is_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert resolve_device("auto", 10 * ENOUGH) == "cpu"
+    assert resolve_device("auto", 10 * names.enough()) == "cpu"
 
 
 @pytest.mark.usefixtures("gpu")
 def test_environments_and_commands_choose_by_their_number() -> None:
     assert make_vec("Walker-v0", num_envs=2, threads=1, lanes=8).device == "cpu"
-    assert EnvFactory("Walker-v0", device="auto").make([example_design("mini")], 2, [0], True).device == "cpu"
-    for count, device in ((ENOUGH - 8, "cpu"), (ENOUGH, "cuda:0")):
+    for count, device in ((names.enough() - 1, "cpu"), (names.enough(), "cuda:0")):
         assert resolve(load("train", [f"num_envs={count}"])).device == device
+
+
+@pytest.mark.usefixtures("gpu")
+def test_a_factory_has_one_device_for_batches_of_all_sizes() -> None:
+    assert EnvFactory("Walker-v0", device="auto").device == "cuda:0"
+
+
+@pytest.mark.parametrize(
+    ("torch_has", "built", "driver", "said"),
+    [
+        (True, "13.0", (12, 8), "torch has a device, Warp refuses the driver, which is of CUDA 12.8: 13.0 is needed"),
+        (False, None, (13, 0), "torch 2.13.0+cpu is built without CUDA, Warp has a device"),
+        (False, "12.6", None, "torch finds no device (it is built for CUDA 12.6), Warp finds no driver (NVIDIA driver"),
+    ],
+)
+def test_the_half_of_cuda_that_is_missing_is_named(
+    torch_has: bool,
+    built: str | None,
+    driver: tuple | None,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    warpvox: Callable,
+) -> None:
+    monkeypatch.setattr(torch, "__version__", "2.13.0+cpu")
+    monkeypatch.setattr(torch.version, "cuda", built)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: torch_has)
+    monkeypatch.setattr(wp, "is_cuda_available", lambda: driver is not None and driver >= (13, 0))
+    monkeypatch.setattr(wp, "get_cuda_driver_version", lambda: driver)
+    monkeypatch.setattr(wp, "get_cuda_toolkit_version", lambda: (13, 4))
+    assert said in warpvox("info").out.replace("\n", " ")
+    with pytest.raises(DeviceError, match=re.escape(f"no CUDA device was found: {said}")):
+        resolve_device("cuda")
 
 
 def exhausted(*args: Any, **options: Any) -> None:

@@ -47,8 +47,8 @@ def learn(config: Any, body: np.ndarray, name: str, seed: int) -> dict[str, Any]
     )
     env = make_vec(config.task, [body], settings.num_envs, **options)
     against_scalar(env, seed)
-    lanes = lanes_for(settings.num_envs) if env.device == "cpu" else None
-    judge = evaluator(make_vec(config.task, [body], 1, auto_reset=False, lanes=lanes, **options))
+    options |= {"device": "cpu", "lanes": lanes_for(settings.num_envs) if env.device == "cpu" else None}
+    judge = evaluator(make_vec(config.task, [body], 1, auto_reset=False, **options))  # as `warpvox train` has it
     schedule = Schedule(settings.max_iterations, settings.max_iterations, settings.eval_interval)
     Runner(adapt(env, settings.ppo), settings.ppo, schedule, evaluator=judge).learn(WARM_UP)
     torch.manual_seed(seed)

@@ -172,7 +172,7 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
         return config
     pretrained = read_pretrained(config, folder)
     body = np.full(config.shape, FULL, np.int8)
-    factory = dataclasses.replace(_common_factory(config, pretrained), threads=1)
+    factory = dataclasses.replace(_common_factory(config, pretrained), device="cpu", threads=1)
     env = factory.make([body], 1, [0], auto_reset=False)
     for key, (name, settings) in networks.items():
         if settings is not None and not isinstance(settings, Mapping):

@@ -9,20 +9,49 @@ import warp as wp
 
 from warpvox.devices.startup import start_warp
 from warpvox.errors import DeviceError
+from warpvox.system import usable_cores
 
-__all__ = ["ENOUGH", "resolve_device"]
+__all__ = ["PER_CORE", "enough", "missing_cuda", "resolve_device"]
 
-ENOUGH = 1000
-"""Environments from which "auto" takes a GPU. With one thread an environment, in exact arithmetic or in worlds too
-large for a group, fewer are stepped faster by a core of the CPU; a group of threads should need fewer. Both are
-predictions, see docs/performance.md."""
+PER_CORE = 100
+"""Environments per usable core of the CPU from which "auto" takes a GPU: about so many steps a core makes in the
+millisecond that a control step takes the host of a GPU to launch. An estimate, see docs/performance.md."""
+DRIVER = "NVIDIA driver 580 or newer"
+"""For Warp's own packages, which are built for CUDA 13."""
+
+
+def enough() -> int:
+    """Environments from which "auto" takes a GPU on this machine."""
+    return PER_CORE * usable_cores()
+
+
+def missing_cuda() -> str | None:
+    """Which of torch and Warp has no CUDA device, and why; None: both have one."""
+    start_warp()
+    found = torch.cuda.is_available(), wp.is_cuda_available()
+    if all(found):
+        return None
+    toolkit, driver = wp.get_cuda_toolkit_version(), wp.get_cuda_driver_version()
+    of_torch, of_warp = f"finds no device (it is built for CUDA {torch.version.cuda})", "finds no device"
+    if torch.version.cuda is None:
+        of_torch = f"{torch.__version__} is built without CUDA"
+    if toolkit is None:
+        of_warp = "is built without CUDA"
+    elif driver is None:
+        of_warp = f"finds no driver ({DRIVER} is needed)"
+    elif driver < (toolkit[0], 0):
+        of_warp = f"refuses the driver, which is of CUDA {driver[0]}.{driver[1]}: {toolkit[0]}.0 is needed ({DRIVER})"
+    return ", ".join(
+        f"{name} {'has a device' if has else why}"
+        for name, has, why in zip(("torch", "Warp"), found, (of_torch, of_warp), strict=True)
+    )
 
 
 def resolve_device(device: str, num_envs: int | None = None) -> str:
     """The torch name of a device: 'auto', 'cpu', 'cuda', 'cuda:<index>'.
 
     Args:
-        device: 'auto': CUDA where there is one, if there are environments enough for it (:data:`ENOUGH`).
+        device: 'auto': CUDA where there is one, if there are environments enough for it (:func:`enough`).
         num_envs: how many; None: enough.
 
     Raises:
@@ -30,17 +59,16 @@ def resolve_device(device: str, num_envs: int | None = None) -> str:
     """
     start_warp()
     name = str(device)[:80]
+    has_cuda = torch.cuda.is_available() and wp.is_cuda_available()
     if name == "auto":
-        if num_envs is not None and num_envs < ENOUGH:
-            return "cpu"
-        return "cuda:0" if torch.cuda.is_available() and wp.is_cuda_available() else "cpu"
+        return "cuda:0" if has_cuda and (num_envs is None or num_envs >= enough()) else "cpu"
     if name == "cpu":
         return name
     kind, _, number = name.partition(":")
     if kind != "cuda" or not re.fullmatch("[0-9]{0,4}", number):
         raise DeviceError(f"Unknown device {name!r}; valid are 'auto', 'cpu', 'cuda' and 'cuda:<index>'.")
-    found = torch.cuda.device_count() if torch.cuda.is_available() and wp.is_cuda_available() else 0
+    found = torch.cuda.device_count() if has_cuda else 0
     if int(number or 0) >= found:
-        have = f"this machine has {found} CUDA device(s)" if found else "no CUDA device was found"
+        have = f"this machine has {found} CUDA device(s)" if found else f"no CUDA device was found: {missing_cuda()}"
         raise DeviceError(f"Device {device!r} is not available: {have}. Use device=cpu or device=auto.")
     return f"cuda:{int(number or 0)}"

@@ -12,7 +12,7 @@ import torch
 from warpvox import make_vec
 from warpvox.algos.policies import response as response_module
 from warpvox.algos.policies.cpg import CpgNetwork, _driving, _moved
-from warpvox.algos.policies.layout import VoxelLayout, layout_of, voxel_inputs
+from warpvox.algos.policies.layout import VoxelInputs, VoxelLayout, layout_of
 from warpvox.algos.policies.response import LinearResponse
 from warpvox.design import sample_design
 from warpvox.errors import ConfigError
@@ -90,7 +90,7 @@ def test_bodies_on_the_ground_move_much_like_it() -> None:
     bodies = [sample_design((5, 5), seed=k) for k in range(16)]
     env = make_vec("Walker-v0", designs=bodies, num_envs=16, device="cpu", obs="voxel", grid=(5, 5), auto_reset=False)
     layout, draw = layout_of(env), np.random.default_rng(0)
-    cells, present, actions, _ = voxel_inputs(env.reset()[0], layout)
+    cells, present, actions, _ = VoxelInputs(layout)(env.reset()[0])
     phase = torch.from_numpy(draw.uniform(0, 2 * math.pi, (16, 25)))
     swing = 0.4 * torch.stack([phase.sin(), phase.cos()], -1) * (actions < layout.actions)[..., None]
     moves = []
@@ -98,7 +98,7 @@ def test_bodies_on_the_ground_move_much_like_it() -> None:
         angle = 2 * math.pi * step / PERIOD
         of_cells = 1.0 + swing @ torch.tensor([math.sin(angle), math.cos(angle)]).double()
         goals = torch.ones(16, layout.actions + 1).double().scatter(1, actions, of_cells)[:, :-1]
-        cells = voxel_inputs(env.step(goals)[0], layout)[0]
+        cells = VoxelInputs(layout)(env.step(goals)[0])[0]
         moves.append(10 * cells[..., :2].double())
     angle = 2 * math.pi * torch.arange(41, 61).double() / PERIOD
     both = torch.stack([angle.sin(), angle.cos()], -1)

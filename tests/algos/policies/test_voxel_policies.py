@@ -19,7 +19,7 @@ from warpvox.algos.checkpoints.files import Controller, load_controller
 from warpvox.algos.checkpoints.policy import policy_of
 from warpvox.algos.checkpoints.sampling import SampledController
 from warpvox.algos.evaluate import evaluate, evaluator
-from warpvox.algos.policies.layout import FEATURES, INPUTS, VoxelLayout, layout_of, voxel_inputs
+from warpvox.algos.policies.layout import FEATURES, INPUTS, VoxelInputs, VoxelLayout, layout_of
 from warpvox.algos.policies.model import VoxelNormalizer
 from warpvox.algos.policies.registry import check_policy, layout_for, make_network
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
@@ -98,8 +98,7 @@ def test_a_voxel_looks_the_same_in_every_grid() -> None:
     features = []
     for grid in (None, (4, 4)):
         alone = small_env(1, designs=[body], obs="voxel", grid=grid)
-        layout = layout_of(alone)
-        found, present, _, _ = voxel_inputs(some_obs(alone), layout)
+        found, present, _, _ = VoxelInputs(layout_of(alone))(some_obs(alone))
         features.append(found[0, present[0, :, 0] > 0])
         assert bool((found[0, present[0, :, 0] == 0] == 0).all())
     torch.testing.assert_close(features[0], features[1], rtol=0, atol=1e-5)
@@ -108,7 +107,7 @@ def test_a_voxel_looks_the_same_in_every_grid() -> None:
 
 def test_inputs_at_rest_say_where_a_voxel_is(env: VoxelVecEnv) -> None:
     layout = layout_of(env)
-    found, present, actions, kinds = voxel_inputs(env.reset()[0], layout)
+    found, present, actions, kinds = VoxelInputs(layout)(env.reset()[0])
     assert float(found[..., INPUTS["shift"]].abs().max()) < 1e-5
     assert float(found[..., INPUTS["shape_velocity"]].abs().max()) == 0
     rows = found[0, :, INPUTS["place"]]

@@ -13,13 +13,14 @@ from rich.table import Table
 
 import warpvox
 from warpvox.cli.console import literal
-from warpvox.devices.startup import start_warp
 from warpvox.errors import ConfigError
 from warpvox.system import processor_name, usable_cores
 
 __all__ = ["run"]
 
 PACKAGES = ("warp-lang", "torch", "rsl-rl-lib", "numpy", "gymnasium", "hydra-core", "usd-core")
+OLDEST = 7, 5
+"""Compute capability that CUDA 13 compiles for, at the least."""
 
 
 def run(words: list[str]) -> None:
@@ -54,16 +55,19 @@ def _versions() -> list[tuple[str, str]]:
 
 def _devices() -> list[tuple[str, str]]:
     import torch
-    import warp as wp
 
-    start_warp()
+    from warpvox.devices.names import missing_cuda
+
+    missing = missing_cuda()
     rows = [("cpu", f"{processor_name()}, {usable_cores()} of {os.cpu_count()} cores usable")]
-    if torch.cuda.is_available() and wp.is_cuda_available():
-        for index in range(torch.cuda.device_count()):
-            properties = torch.cuda.get_device_properties(index)
-            rows.append((f"cuda:{index}", f"{properties.name}, {properties.total_memory / 2**30:.0f} GiB"))
-    else:
-        rows.append(("cuda", "none"))
+    if missing is not None:
+        return [*rows, ("cuda", f"none: {missing}")]
+    for index in range(torch.cuda.device_count()):
+        properties = torch.cuda.get_device_properties(index)
+        capability = properties.major, properties.minor
+        about = f"{properties.name}, {properties.total_memory / 2**30:.0f} GiB, compute capability "
+        about += ".".join(map(str, capability)) + ("" if capability >= OLDEST else " (7.5 or newer is needed)")
+        rows.append((f"cuda:{index}", about))
     return rows
 
 

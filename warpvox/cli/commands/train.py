@@ -196,16 +196,18 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         seed, guard = group.seed(config.seed), config.nan_guard
         room = {"designs": designs, "grid": grid_of(config)} if many else {}
         ascends = getattr(config, "method", "ppo") == "gradients"  # a demo has no such key
-        options = {"auto_reset": True, "seed": seed, "nan_guard": guard} | room
+        options = {"auto_reset": True, "seed": seed, "nan_guard": guard, "cuda_graph": config.cuda_graph} | room
         if ascends:
             options["layout"] = "lanes"
         env = adapt(make_env(config, config.num_envs, **options), config.ppo)
         judge = None
         if group.is_main_process:
-            lanes = config.lanes if many else training_lanes(config, config.device)
+            # on a GPU a few environments would take the launches of ten iterations, one after another
+            lanes = config.lanes if many and config.device == "cpu" else training_lanes(config, config.device)
             if many:
                 room["designs"] = designs = held_out_of(config)
-            made = make_env(config, config.eval_envs * len(designs), auto_reset=False, lanes=lanes, **room)
+            options = {"auto_reset": False, "device": "cpu", "lanes": lanes} | room
+            made = make_env(config, config.eval_envs * len(designs), **options)
             judge = evaluator(made, config.seed)  # the same episodes every time, also after a resumption
             judge = HeldOut(judge, designs) if many else judge
         parts = {"voxels": voxels_of(config, env.env), "bodies": bodies, "trained_on": trained_on(config)}
