@@ -9,7 +9,7 @@ import warp as wp
 
 from warpvox.kernels.broadphase import boxes, collect
 from warpvox.kernels.contact import contacts
-from warpvox.kernels.device import BLOCK, Command, kernel, record
+from warpvox.kernels.device import Command, kernel, record
 from warpvox.kernels.exact import order
 from warpvox.kernels.exact import springs as exact_springs
 from warpvox.kernels.folding import check
@@ -98,10 +98,10 @@ def record_actions(state, actions, low: float, high: float) -> wp.Launch | Comma
     return record(action_kernel(state.precision), actions.shape, inputs, state.device)
 
 
-def record_step(state, substeps: int, first: int, packs: int, block: int = BLOCK) -> wp.Launch | Command:
+def record_step(state, substeps: int, first: int, packs: int) -> wp.Launch | Command:
     """A command that does one control step of the packs ``first`` to ``first + packs`` from the actions taken."""
     if state.group is not None:
         return record_group(state, substeps, first, packs)
     fused = step_kernel(state.arithmetic, state.precision, state.width)
     inputs = [state.model, state.data, first, state.units, substeps, state.dt]
-    return record(fused, (packs, state.units), inputs, state.device, block)
+    return record(fused, (packs, state.units), inputs, state.device)

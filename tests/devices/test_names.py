@@ -15,9 +15,8 @@ from warpvox.cli.build import resolve
 from warpvox.cli.config import load
 from warpvox.devices import names
 from warpvox.devices.names import resolve_device
-from warpvox.envs import needs
 from warpvox.envs.vec_env import make_vec
-from warpvox.errors import DeviceError, MemoryLimitError
+from warpvox.errors import DeviceError
 from warpvox.kernels import state
 from warpvox.simulation import Simulation
 
@@ -102,15 +101,3 @@ def test_a_step_that_does_not_fit_says_what_to_lower(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(Simulation, "com", exhausted)
     with pytest.raises(DeviceError, match="Take num_envs=1 instead of 2"):
         env.step(torch.ones((2, env.num_actions)))
-
-
-def test_what_does_not_fit_on_a_gpu_is_refused_before_it_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is free is what the driver says and what torch has cached; the arrays are measured on a few environments."""
-    monkeypatch.setattr(needs, "resolve_device", lambda device, num_envs=None: "cuda:0")
-    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2**30, 2**32))
-    monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: 3 * 2**20)
-    monkeypatch.setattr(torch.cuda, "memory_allocated", lambda device: 2**20)
-    with pytest.raises(
-        MemoryLimitError, match=r"150,000 environments need about .* GiB are free on cuda:0; .*num_envs="
-    ):
-        make_vec("Walker-v0", num_envs=150_000, device="cpu")

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import torch
 import warp as wp
+from simulated_cuda import Tape
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from warpvox.envs.graph import StepGraph
@@ -79,33 +80,6 @@ def test_what_waits_is_noticed() -> None:
         values.sum().item()
         values.new_tensor([1.0])
     assert len(watch.waiting) == 3
-
-
-class Tape(TorchDispatchMode):
-    """A recording as a CUDA graph is one: operations and launches in their order, on fixed addresses.
-
-    Played, it does them again on the tensors of the recording; what Python computed, looked at or chose is as it was.
-    Only tensors that are written to in place tell it about the present.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.done: list[Callable[[], Any]] = []
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
-        kwargs = kwargs or {}
-        result = func(*args, **kwargs)
-        alias = [value.alias_info for value in func._schema.returns]
-        if func._schema.is_mutable:
-            self.done.append(lambda: func(*args, **kwargs))
-        elif not any(info is not None for info in alias):  # a view goes on showing what it shows
-            assert isinstance(result, torch.Tensor), func
-            self.done.append(lambda: result.copy_(func(*args, **kwargs)))
-        return result
-
-    def play(self) -> None:
-        for do in self.done:
-            do()
 
 
 def taping(env: VoxelVecEnv, monkeypatch: pytest.MonkeyPatch) -> Callable:

@@ -14,7 +14,7 @@ import torch
 import warp as wp
 from torch.utils._python_dispatch import TorchDispatchMode
 
-__all__ = ["Launches"]
+__all__ = ["Launches", "caller"]
 
 WAITING = ("_local_scalar_dense", "nonzero", "masked_select", "unique", "lift_fresh", "repeat_interleave.Tensor")
 """Operations that read a value on the host, give a result whose size does, or bring data from the host."""
@@ -63,7 +63,7 @@ class Launches(TorchDispatchMode):
     def _read(self, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(method)
         def read(tensor: torch.Tensor, *args: Any, **options: Any) -> Any:
-            self.waits[(name, *_caller())] += 1
+            self.waits[(name, *caller())] += 1
             return method(tensor, *args, **options)
 
         return read
@@ -75,7 +75,7 @@ class Launches(TorchDispatchMode):
             isinstance(index, torch.Tensor) and index.dtype == torch.bool for index in args[1]
         )
         if by_mask or any(word in name for word in WAITING):
-            self.waits[(f"{name} by a mask" if by_mask else name, *_caller())] += 1
+            self.waits[(f"{name} by a mask" if by_mask else name, *caller())] += 1
         return func(*args, **(kwargs or {}))
 
     def by(self, package: str) -> Counter[tuple[str, str]]:
@@ -87,7 +87,7 @@ class Launches(TorchDispatchMode):
         return found
 
 
-def _caller() -> tuple[str, str]:
+def caller() -> tuple[str, str]:
     """Module and name of the innermost function of warpvox or rsl-rl, besides this file."""
     frame = sys._getframe(2)
     while frame is not None:

@@ -1,7 +1,7 @@
 """``warpvox bench suite=gpu``: checks and figures of a CUDA device, part by part, within a time.
 
 A GPU is often lent for minutes, and a call may be cut off. So one call does everything, what matters most first:
-correctness in under a minute, then figures, then what takes long. Each row is saved when it is there; a part that fails
+whether it runs and is right, then figures, then what takes long. Each row is saved when it is there; a part that fails
 is written down and the others go on; what the time does not suffice for is left out, and said. On the CPU
 (``device=cpu``) the same parts run in a small size.
 """
@@ -12,8 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.bench import gpu_checks, gpu_rates
-from warpvox.bench.kernels import compile_seconds
+from warpvox.bench import gpu_checks, gpu_rates, gpu_tools
 from warpvox.bench.machine import machine
 from warpvox.bench.progress import Progress
 from warpvox.bench.report import Report
@@ -25,12 +24,15 @@ FIRST = ("Walker-v0", "Carrier-v0", "Climber-v2", "BeamToppler-v0", "Balancer-v1
 """Tasks that are compared before anything is measured: plain ground, a load, walls, a loose beam, a narrow support."""
 
 
+ON_CUDA = "sanitizer", "graph", "stream"
+"""Parts that mean nothing on the CPU."""
+
+
 @dataclass(frozen=True)
 class Size:
-    """How much is done: environments of the parts, threads of a block, sides of bodies, designs of a population."""
+    """How much is done: environments of the parts, sides of bodies, designs of a population."""
 
     envs: tuple[int, ...]
-    blocks: tuple[int, ...]
     checked: int
     tasks: int
     sides: tuple[int, ...]
@@ -39,8 +41,8 @@ class Size:
     designs: int
 
 
-LARGE = Size((16384, 65536, 4096, 1024, 1), (64, 32, 128, 256), 4096, 16384, (5, 15, 25, 35), 1024, (4096, 16384), 25)
-SMALL = Size((1, 8), (64,), 8, 8, (3,), 8, (8,), 2)
+LARGE = Size((16384, 65536, 4096, 1024), 4096, 16384, (5, 15, 25, 35), 1024, (4096, 16384), 25)
+SMALL = Size((1, 8), 8, 8, (3,), 8, (8,), 2)
 
 
 def run(config: Any, report: Report) -> dict[str, Any]:
@@ -58,26 +60,30 @@ def _parts(config: Any, size: Size, progress: Progress) -> dict[str, Callable[[]
     wanted = [get_task(task).id for task in config.tasks] or task_ids()
     first = [task for task in FIRST if task in wanted] or wanted[:1]
     rest = [task for task in wanted if task not in first]
-    report, exact = progress.report, "float64"
+    report, checks, rates = progress.report, gpu_checks, gpu_rates
+
+    def compared(part: str, tasks: list[str], dtype: str) -> Callable[[], Any]:
+        return lambda: checks.correctness(config, progress, part, tasks, dtype)
 
     parts = {
-        "correctness": lambda: gpu_checks.trajectories(config, progress, "correctness", first, config.dtype),
-        "determinism": lambda: gpu_checks.determinism(config, report, size.checked),
-        "independence": lambda: gpu_checks.independence(config, report, size.checked),
-        "graph": lambda: gpu_checks.graph(config, report, size.checked),
-        "sizes": lambda: gpu_rates.sizes(config, progress, size.envs, size.blocks, False),
-        "stages": lambda: gpu_rates.stages(config, progress, size.tasks),
-        "bodies": lambda: gpu_rates.bodies(config, progress, size.bodies, size.sides),
-        "training": lambda: gpu_rates.training(config, progress, size.training, size.designs),
-        "learning": lambda: gpu_rates.learning(config, progress),
-        "sizes, graph": lambda: gpu_rates.sizes(config, progress, size.envs, (), True),
-        "double": lambda: gpu_checks.trajectories(config, progress, "double", first, exact),
-        "other tasks": lambda: gpu_checks.trajectories(config, progress, "other tasks", rest, config.dtype),
-        "tasks": lambda: gpu_rates.tasks(config, progress, wanted, size.tasks),
-        "recordings": lambda: gpu_checks.recordings(config, report, progress.left),
-        "other tasks, double": lambda: gpu_checks.trajectories(config, progress, "other tasks, double", rest, exact),
-        "compilation": lambda: compile_seconds(config, report) if config.compile else {},
+        "smoke": lambda: checks.smoke(config, report),
+        "sanitizer": lambda: gpu_tools.sanitizer(config, progress),
+        "correctness": compared("correctness", first, config.dtype),
+        "determinism": lambda: checks.determinism(config, report, size.checked),
+        "independence": lambda: checks.independence(config, report, size.checked),
+        "graph": lambda: checks.graph(config, report, size.checked),
+        "stream": lambda: checks.stream(config, report, size.checked),
+        "sizes": lambda: rates.sizes(config, progress, size.envs),
+        "profile": lambda: gpu_tools.profile(config, progress, size.training[-1]),
+        "training": lambda: rates.training(config, progress, size.training, size.designs),
+        "learning": lambda: rates.learning(config, progress),
+        "recordings": lambda: checks.recordings(config, report, progress.left),
+        "other tasks": compared("other tasks", rest, config.dtype),
+        "double": compared("double", first, "float64"),
+        "bodies": lambda: rates.bodies(config, progress, size.bodies, size.sides),
+        "tasks": lambda: rates.tasks(config, progress, wanted, size.tasks),
+        "other tasks, double": compared("other tasks, double", rest, "float64"),
     }
-    left_out = {"sizes, graph"} if config.device == "cpu" else set()
+    left_out = set(ON_CUDA) if config.device == "cpu" else set()
     left_out |= set() if rest else {"other tasks", "other tasks, double"}
     return {name: part for name, part in parts.items() if name not in left_out}

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import torch
+import warp as wp
 
 from warpvox.bench.case import one_body
 from warpvox.bench.progress import Progress
@@ -16,41 +19,90 @@ from warpvox.bench.report import Report, number
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import SimulationError
 
-__all__ = ["determinism", "graph", "independence", "recordings", "trajectories"]
+__all__ = ["correctness", "determinism", "graph", "independence", "recordings", "smoke", "stream"]
 
 STEPS, ENVS, FEW, MOST = 30, 32, 3, 4096
 """Control steps; environments of a comparison with the CPU, of a small batch; environments of different actions."""
-POSITION = {"float64": 1e-9, "float32": 1e-5}
-"""Largest difference of a centre of mass between device and CPU over STEPS control steps, in simulator units."""
-REWARD = {"float64": 1e-8, "float32": 1e-4}
+SHARE = 0.9
+"""Of the environments, so many must keep to the tolerances in each control step: in a few of them rounding decides
+otherwise about a contact, after which they are right and far apart."""
+TOLERANCES = {
+    "float32": {"pos": 2e-8, "vel": 5e-6, "obs": 2e-5, "reward": 2e-5},
+    "float64": {"pos": 1e-12, "vel": 1e-9, "obs": 1e-9, "reward": 1e-9},
+}
+"""Largest differences between device and CPU after one control step from the same state, in simulator units: some
+times what float32 differs from float64 by on the CPU (5e-9 and 7e-7 for positions and velocities)."""
 TEST_SECONDS = 240
+QUERY = "nvidia-smi", "--query-gpu=name,driver_version,clocks.max.sm,power.limit", "--format=csv,noheader"
 
 
-def trajectories(config: Any, progress: Progress, part: str, tasks: list[str], dtype: str) -> None:
-    """Tasks in one precision: device against scalar code on the CPU in float64.
+def smoke(config: Any, report: Report) -> dict[str, Any]:
+    """What the driver says, and a few control steps with Warp's own check of every launch.
+
+    Raises:
+        SimulationError: a launch has failed, or the state is not finite.
+    """
+    asked = subprocess.run(QUERY, capture_output=True, text=True) if shutil.which(QUERY[0]) else None
+    found = {"driver": asked.stdout.strip() if asked else None, "layout": None}
+    before, wp.config.verify_cuda = wp.config.verify_cuda, True
+    try:
+        env = _make(config, 2 * ENVS)
+        env.reset(env.seed)
+        for _ in range(FEW):
+            obs, *_ = env.step(torch.ones((env.num_envs, env.num_actions), dtype=env.dtype, device=env.device))
+    finally:
+        wp.config.verify_cuda = before
+    if not bool(torch.isfinite(obs).all()):
+        raise SimulationError("The observations after three control steps are not finite.")
+    found["layout"] = env.sim.layout
+    report.note(f"{found['driver'] or config.device}: {FEW} control steps, layout {env.sim.layout}.")
+    return found
+
+
+def correctness(config: Any, progress: Progress, part: str, tasks: list[str], dtype: str) -> None:
+    """Tasks in one precision: each control step of the device against the CPU in float64, from the CPU's state.
 
     Raises:
         SimulationError: they are further apart than rounding explains.
     """
     wrong: list[str] = []
-    worst = {"centre": 0.0, "reward": 0.0}
     for task in tasks:
         if not progress.time_for(f"{part}: {task}"):
             continue
-        exact = _outcomes(_make(config, ENVS, task=task, dtype="float64", device="cpu", lanes=1))
-        found = _outcomes(_make(config, ENVS, task=task, dtype=dtype))
-        row = {key: float((found[key].double() - exact[key]).abs().max()) for key in worst}
-        good = row["centre"] < POSITION[dtype] and row["reward"] < REWARD[dtype]  # NaN is not
-        worst = {key: max(worst[key], row[key]) for key in worst}
-        wrong += [] if good else [f"{task} by {row['centre']:.1e}"]
-        text = f"{task}, {dtype}: centre within {number(row['centre'])}, reward within {number(row['reward'])}"
-        progress.row(part, f"{text}{'' if good else ' WRONG'}", task=task, dtype=dtype, good=good, **row)
+        exact = _make(config, ENVS, task=task, dtype="float64", device="cpu", lanes=1)
+        apart = _apart(exact, _make(config, ENVS, task=task, dtype=dtype))
+        # in each step all but a few environments
+        row = {name: float(values.quantile(SHARE, dim=1).amax()) for name, values in apart.items()}
+        good = all(row[name] <= allowed for name, allowed in TOLERANCES[dtype].items())  # NaN is not
+        wrong += [] if good else [f"{task} by {row['pos']:.1e}"]
+        beyond = int((apart["pos"] > TOLERANCES[dtype]["pos"]).any(0).sum())
+        text = f"{task}, {dtype}: " + ", ".join(f"{name} within {number(value)}" for name, value in row.items())
+        text += f", {beyond} of {ENVS} beyond" if beyond else ""
+        values = {"task": task, "dtype": dtype, "good": good, "beyond": beyond} | row
+        progress.row(part, f"{text}{'' if good else ' WRONG'}", **values)
     if wrong:
         raise SimulationError(f"The device differs from the CPU in {', '.join(wrong[:6])}.")
     progress.report.note(
-        f"{dtype}, {len(progress.figures.get(part, []))} tasks, {STEPS} control steps: within {number(worst['centre'])}"
-        f" (centres of mass) and {number(worst['reward'])} (rewards) of the CPU in float64."
+        f"{dtype}, {len(progress.figures.get(part, []))} tasks: {SHARE:.0%} of the environments are within the"
+        f" tolerances of the CPU in float64 in each of {STEPS} control steps."
     )
+
+
+def _apart(exact: VoxelVecEnv, env: VoxelVecEnv) -> dict[str, torch.Tensor]:
+    """Differences ``[STEPS, num_envs]`` after one control step from the state of ``exact``, which goes on."""
+    found: dict[str, list[torch.Tensor]] = {name: [] for name in TOLERANCES["float64"]}
+    exact.reset(exact.seed)
+    for actions in _actions(exact):
+        env.set_state(exact.state())
+        results = []
+        for one in (exact, env):
+            obs, reward, *_ = one.step(actions.to(one.device, one.dtype))
+            state = one.sim.state()
+            results.append({"pos": state["pos"], "vel": state["vel"], "obs": obs, "reward": reward[:, None]})
+        for name, values in found.items():
+            mine, theirs = (result[name].double().cpu() for result in results)
+            values.append((mine - theirs).abs().flatten(1).amax(1))
+    return {name: torch.stack(values) for name, values in found.items()}
 
 
 def determinism(config: Any, report: Report, envs: int) -> dict[str, Any]:
@@ -86,14 +138,26 @@ def graph(config: Any, report: Report, envs: int) -> dict[str, Any]:
     Raises:
         SimulationError: they are not.
     """
-    if config.device == "cpu":
-        report.note("No graph was captured: that needs a GPU.")
-        return {"captured": False}
     options = dict(auto_reset=True, max_episode_steps=STEPS // 2)
     with_graph, without = (_outcomes(_make(config, envs, cuda_graph=wanted, **options)) for wanted in (True, False))
     _compare(with_graph, without, "Steps with and without a graph")
     report.note(f"{envs:,} environments over {STEPS} control steps are equal with and without a graph, bit for bit.")
     return {"captured": True, "num_envs": envs}
+
+
+def stream(config: Any, report: Report, envs: int) -> dict[str, Any]:
+    """On a stream of one's own control steps are those on torch's first one, bit for bit.
+
+    Raises:
+        SimulationError: they are not.
+    """
+    env = _make(config, envs)
+    expected = _outcomes(env)
+    torch.cuda.synchronize(config.device)
+    with torch.cuda.stream(torch.cuda.Stream(config.device)):
+        _compare(_outcomes(env), expected, "Steps on another stream")
+    report.note(f"{envs:,} environments over {STEPS} control steps are equal on another stream, bit for bit.")
+    return {"num_envs": envs}
 
 
 def _make(config: Any, envs: int, task: str | None = None, **options: Any) -> VoxelVecEnv:
@@ -105,20 +169,26 @@ def _make(config: Any, envs: int, task: str | None = None, **options: Any) -> Vo
 def _outcomes(env: VoxelVecEnv) -> dict[str, torch.Tensor]:
     """On the CPU, of STEPS control steps from a reset on, environments first.
 
-    Centres of mass and rewards of every step, the last observations and the state. Actions are the same on every device
-    and for the first environments of any number: whole multiples of 1 / 1024, exact in both precisions.
+    Centres of mass and rewards of every step, the last observations and the state.
     """
-    random = torch.Generator().manual_seed(0)
     centres, rewards = [], []
     env.reset(env.seed)
-    for _ in range(STEPS):
-        draws = torch.randint(615, 1639, (env.num_actions, MOST), generator=random).T / 1024
-        rows = torch.arange(env.num_envs) % MOST
-        obs, reward, *_ = env.step(draws[rows].to(env.device, env.dtype))
+    for actions in _actions(env):
+        obs, reward, *_ = env.step(actions.to(env.device, env.dtype))
         rewards.append(reward.cpu())
         centres.append(env.sim.com("robot").cpu())
     state = {name: value.cpu() for name, value in env.sim.state().items()}
     return {"centre": torch.stack(centres, 1), "reward": torch.stack(rewards, 1), "obs": obs.cpu(), **state}
+
+
+def _actions(env: VoxelVecEnv) -> Iterator[torch.Tensor]:
+    """Of STEPS control steps: the same on every device and for the first environments of any number.
+
+    Whole multiples of 1 / 1024, exact in both precisions.
+    """
+    random, rows = torch.Generator().manual_seed(0), torch.arange(env.num_envs) % MOST
+    for _ in range(STEPS):
+        yield (torch.randint(615, 1639, (env.num_actions, MOST), generator=random).T / 1024)[rows]
 
 
 def _compare(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor], what: str) -> None:

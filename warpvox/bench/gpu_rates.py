@@ -1,4 +1,4 @@
-"""The figures of ``warpvox bench suite=gpu``: speeds by size and block, stages, bodies, training."""
+"""The figures of ``warpvox bench suite=gpu``: speeds by size, bodies, training."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from typing import Any
 
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
-from warpvox.batch.options import CUDA_LANES
 from warpvox.bench.case import Case, full_body, one_body, sampled_bodies
-from warpvox.bench.kernels import STAGES, stage_times
 from warpvox.bench.learning import learn
 from warpvox.bench.machine import available_memory
 from warpvox.bench.memory import per_environment
@@ -17,13 +15,10 @@ from warpvox.bench.progress import Progress
 from warpvox.bench.report import middle, number
 from warpvox.bench.runner import Runner, clock, measure
 from warpvox.configs.presets import training_preset
-from warpvox.kernels.device import BLOCK
 from warpvox.kernels.step import record_step
 
-__all__ = ["bodies", "learning", "predicted", "sizes", "stages", "tasks", "training"]
+__all__ = ["bodies", "learning", "predicted", "sizes", "tasks", "training"]
 
-KERNEL = "8 threads an environment"
-"""The kernel whose predictions stand beside measurements."""
 PREDICTED = dict.fromkeys((4096, 16384, 65536), (6.6, 13.3))
 """Million control steps per second of its physics by number of environments, least and most: Walker-v0 in float32 on an
 H100 or H200; the arithmetic is in docs/performance.md."""
@@ -54,43 +49,37 @@ def _median(runner: Runner, config: Any) -> float:
     return middle(measure({"": runner}, ["step"], config.repeats)[""]["step"])
 
 
-def sizes(config: Any, progress: Progress, counts: tuple[int, ...], blocks: tuple[int, ...], graph: bool) -> None:
-    """The physics alone by block, and whole steps, by the number of environments; predictions beside them."""
-    part, needed = "sizes, graph" if graph else "sizes", 0.0
-    rows, kernels = [], []
+def sizes(config: Any, progress: Progress, counts: tuple[int, ...]) -> None:
+    """The physics alone and whole steps, launched one by one and as a graph; predictions beside them."""
+    rows, needed = [], 0.0
     for count in counts:
-        if not progress.time_for(f"{part}: {count:,} environments"):
+        if not progress.time_for(f"sizes: {count:,} environments"):
             continue
         before = available_memory(config.device)
         if count * needed > before:
             progress.report.note(f"{count:,} environments need {count * needed / 2**30:.1f} GiB: left out.")
             continue
-        runner = _runner(config, count, cuda_graph=graph)
+        runner = _runner(config, count)
         taken, needed = before - available_memory(config.device), per_environment(runner.env)
-        physics = {} if graph or runner.env.sim.layout == "lanes" else {KERNEL: _physics(runner)}
-        if blocks:
-            of_lanes = _runner(config, count, lanes=CUDA_LANES) if physics else runner
-            physics |= {f"block {block}": _physics(of_lanes, block) for block in blocks}
-        step = _median(runner, config)
+        physics, step = _physics(runner), _median(runner, config)
+        graph = None if config.device == "cpu" else _median(_runner(config, count, cuda_graph=True), config)
         told = predicted(config.task, config.dtype, count)
-        shown = ", ".join(f"{number(rate / 1e6)} M ({kernel})" for kernel, rate in physics.items())
-        rows.append([f"{count:,}", *(number(rate) for rate in physics.values()), told, number(step)])
-        kernels = [f"physics, {kernel}" for kernel in physics]
+        rows.append([f"{count:,}", number(physics), told, number(step), number(graph)])
         progress.row(
-            part, f"{count:,} environments: {shown or 'graph'}; predicted {told}; whole steps {number(step / 1e6)} M",
-            num_envs=count, physics=physics, predicted=told, step=step, bytes=needed, taken=taken,
+            "sizes",
+            f"{count:,} environments: {number(physics / 1e6)} M (physics), predicted {told}; whole steps"
+            f" {number(step / 1e6)} M, as a graph {number(graph and graph / 1e6)} M",
+            num_envs=count, layout=runner.env.sim.layout, physics=physics, predicted=told, step=step, graph=graph,
+            bytes=needed, taken=taken,
         )  # fmt: skip
-    launched = ", one graph a step" if graph else ""
-    title = (
-        f"{config.task}, control steps per second, {config.dtype}, {config.device}{launched}; predicted for {KERNEL}"
-    )
-    progress.report.table(title, ["environments", *kernels, "predicted", "step only"], rows)
+    title = f"{config.task}, control steps per second, {config.dtype}, {config.device}; predicted: the physics"
+    progress.report.table(title, ["environments", "physics", "predicted", "step only", "as a graph"], rows)
 
 
-def _physics(runner: Runner, block: int = BLOCK) -> float:
-    """Control steps per second of the step's kernel alone; with one thread an environment in blocks of so many."""
+def _physics(runner: Runner) -> float:
+    """Control steps per second of the step's kernel alone."""
     sim = runner.env.sim
-    command = record_step(sim.buffers, sim.physics.substeps, 0, sim.buffers.packs, block)
+    command = record_step(sim.buffers, sim.physics.substeps, 0, sim.buffers.packs)
     command.launch()
     began = clock(runner.env.device)
     for _ in range(LAUNCHES):
@@ -98,18 +87,6 @@ def _physics(runner: Runner, block: int = BLOCK) -> float:
     found = LAUNCHES * runner.num_envs / (clock(runner.env.device) - began)
     sim.forget_sensed()
     return found
-
-
-def stages(config: Any, progress: Progress, count: int) -> None:
-    """Each stage of the physics by itself."""
-    lanes = {} if config.device == "cpu" else {"lanes": CUDA_LANES}  # a group goes through all stages at once
-    times = stage_times(_runner(config, count, **lanes), config)
-    total = sum(times.values()) or 1.0
-    rows = [[STAGES.get(name, name), number(value), f"{value / total:.0%}"] for name, value in times.items()]
-    for name, value in times.items():
-        progress.row("stages", f"{name}: {number(value)} us", stage=name, microseconds=value)
-    title = f"{count:,} environments: stages, microseconds per control step of an environment"
-    progress.report.table(title, ["stage", "time", "share"], rows)
 
 
 def bodies(config: Any, progress: Progress, count: int, sides: tuple[int, ...]) -> None:

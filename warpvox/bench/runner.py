@@ -16,7 +16,7 @@ from warpvox.envs.vec_env import make_vec
 from warpvox.errors import SimulationError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["HEADINGS", "LOADING", "Runner", "clock", "measure", "unit"]
+__all__ = ["HEADINGS", "LOADING", "Runner", "clock", "measure", "training_of", "unit"]
 
 HEADINGS = {"bare": "physics alone", "step": "step only", "inference": "with inference", "training": "with training"}
 """Columns: the simulator alone, the whole control step, a policy in the loop, iterations of ``ppo=parallel``."""
@@ -124,13 +124,18 @@ class Runner:
 
     def _trainer(self) -> Any:
         if self._training is None:
-            from warpvox.algos.training.runner import Runner as Training
-            from warpvox.algos.training.runner import Schedule, adapt
-
-            ppo = load("train", []).ppo
-            self._training = Training(adapt(self.env, ppo), ppo, Schedule(total=10**6, evaluate=10**6))
+            self._training = training_of(self.env)
             self._obs = self._training.env.get_observations()["policy"].to(self.env.dtype)
         return self._training
+
+
+def training_of(env: Any) -> Any:
+    """The training of a policy in these environments, by the defaults of ``warpvox train``, without evaluations."""
+    from warpvox.algos.training.runner import Runner as Training
+    from warpvox.algos.training.runner import Schedule, adapt
+
+    ppo = load("train", []).ppo
+    return Training(adapt(env, ppo), ppo, Schedule(total=10**6, evaluate=10**6))
 
 
 def measure(

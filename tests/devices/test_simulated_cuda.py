@@ -1,0 +1,260 @@
+"""What the host does for a CUDA device, on a simulated one: no mix of devices, no wait in a step, one stream.
+
+Its arithmetic is that of the group layout on the CPU, which equals the lanes bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gymnasium
+import pytest
+import torch
+import warp as wp
+from simulated_cuda import SimulatedCuda
+
+from warpvox.algos import evaluate as evaluation
+from warpvox.algos.env_factory import EnvFactory
+from warpvox.algos.population.training import PopulationTraining
+from warpvox.algos.training.runner import Runner
+from warpvox.configs.presets import training_preset
+from warpvox.design import example_design
+from warpvox.devices import names
+from warpvox.envs.registry import task_ids
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.errors import MemoryLimitError
+from warpvox.kernels.device import current_stream
+from warpvox.view.rollout import record
+
+ENVS, LIMIT, STEPS = 4, 4, 6
+BODY = example_design("mini")
+TRAIN = (
+    "train task=Walker-v0 design=mini num_envs=4 device=cuda max_iterations=2 eval_interval=2 ppo.steps=4"
+    " ppo.minibatches=1 ppo.epochs=1"
+).split()
+
+
+@pytest.fixture
+def cuda() -> Iterator[SimulatedCuda]:
+    with SimulatedCuda() as found:
+        yield found
+
+
+# ------------------------------------------------------------------------------------------------ environments
+
+
+def life(task: str, device: str, step: Callable[[VoxelVecEnv, torch.Tensor], tuple], **options: Any) -> list:
+    """All that is done with environments; what they gave."""
+    grid = (BODY.shape[0], BODY.shape[1] + 1)
+    common = dict(device=device, max_episode_steps=LIMIT, layout="group", threads=1, grid=grid)
+    env = make_vec(task, [BODY], ENVS, **(common | options))
+    random, given = torch.Generator().manual_seed(0), [env.reset(seed=3)[0]]
+
+    def go(steps: int) -> None:
+        for _ in range(steps):
+            actions = 0.6 + torch.rand((ENVS, env.num_actions), generator=random)
+            given.extend(step(env, actions.to(env.device))[:4])
+
+    mask = torch.arange(ENVS, device=env.device) > 1
+    go(STEPS)
+    given.append(env.reset(mask=mask)[0])
+    env.set_state(env.state())
+    given.append(torch.from_numpy(record(env, "zero", 2).positions))
+    other = BODY.copy()
+    other[0, 0] = 0 if other[0, 0] else 3
+    given.append(env.set_designs([other], mask))
+    go(STEPS)
+    assert env.not_finite() == {}
+    return [value.cpu() for value in given]
+
+
+def check_life(task: str, cuda: SimulatedCuda, **options: Any) -> None:
+    def plain(env: VoxelVecEnv, actions: torch.Tensor) -> tuple:
+        return env.step(actions)
+
+    def watched(env: VoxelVecEnv, actions: torch.Tensor) -> tuple:
+        capturing = env._graph is not None and not env._graph.recorded
+        with cuda.watched() as waits:
+            found = env.step(actions)
+        assert capturing or not waits
+        assert {value.device.type for value in found[:4]} == {"cuda"}
+        return found
+
+    expected = life(task, "cpu", plain, **options)
+    found = [life(task, "cuda", watched, cuda_graph=graph, **options) for graph in (False, True)]
+    assert all(torch.equal(one, other) for one, other in zip(expected, found[0], strict=True))
+    assert all(torch.equal(one, other) for one, other in zip(*found, strict=True))
+    assert [graph.replays > 1 for graph in cuda.captured] == [True] * len(cuda.captured) != []
+
+
+@pytest.mark.parametrize(
+    ("task", "options"),
+    [
+        ("Walker-v0", {"obs": "timed_voxel"}),
+        ("Catcher-v0", {"auto_reset": False}),
+        ("Balancer-v1", {}),
+    ],
+)
+def test_environments_do_what_they_do_on_the_cpu(task: str, options: dict, cuda: SimulatedCuda) -> None:
+    check_life(task, cuda, **options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, {"auto_reset": False}, {"obs": "voxel"}], ids=str)
+@pytest.mark.parametrize("task", task_ids())
+def test_all_tasks_do_what_they_do_on_the_cpu(task: str, options: dict, cuda: SimulatedCuda) -> None:
+    check_life(task, cuda, **options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["Walker-v0", "Climber-v1"])
+def test_the_group_kernel_of_cuda_has_room_for_its_worlds(task: str) -> None:
+    with SimulatedCuda(own_capacities=True):
+        env = make_vec(task, num_envs=ENVS, device="cuda")
+        assert env.sim.layout == "group"
+        assert env.sim.buffers.group.approximate
+        obs = env.reset()[0]
+        for _ in range(STEPS):
+            obs, *_ = env.step(torch.ones((ENVS, env.num_actions), device=env.device))
+        assert bool(torch.isfinite(obs).all())
+
+
+def test_entries_that_are_not_finite_are_counted_without_atomics_for_one_design(cuda: SimulatedCuda) -> None:
+    """``index_add_`` adds all environments to the one row of their design."""
+    env = make_vec("Walker-v0", [BODY], ENVS, device="cuda")
+    env.step(torch.ones((ENVS, env.num_actions), device="cuda"))
+    assert not cuda.operations["index_add_"]
+    obs = torch.zeros((ENVS, env.num_obs), device="cuda")
+    obs[:3, 1] = torch.nan
+    env._finite.observation(obs, torch.arange(ENVS, device="cuda") > 0)
+    with pytest.warns(RuntimeWarning, match="in 2 environments"):
+        assert list(env.not_finite().values()) == [2]
+
+
+def test_gymnasium_and_stable_baselines_take_arrays_of_the_host(cuda: SimulatedCuda) -> None:
+    env = gymnasium.make_vec("warpvox/Walker-v0", num_envs=3, body=BODY, device="cuda", dtype="float32")
+    env.reset(seed=0)
+    obs, reward, *_ = env.step(env.action_space.sample())
+    assert obs.shape[0] == len(reward) == 3
+    sb3 = pytest.importorskip("warpvox.envs.sb3")
+    env = sb3.VoxelSB3VecEnv("Walker-v0", num_envs=3, body=BODY, device="cuda", max_episode_steps=2)
+    env.reset()
+    for _ in range(2):
+        *_, done, infos = env.step(env.action_space.sample()[None].repeat(3, 0))
+    assert done.all()
+    assert "terminal_observation" in infos[0]
+    assert cuda.launches["group_step"] == 3
+
+
+def test_what_does_not_fit_is_refused_before_it_is_made(cuda: SimulatedCuda, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is free is what the driver says and what torch has cached; the probe is measured on the same device."""
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2**30, 2**32))
+    monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: 3 * 2**20)
+    monkeypatch.setattr(torch.cuda, "memory_allocated", lambda device: 2**20)
+    with pytest.raises(
+        MemoryLimitError, match=r"150,000 environments need about .* GiB are free on cuda:0; .*num_envs"
+    ):
+        make_vec("Walker-v0", num_envs=150_000, device="auto")
+    assert cuda.operations["zeros"] > 0
+
+
+# ---------------------------------------------------------------------------------------------------- training
+
+
+@pytest.mark.parametrize(
+    ("words", "graphs"), [("policy=mlp cuda_graph=true", 1), ("policy=grid", 0), ("policy=transformer obs=timed", 0)]
+)
+def test_a_training_ends_and_no_step_of_it_waits(
+    words: str, graphs: int, cuda: SimulatedCuda, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The key ``cuda_graph`` reaches the environments; policies for voxels bring no tables; the CPU evaluates."""
+    collect, evaluated, waits = Runner._collect, [], []
+
+    def watched(runner: Runner) -> Any:
+        with cuda.watched() as seen:
+            found = collect(runner)
+        waits.append(dict(seen))
+        return found
+
+    def evaluate(env: VoxelVecEnv, policy: Any, **options: Any) -> Any:
+        evaluated.append(env.device)
+        launched = cuda.launches.total()
+        found = evaluation_of(env, policy, max_steps=3, **options)
+        assert cuda.launches.total() == launched
+        return found
+
+    evaluation_of = evaluation.evaluate
+    monkeypatch.setattr(Runner, "_collect", watched)
+    monkeypatch.setattr(evaluation, "evaluate", evaluate)
+    outcome = warpvox(*TRAIN, *words.split())
+    assert outcome.code == 0, outcome.err
+    assert evaluated == ["cpu"]
+    assert len(cuda.captured) == graphs
+    assert waits[1] == {}, "the first time kernels are loaded, and a graph is captured"
+    assert cuda.launches["group_step"] > 0
+
+
+def test_a_population_is_trained_and_evaluated_on_one_device(
+    cuda: SimulatedCuda, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With ``auto`` its few evaluations would otherwise be on the CPU, and its networks on the device."""
+    monkeypatch.setattr(names, "enough", lambda: 10)
+    monkeypatch.setattr(evaluation.VoxelVecEnv, "max_episode_steps", 3)
+    settings = training_preset("fast", {"steps": 2}, envs=8)
+    factory = EnvFactory("Walker-v0", device="auto", threads=1, max_episode_steps=3)
+    training = PopulationTraining(factory, [BODY] * 2, [0, 1], settings)
+    training.iterate()
+    assert training.env.device == training._judge.device == "cuda:0"
+    assert bool(torch.isfinite(training.evaluate()).all())
+
+
+# ------------------------------------------------------------------------------------------- the device itself
+
+
+def test_what_a_gpu_does_not_allow_is_refused(cuda: SimulatedCuda) -> None:
+    there, here = torch.zeros(3, device="cuda"), torch.zeros(3)
+    for mixed in (lambda: there + here, lambda: torch.cat([here, there]), lambda: here.mul_(there)):
+        with pytest.raises(RuntimeError, match="same device"):
+            mixed()
+    with pytest.raises(TypeError, match="numpy"):
+        there.numpy()
+    with pytest.raises(RuntimeError, match="generator"):
+        torch.rand(3, device="cuda", generator=torch.Generator())
+    kernel = make_vec("Walker-v0", [BODY], 1, device="cuda").sim._record_shares()[0]
+    with pytest.raises(AssertionError, match="current stream"):
+        kernel._command.launch(stream=("warp", 5))
+    graph = torch.cuda.CUDAGraph()
+    with pytest.raises(RuntimeError, match="capturing"), torch.cuda.graph(graph, torch.cuda.Stream(), "thread_local"):
+        there.sum().item()
+    assert current_stream("cuda:0") == ("warp", 0)
+    assert wp.is_cuda_available()
+
+
+WAITS: dict[str, tuple[Callable[[torch.Tensor], Any], int]] = {
+    "item": (lambda x: x.sum().item(), 1),
+    "truth": (lambda x: bool((x > 1).any()), 1),
+    "mask": (lambda x: x[x > 1], 1),
+    "list": (lambda x: x[[0, 2]], 1),
+    "new_tensor": (lambda x: x.new_tensor([1.0]), 1),
+    "to the host": (lambda x: x.cpu(), 1),
+    "from the host": (lambda x: x.copy_(torch.ones(3)), 1),
+    "nothing": (lambda x: torch.where(x > 1, x, 0.0).sum() + x[1:].mean() + torch.zeros(1, device="cuda"), 0),
+}
+
+
+@pytest.mark.parametrize("what", WAITS)
+def test_what_waits_is_noticed(what: str, cuda: SimulatedCuda) -> None:
+    work, count = WAITS[what]
+    values = torch.arange(3.0, device="cuda")
+    with cuda.watched() as waits:
+        work(values)
+    assert sum(waits.values()) == count
+
+
+def test_views_parameters_and_gradients_lie_where_their_memory_lies(cuda: SimulatedCuda) -> None:
+    network = torch.nn.Linear(3, 2).to("cuda")
+    network(torch.ones((1, 3), device="cuda")).sum().backward()
+    tensors = [network.weight, network.weight.grad, network.weight[0], network.weight.detach()]
+    assert {tensor.device for tensor in tensors} == {torch.device("cuda", 0)}
+    assert torch.zeros(2).device == network.weight.cpu().device == torch.device("cpu")

@@ -1,0 +1,93 @@
+"""NVIDIA's tools and torch's profiler in ``warpvox bench suite=gpu``, where the machine has them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from warpvox.bench.case import one_body
+from warpvox.bench.progress import Progress
+from warpvox.bench.runner import training_of
+from warpvox.envs.vec_env import make_vec
+from warpvox.errors import SimulationError
+from warpvox.io.writing import write_text
+
+__all__ = ["profile", "sanitizer"]
+
+TOOLS = "memcheck", "racecheck", "synccheck", "initcheck"
+SECONDS = 90
+"""For one run under a tool, at most."""
+TOOLKIT = "/usr/local/cuda/bin"
+ITERATIONS, LINES = 3, 40
+"""Of the training that is profiled; of its table."""
+
+
+def sanitizer(config: Any, progress: Progress) -> None:
+    """Control steps of different bodies under compute-sanitizer, tool by tool.
+
+    Raises:
+        SimulationError: it has found an error.
+    """
+    program, wrong = _find("compute-sanitizer", progress), []
+    for tool in TOOLS if program else ():
+        if not progress.time_for(f"sanitizer: {tool}"):
+            continue
+        done = _sample([program, "--tool", tool, "--error-exitcode", "9"], config, (64, 8, 2), progress)
+        if done is None:
+            continue
+        last = [line for line in done.stdout.splitlines() if "SUMMARY" in line][-1:] or [done.stderr[-300:]]
+        good = done.returncode == 0
+        progress.row("sanitizer", f"{tool}: {last[0].strip('= ')}", tool=tool, good=good, said=last[0])
+        if not good:
+            write_text(progress.report.folder / f"{tool}.txt", done.stdout + done.stderr)
+            wrong.append(tool)
+    if wrong:
+        raise SimulationError(f"compute-sanitizer complains: {', '.join(wrong)}; see the files in the folder.")
+
+
+def profile(config: Any, progress: Progress, count: int) -> None:
+    """The group kernel under Nsight Compute (``ncu.txt``), and a training under torch's profiler (``profile.txt``)."""
+    program = _find("ncu", progress) if config.device != "cpu" else None
+    words = [program, "--set", "full", "--kernel-name", "regex:group_step", "--launch-skip", "1", "--launch-count", "1"]
+    done = program and _sample(words, config, (count, 1, 2), progress)
+    if done:
+        write_text(progress.report.folder / "ncu.txt", done.stdout + done.stderr)
+        progress.row("profile", "ncu.txt", noted=True, tool="ncu", good=done.returncode == 0)
+    options = dict(device=config.device, dtype=config.dtype, threads=config.threads)
+    training = training_of(make_vec(config.task, [one_body(config)], count, **options))
+    training.learn(1)
+    with torch.profiler.profile() as found:  # of all that this torch can follow
+        training.learn(ITERATIONS)
+    order = "self_cpu_time_total" if config.device == "cpu" else "self_device_time_total"
+    table = found.key_averages().table(sort_by=order, row_limit=LINES, max_name_column_width=80)
+    write_text(progress.report.folder / "profile.txt", table)
+    progress.row("profile", f"profile.txt, {ITERATIONS} iterations of {count:,} environments", noted=True, tool="torch")
+
+
+def _find(name: str, progress: Progress) -> str | None:
+    """A program on PATH or in the CUDA toolkit; if there is none it is said."""
+    found = shutil.which(name) or shutil.which(name, path=TOOLKIT)
+    if found is None:
+        progress.report.note(f"There is no {name} here: left out.")
+    return found
+
+
+def _sample(
+    words: list[str], config: Any, sizes: tuple[int, int, int], progress: Progress
+) -> subprocess.CompletedProcess[str] | None:
+    """Run environments, bodies and control steps under a tool; None if that takes too long, which is said."""
+    limit = max(1.0, min(SECONDS, progress.left))
+    command = [*words, sys.executable, "-m", "warpvox.bench.gpu_sample", config.device, config.task, *map(str, sizes)]
+    # with torch's cache of memory nothing that is written beyond an array would show
+    surroundings = os.environ | {"PYTORCH_NO_CUDA_MEMORY_CACHING": "1"}
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=limit, env=surroundings)
+    except subprocess.TimeoutExpired:
+        progress.report.note(f"{Path(words[0]).name} {' '.join(words[1:3])} was stopped after {limit:.0f} s.")
+        return None
