@@ -5,7 +5,9 @@ Its arithmetic is that of the group layout on the CPU, which equals the lanes bi
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import gymnasium
@@ -118,6 +120,27 @@ def test_the_group_kernel_of_cuda_has_room_for_its_worlds(task: str) -> None:
         for _ in range(STEPS):
             obs, *_ = env.step(torch.ones((ENVS, env.num_actions), device=env.device))
         assert bool(torch.isfinite(obs).all())
+
+
+def test_a_capture_that_fails_is_said_once_and_steps_go_on(
+    cuda: SimulatedCuda, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @contextmanager
+    def failing(graph: Any, stream: Any, capture_error_mode: str) -> Iterator[None]:
+        cuda.stream = stream  # which torch leaves current
+        raise RuntimeError("operation failed due to a previous error during capture")
+        yield
+
+    envs = [make_vec("Walker-v0", [BODY], ENVS, device="cuda", cuda_graph=graph) for graph in (False, True)]
+    monkeypatch.setattr(torch.cuda, "graph", failing)
+    actions = torch.ones((ENVS, envs[0].num_actions), device="cuda")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        for _ in range(STEPS):
+            plain, graphed = (env.step(actions) for env in envs)
+            assert torch.equal(plain[0], graphed[0])
+    assert ["cannot be captured as a CUDA graph" in str(warning.message) for warning in said] == [True]
+    assert cuda.stream.cuda_stream == 0
 
 
 def test_entries_that_are_not_finite_are_counted_without_atomics_for_one_design(cuda: SimulatedCuda) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ import torch
 import warp as wp
 
 from warpvox.design import example_design
-from warpvox.envs.graph import EAGER_STEPS, capture_on_cuda
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.kernels import device, sensing
 from warpvox.kernels.launch import stage_kernel
@@ -196,40 +194,6 @@ def test_a_whole_life_is_on_torchs_current_stream(task: str, streams: Streams) -
     assert sorted(streams.converted) == sorted(set(streams.converted)), "a stream is converted once"
     missing = EVERY_KERNEL - {launch[0] for launch in streams.seen}
     assert missing <= (set() if task == "UpStepper-v0" else {"scans"})
-
-
-def test_a_step_is_captured_on_a_stream_of_its_own(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Between the begin and the end of Warp's capture every launch is on torch's capturing stream."""
-    told: list[tuple[str, Any]] = []
-
-    @contextlib.contextmanager
-    def capturing(graph: Any, stream: Stream, capture_error_mode: str) -> Iterator[None]:
-        before, streams.current = streams.current, stream
-        yield
-        streams.current = before
-
-    class Graph:
-        def replay(self) -> None:
-            told.append(("replay", streams.current.cuda_stream))
-
-    monkeypatch.setattr(torch.cuda, "Stream", lambda device: Stream(99))
-    monkeypatch.setattr(torch.cuda, "CUDAGraph", Graph)
-    monkeypatch.setattr(torch.cuda, "graph", capturing)
-    monkeypatch.setattr(wp, "capture_begin", lambda stream, external: told.append(("begin", stream)))
-    monkeypatch.setattr(wp, "capture_end", lambda stream: told.append(("end", stream)))
-    env = make_vec("Catcher-v0", num_envs=2, device="cpu", lanes=1, threads=1)
-    env.reset()
-    for _ in range(EAGER_STEPS):
-        env.step(torch.ones((2, env.num_actions)))
-    streams.seen.clear()
-    replay, results = capture_on_cuda("cuda:0")(env._whole_step)
-    assert told == [("begin", ("warp", 99)), ("end", ("warp", 99))]
-    assert streams.current.cuda_stream == 0
-    assert {launch[1:] for launch in streams.seen} == {(("warp", 99), 99)}
-    assert {"control_step", "place_actions"} <= {launch[0] for launch in streams.seen}
-    assert results[0].shape == (2, env.num_obs)
-    replay()
-    assert told[-1] == ("replay", 0), "on the stream that is current then"
 
 
 def test_arrays_of_torch_change_no_bit(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import subprocess
 import sys
@@ -24,14 +25,15 @@ __all__ = ["correctness", "determinism", "graph", "independence", "recordings", 
 STEPS, ENVS, FEW, MOST = 30, 32, 3, 4096
 """Control steps; environments of a comparison with the CPU, of a small batch; environments of different actions."""
 SHARE = 0.9
-"""Of the environments, so many must keep to the tolerances in each control step: in a few of them rounding decides
-otherwise about a contact, after which they are right and far apart."""
+"""Of the control steps of all environments, so many must keep to the tolerances: in a few of them rounding decides
+otherwise about a contact, in some tasks in all environments at once."""
 TOLERANCES = {
-    "float32": {"pos": 2e-8, "vel": 5e-6, "obs": 2e-5, "reward": 2e-5},
+    "float32": {"pos": 2e-8, "vel": 5e-6, "obs": 2e-3, "reward": 1e-6},
     "float64": {"pos": 1e-12, "vel": 1e-9, "obs": 1e-9, "reward": 1e-9},
 }
 """Largest differences between device and CPU after one control step from the same state, in simulator units: some
-times what float32 differs from float64 by on the CPU (5e-9 and 7e-7 for positions and velocities)."""
+times what float32 differs from float64 by on the CPU (4e-9 and 6e-7 for positions and velocities). Observations show
+whether sensing is right, term by term; an angle near 0 has half of the digits."""
 TEST_SECONDS = 240
 QUERY = "nvidia-smi", "--query-gpu=name,driver_version,clocks.max.sm,power.limit", "--format=csv,noheader"
 
@@ -71,25 +73,27 @@ def correctness(config: Any, progress: Progress, part: str, tasks: list[str], dt
             continue
         exact = _make(config, ENVS, task=task, dtype="float64", device="cpu", lanes=1)
         apart = _apart(exact, _make(config, ENVS, task=task, dtype=dtype))
-        # in each step all but a few environments
-        row = {name: float(values.quantile(SHARE, dim=1).amax()) for name, values in apart.items()}
+        row = {name: float(values.quantile(SHARE)) for name, values in apart.items()}
+        terms = [place for place in exact.obs_columns[0].values() if place.stop > place.start]
+        row["obs"] = max(float(apart["obs"][..., place].quantile(SHARE)) for place in terms)
         good = all(row[name] <= allowed for name, allowed in TOLERANCES[dtype].items())  # NaN is not
         wrong += [] if good else [f"{task} by {row['pos']:.1e}"]
-        beyond = int((apart["pos"] > TOLERANCES[dtype]["pos"]).any(0).sum())
+        beyond = float((apart["pos"] > TOLERANCES[dtype]["pos"]).double().mean())
         text = f"{task}, {dtype}: " + ", ".join(f"{name} within {number(value)}" for name, value in row.items())
-        text += f", {beyond} of {ENVS} beyond" if beyond else ""
+        text += f", {beyond:.2%} beyond" if beyond else ""
         values = {"task": task, "dtype": dtype, "good": good, "beyond": beyond} | row
         progress.row(part, f"{text}{'' if good else ' WRONG'}", **values)
     if wrong:
         raise SimulationError(f"The device differs from the CPU in {', '.join(wrong[:6])}.")
     progress.report.note(
-        f"{dtype}, {len(progress.figures.get(part, []))} tasks: {SHARE:.0%} of the environments are within the"
-        f" tolerances of the CPU in float64 in each of {STEPS} control steps."
+        f"{dtype}, {len(progress.figures.get(part, []))} tasks: {SHARE:.0%} of the control steps are within the"
+        " tolerances of the CPU in float64."
     )
 
 
 def _apart(exact: VoxelVecEnv, env: VoxelVecEnv) -> dict[str, torch.Tensor]:
-    """Differences ``[STEPS, num_envs]`` after one control step from the state of ``exact``, which goes on."""
+    """Differences after one control step from the state of ``exact``, which goes on: ``[STEPS, num_envs]`` each, of
+    observations ``[STEPS, num_envs, num_obs]``."""
     found: dict[str, list[torch.Tensor]] = {name: [] for name in TOLERANCES["float64"]}
     exact.reset(exact.seed)
     for actions in _actions(exact):
@@ -101,7 +105,9 @@ def _apart(exact: VoxelVecEnv, env: VoxelVecEnv) -> dict[str, torch.Tensor]:
             results.append({"pos": state["pos"], "vel": state["vel"], "obs": obs, "reward": reward[:, None]})
         for name, values in found.items():
             mine, theirs = (result[name].double().cpu() for result in results)
-            values.append((mine - theirs).abs().flatten(1).amax(1))
+            apart = (mine - theirs).abs().flatten(1)
+            # an angle just below 2 pi is near 0
+            values.append(torch.minimum(apart, (apart - 2 * math.pi).abs()) if name == "obs" else apart.amax(1))
     return {name: torch.stack(values) for name, values in found.items()}
 
 
