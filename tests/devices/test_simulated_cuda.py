@@ -5,6 +5,7 @@ Its arithmetic is that of the group layout on the CPU, which equals the lanes bi
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +18,8 @@ import warp as wp
 from simulated_cuda import SimulatedCuda
 
 from warpvox.algos import evaluate as evaluation
+from warpvox.algos.candidate import Candidate
+from warpvox.algos.codesign import sequential_evaluator
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
 from warpvox.algos.training.runner import Runner
@@ -230,6 +233,23 @@ def test_a_population_is_trained_and_evaluated_on_one_device(
     training.iterate()
     assert training.env.device == training._judge.device == "cuda:0"
     assert bool(torch.isfinite(training.evaluate()).all())
+
+
+def test_designs_that_are_trained_one_by_one_are_evaluated_on_the_cpu(
+    cuda: SimulatedCuda, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[str] = []
+    judge = sequential_evaluator.evaluator
+    monkeypatch.setattr(
+        sequential_evaluator, "evaluator", lambda env, seed: made.append(env.device) or judge(env, seed)
+    )
+    settings = training_preset("fast", {"steps": 2}, envs=8, iterations=1, eval_interval=1)
+    factory = EnvFactory("Walker-v0", device="cuda:0", threads=1, max_episode_steps=3)
+    outcomes = sequential_evaluator.SequentialEvaluator(factory, settings).evaluate([Candidate(0, BODY)], {})
+    assert made == ["cpu"]
+    assert math.isfinite(outcomes[0].fitness)
+    assert {value.device.type for value in outcomes[0].policy.values()} == {"cpu"}
+    assert cuda.launches["group_step"] == 2
 
 
 # ------------------------------------------------------------------------------------------- the device itself

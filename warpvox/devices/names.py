@@ -14,8 +14,8 @@ from warpvox.system import usable_cores
 __all__ = ["PER_CORE", "enough", "missing_cuda", "resolve_device"]
 
 PER_CORE = 100
-"""Environments per usable core of the CPU from which "auto" takes a GPU: about so many steps a core makes in the
-millisecond that a control step takes the host of a GPU to launch. An estimate, see docs/performance.md."""
+"""Environments per usable core of the CPU from which "auto" takes a GPU. An estimate: without a graph a control step
+takes the host about a millisecond to launch, however many environments there are (docs/performance.md)."""
 DRIVER = "NVIDIA driver 580 or newer"
 """For Warp's own packages, which are built for CUDA 13."""
 
