@@ -24,11 +24,12 @@ __all__ = ["correctness", "determinism", "graph", "independence", "recordings", 
 
 STEPS, ENVS, FEW, MOST = 30, 32, 3, 4096
 """Control steps; environments of a comparison with the CPU, of a small batch; environments of different actions."""
-SHARE = 0.9
+SHARE, SENSED = 0.9, 0.75
 """Of the control steps of all environments, so many must keep to the tolerances: in a few of them rounding decides
-otherwise about a contact, in some tasks in all environments at once."""
+otherwise about a contact, in some tasks in all environments at once. Of the entries of a term of the observation fewer:
+points of a body at rest lie above the very edges at which the terrain's height jumps."""
 TOLERANCES = {
-    "float32": {"pos": 2e-8, "vel": 5e-6, "obs": 2e-3, "reward": 1e-6},
+    "float32": {"pos": 2e-8, "vel": 1e-5, "obs": 2e-3, "reward": 1e-6},
     "float64": {"pos": 1e-12, "vel": 1e-9, "obs": 1e-9, "reward": 1e-9},
 }
 """Largest differences between device and CPU after one control step from the same state, in simulator units: some
@@ -75,7 +76,7 @@ def correctness(config: Any, progress: Progress, part: str, tasks: list[str], dt
         apart = _apart(exact, _make(config, ENVS, task=task, dtype=dtype))
         row = {name: float(values.quantile(SHARE)) for name, values in apart.items()}
         terms = [place for place in exact.obs_columns[0].values() if place.stop > place.start]
-        row["obs"] = max(float(apart["obs"][..., place].quantile(SHARE)) for place in terms)
+        row["obs"] = max(float(apart["obs"][..., place].quantile(SENSED)) for place in terms)
         good = all(row[name] <= allowed for name, allowed in TOLERANCES[dtype].items())  # NaN is not
         wrong += [] if good else [f"{task} by {row['pos']:.1e}"]
         beyond = float((apart["pos"] > TOLERANCES[dtype]["pos"]).double().mean())
