@@ -337,8 +337,8 @@ class _RolloutConfig:
     run: str = key("latest", "latest, the folder of a run, or a checkpoint file", path="read")
     zoo: str | None = key(
         None,
-        "a stored robot instead of a run: a task id, a file, or an entry of a data set, robots.parquet:TASK:RANK;"
-        " simulated as it was recorded, with arithmetic=exact",
+        "a stored robot instead of a run: a task id or a file (.npz); simulated as it was recorded, with"
+        " arithmetic=exact",
         path="read",
     )
     checkpoint: str = key("best", "checkpoint of the run: best, last, or an iteration")
@@ -513,26 +513,19 @@ class EvaluateConfig:
 class ZooConfig:
     """Keys of ``warpvox zoo``."""
 
-    task: str | None = key(None, "show the robot of this task in detail; with file: list the best robots of this task")
-    file: str | None = key(
+    task: str | None = key(
         None,
-        "list a released data set of robots instead (EvoGym/robots, EvoGym/robots-with-policies): a Parquet or JSON"
-        " file, or a folder of Parquet files",
+        "show the robot of this task in detail; with add, for runs of a task of your own: its code, file.py:NAME, or"
+        " stored for the copy in the run",
         path="read",
     )
-    evaluate: bool = key(False, "with file and task: evaluate the policies of the listed robots")
     add: list[str] = key(
         [],
         "make entries from these: folders of design searches or runs, checkpoints, or patterns; an entry is"
         " replaced only by one with a higher return",
         path="read",
     )
-    top: int = key(
-        10,
-        "number of best robots of a task that are listed from file; number of best designs of a search that add"
-        " evaluates",
-        low=1,
-    )
+    top: int = key(10, "number of best designs of a search that add evaluates", low=1)
     folder: str | None = key(None, "folder of the entries; null: that of the package", path="written")
 
 

@@ -108,19 +108,19 @@ def load_policy(
     """
     from warpvox.algos.checkpoints.export import read_exported
     from warpvox.algos.checkpoints.policy import read_policy
-    from warpvox.cli.config import load_values
     from warpvox.cli.runs import find_run
-    from warpvox.cli.trust import allow_code
+    from warpvox.cli.trust import STORED, allowed
+    from warpvox.code import Code
     from warpvox.devices.names import resolve_device
-    from warpvox.envs.sources import is_code
 
+    network = None if policy is None else policy if policy == STORED else Code(policy)
     device, path = resolve_device(device), Path(source).expanduser()
     if str(source) != "latest" and path.is_file():
         exported = read_exported(path)
         if exported is not None:
             return exported.to(device)
         if not (path.parent / "config.yaml").is_file():  # a checkpoint by itself
-            return read_policy(path, device=device, network=policy)
+            return read_policy(path, device=device, network=network)
     run = find_run(str(source), str(output_dir))
     if run.robot is not None:
         from warpvox.robots.replay import torch_policy
@@ -128,10 +128,8 @@ def load_policy(
         return torch_policy(run.robot, device)
     known = {name: run.config.get(name) for name in ("task", "rules", "obs", "design")}
     file = run.find_checkpoint(str(checkpoint))
-    if policy is not None or is_code(run.config.get("policy")):
-        named = {"policy": policy, "task": run.config.get("task")}  # a task is not imported here
-        policy = allow_code(load_values("train", run.config), run.config, named, run.folder).policy
-    return read_policy(file, known | {"source": str(file)}, device, policy)
+    network = allowed("policy", run.config.get("policy"), network, run.folder)
+    return read_policy(file, known | {"source": str(file)}, device, network)
 
 
 def _words(key: str, value: Any) -> Iterator[str]:

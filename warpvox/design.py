@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from warpvox.checks import check_shape
-from warpvox.errors import DesignError, RunError, did_you_mean, listing
+from warpvox.errors import DesignError, did_you_mean, listing
 from warpvox.examples import EXAMPLES
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_npy, read_text
 from warpvox.io.writing import atomic_path, write_text
@@ -48,6 +48,9 @@ LARGEST_BODY = 1 << 16
 """Cells that a body may have, empty ones included (256 x 256)."""
 LARGEST_FILE = 4_000_000
 """Bytes that a file of a design, its arrays together, or the text of one may have."""
+
+ZOO = Path(__file__).parent / "robots" / "data"
+"""The stored robots that come with the package, ``TASK.npz``."""
 
 LEAST_CHANCE = 1e-6
 """Of a cell to be an actuator; below it hardly any body has one."""
@@ -316,16 +319,15 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
 
 
 def _stored_body(text: str) -> Design:
-    """The body of a stored robot."""
-    from warpvox.robots.entry import find_robot
-
-    try:
-        robot = find_robot(text)
-    except RunError as error:
-        raise DesignError(str(error)) from None
-    if not robot.fully_connected:
-        raise DesignError(f"Some neighbouring cells of the robot {text} are not connected, which a design cannot say.")
-    return robot.body
+    """The body of a stored robot: a task of the zoo, or a file."""
+    if text.lower().endswith(".npz"):
+        return _read_file(Path(text).expanduser())
+    known = sorted(path.stem for path in ZOO.glob("[!.]*.npz"))
+    if text not in known:
+        raise DesignError(
+            f"The zoo has no robot for {text!r:.80}.{did_you_mean(text, known)} It has {listing(known, 40)}."
+        )
+    return _read_file(ZOO / f"{text}.npz")
 
 
 def save_design(path: str | os.PathLike[str], body: object) -> Path:
@@ -380,7 +382,8 @@ def _read_npz(path: Path) -> np.ndarray:
                 f"The design file '{path}' has no array 'arr_0' or 'body'; it holds {listing(archive.names)}."
             )
         body = archive.read(name)
-        connections = archive.read("arr_1") if name == "arr_0" and "arr_1" in archive.names else None
+        pairs = {"arr_0": "arr_1", "body": "connections"}.get(name)  # of EvoGym, of a stored robot
+        connections = archive.read(pairs) if pairs in archive.names else None
     if connections is not None and body.ndim == 2 and connections.size:
         # A body alone means "all neighbours are connected"; dropping cuts silently would be another robot.
         cuts = {tuple(pair) for pair in full_connections(body).tolist()} - _pairs(path, connections)
@@ -396,7 +399,7 @@ def _pairs(path: Path, connections: np.ndarray) -> set[tuple[int, ...]]:
     """Connections ``[2, k]`` as a set of pairs a < b."""
     if connections.ndim != 2 or connections.shape[0] != 2 or not np.isfinite(connections).all():
         raise DesignError(
-            f"The design file '{path}' has connections 'arr_1' that are not pairs of cells [2, k]: got shape"
+            f"The design file '{path}' has connections that are not pairs of cells [2, k]: got shape"
             f" {connections.shape} of {connections.dtype}."
         )
     return {tuple(sorted(pair)) for pair in connections.T.tolist()}

@@ -20,8 +20,8 @@ from torch.func import functional_call
 from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.layout import CLOCK, VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
+from warpvox.code import Code, is_code
 from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
-from warpvox.envs.sources import is_code
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError
 from warpvox.io.writing import atomic_path
@@ -183,7 +183,7 @@ def with_code(spec: PolicySpec, network: str | None) -> PolicySpec:
     """
     if spec.voxels is None or not isinstance(spec.voxels, dict) or not is_code(spec.voxels.get("network")):
         return spec
-    if network is None or not is_code(network):
+    if not isinstance(network, Code):
         name = str(spec.voxels["network"])
         raise RunError(f"The policy has a network of its own, {name!r:.80}: name it, policy=FILE.py:Class.")
     return replace(spec, voxels=spec.voxels | {"network": network})
@@ -306,7 +306,10 @@ def check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:
 
 def spec_dict(spec: PolicySpec) -> dict[str, Any]:
     """The form in which a checkpoint stores a specification."""
-    return {name: value for name, value in asdict(spec).items() if name not in KINDS or value is not None}
+    values = {name: value for name, value in asdict(spec).items() if name not in KINDS or value is not None}
+    if spec.voxels is not None:  # of code the name alone, as a plain text
+        values["voxels"] |= {"network": str(spec.voxels["network"])}
+    return values
 
 
 def _first_line(error: Exception) -> str:

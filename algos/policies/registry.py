@@ -12,9 +12,9 @@ from warpvox.algos.policies.cpg import CpgNetwork
 from warpvox.algos.policies.grid import GridNetwork
 from warpvox.algos.policies.layout import CLOCK, VoxelLayout, layout_of
 from warpvox.algos.policies.transformer import TransformerNetwork
-from warpvox.envs.sources import is_code, lacks_module, load_code, split
+from warpvox.code import is_code, load_code
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import ConfigError, WarpvoxError, did_you_mean, listing
+from warpvox.errors import ConfigError, did_you_mean, listing
 
 __all__ = ["CPG", "MLP", "POLICIES", "check_policy", "layout_for", "make_network"]
 
@@ -42,7 +42,7 @@ def layout_for(name: str, env: VoxelVecEnv) -> VoxelLayout:
         ConfigError: no such network, or environments that it is not for.
     """
     check_policy(name)
-    return layout_of(env, getattr(NETWORKS.get(name) or _load(name), "periods", CLOCK))
+    return layout_of(env, getattr(NETWORKS.get(name) or load_code(name), "periods", CLOCK))
 
 
 def make_network(name: str, layout: VoxelLayout, critic: bool, settings: Mapping[str, Any] | None = None) -> nn.Module:
@@ -59,7 +59,7 @@ def make_network(name: str, layout: VoxelLayout, critic: bool, settings: Mapping
         ConfigError: no such network, or it has no such settings.
     """
     check_policy(name)
-    made = NETWORKS.get(name) or _load(name)
+    made = NETWORKS.get(name) or load_code(name)
     try:
         inspect.signature(made).bind(layout, critic, **(settings or {}))
     except TypeError as error:
@@ -71,21 +71,3 @@ def make_network(name: str, layout: VoxelLayout, critic: bool, settings: Mapping
     if not isinstance(network, nn.Module):
         raise ConfigError(f"policy={name} must make a torch.nn.Module, got {type(network).__name__}.")
     return network
-
-
-def _load(name: str) -> Any:
-    place, attribute = split(name)
-    try:
-        module = load_code(place).module
-    except FileNotFoundError:
-        raise ConfigError(f"policy={name}: there is no file {place}.") from None
-    except WarpvoxError:
-        raise
-    except Exception as error:
-        if lacks_module(place, error):
-            raise ConfigError(f"policy={name}: there is no module {place}.") from None
-        raise ConfigError(f"policy={name}: {place} cannot be imported ({type(error).__name__}: {error}).") from error
-    if not callable(getattr(module, attribute, None)):
-        classes = [one for one, value in vars(module).items() if inspect.isclass(value)]
-        raise ConfigError(f"policy={name}: {place} has no class {attribute}.{did_you_mean(attribute, classes)}")
-    return getattr(module, attribute)

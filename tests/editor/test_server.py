@@ -14,6 +14,7 @@ import pytest
 from bounds import fuzz
 from damage import as_json, damaged_bytes, damaged_tree
 
+from warpvox.code import Code
 from warpvox.design import example_designs
 from warpvox.editor.documents import document_of
 from warpvox.editor.server import ACTIONS, LARGEST, EditorServer
@@ -217,7 +218,7 @@ def test_tasks_of_ones_own_are_named_at_the_start(tmp_path) -> None:
         'OTHER = replace(get_task("Walker-v0"), id="Other-v0")\n'
     )
     name = f"{tmp_path}/my_own.py:MINE"
-    with EditorServer(tmp_path / "designs", tasks=[name]) as server:
+    with EditorServer(tmp_path / "designs", tasks=[Code(name)]) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
         thread.start()
         settings = {"agent": "zero", "seconds": 0.1, "seed": 0}
@@ -229,7 +230,7 @@ def test_tasks_of_ones_own_are_named_at_the_start(tmp_path) -> None:
     assert "tasks=[file.py:NAME]" in other["error"]
     assert name in server.page
     with pytest.raises(WarpvoxError, match="no file"):
-        EditorServer(tmp_path, tasks=["nowhere.py:MINE"])
+        EditorServer(tmp_path, tasks=[Code("nowhere.py:MINE")])
 
 
 QUESTION = {"document": WALKER, "name": "one", "overwrite": True, "agent": "sine", "seconds": 0.04, "seed": 1}

@@ -10,6 +10,7 @@ import sys
 
 import pytest
 
+from warpvox.code import Code, sources_of
 from warpvox.envs.registry import get_task, released_id, task_ids
 from warpvox.envs.spec import Memory, TaskSpec, observes, rewards
 from warpvox.envs.terms.observations import shape
@@ -117,11 +118,37 @@ def test_tasks_of_ones_own_are_found_in_modules_and_files(tmp_path, monkeypatch:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "my_tasks", raising=False)
     path = list(sys.path)
-    spec = get_task("my_tasks:MINE")
+    spec = get_task(Code("my_tasks:MINE"))
     assert (spec.id, sys.path) == ("Mine-v0", path)
-    assert get_task("my_tasks:MINE") is spec
+    assert get_task(Code("my_tasks:MINE")) is spec
     for file in ("my_tasks.py", str(tmp_path / "my_tasks.py")):
-        assert get_task(f"{file}:MINE") is get_task("my_tasks.py:MINE") is not spec
+        assert get_task(Code(f"{file}:MINE")) is get_task(Code("my_tasks.py:MINE")) is not spec
+
+
+def test_two_files_have_neighbours_of_their_own(tmp_path) -> None:
+    for steps, name in ((11, "one"), (22, "two")):
+        (tmp_path / name / "parts").mkdir(parents=True)
+        (tmp_path / name / "parts" / "__init__.py").touch()
+        (tmp_path / name / "parts" / "numbers.py").write_text(f"STEPS = {steps}\n")
+        own = OWN.replace('"Mine-v0"', '"Mine-v0", max_episode_steps=STEPS') + 'FILE = "data.json"\n'
+        (tmp_path / name / "json.py").write_text(f"from parts.numbers import STEPS\nimport json\njson.loads\n{own}")
+        (tmp_path / name / "data.json").write_text("{}")
+    names = [Code(f"{tmp_path}/{name}/json.py:MINE") for name in ("one", "two")]
+    assert [get_task(name).max_episode_steps for name in names] == [11, 22]
+    root, files = sources_of(names[1])
+    found = sorted(file.relative_to(root).as_posix() for file in files)
+    assert found == ["data.json", "json.py", "parts/__init__.py", "parts/numbers.py"]
+
+
+def test_a_file_of_a_package_is_a_module_of_it(tmp_path) -> None:
+    (tmp_path / "pack_of_tasks" / "inner").mkdir(parents=True)
+    for folder in ("pack_of_tasks", "pack_of_tasks/inner"):
+        (tmp_path / folder / "__init__.py").touch()
+    (tmp_path / "pack_of_tasks" / "base.py").write_text("ID = 'Packed-v0'\n")
+    (tmp_path / "pack_of_tasks" / "inner" / "mine.py").write_text(
+        "from ..base import ID\n" + OWN.replace('"Mine-v0"', "ID")
+    )
+    assert get_task(Code(f"{tmp_path}/pack_of_tasks/inner/mine.py:MINE")).id == "Packed-v0"
 
 
 @pytest.mark.parametrize(
@@ -132,7 +159,7 @@ def test_tasks_of_ones_own_are_found_in_modules_and_files(tmp_path, monkeypatch:
         ("no_tasks_here:MINE", r"There is no module 'no_tasks_here', neither in .* nor installed"),
         ("needs_tasks:MINE", r"cannot be imported: ModuleNotFoundError: No module named 'not_there'"),
         ("nowhere/my_own.py:MINE", r"There is no file nowhere/my_own.py"),
-        ("own_tasks:MIEN", r"'MIEN' does not exist in own_tasks. Did you mean 'MINE'\? TaskSpecs there: MINE"),
+        ("own_tasks:MIEN", r"'MIEN' does not exist in own_tasks. Did you mean 'MINE'\? There: MINE"),
         ("own_tasks:NUMBER", r"'NUMBER' is no TaskSpec in own_tasks"),
         (":MINE", r"There is no module ''|cannot be imported: ValueError"),
     ],
@@ -143,5 +170,5 @@ def test_tasks_of_ones_own_that_cannot_be_had(tmp_path, monkeypatch: pytest.Monk
     (tmp_path / "needs_tasks.py").write_text("import not_there")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "own_tasks", raising=False)
-    with pytest.raises(TaskError, match=words):
-        get_task(name)
+    with pytest.raises(ConfigError, match=words):
+        get_task(Code(name))

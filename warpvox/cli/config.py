@@ -20,7 +20,8 @@ from warpvox.cli.config_file import read_config_file
 from warpvox.cli.help import MAPPINGS, flat_keys, options_of, presets_of
 from warpvox.cli.hydra_parts import CFG, INFO, is_plugin_key, one_line
 from warpvox.cli.quoting import as_list, parse, readable
-from warpvox.cli.trust import allow_code
+from warpvox.cli.trust import check_address, typed, with_code
+from warpvox.code import Code
 from warpvox.configs.composition import composed, schema_of
 from warpvox.configs.schema import COMMANDS, GROUPS, GROUPS_OF, PRESET, PRESET_OF
 from warpvox.errors import ConfigError, did_you_mean, listing
@@ -138,7 +139,7 @@ def load(
         overrides: of a single run.
         base: values that lie below the overrides, instead of those of the YAML files.
         home: the folder whose ``config.yaml`` the base is; code that it names is only let through if the overrides
-            name it again or the user agrees (:func:`warpvox.cli.trust.allow_code`).
+            name it again (:func:`warpvox.cli.trust.with_code`).
 
     Raises:
         ConfigError: anything wrong with keys, values or YAML files; code that the user has not named.
@@ -150,8 +151,9 @@ def load(
     if file is not None:
         home = Path(file) if Path(file).is_dir() else Path(file).parent
     if stored is None:
-        return result
-    return allow_code(result, stored, named, home or Path.cwd())
+        return with_code(result, typed(result))
+    check_address(result, stored, named)
+    return with_code(result, typed(result, named), stored, home or Path.cwd())
 
 
 def composition(command: str, overrides: list[str], config_dir: Path | None) -> tuple[str, list[str]]:
@@ -209,7 +211,7 @@ def _composed(
 def load_values(command: str, values: dict[str, Any]) -> Any:
     """The dataclass of a command from the values of a stored ``config.yaml``; unknown ones are left out.
 
-    The code that they name may only be imported after :func:`warpvox.cli.trust.allow_code`.
+    The code that they name cannot be imported before :func:`warpvox.cli.trust.with_code`.
 
     Raises:
         ConfigError: values of the wrong type or out of range.
@@ -260,6 +262,7 @@ def _represent_list(dumper: _Dumper, values: list) -> yaml.Node:
 
 
 _Dumper.add_representer(list, _represent_list)
+_Dumper.add_representer(Code, lambda dumper, code: dumper.represent_str(str(code)))
 
 
 # ----------------------------------------------------------------------------------------------- overrides

@@ -159,7 +159,7 @@ def _shape(bodies: Sequence[Design]) -> tuple[int, int]:
 
 def trained_on(config: Any) -> dict[str, Any]:
     """What a checkpoint says of its training."""
-    known = {"task": config.task, "rules": config.rules, "seed": config.seed, "design": config.design}
+    known = {"task": str(config.task), "rules": config.rules, "seed": config.seed, "design": config.design}
     if is_many(config):
         spec = config.designs
         known["design"] = None

@@ -12,8 +12,8 @@ import numpy as np
 from warpvox.algos.candidate import FINALIST, Candidate
 from warpvox.algos.settings import PpoConfig, ScreeningConfig
 from warpvox.cli.pretrained import check_learned, find_pretrained, kept_name, observed_by
+from warpvox.code import is_code
 from warpvox.configs.schema import CodesignConfig
-from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.keys import check_values
 from warpvox.types import Cell

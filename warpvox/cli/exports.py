@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from importlib import import_module
 from pathlib import Path
@@ -65,18 +66,18 @@ def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) ->
             run has a task of somebody's own that the user has not named.
     """
     if run.robot is not None:
-        return _load_robot(run.robot, config)
+        return _load_robot(run.robot, config, run.folder)
     from warpvox.algos.checkpoints.files import load_controller
     from warpvox.cli.build import make_env, training_lanes
     from warpvox.cli.config import load_values
     from warpvox.cli.designs import grid_of, held_out_of, is_many, read_bodies
-    from warpvox.cli.trust import allow_code
+    from warpvox.cli.trust import with_code
     from warpvox.devices.names import resolve_device
 
     device = resolve_device(config.device, config.num_envs)
     path = run.find_checkpoint(config.checkpoint)
-    named = {"task": config.task, "policy": config.policy}
-    trained = allow_code(load_values("train", run.config), run.config, named, run.folder)
+    given = {"task": config.task, "policy": config.policy}
+    trained = with_code(load_values("train", run.config), given, run.config, run.folder)
     changes = {"device": device, "threads": config.threads, "lanes": training_lanes(trained, device)}
     changes["memory_check"] = config.memory_check
     if config.dtype is not None:
@@ -107,10 +108,12 @@ def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) ->
     return env, controller
 
 
-def _load_robot(robot: Robot, config: Any) -> tuple[Any, Any]:
+def _load_robot(robot: Robot, config: Any, file: Path) -> tuple[Any, Any]:
     """Environments and policy of a stored robot; exact, with the recorded seeds, unless asked otherwise."""
+    from warpvox.cli.trust import allowed
+    from warpvox.code import Code
     from warpvox.devices.names import resolve_device
-    from warpvox.envs.registry import get_task
+    from warpvox.envs.registry import get_task, task_ids
     from warpvox.robots.replay import SEEDS, robot_env
 
     if config.stochastic:
@@ -118,6 +121,10 @@ def _load_robot(robot: Robot, config: Any) -> tuple[Any, Any]:
     if robot.policy is None:
         why = robot.about.get("no_policy", "there is a body alone.")
         raise ConfigError(f"The robot has no policy: {why} play agent=sine task={robot.task} design=zoo:... moves it.")
+    task = allowed("task", robot.task, config.task, file)
+    if isinstance(config.task, Code) and task not in task_ids():  # an entry for a task of the user's own has its id
+        task = config.task
+    robot = dataclasses.replace(robot, task=task)
     count = config.num_envs if get_task(robot.task).is_random else 1  # all episodes would be the same
     options = {
         name: getattr(config, name) for name in ("dtype", "arithmetic", "seed") if getattr(config, name) is not None

@@ -31,9 +31,9 @@ def evaluate_winner(folder: Path, config: Any) -> dict[str, Any]:
     from warpvox.algos.evaluate import evaluate
     from warpvox.cli.exports import load_run
     from warpvox.cli.runs import find_run
+    from warpvox.code import is_code
     from warpvox.configs.schema import PlayConfig
     from warpvox.envs.registry import get_task
-    from warpvox.envs.sources import is_code
 
     if not get_task(config.task).under(config.rules).is_random:
         return {}

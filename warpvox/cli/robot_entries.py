@@ -18,10 +18,12 @@ from warpvox.algos.codesign.archive import FILE as ARCHIVE
 from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, options_of
-from warpvox.cli.runs import Run, find_codesign, find_run, read_summary
+from warpvox.cli.runs import Run, as_name, find_codesign, find_run, read_summary
 from warpvox.cli.start import history_of
+from warpvox.cli.trust import allowed
 from warpvox.configs.schema import PRESET
 from warpvox.design import check_design, full_connections
+from warpvox.envs.registry import get_task
 from warpvox.errors import RunError
 from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.robots.network import Network
@@ -62,22 +64,27 @@ def find_sources(texts: Sequence[str]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def add(source: Path, folder: Path, top: int) -> Outcome:
+def add(source: Path, folder: Path, top: int, task: str | None = None) -> Outcome:
     """Evaluate the best robot of ``source`` in exact arithmetic; write its entry if its return is the higher one.
 
     Args:
         source: as for :func:`robots_of`.
         folder: of the entries.
         top: designs of a search that are evaluated: fitness is in float32, and contacts magnify every difference.
+        task: the code of a task of the user's own, which the source names.
 
     Raises:
+        ConfigError: the source names code, and the user does not.
         RunError: no such search or run, or no policy that an entry can have.
     """
     robots = list(robots_of(source, top))
     if not robots:
         raise RunError(f"The design search {source} has no evaluated design yet.")
+    home = source if source.is_dir() else source.parent
+    robots = [dataclasses.replace(robot, task=allowed("task", robot.task, task, home)) for robot in robots]
     best = max((recorded(robot, dict(robot.about)) for robot in robots), key=lambda robot: robot.mean_return)
-    path = folder / f"{best.task}.npz"
+    best = dataclasses.replace(best, task=get_task(best.task).id)
+    path = folder / f"{as_name(best.task)}.npz"
     before = read_robot(path).mean_return if path.is_file() else None
     if before is not None and best.mean_return <= before:
         return Outcome(best, before, None)

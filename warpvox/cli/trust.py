@@ -1,8 +1,7 @@
-"""Code that a stored configuration names is imported only if the user names it again, or says yes to a question.
+"""Code on the command line: what the user types becomes a :class:`warpvox.code.Code`, what a file holds does not.
 
-A run keeps a copy of the code of its own task and search in the folder ``code``, so that it can be played from
-anywhere. On the command line ``task=stored`` names that copy, ``task=FILE.py:NAME`` another place; the same holds for
-``search.make``. A user who gets a run from somebody else thus decides whether its code is executed.
+A run keeps a copy of the code of its own task, search and policy in the folder ``code``. On the command line
+``task=stored`` names that copy, ``task=FILE.py:NAME`` another place; the same holds for the other keys.
 """
 
 from __future__ import annotations
@@ -10,8 +9,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import shlex
-import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,57 +17,86 @@ from rich.console import Console
 
 from warpvox.cli import invocation
 from warpvox.cli.console import echo, escaped
-from warpvox.envs.sources import Code, find_source, is_code, load_code, split
-from warpvox.errors import ConfigError, RunError, listing
+from warpvox.code import Code, is_code, sources_of
+from warpvox.errors import ConfigError, RunError
 from warpvox.io.writing import write_bytes
 
-__all__ = ["CODE_KEYS", "STORED", "again", "allow_code", "as_stored", "keep_code"]
+__all__ = ["STORED", "again", "allowed", "as_stored", "check_address", "keep_code", "typed", "with_code"]
 
 STORED = "stored"
 """Value of a key that names the copy in the folder of the run."""
-CODE_KEYS = {"task": "task", "search.make": "search", "policy": "policy", "screening.policy": "policy"}
+COPIES = {"task": "task", "search.make": "search", "policy": "policy", "screening.policy": "policy"}
 """Keys whose values may be code, and the folders of the copies in a run's folder ``code``."""
-FOLDER = "code"
-LARGEST_FILE, LARGEST_COPY = 16_000_000, 64_000_000
-"""Bytes of a file of the user's that is copied, and of all together; a task that reads more is not copied whole."""
+KEYS = (*COPIES, "tasks")
+FOLDER, HERE = "code", Path()
 
 
-def allow_code(config: Any, stored: Mapping[str, Any], named: Mapping[str, Any], home: Path) -> Any:
-    """A configuration that a file holds, with code only where the user has said so.
+def typed(config: Any, keys: Iterable[str] = KEYS) -> dict[str, Any]:
+    """The values of ``keys``, which the user has typed, by key: what names code is a :class:`warpvox.code.Code`."""
+    return {key: _as_code(_value(config, key)) for key in KEYS if key in keys}
+
+
+def with_code(config: Any, given: Mapping[str, Any], stored: Mapping[str, Any] | None = None, home: Path = HERE) -> Any:
+    """A configuration with the code that the user has named.
 
     Args:
-        config: with the values of the command line over those of the file.
-        stored: values of the file, nested.
-        named: those of the command line, by dotted key; None: not given.
+        config: with all values.
+        given: those of the user, as :func:`typed` returns them.
+        stored: values of the file that all others come from, nested; None: there is none.
         home: folder that the file lies in, and ``code`` with it.
 
-    Returns:
-        ``config`` whose code is named by where it will be imported from.
+    Raises:
+        ConfigError: the file names code and the user does not. RunError: there is no copy.
+    """
+    for key in KEYS:
+        value, mine = _value(config, key), given.get(key)
+        if stored is None:
+            value = mine
+        elif key in COPIES:
+            value = allowed(key, _value(stored, key) if mine == STORED else value, mine, home)
+        elif mine is not None:
+            value = mine
+        elif isinstance(value, list) and any(map(is_code, value)):
+            raise ConfigError(_refusal(key, next(filter(is_code, value)), f"[{','.join(value)}]", home))
+        config = _replaced(config, key, value)
+    return config
+
+
+def check_address(config: Any, stored: Mapping[str, Any], named: Collection[str]) -> None:
+    """Raise ConfigError if only a file says which Ray cluster to connect to, which can make whoever does run code."""
+    address = stored.get("address")
+    if address is not None and "address" not in named and getattr(config, "executor", None) == "ray":
+        raise ConfigError(
+            f"The stored configuration names a Ray cluster, address={escaped(address)}. Who connects to a cluster can"
+            f" be made to run code: name it yourself (address={escaped(address)}), or add address=null to start Ray on"
+            " this machine, or executor=local."
+        )
+
+
+def allowed(key: str, text: Any, given: Any, home: Path) -> Any:
+    """What ``text``, the value that a file in ``home`` has for ``key``, stands for: code only if the user has named it.
+
+    Args:
+        given: the user's own value: a :class:`Code`, ``stored`` for the copy, or anything else if there is none.
 
     Raises:
-        ConfigError: the user has not named the code, or refuses it. RunError: there is no copy.
+        ConfigError: it is code, and the user has not named it. RunError: there is no copy.
     """
-    for key in CODE_KEYS:
-        text, given = _value(stored, key), named.get(key)
+    if given == STORED:
         if not is_code(text):
-            if given == STORED:
-                raise ConfigError(f"{key}={STORED} names code in the folder of a run; {home} has none for {key}.")
-        elif given == STORED:
-            copy = _copy(home, key, text)
-            if copy is None:
-                raise RunError(f"{home} holds no copy of {escaped(text)}: name the code itself, {key}=FILE.py:NAME.")
-            config = _replaced(config, key, copy)
-        elif is_code(given):
-            config = _replaced(config, key, given)
-        elif _value(config, key) == text:
-            config = _replaced(config, key, _ask(key, text, home))
-    _check_address(config, stored, named)
-    return config
+            raise ConfigError(f"{key}={STORED} names code in the folder of a run; {home} has none for {key}.")
+        copy = _copy(home, key, text)
+        if copy is None:
+            raise RunError(f"{home} holds no copy of {escaped(text)}: name the code itself, {key}=FILE.py:NAME.")
+        return copy
+    if is_code(text) and not isinstance(given, Code):
+        raise ConfigError(_refusal(key, text, STORED if _copy(home, key, text) else text, home))
+    return given if is_code(text) else text
 
 
 def as_stored(config: Any, stored: Mapping[str, Any]) -> Any:
     """``config`` with the names of code that the file of a run has: what is written when the run goes on."""
-    for key in CODE_KEYS:
+    for key in COPIES:
         text = _value(stored, key)
         if is_code(text) and is_code(_value(config, key)):
             config = _replaced(config, key, text)
@@ -78,129 +105,59 @@ def as_stored(config: Any, stored: Mapping[str, Any]) -> Any:
 
 def again(config: Any) -> str:
     """The end of a command that uses a run of ``config`` again: the keys that name its code, each after a blank."""
-    return "".join(f" {key}={STORED}" for key in CODE_KEYS if is_code(_value(config, key)))
-
-
-# ------------------------------------------------------------------------------------------------- copies
+    return "".join(f" {key}={STORED}" for key in COPIES if is_code(_value(config, key)))
 
 
 def keep_code(config: Any, folder: Path, console: Console) -> None:
-    """Copy the code that ``config`` names into the folder of a run; says what is too large, and what has changed."""
-    left_out: list[str] = []
-    changed: list[str] = []
-    for key, sub in CODE_KEYS.items():
-        text = _value(config, key)
-        if not is_code(text):
+    """Copy the code that ``config`` names into the folder of a run; says which files have changed since it began."""
+    for key, sub in COPIES.items():
+        code, place = _value(config, key), folder / FOLDER / sub
+        if not isinstance(code, Code):
             continue
-        code = load_code(split(text)[0])
-        place = folder / FOLDER / sub
-        if code.root is None or code.root == place.resolve():
-            continue
-        _copy_files(code, place, left_out, changed)
-        if not split(text)[0].endswith(".py"):
-            for above in code.source.relative_to(code.root).parents:
-                if str(above) != "." and not (place / above / "__init__.py").is_file():
-                    write_bytes(place / above / "__init__.py", b"")  # so that the copy is a package, too
-    for file in left_out:
-        echo(console, f"not copied into the run's folder, which needs it where it is: {file}")
-    if changed:
-        echo(console, f"not as it was when the run began: {listing(changed)}; the run's copy has been replaced")
+        root, files = sources_of(code)
+        for file in files if root != place.resolve() else []:
+            copy, content = place / file.relative_to(root), file.read_bytes()
+            if copy.is_file() and copy.read_bytes() != content:
+                echo(console, f"not as it was when the run began, its copy is replaced: {file.relative_to(root)}")
+            write_bytes(copy, content)
+            if not code.rpartition(":")[0].endswith(".py"):  # the copy of a module is a package, too
+                for above in list(copy.relative_to(place).parents)[:-1]:
+                    if not (place / above / "__init__.py").exists():
+                        write_bytes(place / above / "__init__.py", b"")
 
 
-def _copy_files(code: Code, place: Path, left_out: list[str], changed: list[str]) -> None:
-    room = LARGEST_COPY
-    for file in code.files:
-        size = file.stat().st_size
-        if size > min(room, LARGEST_FILE):
-            left_out.append(f"{file} ({size:,} bytes)")
-            continue
-        room -= size
-        copy, content = place / file.relative_to(code.root), file.read_bytes()
-        if copy.is_file() and copy.read_bytes() != content:
-            changed.append(str(file.relative_to(code.root)))
-        write_bytes(copy, content)
-
-
-def _copy(home: Path, key: str, text: str) -> str | None:
-    """The copy of code in a run's folder, as ``FILE.py:NAME``; a design's is in the folder of its search."""
-    place, name = split(text)
+def _copy(home: Path, key: str, text: str) -> Code | None:
+    """The copy of code in a run's folder; a design's is in the folder of its search."""
+    place, _, name = text.rpartition(":")
     inner = Path(place if place.endswith(".py") else f"{place.replace('.', '/')}.py").parts
     home = home.resolve()
     for folder in (home, home.parent.parent):
-        root = folder / FOLDER / CODE_KEYS[key]
+        root = folder / FOLDER / COPIES[key]
         for length in range(1, len(inner) + 1):
             below = root.joinpath(*inner[-length:])
             for file in (below, below.with_suffix("") / "__init__.py"):
                 if file.is_file() and file.resolve().is_relative_to(root):
-                    return f"{file}:{name}"
+                    return Code(f"{file}:{name}")
     return None
 
 
-# ------------------------------------------------------------------------------------------------ the user
-
-
-def _ask(key: str, text: str, home: Path) -> str:
-    """Where the code is to be imported from, if the user agrees.
-
-    Raises:
-        ConfigError: there is no terminal to ask on, or the answer is no.
-    """
-    copy = _copy(home, key, text)
-    name = copy or text
-    value = STORED if copy else text
-    source = find_source(split(name)[0])
-    where = "which is not to be found from here" if source is None else f"the file {escaped(source)}"
-    what = f"The configuration in {escaped(home)} names code: {key}={escaped(text)}, {where}"
-    beside = _beside(source) if copy else []
-    if beside:
-        what += f", with {listing(beside, 20)} beside it"
-    if _agreed(f"{what}.", "Import it?"):
-        return name
-    raise ConfigError(
-        f"{what}. Code that a stored file names is imported only if you name it yourself. If you trust it:"
-        f" {_command(home, key, value)}"
+def _refusal(key: str, text: str, value: str, home: Path) -> str:
+    """Why code is not imported, with the command that has it imported; ``latest`` by its name, as that may change."""
+    words = [
+        re.sub("^(run|resume)=latest$", lambda found: f"{found[1]}={home.absolute()}", w) for w in invocation.get()
+    ]
+    word = f"{key}={value}"
+    command = shlex.join(["warpvox", *words, word]) if words and escaped(value) == value else escaped(word)
+    return (
+        f"{escaped(home)} names code, {key}={escaped(text)}, which is imported only if you name it yourself. If you"
+        f" trust it: {command}"
     )
 
 
-def _beside(source: Path | None) -> list[str]:
-    """The other files of a copy."""
-    if source is None:
-        return []
-    root = next(above for above in source.parents if above.parent.name == FOLDER)
-    return sorted(escaped(file.relative_to(root)) for file in root.rglob("*") if file.is_file() and file != source)
-
-
-def _check_address(config: Any, stored: Mapping[str, Any], named: Mapping[str, Any]) -> None:
-    """A cluster can run code in every process that connects to it: the same holds for its address."""
-    address = _value(stored, "address")
-    if address is None or "address" in named or getattr(config, "executor", None) != "ray":
-        return
-    what = f"The stored configuration names a Ray cluster, address={escaped(address)}."
-    if not _agreed(what, "Connect to it?"):
-        raise ConfigError(
-            f"{what} Connecting to a cluster means to trust it; name it yourself (address={escaped(address)}), or add"
-            " address=null to start Ray on this machine, or executor=local."
-        )
-
-
-def _agreed(what: str, question: str) -> bool:
-    """Whether the user says yes; no if there is no terminal to ask on."""
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        return False
-    print(f"{what} It can do whatever you can do on this machine.", file=sys.stderr)
-    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
-
-
-def _command(home: Path, key: str, value: str) -> str:
-    """The command line with the key that it lacks; ``latest`` by its name, as there may be a newer one by then."""
-    given = [
-        re.sub("^(run|resume)=latest$", lambda match: f"{match[1]}={home.absolute()}", word)
-        for word in invocation.get()
-    ]
-    if not given or escaped(value) != value:
-        return f"{key}={escaped(value)}"
-    return shlex.join(["warpvox", *given, f"{key}={value}"])
+def _as_code(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_as_code(item) for item in value]
+    return Code(value) if is_code(value) else value
 
 
 def _value(values: Any, key: str) -> Any:
@@ -210,6 +167,8 @@ def _value(values: Any, key: str) -> Any:
     return values
 
 
-def _replaced(config: Any, key: str, value: str) -> Any:
+def _replaced(config: Any, key: str, value: Any) -> Any:
+    if value is None or value is _value(config, key):
+        return config
     first, _, rest = key.partition(".")
     return dataclasses.replace(config, **{first: _replaced(getattr(config, first), rest, value) if rest else value})

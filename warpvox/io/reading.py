@@ -1,9 +1,7 @@
-"""Files that somebody else has made, read with care: sizes are known before memory is taken, and no code is run.
+"""Files that somebody else has made, read with a limit in bytes and without pickle.
 
-A reader has a limit in bytes. Text and JSON must fit it as they lie on disk; for numpy's ``.npy`` and ``.npz`` the
-headers are read first, and what they claim must be what the file holds, fit the limit, and consist of plain
-numbers. An ``.npz`` cannot hold more than :data:`INFLATION` times its own size, so that neither a false claim nor a
-bomb costs more memory than that.
+A reader has a limit in bytes, which files must fit as they lie on disk, and the arrays of an ``.npz`` as they unpack.
+Arrays consist of plain numbers and are read without pickle.
 
 All that is wrong with a file is an :class:`Unreadable` with the reason, which the readers of designs, worlds and
 rollouts turn into errors of their own.
@@ -12,7 +10,6 @@ rollouts turn into errors of their own.
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 import zipfile
@@ -27,17 +24,6 @@ from warpvox.errors import did_you_mean, listing
 
 __all__ = ["ArrayFile", "Missing", "Unreadable", "parse_json", "read_bytes", "read_facts", "read_npy", "read_text"]
 
-INFLATION = 1032
-"""Bytes that a byte of the DEFLATE format can stand for at most."""
-LONGEST_HEADER = 4096
-"""Bytes of numpy's description of an array; those of plain numbers have 118."""
-MOST_MEMBERS = 64
-"""Arrays in an ``.npz``."""
-
-_HEADERS = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
 _HALF = re.compile(r"\\u[dD][89a-fA-F]")
 
 
@@ -108,10 +94,10 @@ def read_npy(path: str | os.PathLike[str], limit: int) -> np.ndarray:
     """The array of an ``.npy`` file of plain numbers.
 
     Raises:
-        Unreadable: no such file, no such array, or one of more than ``limit`` bytes.
+        Unreadable: no such file, no such array, or a file of more than ``limit`` bytes.
     """
-    with _opened(path, limit + LONGEST_HEADER) as file, _as_unreadable("no .npy file that can be read"):
-        return _read_array(file, os.fstat(file.fileno()).st_size, limit)
+    with _opened(path, limit) as file, _as_unreadable("no .npy file that can be read"):
+        return _plain(np.lib.format.read_array(file, allow_pickle=False))
 
 
 class ArrayFile:
@@ -119,20 +105,21 @@ class ArrayFile:
 
     Args:
         path: of the file.
-        limit: bytes that all arrays may have together.
+        limit: bytes of the file, and of all arrays together.
 
     Raises:
-        Unreadable: no such file, no such archive, or one whose arrays are larger than ``limit`` or than its own
-        size allows.
+        Unreadable: no such file, no such archive, or a larger one.
     """
 
     def __init__(self, path: str | os.PathLike[str], limit: int) -> None:
-        self._limit = limit
-        self._file = _opened(path, limit + MOST_MEMBERS * 2 * LONGEST_HEADER)
+        self._file = _opened(path, limit)
         try:
             with _as_unreadable("no .npz archive that can be read"):
                 self._zip = zipfile.ZipFile(self._file)
-                self._members = _members(self._zip, os.fstat(self._file.fileno()).st_size, limit)
+                self._members = {info.filename.removesuffix(".npy"): info for info in self._zip.infolist()}
+                total = sum(info.file_size for info in self._zip.infolist())
+                if total > limit:
+                    raise Unreadable(f"its arrays have {total:,} bytes, and {limit:,} are the limit")
         except BaseException:
             self._file.close()
             raise
@@ -146,7 +133,7 @@ class ArrayFile:
 
     @property
     def names(self) -> list[str]:
-        """Of the arrays."""
+        """The names of the arrays."""
         return list(self._members)
 
     def read(self, name: str, limit: int | None = None) -> np.ndarray:
@@ -160,8 +147,12 @@ class ArrayFile:
                 f"it has no array '{name}'; it holds {listing(self.names)}.{did_you_mean(name, self.names)}"
             )
         member = self._members[name]
+        if limit is not None and member.file_size > limit:
+            raise Unreadable(f"its array '{name}' has {member.file_size:,} bytes, and {limit:,} are the limit")
         with _as_unreadable(f"its array '{name}' is damaged"), self._zip.open(member) as file:
-            return _read_array(file, member.file_size, self._limit if limit is None else limit)
+            array = _plain(np.lib.format.read_array(file, allow_pickle=False))
+            file.read()  # to the end, where the checksum is compared
+            return array
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -207,41 +198,7 @@ def _as_unreadable(reason: str) -> Iterator[None]:
         raise Unreadable(f"{reason} ({str(error).strip() or type(error).__name__:.200})") from None
 
 
-def _members(archive: zipfile.ZipFile, size: int, limit: int) -> dict[str, zipfile.ZipInfo]:
-    """The entries of an archive by the names of their arrays, if their claims can be true and fit."""
-    infos = archive.infolist()
-    if len(infos) > MOST_MEMBERS:
-        raise Unreadable(f"it holds {len(infos)} arrays, and {MOST_MEMBERS} are the limit")
-    members = {info.filename.removesuffix(".npy"): info for info in infos}
-    if len(members) < len(infos):
-        raise Unreadable("two of its arrays have one name")
-    for name, info in members.items():
-        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or info.flag_bits & 1:
-            raise Unreadable(f"its array '{name}' is packed in a way that numpy does not write")
-        if info.file_size > INFLATION * info.compress_size:
-            raise Unreadable(f"its array '{name}' claims {info.file_size:,} bytes, made of {info.compress_size:,}")
-    if sum(info.compress_size for info in infos) > size:  # entries that overlap, as in a bomb
-        raise Unreadable("its arrays claim more bytes than the file has")
-    total = sum(info.file_size for info in infos)
-    if total > limit + len(infos) * LONGEST_HEADER:
-        raise Unreadable(f"its arrays have {total:,} bytes, and {limit:,} are the limit")
-    return members
-
-
-def _read_array(file: IO[bytes], size: int, limit: int) -> np.ndarray:
-    """An array of plain numbers from a file of ``size`` bytes that holds nothing else."""
-    version = np.lib.format.read_magic(file)
-    if version not in _HEADERS:
-        raise Unreadable(f"version {version} of numpy's format is not read")
-    shape, _, dtype = _HEADERS[version](file, max_header_size=LONGEST_HEADER)
-    if dtype.kind not in "biuf":
-        raise Unreadable(f"an array of {dtype} is not made of plain numbers")
-    if any(type(side) is not int or side < 0 for side in shape):
-        raise Unreadable(f"{shape} is no shape")
-    claimed, there = math.prod(shape) * dtype.itemsize, size - file.tell()
-    if claimed != there:
-        raise Unreadable(f"an array of shape {shape:} and type {dtype} has {claimed:,} bytes, but there are {there:,}")
-    if claimed > limit:
-        raise Unreadable(f"an array of shape {shape} has {claimed:,} bytes, and {limit:,} are the limit")
-    file.seek(0)
-    return np.lib.format.read_array(file, allow_pickle=False, max_header_size=LONGEST_HEADER)
+def _plain(array: np.ndarray) -> np.ndarray:
+    if array.dtype.kind not in "biuf":
+        raise Unreadable(f"an array of {array.dtype} is not made of plain numbers")
+    return array

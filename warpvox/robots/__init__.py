@@ -1,4 +1,4 @@
-"""Trained robots as small files: the zoo that comes with the package, entries of your own, released data sets.
+"""Trained robots as small files: the zoo that comes with the package, entries of your own.
 
 A :class:`Robot` is a body with its policy and what is known of both. ``warpvox zoo`` lists those of the package,
 ``warpvox zoo add=FOLDER`` makes them from what training has left.

@@ -1,6 +1,5 @@
 """The public names, for type checkers and for loading on first use."""
 
-from .dataset import DataSet as DataSet
 from .entry import Robot as Robot
 from .entry import find_robot as find_robot
 from .entry import read_robot as read_robot

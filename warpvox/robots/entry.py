@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.design import Design, check_design, full_connections
+from warpvox.design import ZOO, Design, check_design, full_connections
 from warpvox.errors import RunError, did_you_mean, listing
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
@@ -29,7 +29,7 @@ from warpvox.robots.network import Network
 __all__ = ["DIGITS", "FOLDER", "Robot", "find_robot", "read_robot", "save_robot", "zoo", "zoo_tasks"]
 
 FORMAT, VERSION = "warpvox robot", 1
-FOLDER = Path(__file__).with_name("data")
+FOLDER = ZOO
 """The zoo: an entry for every task, ``TASK.npz``."""
 DIGITS = 9
 """Decimals of recorded returns. Rewards are sums over points, which round differently (about 1e-15) on other CPUs."""
@@ -50,7 +50,7 @@ class Robot:
         policy: observations, those of :attr:`obs`, to actions; None: a body alone.
         about: of an entry of the zoo ``return`` (mean over ``returns``), ``returns``, ``lengths``, ``seeds`` (one an
             episode), ``control_steps`` and ``wall_s`` (of the search or training that it comes from), ``command``,
-            ``config``, ``date``, ``version``, ``commit``; of a released robot ``return``, ``generated_by``, ``uid``.
+            ``config``, ``date``, ``version``, ``commit``; of one from elsewhere at least ``return``.
         sha256: of all arrays.
     """
 
@@ -109,17 +109,11 @@ def find_robot(text: str) -> Robot:
     """The robot that ``text`` names.
 
     Args:
-        text: a task of the zoo, a file that :func:`save_robot` has written (``.npz``), or a robot of a released data
-            set: ``robots.parquet:TASK`` (its best), ``robots.parquet:TASK:RANK`` or ``robots.parquet:UID``.
+        text: a task of the zoo, or a file that :func:`save_robot` has written (``.npz``).
 
     Raises:
         RunError: there is none, or a file that cannot be read.
     """
-    from warpvox.robots.dataset import find_in_dataset, split_place
-
-    place = split_place(text)
-    if place is not None:
-        return find_in_dataset(*place)
     path = Path(text).expanduser()
     return read_robot(path) if path.suffix.lower() == ".npz" else zoo(text)
 
@@ -150,10 +144,13 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
         robot = _robot(header, arrays)
     except Missing:
         raise RunError(f"There is no robot at {path}: no such file.") from None
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise RunError(f"{path} is no robot that warpvox has written, or damaged: {str(error).rstrip('.')}.") from None
     if robot.sha256 != header.get("sha256"):
         raise RunError(f"{path} is damaged: its arrays do not have the checksum that it states.")
+    pairs, cells = robot.connections, robot.body.size
+    if pairs.ndim != 2 or len(pairs) != 2 or (pairs < 0).any() or (pairs >= cells).any():
+        raise RunError(f"{path} has connections that are no pairs [2, k] of its {cells} cells: shape {pairs.shape}.")
     return robot
 
 
@@ -164,6 +161,11 @@ def _check_header(header: Any) -> None:
         raise Unreadable(f"version {header.get('version')!r:.20} of the format; this warpvox reads {VERSION}")
     if not isinstance(header.get("task"), str) or not isinstance(header.get("about"), dict):
         raise Unreadable("its header names no task")
+    about = header["about"]
+    for name in ("return", "returns", "lengths", "seeds", "control_steps", "wall_s"):
+        values = about.get(name) if isinstance(about.get(name), list) else [about.get(name)]
+        if not all(value is None or isinstance(value, int | float) for value in values):
+            raise Unreadable(f"the {name} in its header is {about[name]!r:.40}, not numbers")
 
 
 def _robot(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Robot:

@@ -24,6 +24,7 @@ from warpvox.algos.policies.model import VoxelNormalizer
 from warpvox.algos.policies.registry import check_policy, layout_for, make_network
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
+from warpvox.code import Code
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.envs.voxels import NUM_FEATURES
 from warpvox.errors import ConfigError, RunError
@@ -315,7 +316,7 @@ def test_a_policy_trains_and_comes_back_from_files(tmp_path: Path, name: str, fo
 
 def test_a_network_of_ones_own_is_imported_only_if_it_is_named(tmp_path: Path) -> None:
     (tmp_path / "nets.py").write_text(OWN, encoding="utf-8")
-    name = f"{tmp_path / 'nets.py'}:Own"
+    name = Code(f"{tmp_path / 'nets.py'}:Own")
     make_runner(name, tmp_path, total=1).run()
     file = tmp_path / "model_1.pt"
     with pytest.raises(RunError, match=r"name it, policy=FILE\.py:Class"):
@@ -323,8 +324,8 @@ def test_a_network_of_ones_own_is_imported_only_if_it_is_named(tmp_path: Path) -
     assert isinstance(load_controller(file, network=name), Controller)
     with pytest.raises(ConfigError, match=r"has the settings units .*Did you mean 'units'"):
         make_network(name, VoxelLayout(2, 3, 2, 5), False, {"unit": 3})
-    with pytest.raises(ConfigError, match=r"has no class Owm.*Did you mean 'Own'"):
-        make_network(f"{tmp_path / 'nets.py'}:Owm", VoxelLayout(2, 3, 2, 5), False)
+    with pytest.raises(ConfigError, match=r"does not exist.*Did you mean 'Own'"):
+        make_network(Code(f"{tmp_path / 'nets.py'}:Owm"), VoxelLayout(2, 3, 2, 5), False)
 
 
 def test_mistakes_are_explained(env: VoxelVecEnv) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from warpvox.algos.search import BaseSearch, CustomSettings, Proposal, make_search, settings_from
+from warpvox.code import Code
 from warpvox.errors import ConfigError, SearchError
 
 
@@ -40,7 +41,7 @@ def test_the_documentation_names_every_search(repository: Path) -> None:
 
 
 def test_a_file_with_a_search(mine: Path) -> None:
-    settings = CustomSettings(make=f"{mine}:BestAndMutants", population=10, max_evaluations=40)
+    settings = CustomSettings(make=Code(f"{mine}:BestAndMutants"), population=10, max_evaluations=40)
     search = make_search(settings, (4, 5), seed=3)
     assert isinstance(search, BaseSearch)
     while asked := search.ask():
@@ -51,7 +52,9 @@ def test_a_file_with_a_search(mine: Path) -> None:
 
 
 def test_a_module_with_a_search() -> None:
-    settings = CustomSettings(make="warpvox.algos.search.random_search:RandomSearch", population=4, max_evaluations=4)
+    settings = CustomSettings(
+        make=Code("warpvox.algos.search.random_search:RandomSearch"), population=4, max_evaluations=4
+    )
     custom, own = (make_search(s, seed=1) for s in (settings, settings_from({"algorithm": "random", "population": 4})))
     assert np.array_equal(custom.ask()[0].body, own.ask()[0].body)
 
@@ -61,16 +64,16 @@ def test_a_module_with_a_search() -> None:
     [
         (None, "'custom' needs make=FILE.py:NAME"),
         ("mine.py", "'custom' needs make=FILE.py:NAME"),
-        ("nowhere.py:Mine", "no file 'nowhere.py' with a search"),
-        ("no.such.module:Mine", "no module 'no.such.module' with a search"),
-        ("mine.py:BestAndMutant", r"no class or function 'BestAndMutant'\. Did you mean 'BestAndMutants'\?"),
+        ("nowhere.py:Mine", "no file nowhere.py"),
+        ("no.such.module:Mine", "no module 'no.such.module'"),
+        ("mine.py:BestAndMutant", r"'BestAndMutant' does not exist in mine\.py\. Did you mean 'BestAndMutants'\?"),
         ("builtins:slice", "makes a slice, which cannot ask, tell, replay"),
     ],
 )
 def test_mistakes(mine: Path, monkeypatch: pytest.MonkeyPatch, make: str | None, words: str) -> None:
     monkeypatch.chdir(mine.parent)
     with pytest.raises(ConfigError, match=words):
-        make_search(CustomSettings(make=make))
+        make_search(CustomSettings(make=make and Code(make)))
 
 
 def test_what_does_not_ask_is_no_search(tmp_path: Path) -> None:
@@ -79,14 +82,14 @@ def test_what_does_not_ask_is_no_search(tmp_path: Path) -> None:
         "class Half:\n    def __init__(self, *args): pass\n    def ask(self): return []\n", encoding="utf-8"
     )
     with pytest.raises(ConfigError, match="makes a Half, which cannot tell, replay"):
-        make_search(CustomSettings(make=f"{path}:Half"))
+        make_search(CustomSettings(make=Code(f"{path}:Half")))
 
 
 def test_an_error_within_the_module_is_not_hidden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "lacking.py").write_text("import not_there_at_all\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(ModuleNotFoundError, match="not_there_at_all"):
-        make_search(CustomSettings(make="lacking:Mine"))
+    with pytest.raises(ConfigError, match=r"ModuleNotFoundError: .*not_there_at_all"):
+        make_search(CustomSettings(make=Code("lacking:Mine")))
 
 
 class Careless(BaseSearch):

@@ -43,8 +43,8 @@ from warpvox.cli.pretrained import observed_by
 from warpvox.cli.runs import CONFIG, END, find_codesign, find_searches, new_folder, read_summary, run_folder
 from warpvox.cli.start import gaits_of, keep_start, read_start
 from warpvox.cli.trust import STORED, again, as_stored, keep_code
+from warpvox.code import is_code
 from warpvox.configs.schema import CodesignConfig
-from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.writing import check_writable
 

@@ -12,8 +12,8 @@ from warpvox.cli.commands.train import Job, train
 from warpvox.cli.console import echo
 from warpvox.cli.exports import ROLLOUT, load_run, record_run, write_exports
 from warpvox.cli.runs import find_run
+from warpvox.code import is_code
 from warpvox.configs.schema import DemoConfig, PlayConfig
-from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError
 
 __all__ = ["demo", "run"]

@@ -20,8 +20,8 @@ from warpvox.cli.exports import draws_at_random, load_run
 from warpvox.cli.run_groups import Group, group_runs
 from warpvox.cli.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
 from warpvox.cli.trust import STORED
+from warpvox.code import Code, is_code
 from warpvox.configs.schema import EvaluateConfig, PlayConfig
-from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError
 from warpvox.io.writing import write_table
 
@@ -64,7 +64,7 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     Raises:
         WarpvoxError: a run that does not exist or cannot be evaluated as asked; nothing is written then.
     """
-    if config.task is not None and not (config.task == STORED or is_code(config.task)):
+    if config.task is not None and not (config.task == STORED or isinstance(config.task, Code)):
         raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
     robots = [f"{ZOO}{name}" for name in config.zoo]
     runs = [] if robots and config.runs == [LATEST] else config.runs
@@ -97,7 +97,7 @@ def _evaluate(found: Run, config: EvaluateConfig) -> tuple[Evaluation, bool]:
 
     prepare(config.torch_threads, config.seed)
     names = ("checkpoint", "stochastic", "seed", "device", "dtype", "arithmetic", "threads")
-    task = config.task if is_code(found.config["task"]) else None
+    task = config.task if found.robot or is_code(found.config["task"]) else None
     policy = config.policy if is_code(found.config.get("policy")) else None
     same = {name: getattr(config, name) for name in names} | {"policy": policy}
     env, policy = load_run(found, PlayConfig(num_envs=config.episodes, task=task, **same), config.designs, every=True)

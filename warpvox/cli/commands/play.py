@@ -25,8 +25,8 @@ from warpvox.cli.exports import (
 from warpvox.cli.playback import play_in_window, wants_window
 from warpvox.cli.runs import ZOO, as_name, find_run, new_folder, write_summary
 from warpvox.cli.trust import STORED
+from warpvox.code import Code
 from warpvox.configs.schema import PlayConfig
-from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, listing
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
         WarpvoxError: no such run, or one that does not do what ``config`` asks.
     """
     given = [name for name in OF_AGENTS if getattr(config, name, None) is not None]
-    if "task" in given and (config.task == STORED or is_code(config.task)):
+    if "task" in given and (config.task == STORED or isinstance(config.task, Code)):
         given.remove("task")  # who names a task's code, trusts it
     _refuse(name for name in given if name != "design")
     source = find_run(config.run if config.zoo is None else f"{ZOO}{config.zoo}", config.output_dir)

@@ -30,7 +30,6 @@ from warpvox.cli.suite.pool import LocalPool, Pool, RayPool
 from warpvox.cli.suite.progress import SuiteProgress, results
 from warpvox.cli.trust import as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig, SuiteConfig
-from warpvox.envs.sources import is_code
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.writing import check_writable
 from warpvox.system import available_memory, usable_cores
@@ -73,7 +72,7 @@ def _prepare(config: SuiteConfig, overrides: list[str], config_dir: Path | None)
         return Job(config)
     job = Job(config)
     if config.resume is not None:
-        job = _resumed(config, named, overrides, config_dir)
+        job = _resumed(config, overrides, config_dir)
     elif config.retry:
         raise ConfigError("retry=true goes with resume=latest or resume=FOLDER.")
     elif config.name and _place(config).exists():
@@ -91,17 +90,11 @@ def _prepare(config: SuiteConfig, overrides: list[str], config_dir: Path | None)
     return job
 
 
-def _resumed(config: SuiteConfig, named: set[str], overrides: list[str], config_dir: Path | None) -> Job:
+def _resumed(config: SuiteConfig, overrides: list[str], config_dir: Path | None) -> Job:
     source = find_suite(config.resume, config.output_dir)
     source = dataclasses.replace(source, config=upgraded(source.config))
     check_writable(source.folder)
     before = load_values("suite", source.config)
-    code = [task for task in before.tasks if is_code(task)]
-    if code and "tasks" not in named:
-        raise ConfigError(
-            f"The configuration in {source.folder} names code: {listing(code)}. Code that a stored file names is"
-            " imported only if you name it yourself: give tasks=[...] again."
-        )
     config = load("suite", overrides, config_dir, base=source.config, home=source.folder)
     check_unchanged(source.config, as_stored(config, source.config), CHANGEABLE)
     for key, old, new in zip(GROWING, _parts(before), _parts(config), strict=True):

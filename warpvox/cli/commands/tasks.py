@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from warpvox.cli.console import echo, literal
+from warpvox.code import Code, is_code
 from warpvox.errors import ConfigError, WorldError, did_you_mean, listing
 
 __all__ = ["run"]
@@ -137,7 +138,7 @@ def _print_task(name: str, keys: dict[str, Any], console: Console) -> None:
     from warpvox.envs.worlds import task_world
     from warpvox.view.world_picture import scene_of_world, write_world_png
 
-    whole = get_task(name)
+    whole = get_task(Code(name) if is_code(name) else name)
     task = whole.under(keys["rules"])
     world = task_world(task, load_design(keys["design"]))
     scene, _ = scene_of_world(world)
