@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import field
 from typing import Any
 
@@ -66,8 +65,8 @@ def _check_entry(name: str, value: Any, limits: Any) -> None:
         raise ConfigError(f"{name} must be one of {listing(choices)}; got {value!r}.{hint}")
     if not isinstance(value, int | float) or isinstance(value, bool):
         return
-    if not math.isfinite(value):
-        raise ConfigError(f"{name} must be a finite number, got {value!r}.")
+    if not abs(value) < 1e308:
+        raise ConfigError(f"{name} must be a finite number, got {value!r:.40}.")
     for bound, valid, words in (
         ("low", lambda limit: value >= limit, "at least"),
         ("above", lambda limit: value > limit, "greater than"),

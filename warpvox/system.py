@@ -1,19 +1,16 @@
 """Everything that depends on the operating system: signals, locks, flushing, memory, processors.
 
-Tests run on Linux. macOS and Windows have an implementation of each function here, written from their documentation and
-not tested on those systems; a library that a system lacks (``fcntl``, ``resource``) is imported only where it is used,
-and no other module of warpvox asks which system it runs on.
+Tests run on Linux. Elsewhere commands are meant to run without what only Linux has: locks of folders need ``fcntl``,
+and the free memory is not known. No other module of warpvox asks which system it runs on.
 """
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import os
 import platform
 import re
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -31,7 +28,7 @@ __all__ = [
     "usable_cores",
 ]
 
-WINDOWS, MACOS = sys.platform == "win32", sys.platform == "darwin"
+WINDOWS = sys.platform == "win32"
 
 # --------------------------------------------------------------------------------------------------------- signals
 
@@ -42,41 +39,29 @@ HANGUP: int | None = getattr(signal, "SIGHUP", None)
 def stop_signals() -> tuple[int, ...]:
     """The signals that ask a process to end, Ctrl-C aside.
 
-    SIGTERM; where there is one SIGHUP, unless this process ignores it (``nohup``); on Windows SIGBREAK,
-    which closing the console's window, logging off and shutting down send.
+    SIGTERM, and SIGHUP where there is one, unless this process ignores it (``nohup``).
     """
     found = [signal.SIGTERM]
     if HANGUP is not None and signal.getsignal(HANGUP) is not signal.SIG_IGN:
         found.append(HANGUP)
-    if hasattr(signal, "SIGBREAK"):
-        found.append(signal.SIGBREAK)
     return tuple(found)
 
 
 # ----------------------------------------------------------------------------------------------------------- files
-
-LOCK = ".lock"
-"""The file that is locked in a folder on Windows, which cannot lock folders."""
 
 
 @contextmanager
 def folder_lock(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder within the block; the system releases it when the process ends.
 
-    Where a lock cannot be had at all (a network disk without locks) the block runs without.
+    Where a lock cannot be had at all (a network disk without locks, Windows) the block runs without.
 
     Raises:
         BlockingIOError: another process holds it. OSError: the folder cannot be opened.
     """
-    with _windows_lock(folder) if WINDOWS else _posix_lock(folder):
-        yield
-
-
-@contextmanager
-def _posix_lock(folder: Path) -> Iterator[None]:
     try:
         import fcntl
-    except ImportError:  # neither Linux, macOS nor a BSD
+    except ImportError:
         yield
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -90,27 +75,6 @@ def _posix_lock(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
-
-
-@contextmanager
-def _windows_lock(folder: Path) -> Iterator[None]:
-    try:
-        import msvcrt
-    except ImportError:
-        yield
-        return
-    handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT)
-    try:
-        try:
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-        except OSError as error:
-            if error.errno in (errno.EACCES, errno.EDEADLK):
-                raise BlockingIOError(error.errno, "locked") from error
-        yield
-    finally:
-        os.close(handle)
-        with suppress(OSError):  # another process may have opened it meanwhile
-            os.unlink(folder / LOCK)
 
 
 def flush_to_disk(path: Path) -> None:
@@ -150,10 +114,6 @@ def processor_name() -> str:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
-    if MACOS:
-        name = _output("sysctl", "-n", "machdep.cpu.brand_string").strip()
-        if name:
-            return name
     return platform.processor() or platform.machine()
 
 
@@ -171,10 +131,6 @@ def available_memory() -> int | None:
     On Linux the least of what the machine has available, what is left below the limits of its control groups
     (containers, jobs of clusters) and below its limit of addresses (``ulimit -v``).
     """
-    if WINDOWS:
-        return _windows_memory()
-    if MACOS:
-        return _macos_memory(_output("vm_stat"))
     left = [value for value in (_linux_memory(), _left_of_groups(), _left_of_addresses()) if value is not None]
     return max(0, min(left)) if left else None
 
@@ -235,38 +191,3 @@ def _left_of_addresses() -> int | None:
     except (ImportError, OSError, ValueError):
         return None
     return limit - pages * os.sysconf("SC_PAGE_SIZE")
-
-
-def _macos_memory(text: str) -> int | None:
-    """What ``vm_stat`` prints as bytes that are free or can be freed at once."""
-    size = re.search(r"page size of (\d+) bytes", text)
-    pages = dict(re.findall(r"^Pages (free|inactive|speculative|purgeable):\s+(\d+)\.", text, re.MULTILINE))
-    return int(size[1]) * sum(map(int, pages.values())) if size and "free" in pages else None
-
-
-class _MemoryStatus(ctypes.Structure):
-    """MEMORYSTATUSEX of Windows."""
-
-    _fields_ = [
-        ("length", ctypes.c_uint32),
-        ("load", ctypes.c_uint32),
-        *((name, ctypes.c_uint64) for name in ("total", "available", "total_page", "available_page")),
-        *((name, ctypes.c_uint64) for name in ("total_virtual", "available_virtual", "available_extended")),
-    ]
-
-
-def _windows_memory() -> int | None:
-    try:
-        kernel = ctypes.windll.kernel32
-    except AttributeError:
-        return None
-    status = _MemoryStatus(length=ctypes.sizeof(_MemoryStatus))
-    return int(status.available) if kernel.GlobalMemoryStatusEx(ctypes.byref(status)) else None
-
-
-def _output(*words: str) -> str:
-    """What a program of the system prints; nothing where there is no such program."""
-    try:
-        return subprocess.run(words, capture_output=True, text=True, timeout=5).stdout
-    except (OSError, subprocess.SubprocessError):
-        return ""

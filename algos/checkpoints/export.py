@@ -143,7 +143,7 @@ def _card_of_script(path: Path) -> str | None:
             if found[0].file_size > LARGEST or found[0].compress_type != zipfile.ZIP_STORED:
                 raise RunError(f"{path} holds no policy that can be read (its description is too long or packed).")
             return archive.read(found[0]).decode("utf-8")
-    except (zipfile.BadZipFile, zlib.error, OSError, ValueError, NotImplementedError) as error:
+    except (zipfile.BadZipFile, zlib.error, OSError, ValueError, RuntimeError) as error:  # as damaged or encrypted
         raise RunError(f"{path} holds no policy that can be read ({error}).") from None
 
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import io
-import math
-import re
 import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +15,7 @@ from tensordict import TensorDict
 from torch.func import functional_call
 
 from warpvox.algos.policies.gait import GaitModel
-from warpvox.algos.policies.layout import CLOCK, VoxelLayout
+from warpvox.algos.policies.layout import VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.code import Code, is_code
 from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
@@ -31,8 +28,6 @@ __all__ = ["Controller", "PolicySpec", "load_checkpoint", "load_controller", "re
 
 KINDS = ("voxels", "gait")
 """Of :class:`PolicySpec`: what a policy of fully connected layers has not."""
-LARGEST_GAIT = 1 << 10
-"""Stages, rows or columns of a gait."""
 WIDEST = 1 << 16
 """Observations, actions or units of a layer that a policy may have."""
 
@@ -170,7 +165,7 @@ def load_controller(path: Path, device: str = "cpu", network: str | None = None)
         check_spec(spec, content["actor_state_dict"])
         actor = build_actor(spec).to(device)
         actor.load_state_dict(content["actor_state_dict"])
-    except (TypeError, ValueError, RuntimeError) as error:
+    except (TypeError, ValueError, RuntimeError, LookupError, AttributeError) as error:
         raise RunError(f"{path} holds a policy of another kind ({_first_line(error)}).") from None
     return Controller(actor.eval(), spec)
 
@@ -190,74 +185,37 @@ def with_code(spec: PolicySpec, network: str | None) -> PolicySpec:
 
 
 def check_spec(spec: PolicySpec, weights: object) -> None:
-    """Raise ValueError unless a network as ``spec`` describes it could have ``weights``, before it takes memory."""
-    sizes = [spec.num_obs, *(spec.hidden if isinstance(spec.hidden, list) else [None]), spec.num_actions]
-    if not all(type(size) is int and 0 < size <= WIDEST for size in sizes):
-        raise ValueError(f"sizes must be integers from 1 to {WIDEST}, got {sizes!r:.100}")
-    scale = spec.action_scale
-    if type(scale) not in (int, float) or not math.isfinite(scale):
-        raise ValueError(f"action_scale must be a finite number, got {scale!r:.100}")
-    if not isinstance(spec.activation, str) or type(spec.normalize_obs) is not bool:
-        raise ValueError(f"activation must be a name, got {spec.activation!r:.100}, and normalize_obs true or false")
-    weights = checked_weights(weights)
+    """Raise ValueError or TypeError unless a network as ``spec`` describes it has ``weights``; takes no memory."""
+    scale, weights = spec.action_scale, checked_weights(weights)
+    if type(scale) not in (int, float) or not abs(scale) < WIDEST:
+        raise ValueError(f"action_scale must be a number, got {scale!r:.100}")
+    for sizes in (spec.hidden, spec.gait or {}, (spec.voxels or {}).get("layout", {})):
+        for size in sizes.values() if isinstance(sizes, dict) else sizes:
+            if type(size) is int and not 0 <= size <= WIDEST:
+                raise ValueError(f"sizes must be integers up to {WIDEST:,}, got {size:.3g}")
+    if spec.voxels is not None:
+        layout = VoxelLayout(**spec.voxels["layout"])
+        if (layout.num_obs, layout.actions) != (spec.num_obs, spec.num_actions):
+            raise ValueError("the layout is that of other observations or actions")
+    build_actor(spec, "meta").load_state_dict(weights)  # of the names and shapes that it has
     if spec.gait is not None:
-        _check_gait(spec, weights)
-    else:
-        _check_voxels(spec, weights) if spec.voxels is not None else _check_layers(sizes, weights)
+        cells, last = weights["cells"].long(), spec.gait["rows"] * spec.gait["columns"]
+        if not bool((cells[1:] > cells[:-1]).all() & (cells >= 0).all() & (cells < last).all()):
+            raise ValueError(f"the cells of a gait must rise, from 0 to {last - 1}; got {cells.tolist()!r:.100}")
+        if not bool((weights["period"] > 0).all()):
+            raise ValueError("the periods of a gait must be above 0")
 
 
 def checked_weights(weights: object) -> dict[str, torch.Tensor]:
     """``weights`` of a network, if that is what they are; otherwise ValueError says why not."""
-    if not isinstance(weights, dict) or not all(isinstance(value, torch.Tensor) for value in weights.values()):
-        raise ValueError("the weights are no tensors")
-    if not all(value.is_contiguous() for value in weights.values()):  # one number can pose as a million
-        raise ValueError("the weights are views of other tensors")
-    if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
+    values = list(weights.values()) if isinstance(weights, dict) else [None]
+    if not all(isinstance(value, torch.Tensor) and not value.is_meta and not value.is_quantized for value in values):
+        raise ValueError("the weights are no tensors of numbers")
+    if not all(value.layout == torch.strided and value.is_contiguous() for value in values):
+        raise ValueError("the weights are views of other tensors")  # one number can pose as a million
+    if not all(bool(torch.isfinite(value).all()) for value in values):
         raise ValueError("the weights are not finite numbers")
     return weights
-
-
-def _check_layers(sizes: list[int], weights: dict[str, torch.Tensor]) -> None:
-    layers = [tensor.shape for name, tensor in weights.items() if re.fullmatch(r"mlp\.\d+\.weight", str(name))]
-    expected = [torch.Size((after, before)) for before, after in pairwise(sizes)]
-    if layers != expected:
-        raise ValueError(f"layers of {[list(s) for s in expected]!r:.100} do not have weights of {layers!r:.100}")
-
-
-def _check_voxels(spec: PolicySpec, weights: dict[str, torch.Tensor]) -> None:
-    given = spec.voxels if isinstance(spec.voxels, dict) else {}
-    layout = given.get("layout")
-    if given.keys() != {"network", "settings", "layout"} or not isinstance(layout, dict):
-        raise ValueError(f"a policy for voxels has network, settings and layout, got {given!r:.100}")
-    sizes = {name: size for name, size in layout.items() if name not in ("timed", "periods")}
-    timed, periods = layout.get("timed", False), layout.get("periods", CLOCK)
-    if not all(type(size) is int and 0 <= size <= WIDEST for size in sizes.values()) or type(timed) is not bool:
-        raise ValueError(f"sizes of a layout are integers up to {WIDEST}, timed is true or false; got {layout!r:.120}")
-    if type(periods) not in (list, tuple) or not all(type(period) is float and period > 0 for period in periods):
-        raise ValueError(f"periods of a clock are positive numbers, got {periods!r:.100}")
-    layout = VoxelLayout(**layout)
-    if (layout.num_obs, layout.actions) != (spec.num_obs, spec.num_actions):
-        raise ValueError("the layout is that of other observations or actions")
-    expected = {name: tensor.shape for name, tensor in build_actor(spec, "meta").state_dict().items()}
-    if expected != {name: tensor.shape for name, tensor in weights.items()}:
-        raise ValueError("the weights are those of another network")
-
-
-def _check_gait(spec: PolicySpec, weights: dict[str, torch.Tensor]) -> None:
-    shape = spec.gait if isinstance(spec.gait, dict) else {}
-    if shape.keys() != {"stages", "rows", "columns"} or not all(
-        type(size) is int and 0 < size <= LARGEST_GAIT for size in shape.values()
-    ):
-        raise ValueError(f"a gait has stages, rows and columns, 1 to {LARGEST_GAIT}; got {spec.gait!r:.100}")
-    state = build_actor(spec, "meta").state_dict()
-    expected = {name: (value.shape, value.dtype) for name, value in state.items()}
-    if expected != {name: (value.shape, value.dtype) for name, value in weights.items()}:
-        raise ValueError("the values are those of another gait")
-    cells, last = weights["cells"], shape["rows"] * shape["columns"]
-    if not bool((cells[1:] > cells[:-1]).all() & (cells >= 0).all() & (cells < last).all()):
-        raise ValueError(f"the cells of a gait must rise, from 0 to {last - 1}; got {cells.tolist()!r:.100}")
-    if not bool((weights["period"] > 0).all()):
-        raise ValueError("the periods of a gait must be above 0")
 
 
 def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel | GaitModel:
@@ -287,8 +245,10 @@ def spec_of(values: Mapping[str, Any]) -> PolicySpec:
     """The specification stored in a checkpoint.
 
     Raises:
-        TypeError: it has other entries.
+        TypeError: it has other entries, or is none.
     """
+    if not isinstance(values, Mapping):
+        raise TypeError(f"it is described by {values!r:.40}")
     return PolicySpec(**{name: value for name, value in values.items() if name != "width"})  # of earlier versions
 
 

@@ -186,7 +186,7 @@ def parse_policy(text: str, source: object) -> Policy:
         check_spec(spec, weights)
         policy = make_policy(spec, metadata)
         getattr(policy, "model", policy).load_state_dict(weights)
-    except (Unreadable, TypeError, ValueError, RuntimeError) as error:
+    except (Unreadable, TypeError, ValueError, RuntimeError, LookupError, AttributeError) as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise RunError(f"{source} holds no policy that can be read ({reason:.200}).") from None
     return policy

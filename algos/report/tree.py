@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 
 from warpvox.algos.codesign.archive import Record
 from warpvox.view.body_picture import body_svg
@@ -59,7 +60,7 @@ def family_tree(line: Sequence[Record]) -> str:
     for record in shown:
         x, y = _corner(where[record.id], column, row)
         item = record.candidate
-        note = f"design {record.id}, generation {item.generation}, {item.origin}, fitness {record.fitness:.3f}"
+        note = f"design {record.id}, generation {item.generation}, {escape(item.origin)}, fitness {record.fitness:.3f}"
         last = " winner" if record is shown[-1] else ""
         parts.append(
             f'<g class="node{last}" transform="translate({x} {y})"><title>{note}</title>'

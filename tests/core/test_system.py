@@ -18,15 +18,6 @@ OF_SYSTEMS = {
     "platform": {"system"},
     "signal": {"SIGHUP", "SIGKILL", "SIGUSR1", "SIGBREAK"},
 }
-VM_STAT = """Mach Virtual Memory Statistics: (page size of 16384 bytes)
-Pages free:                               10000.
-Pages active:                            500000.
-Pages inactive:                          300000.
-Pages speculative:                         2000.
-Pages wired down:                        100000.
-Pages purgeable:                            500.
-"Translation faults":                 123456789.
-"""
 
 
 @pytest.mark.parametrize("platform", ["win32", pytest.param("darwin", marks=pytest.mark.slow)])
@@ -102,11 +93,6 @@ def test_control_groups_of_version_1_and_none(tmp_path: Path) -> None:
     assert system._left_of_groups(tmp_path) == 3000
     write(tmp_path, **{f"{place}limit_in_bytes": str(2**63 - 4096)})
     assert system._left_of_groups(tmp_path) is None
-
-
-def test_memory_of_macos_is_what_vm_stat_prints() -> None:
-    assert system._macos_memory(VM_STAT) == 16384 * 312_500
-    assert system._macos_memory("") is None
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of addresses are those of Linux")

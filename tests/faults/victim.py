@@ -1,84 +1,49 @@
-"""A process that runs commands of warpvox again and again, each in a copy of itself which may die.
+"""Runs a command in copies of this process, each of which is killed, or finds the disk full, at one of its writes.
 
-Reads requests from stdin, a JSON object a line, and answers each by another. What takes seconds, libraries and kernels,
-is loaded once.
+Arguments: a folder, and as JSON the words of the command and the moments ``[[how, number], ...]``, where a number is a
+share of all writes. The copy of moment ``k`` runs in the folder ``k`` below, and the last one undisturbed in ``whole``.
 """
 
-from __future__ import annotations
-
-import ctypes
+import errno
 import json
 import os
 import signal
 import sys
-import tempfile
-import time
-import traceback
 from pathlib import Path
-from typing import Any
+
+from warpvox.cli import main
 
 
-def run(request: dict[str, Any]) -> None:
-    """In the copy: arm the faults, run the command, and end with its exit code."""
-    os.chdir(request["folder"])
-    faults = ctypes.CDLL(None)
-    faults.fault_count.restype = ctypes.c_long
-    code = 1
-    try:
-        from warpvox.cli import main
+def run(folder: Path, words: list[str], how: str = "", at: int = 0) -> int:
+    """Run the command in a copy of the process and say how it ends; it leaves ``output`` and ``writes`` beside."""
+    folder.mkdir()
+    if process := os.fork():
+        return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    os.chdir(folder)
+    for number in (1, 2):
+        os.dup2(os.open("../output", os.O_WRONLY | os.O_CREAT | os.O_APPEND), number)
+    writes, replace = 0, os.replace
 
-        faults.fault_arm(request["folder"].encode(), ctypes.c_long(request["at"]), request["mode"])
-        code = main(request["words"])
-        sys.stdout.flush()
-    except BaseException:
-        traceback.print_exc()
-    finally:
-        counted = faults.fault_count()
-        faults.fault_arm(b"", ctypes.c_long(0), 0)
-        sys.stderr.flush()
-        Path(request["log"], "count").write_text(str(counted))
-        os._exit(code)
+    def write(*paths: str) -> None:
+        nonlocal writes
+        writes += 1
+        if how == "killed" and writes == at:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if how == "full" and writes >= at:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        replace(*paths)
 
-
-def answer(request: dict[str, Any]) -> dict[str, Any]:
-    """Run a request in a copy; ``seconds``: kill it after so long."""
-    with tempfile.TemporaryDirectory() as log:
-        request["log"] = log
-        process = os.fork()
-        if not process:
-            for number, name in ((1, "out"), (2, "err")):
-                os.dup2(os.open(f"{log}/{name}", os.O_WRONLY | os.O_CREAT), number)
-            run(request)
-        if request["seconds"] is not None:
-            time.sleep(request["seconds"])
-            os.kill(process, request["signal"])
-        status = os.waitpid(process, 0)[1]
-        texts = {name: Path(log, name).read_text() for name in ("out", "err")}
-        counted = Path(log, "count")
-        return texts | {
-            "code": os.waitstatus_to_exitcode(status),
-            "count": int(counted.read_text()) if counted.is_file() else None,
-        }
-
-
-def warm_up(commands: list[list[str]]) -> None:
-    """Load libraries and kernels."""
-    from warpvox.cli import main
-
-    with tempfile.TemporaryDirectory() as folder, open(os.devnull, "w") as nowhere:
-        os.chdir(folder)
-        kept, sys.stdout = sys.stdout, nowhere
-        for words in commands:
-            if main(words):
-                raise SystemExit(f"{words} failed")
-        sys.stdout = kept
-        os.chdir("/")
+    os.replace = write
+    code = main(words)
+    Path("../writes").write_text(str(writes))
+    sys.stdout.flush()
+    os._exit(code)
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    answers = os.fdopen(os.dup(1), "w")
-    warm_up(json.loads(sys.stdin.readline()))
-    print("ready", file=answers, flush=True)
-    for line in sys.stdin:
-        print(json.dumps(answer(json.loads(line))), file=answers, flush=True)
+    home, words, moments = Path(sys.argv[1]), *map(json.loads, sys.argv[2:])
+    main([*words, f"output_dir={home / 'first'}"])  # loads libraries and kernels
+    codes = [run(home / "whole", words)]
+    count = int((home / "writes").read_text())
+    codes += [run(home / str(k), words, how, 1 + int(share * count)) for k, (how, share) in enumerate(moments)]
+    (home / "codes").write_text(json.dumps(codes))

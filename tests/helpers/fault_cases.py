@@ -1,14 +1,11 @@
-"""What the tests of faults share: the commands, a process that may die, and what must be true of what it leaves."""
+"""Commands that tests of faults run, and what must be true of what these leave."""
 
 from __future__ import annotations
 
 import json
 import math
-import signal
-import subprocess
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 import yaml
@@ -19,10 +16,6 @@ from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.io.writing import MARK
 
-COUNT, KILL, TORN, FULL, BROKEN = range(5)
-"""What happens at the chosen change: nothing; killed before it; killed after half of it; from it on the disk is full;
-it alone fails with an input/output error. As in ``injector.c``."""
-
 TRAIN = (
     "train design=mini num_envs=8 threads=1 device=cpu ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 max_iterations=3"
     " eval_interval=2 save_interval=1"
@@ -32,44 +25,6 @@ CODESIGN = (
     " training.iterations=2 training.eval_interval=2 training.save_interval=1 training.ppo.steps=4"
     " training.ppo.hidden=[8] training.ppo.epochs=1 device=cpu threads=1 batch=2"
 ).split()
-
-
-class Result(NamedTuple):
-    """How a command has ended: a negative code is the signal that killed it; count: changes of the disk."""
-
-    code: int
-    out: str
-    err: str
-    count: int | None = None
-
-
-class Victim:
-    """Runs commands of warpvox in processes that may die; see ``victim.py``."""
-
-    def __init__(self, process: subprocess.Popen) -> None:
-        self._process = process
-
-    def ask(self, message: Any) -> str:
-        self._process.stdin.write(json.dumps(message) + "\n")
-        self._process.stdin.flush()
-        line = self._process.stdout.readline()
-        assert line, "the victim itself has died"
-        return line
-
-    def __call__(
-        self,
-        folder: Path,
-        words: Sequence[str],
-        at: int = 0,
-        mode: int = COUNT,
-        seconds: float | None = None,
-        number: int = signal.SIGKILL,
-    ) -> Result:
-        """Run a command in ``folder`` with a fault at the ``at``-th change, or a signal after some seconds."""
-        folder.mkdir(parents=True, exist_ok=True)
-        request = {"folder": str(folder), "words": list(words), "at": at, "mode": mode}
-        answer = json.loads(self.ask(request | {"seconds": seconds, "signal": int(number)}))
-        return Result(**answer)
 
 
 # ------------------------------------------------------------------------------------------- what must be true
@@ -169,7 +124,6 @@ def check_search(run: Path, whole: Path) -> None:
 
 WHEN_LEFT = {"train": check_models, "codesign": check_archive}
 WHEN_DONE = {"train": check_training, "codesign": check_search}
-COMMANDS = {"train": TRAIN, "codesign": CODESIGN}
 
 
 def check_complaint(result: Any, *phrases: str) -> None:
@@ -185,18 +139,3 @@ def check_complaint(result: Any, *phrases: str) -> None:
 def has_begun(run: Path) -> bool:
     """Whether there is something to resume."""
     return (run / "state.pt").is_file() or (run / FILE).is_file()
-
-
-def resume(victim: Victim, folder: Path, command: str, whole: Path) -> None:
-    """Go on with the run in ``folder``, or begin anew where there was nothing to lose, and check the end."""
-    run = only(folder, command)
-    words = [command, f"resume={run}"] if run else COMMANDS[command]
-    result = victim(folder, words)
-    if run is not None and result.code == 2 and not has_begun(run):
-        check_complaint(result)
-        assert "not a run" in result.err or "start it again" in result.err
-        result = victim(folder / "again", COMMANDS[command])
-        run = only(folder / "again", command)
-    if "has already made" not in result.err:  # it was killed when all was done
-        assert (result.code, result.err) == (0, ""), result
-    WHEN_DONE[command](run or only(folder, command), whole)

@@ -73,20 +73,3 @@ def config_text() -> str:
     from warpvox.cli.config import load, to_yaml
 
     return to_yaml(load("train", []))
-
-
-SCHEMES = [
-    "DROP TABLE curves",
-    "DROP VIEW generations",
-    "CREATE TABLE more (x)",
-    "CREATE TRIGGER t AFTER UPDATE ON candidates BEGIN DELETE FROM candidates; END",
-    "CREATE INDEX i ON candidates(abs(seed))",
-    "ALTER TABLE candidates ADD COLUMN y",
-    "ALTER TABLE candidates RENAME TO c; CREATE VIEW candidates AS SELECT * FROM c",
-    "DROP VIEW generations; CREATE VIEW generations AS WITH RECURSIVE n(generation) AS (VALUES (1) UNION ALL SELECT"
-    " generation + 1 FROM n) SELECT generation, 1 AS designs FROM n",
-    "DROP VIEW generations; CREATE TABLE generations (generation, designs)",
-    "DROP TABLE experiment; CREATE VIEW experiment AS WITH RECURSIVE n(key) AS (VALUES (1) UNION ALL SELECT key + 1"
-    " FROM n) SELECT key, 'x' AS value FROM n",
-]
-"""Changes of an archive's schema."""

@@ -1,4 +1,4 @@
-"""Starts Warp without its banner, announces compilation, and repairs its cache of kernels.
+"""Starts Warp without its banner, and announces compilation.
 
 Warp prints a banner when it starts and a line for every module that it loads, but nothing when it begins to compile,
 which takes 10 to 40 seconds. Who has set ``warp.config.log_level``, or started Warp, before the first simulation gets
@@ -14,8 +14,6 @@ import sys
 import tempfile
 from collections.abc import Callable
 from typing import Any
-
-from warpvox.devices.kernel_cache import repaired
 
 __all__ = ["LOGGER", "start_warp"]
 
@@ -33,7 +31,6 @@ def start_warp() -> None:
     import warp as wp
     from warp._src import build, context
 
-    context.Module.load = repaired(context.Module.load, _is_ours, LOGGER.warning)
     for name, where in BUILDERS.items():
         if hasattr(build, name):
             setattr(build, name, _announced(getattr(build, name), where))
@@ -66,7 +63,7 @@ def _is_ours() -> bool:
     frame = sys._getframe(2)  # above the function that asks
     while frame is not None:
         name = str(frame.f_globals.get("__name__", ""))
-        if name.startswith("warpvox.") and name not in (__name__, repaired.__module__):
+        if name.startswith("warpvox.") and name != __name__:
             return True
         frame = frame.f_back
     return False

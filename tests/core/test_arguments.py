@@ -1,0 +1,68 @@
+"""Arguments of the wrong kind, size or sense: functions and command lines refuse them with errors of ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from damage import Stranger
+from sample_files import world_tree
+
+import warpvox
+from warpvox.cli.config import load
+from warpvox.errors import ConfigError, DesignError, DeviceError, SimulationError, WorldError
+from warpvox.evogym.simulator_cpp import Sim
+from warpvox.simulation import Simulation
+from warpvox.world import World
+
+SMALL = {"device": "cpu", "threads": 1}
+
+
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        ({"physics": []}, ConfigError),
+        ({"rules": np.zeros((2, 2))}, ConfigError),
+        ({"dtype": []}, SimulationError),
+        ({"obs": np.zeros((2, 2))}, ConfigError),
+        ({"connections": 5}, ConfigError),
+        ({"seed": -1}, ConfigError),
+        ({"seed": 1.5}, ConfigError),
+        ({"lanes": []}, SimulationError),
+        ({"threads": True}, SimulationError),
+        ({"device": "cuda:²"}, DeviceError),
+        ({"designs": Stranger()}, DesignError),
+        ({"designs": np.array(False)}, DesignError),
+        ({"num_envs": float("nan")}, ConfigError),
+    ],
+)
+def test_make_vec_refuses(words: dict, error: type[Exception]) -> None:
+    with pytest.raises(error):
+        warpvox.make_vec(**{"task": "Walker-v0", "designs": "mini", **SMALL, **words})
+
+
+@pytest.mark.parametrize(
+    "words", [{"worlds": 1}, {"loose": 5}, {"loose": "robot"}, {"action_range": 3}, {"action_range": (2, 1)}]
+)
+def test_simulation_refuses(words: dict) -> None:
+    with pytest.raises(SimulationError):
+        Simulation(**{"worlds": [World.from_json(world_tree())], **SMALL, **words})
+
+
+@pytest.mark.parametrize("data", [b"\x80", b"2 1 3 99999999999999999999999", b"-1 -1 3", b"2"])
+def test_objects_of_the_drop_in(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "object.txt").write_bytes(data)
+    with pytest.raises(WorldError):
+        Sim().read_object_from_file(str(tmp_path / "object.txt"), "thing", 0, 0)
+
+
+@pytest.mark.parametrize("value", ["1" * 5000, "[" * 3000, "'", "{a:"])
+def test_values_on_the_command_line(value: str) -> None:
+    with pytest.raises(ConfigError, match="is not KEY=VALUE"):
+        load("play", [f"record={value}"])
+
+
+def test_numbers_that_no_float_can_hold() -> None:
+    with pytest.raises(ConfigError, match="a number"):
+        load("train", [f"ppo.entropy_coef={'9' * 400}"])

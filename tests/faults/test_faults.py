@@ -1,0 +1,336 @@
+"""Killed, interrupted, on a full disk, with damaged files: nothing is lost, and one line says what to do."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import pathlib
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fault_cases import (
+    CODESIGN,
+    TRAIN,
+    WHEN_DONE,
+    WHEN_LEFT,
+    check_complaint,
+    check_search,
+    check_training,
+    has_begun,
+    only,
+)
+
+from warpvox import system
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.codesign.archive import BACKUP, FILE
+from warpvox.errors import RolloutError, StorageError
+from warpvox.io import writing
+from warpvox.io.writing import MARK, claimed, write_text
+
+COMMANDS = {"train": TRAIN, "codesign": CODESIGN}
+OURS = {writing.__file__, pathlib.__file__, system.__file__}
+"""The modules whose code writes a file."""
+FEW = [("killed", 0.3), ("killed", 0.7), ("full", 0.5)]
+MANY = [(how, k / 20) for how in ("killed", "full") for k in range(20)]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="copies of a process are made by fork")
+@pytest.mark.parametrize("moments", [FEW, pytest.param(MANY, marks=pytest.mark.slow)], ids=["few", "many"])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_run_goes_on_from_any_moment_to_the_undisturbed_end(
+    command: str, moments: list, warpvox: Callable, tmp_path: Path
+) -> None:
+    home, words = tmp_path / "victims", COMMANDS[command]
+    home.mkdir()
+    line = [sys.executable, Path(__file__).with_name("victim.py"), home, json.dumps(words), json.dumps(moments)]
+    subprocess.run(line, check=True, stdout=subprocess.DEVNULL, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    codes = json.loads((home / "codes").read_text())
+    assert codes == [0] + [-signal.SIGKILL if how == "killed" else 2 for how, _ in moments]
+    assert "Traceback" not in (home / "output").read_text()
+    assert "space is left" in (home / "output").read_text()
+    whole = only(home / "whole", command)
+    for number in range(len(moments)):
+        run = only(home / str(number), command)
+        if run is None or not has_begun(run):
+            continue  # nothing to lose yet
+        WHEN_LEFT[command](run, whole)
+        resumed = warpvox(command, f"resume={run}")
+        if "has already made" not in resumed.err:  # it was stopped when all was done
+            assert resumed.code == 0, resumed.err
+        WHEN_DONE[command](run, whole)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A training and a search; not to be changed."""
+    from warpvox.cli import main
+
+    place = tmp_path_factory.mktemp("runs")
+    for words in COMMANDS.values():
+        assert main([*words, f"output_dir={place / 'outputs'}"]) == 0
+    return {command: only(place, command) for command in COMMANDS}
+
+
+@pytest.fixture
+def copied(runs: dict[str, Path], warpvox: Callable, tmp_path: Path) -> Callable[[str], Path]:
+    """A copy of a run that may be damaged, in the folder where commands are run."""
+
+    def call(command: str) -> Path:
+        return Path(shutil.copytree(runs[command], tmp_path / "outputs" / command / "Walker-v0" / runs[command].name))
+
+    return call
+
+
+def cut(path: Path, share: float) -> None:
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+
+
+# ------------------------------------------------------------------------------------------------- writing a file
+
+
+@pytest.mark.parametrize("call", ["os.fsync", "os.replace", "pathlib.Path.touch"])
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.ENOENT])
+def test_a_refused_write_leaves_the_old_file_and_says_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, number: int
+) -> None:
+    target = tmp_path / "a.txt"
+    write_text(target, "old")
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise OSError(number, os.strerror(number))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(call, refuse)
+        with pytest.raises(StorageError, match=r"a\.txt cannot be written: .*(;|\?)"):
+            write_text(target, "new")
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("a.txt", "old")]
+
+
+def test_an_interrupt_leaves_one_of_the_two_files_whenever_it_comes(tmp_path: Path) -> None:
+    """Once before every line that Python runs for it."""
+    target, lines = tmp_path / "a.txt", 0
+
+    def write(interrupted: int | None) -> None:
+        nonlocal lines
+        lines = 0
+
+        def trace(frame: Any, event: str, _: Any) -> Any:
+            nonlocal lines
+            if frame.f_code.co_filename not in OURS:
+                return None
+            lines += event == "line"
+            if lines == interrupted and event == "line":
+                sys.settrace(None)
+                raise KeyboardInterrupt
+            return trace
+
+        sys.settrace(trace)
+        try:
+            write_text(target, "new")
+        finally:
+            sys.settrace(None)
+
+    write(None)
+    for number in range(1, lines + 1):
+        write_text(target, "old")
+        with pytest.raises(KeyboardInterrupt):
+            write(number)
+        assert [file.name for file in tmp_path.iterdir()] == ["a.txt"], number
+        assert target.read_text() in ("old", "new")
+
+
+@contextmanager
+def small_files(size: int) -> Iterator[None]:
+    """No file may become larger: what libraries in other languages write is refused, too."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_every_writer_notices_that_it_was_cut_short(tmp_path: Path) -> None:
+    from warpvox.design import example_design
+    from warpvox.envs.vec_env import make_vec
+    from warpvox.view import render, usd
+    from warpvox.view.player import write_html
+    from warpvox.view.rollout import record
+
+    env = make_vec("Walker-v0", example_design("mini"), 1, device="cpu", auto_reset=False, threads=1)
+    rollout = record(env, "sine", 4)
+    writers = {"a.npz": type(rollout).save, "a.usda": usd.write_usd, "a.png": render.write_png, "a.html": write_html}
+    writers |= {"a.gif": lambda *words: render.write_gif(*words, size=(320, 180))}
+    for name, write in writers.items():
+        path = tmp_path / name
+        write(rollout, path)
+        whole = path.read_bytes()
+        with small_files(len(whole) // 2), pytest.raises((StorageError, RolloutError), match="cannot be written"):
+            write(rollout, path)
+        assert path.read_bytes() == whole
+        assert not list(tmp_path.glob(f"{MARK}*"))
+
+
+# ----------------------------------------------------------------------------------------------- whole commands
+
+
+@pytest.mark.parametrize("how", ["read-only", "a file"])
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(
+    how: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("warpvox.simulation.Simulation.__init__", None)
+    if how == "a file":
+        (tmp_path / "place").write_text("mine")
+    else:  # bits of permission do not stop the superuser, who may run these tests
+        access = os.access
+        monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.W_OK and access(path, mode))
+    phrase = {"a file": "place is a file, not a folder", "read-only": "is read-only; choose another folder"}[how]
+    for words in (TRAIN, CODESIGN, "play agent=zero steps=2 window=off".split(), ["demo", *TRAIN[1:]]):
+        check_complaint(warpvox(*words, "output_dir=place/runs"), phrase)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_folder_that_vanishes_is_told_of_and_not_made_anew(
+    command: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def remove(*_: Any) -> None:
+        shutil.rmtree(tmp_path / "outputs", ignore_errors=True)
+
+    monkeypatch.setattr("warpvox.cli.progress.TrainingProgress.__call__", remove)
+    monkeypatch.setattr("warpvox.cli.codesign_progress.SearchProgress.progress", remove)
+    check_complaint(warpvox(*COMMANDS[command]), "outputs")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refused(
+    copied: Callable, warpvox: Callable
+) -> None:
+    run = copied("train")
+    litter = run / f"{MARK}state-abc.pt"
+    litter.write_text("half")
+    with claimed(run):
+        check_complaint(warpvox("train", f"resume={run}", "max_iterations=4"), "Another process is writing to")
+    assert litter.is_file()  # it may be the other's
+    assert warpvox("train", f"resume={run}", "max_iterations=4").code == 0
+    assert not litter.exists()
+
+
+@pytest.mark.parametrize(
+    ("numbers", "code", "words"),
+    [
+        ([signal.SIGTERM], 143, "interrupted, state saved after 64 control steps"),
+        ([signal.SIGHUP, signal.SIGHUP], 129, "interrupted, state saved after 64 control steps"),
+        ([signal.SIGTERM, signal.SIGINT], 130, "interrupted, the state of iteration 1 is kept, after 64 control"),
+    ],
+)
+def test_a_signal_waits_for_the_iteration_and_a_second_one_does_not(
+    numbers: list, code: int, words: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, runs: dict
+) -> None:
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in usual.items()}
+
+    def send(_: Any, row: dict) -> None:
+        for number in numbers if row["iteration"] == 2 else ():
+            signal.raise_signal(number)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("warpvox.cli.progress.TrainingProgress.__call__", send)
+        outcome = warpvox(*TRAIN)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    assert outcome.code == code
+    assert words in outcome.out
+    assert outcome.err.count("\n") == 1
+    assert warpvox("train", f"resume={only(tmp_path, 'train')}").code == 0
+    check_training(only(tmp_path, "train"), runs["train"])
+
+
+def test_a_log_on_a_full_disk_is_one_clear_error(tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("there is no /dev/full")
+    with open("/dev/full", "w") as full:
+        line = [sys.executable, "-m", "warpvox", "tasks"]
+        done = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("warpvox: The output cannot be written: no space is left on its disk")
+
+
+# ------------------------------------------------------------------------------------------------ damaged files
+
+
+def test_a_damaged_state_names_the_newest_checkpoint_that_is_whole(copied: Callable, warpvox: Callable) -> None:
+    run = copied("train")
+    cut(run / "state.pt", 0.99)
+    garbled = bytearray((run / "model_3.pt").read_bytes())
+    garbled[len(garbled) // 2] ^= 4  # within a tensor: its checksum tells
+    (run / "model_3.pt").write_bytes(garbled)
+    outcome = warpvox("train", "resume=latest", "max_iterations=4")
+    check_complaint(outcome, "state.pt is not a readable checkpoint", "that of iteration 2", "model_2.pt")
+    advised = outcome.err.split("resume=")[-1].strip()
+    assert warpvox("train", f"resume={advised}", "max_iterations=3").code == 0
+    assert load_checkpoint(run / "model_3.pt")["iter"] == 3
+    for file in run.glob("*.pt"):
+        cut(file, 0.5)
+    check_complaint(warpvox("train", f"resume={run}", "max_iterations=4"), "start the run again")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_configuration_that_was_cut_short_makes_no_other_run(
+    command: str, copied: Callable, warpvox: Callable
+) -> None:
+    run = copied(command)
+    lines = (run / "config.yaml").read_text().splitlines(keepends=True)
+    for count in (0, len(lines) // 2, len(lines) - 4):
+        (run / "config.yaml").write_text("".join(lines[:count]))
+        check_complaint(warpvox(command, f"resume={run}"))
+    check_complaint(warpvox(command, f"resume={run}"), "has been cut short", "...")
+
+
+def test_damaged_curves_say_what_to_do(copied: Callable, warpvox: Callable) -> None:
+    metrics = copied("train") / "metrics.csv"
+    metrics.write_text(metrics.read_text().replace("\n2,", "\n2x,"))
+    check_complaint(warpvox("train", "resume=latest", "max_iterations=4"), "metrics.csv is damaged", "move it away")
+
+
+def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(
+    copied: Callable, warpvox: Callable, runs: dict[str, Path]
+) -> None:
+    run = copied("codesign")
+    cut(run / FILE, 0.5)
+    (run / f"{FILE}-journal").write_bytes(b"nonsense" * 500)
+    for words in (("codesign", "resume=latest"), ("codesign", "report=latest"), ("play", "window=off")):
+        check_complaint(warpvox(*words), "damaged", f"{BACKUP} beside it", "copy it over")
+    shutil.copy(run / BACKUP, run / FILE)
+    assert warpvox("codesign", f"resume={run}").code == 0
+    check_search(run, runs["codesign"])
+
+
+def test_a_damaged_training_of_designs_is_to_be_removed_and_made_again(
+    warpvox: Callable, tmp_path: Path, runs: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[int] = []
+
+    def stop(*_: Any) -> None:
+        seen.append(1)
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("warpvox.cli.codesign_progress.SearchProgress.progress", stop)
+        assert warpvox(*CODESIGN).code == 130
+    run = only(tmp_path, "codesign")
+    (saved,) = (run / "training").iterdir()
+    cut(saved, 0.5)
+    check_complaint(warpvox("codesign", f"resume={run}"), saved.name, "Remove it", "to the same end")
+    saved.unlink()
+    assert warpvox("codesign", f"resume={run}").code == 0
+    check_search(run, runs["codesign"])
