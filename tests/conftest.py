@@ -20,14 +20,13 @@ parallel.one_thread_each()
 
 # The same examples on every run, and no time limit for one: a shared machine may stall at any moment.
 settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("thorough", deadline=None, max_examples=5000, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
 
 FIRST = (
     # While one process compiles kernels, the other one runs what needs none.
     *("test_gpu_check", "test_config", "test_suites", "test_protocol", "test_comparison"),
     # Those that take longest, so that no process waits for another at the end.
-    *("test_ray_executor", "test_processes", "test_moments", "test_recordings", "test_cuda_build", "test_pages"),
+    *("test_ray_executor", "test_processes", "test_faults", "test_recordings", "test_cuda_build", "test_pages"),
     *("test_codesign", "test_trust", "test_commands", "test_needs"),
 )
 """Files that go first, in this order."""
