@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
+from torch import nn
 from torch.func import functional_call
 
 from warpvox.algos.policies.gait import GaitModel
@@ -184,20 +185,36 @@ def with_code(spec: PolicySpec, network: str | None) -> PolicySpec:
     return replace(spec, voxels=spec.voxels | {"network": network})
 
 
-def check_spec(spec: PolicySpec, weights: object) -> None:
-    """Raise ValueError or TypeError unless a network as ``spec`` describes it has ``weights``; takes no memory."""
-    scale, weights = spec.action_scale, checked_weights(weights)
+def check_sizes(spec: PolicySpec) -> None:
+    """Raise ValueError or TypeError if a network as ``spec`` describes it cannot be."""
+    scale = spec.action_scale
     if type(scale) not in (int, float) or not abs(scale) < WIDEST:
         raise ValueError(f"action_scale must be a number, got {scale!r:.100}")
-    for sizes in (spec.hidden, spec.gait or {}, (spec.voxels or {}).get("layout", {})):
-        for size in sizes.values() if isinstance(sizes, dict) else sizes:
-            if type(size) is int and not 0 <= size <= WIDEST:
-                raise ValueError(f"sizes must be integers up to {WIDEST:,}, got {size:.3g}")
+    layout = {
+        key: size for key, size in (spec.voxels or {}).get("layout", {}).items() if key not in ("timed", "periods")
+    }
+    sizes = [spec.num_obs, spec.num_actions, *spec.hidden, *(spec.gait or {}).values(), *layout.values()]
+    if not all(type(size) is int and 0 <= size <= WIDEST for size in sizes):
+        raise ValueError(f"sizes must be integers up to {WIDEST:,}, got {sizes!r:.100}")
     if spec.voxels is not None:
         layout = VoxelLayout(**spec.voxels["layout"])
         if (layout.num_obs, layout.actions) != (spec.num_obs, spec.num_actions):
             raise ValueError("the layout is that of other observations or actions")
-    build_actor(spec, "meta").load_state_dict(weights)  # of the names and shapes that it has
+
+
+def check_spec(spec: PolicySpec, weights: object, model: nn.Module | None = None) -> None:
+    """Raise ValueError or TypeError unless ``weights`` are those of the network of ``spec``.
+
+    Args:
+        model: the network on the device meta, where it takes no memory; None: that of a checkpoint.
+    """
+    check_sizes(spec)
+    weights = checked_weights(weights)
+    expected = (model or build_actor(spec, "meta")).state_dict()
+    for name in [*expected, *(name for name in weights if name not in expected)]:
+        want, got = (tuple(of[name].shape) if name in of else "missing" for of in (expected, weights))
+        if want != got or expected[name].is_floating_point() != weights[name].is_floating_point():
+            raise ValueError(f"the weights are those of another network: {name!s:.40} is {got}, not {want}")
     if spec.gait is not None:
         cells, last = weights["cells"].long(), spec.gait["rows"] * spec.gait["columns"]
         if not bool((cells[1:] > cells[:-1]).all() & (cells >= 0).all() & (cells < last).all()):
@@ -210,7 +227,7 @@ def checked_weights(weights: object) -> dict[str, torch.Tensor]:
     """``weights`` of a network, if that is what they are; otherwise ValueError says why not."""
     values = list(weights.values()) if isinstance(weights, dict) else [None]
     if not all(isinstance(value, torch.Tensor) and not value.is_meta and not value.is_quantized for value in values):
-        raise ValueError("the weights are no tensors of numbers")
+        raise ValueError("the weights are no tensors")
     if not all(value.layout == torch.strided and value.is_contiguous() for value in values):
         raise ValueError("the weights are views of other tensors")  # one number can pose as a million
     if not all(bool(torch.isfinite(value).all()) for value in values):

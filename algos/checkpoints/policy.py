@@ -20,6 +20,7 @@ from warpvox.algos.checkpoints.files import (
     Controller,
     PolicySpec,
     build_actor,
+    check_sizes,
     check_spec,
     load_controller,
     spec_of,
@@ -182,8 +183,10 @@ def parse_policy(text: str, source: object) -> Policy:
         if not isinstance(given, dict) or not isinstance(metadata, dict):
             raise ValueError("it has no description of the network")
         spec = with_code(spec_of(given), None)
-        weights = _weights(spec, content.get("weights"))
-        check_spec(spec, weights)
+        check_sizes(spec)
+        model = _on_meta(spec)
+        weights = _weights(model.state_dict(), content.get("weights"))
+        check_spec(spec, weights, model)
         policy = make_policy(spec, metadata)
         getattr(policy, "model", policy).load_state_dict(weights)
     except (Unreadable, TypeError, ValueError, RuntimeError, LookupError, AttributeError) as error:
@@ -192,27 +195,26 @@ def parse_policy(text: str, source: object) -> Policy:
     return policy
 
 
-def _weights(spec: PolicySpec, given: Any) -> dict[str, torch.Tensor]:
-    """The tensors of a policy's text; shapes follow from ``spec``."""
+def _on_meta(spec: PolicySpec) -> nn.Module:
+    """The module whose weights the text of a policy holds, without memory for them."""
+    if spec.voxels is not None or spec.gait is not None:
+        return build_actor(spec, "meta")
+    with torch.device("meta"):
+        return Policy(spec)
+
+
+def _weights(known: Mapping[str, torch.Tensor], given: Any) -> dict[str, torch.Tensor]:
+    """The tensors of a policy's text; ``known`` has their names, shapes and types."""
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
         raise ValueError("it has no weights")
-    sizes = [spec.num_obs, *(spec.hidden if isinstance(spec.hidden, list) else [None]), spec.num_actions]
-    if not all(type(size) is int and size > 0 for size in sizes):
-        raise ValueError(f"sizes must be integers, got {sizes!r:.100}")
     weights: dict[str, torch.Tensor] = {}
-    known = {} if spec.voxels is None and spec.gait is None else build_actor(spec, "meta").state_dict()
     for name, value in given.items():
         try:
             numbers = np.frombuffer(base64.b64decode(value, validate=True), "<f4").astype(np.float32)
         except (binascii.Error, ValueError):
             raise ValueError(f"the numbers of '{name:.40}' are damaged") from None
-        kind, _, part = name.rpartition(".")
-        layer = int(kind.removeprefix("mlp.")) // 2 if kind.removeprefix("mlp.").isdecimal() else -1
-        shape = (spec.num_obs,)
-        if 0 <= layer < len(sizes) - 1:
-            shape = (sizes[layer + 1], sizes[layer]) if part == "weight" else (sizes[layer + 1],)
-        shape = tuple(known[name].shape) if name in known else shape
-        if numbers.size != int(np.prod(shape)):
-            raise ValueError(f"'{name:.40}' has {numbers.size} numbers, not {int(np.prod(shape))}")
-        weights[name] = torch.from_numpy(numbers.reshape(shape)).to(known[name].dtype if name in known else None)
+        like = known[name]
+        if numbers.size != like.numel():
+            raise ValueError(f"'{name:.40}' has {numbers.size} numbers, not {like.numel()}")
+        weights[name] = torch.from_numpy(numbers.reshape(like.shape)).to(like.dtype)
     return weights

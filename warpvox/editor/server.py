@@ -65,6 +65,8 @@ class EditorServer(ThreadingHTTPServer):
         DeviceError: the port is taken. WarpvoxError: the file cannot be opened, or a task cannot be imported.
     """
 
+    request_queue_size = 128  # connections that wait to be taken; five are the usual, and the others try again later
+
     def __init__(self, folder: Path, port: int = 0, file: str | None = None, tasks: Sequence[str] = ()) -> None:
         from warpvox.envs.registry import get_task, task_ids
 
