@@ -63,6 +63,8 @@ def _parquet(path: Path) -> Iterator[dict[str, Any]]:
         if file.metadata.num_rows > MOST_ROWS:
             raise ValueError(f"the file has {file.metadata.num_rows:,} rows, and {MOST_ROWS:,} are the limit")
         for batch in file.iter_batches(16):
+            if batch.nbytes > 16 * LONGEST_ROW:
+                raise ValueError(f"16 rows have {batch.nbytes:,} bytes, and {16 * LONGEST_ROW:,} are the limit")
             yield from batch.to_pylist()
 
 
