@@ -73,13 +73,24 @@ class Group:
         return 8 if self.parts > 8 else SMALLEST[1] // self.parts
 
     @property
+    def layout(self) -> dict[str, tuple[int, int]]:
+        """Elements of each field of ``Shared`` (``native/group/base.h``) and their bytes; ``tension`` shares its place."""
+        real, points, springs, parts = 4 if self.precision == "float32" else 8, self.points, self.springs, self.parts
+        touch = 16 * points + parts * (16 + 12 * real + 16)
+        in_turn = max(touch, 2 * real * (2 * springs + 2), 2 * real * points)
+        fields = dict(pos=(points, 16), disp=(points, 2 * real), contact=(points, 2 * real), links=(points, 16))
+        fields |= dict(spring=(springs, 4 * real), close=(8 * parts, 4), rigid=(parts, 2 * real))
+        return fields | dict(tension=(in_turn // (2 * real), 2 * real))
+
+    @property
     def bytes(self) -> int:
-        """Memory that the threads of a group share; ``Shared`` in ``native/group/base.h``."""
-        real = 4 if self.precision == "float32" else 8
-        touch = 16 * self.points + self.parts * (16 + 12 * real + 16)
-        in_turn = max(touch, 2 * real * (2 * self.springs + 2), 2 * real * self.points)
-        whole = (32 + 4 * real) * self.points + 4 * real * self.springs + in_turn + (32 + 2 * real) * self.parts + 128
-        return -(-whole // 32) * 32 + 32
+        """Memory that the threads of a group share."""
+        return sum(count * size for count, size in self.layout.values())
+
+    @property
+    def row(self) -> int:
+        """Numbers of 8 bytes that a group has on the CPU: this memory and that of votes."""
+        return (self.bytes + 4 * WARP) // 8
 
 
 def choose(points: int, springs: int, precision: str, device: str) -> Group | None:
@@ -133,7 +144,7 @@ def group_kernel(group: Group, tallied: bool = False) -> wp.Kernel:
         live: int, substeps: int, dt: wp.float64,
     ): ...  # fmt: skip
 
-    @register_limited(group.registers)
+    @register_limited(group.registers, BLOCK)
     def group_step(
         model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), first_pack: int, packs: int,
         order: int, substeps: int, dt: wp.float64,

@@ -75,16 +75,13 @@ struct alignas(4 * sizeof(Real)) Shared {
         Pair tension[2 * SPRINGS + 2];  // force of a spring on its first end, on its second; at last -0
         Pair moved[POINTS];             // corrections of the strain limit
     };
-#if !defined(__CUDA_ARCH__)
-    int turn[32];  // for votes
-#endif
 };
+static_assert(sizeof(Shared) == GROUP_BYTES, "Group.layout is another");
 
 // The groups of a warp take the same way: where one has work, all of them come along. `sync` and `some` are about the warp,
 // as is `most`, the largest of numbers that the threads of a group share; `vote` gives the bits of a group and whether the
 // warp has `any`. None of them stands where the groups of a warp may go different ways.
 #if defined(__CUDA_ARCH__)
-static_assert(sizeof(Shared) <= GROUP_BYTES, "Group.bytes is too small");
 static_assert(32 / PARTS * GROUP_BYTES <= SHARED_BYTES, "no room in shared memory");
 __shared__ Shared groups[32 / PARTS];
 Shared& at = groups[first_thread / PARTS];
@@ -134,14 +131,14 @@ auto largest = [&](float a) -> float {  // of a warp, not negative
 #endif
 };
 #else
-static_assert(sizeof(Shared) <= GROUP_BYTES, "Group.bytes is too small");
 // A group is alone; where visits are counted, those of a warp are a block and go the same way, as on CUDA.
 constexpr int GROUPS = TALLIED ? 32 / PARTS : 1;
 Shared& at = *reinterpret_cast<Shared*>(&wp::index(scratch, pack, 0));
 auto place_of = [](const Pair*, int n) -> unsigned { return n; };
 auto pair_at = [](const Pair* pairs, unsigned place) -> Pair { return pairs[place]; };
 auto pos_at = [&](unsigned place) -> Place { return at.pos[place]; };
-int* const turn = reinterpret_cast<Shared*>(&wp::index(scratch, pack - pack % GROUPS, 0))->turn;
+// Behind the memory of a group is what its threads vote with, then what is counted.
+int* const turn = reinterpret_cast<int*>(reinterpret_cast<Shared*>(&wp::index(scratch, pack - pack % GROUPS, 0)) + 1);
 const int first_thread = pack % GROUPS * PARTS;
 auto sync = [&]() { WP_TILE_SYNC(); };
 auto fence = [&]() {
@@ -258,7 +255,7 @@ auto tanh_of = [](double a) -> double {
 
 #if TALLIED
 auto tally = [&](int substep) {  // of the threads of a warp the most
-    int* all = reinterpret_cast<int*>(&wp::index(scratch, pack, 0)) + GROUP_BYTES / sizeof(int);
+    int* all = reinterpret_cast<int*>(&at + 1) + 32;
     for (int k = 0; k < PLACES; ++k) {
         const int visited = join(visits[k], false, larger);
         if (part == 0) all[substep * PLACES + k] = visited;
