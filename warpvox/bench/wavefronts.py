@@ -60,9 +60,11 @@ def by_place(group: Group, memory: np.ndarray) -> dict[str, tuple[int, int]]:
     first, second, pulls = turns(ends & 0xFFFF), turns(ends >> 16), turns(table("links", np.uint16))
     pull, disp = ("tension", 2 * spring, 16, 0), (("disp", first, 8, 0), ("disp", second, 8, 0))
     return {
-        "relax": cost(("spring", spring, 16, 0), ("pos", first, 16, 0), ("pos", second, 16, 0), pull),
+        "relax": cost(
+            ("spring", spring, 8, 0), ("length", spring, 4, 0), ("pos", first, 16, 0), ("pos", second, 16, 0), pull
+        ),
         "stretch": cost(("spring", spring, 8, 0), *disp, pull),
-        "limit": cost(("spring", spring, 4, 0), ("spring", spring, 4, 12), *disp),
+        "limit": cost(("spring", spring, 4, 0), ("length", spring, 4, 4), *disp),
         "point": cost(("contact", point, 8, 0)),
         "floor": cost(("disp", point, 4, 4)),
         "gather": cost(("links", point, 16, 0), ("tension", pulls, 8, 0), ("disp", point, 8, 0)),
