@@ -178,9 +178,9 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     whole = Count(*map(sum, zip(*found.values(), strict=True)))
     rows = [[stage, *(number(value, 4) for value in count)] for stage, count in (found | {"all stages": whole}).items()]
     report.table(
-        f"{config.task}: warp instructions and wavefronts of shared memory, of an environment and sub-step (machine code"
-        f" for 9.0; visits counted over {config.steps} control steps with random actions; no conflicts of banks counted for"
-        " candidates, contacts and corrections of strain)",
+        f"{config.task}: warp instructions and wavefronts of shared memory, of an environment and sub-step (machine"
+        f" code for 9.0; visits counted over {config.steps} control steps with random actions; conflicts of banks are"
+        " not counted for candidates, contacts and corrections of strain)",
         ["stage", "instructions", "in float64", "wavefronts", "of these by conflicts"],
         rows,
     )
