@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from warpvox.bench.case import one_body
+from warpvox.bench.case import one_body, sampled_bodies
 from warpvox.bench.ptxas import ARCHITECTURES, Limits, assemble, counted
 from warpvox.bench.report import Report, number
 from warpvox.bench.wavefronts import by_place
@@ -37,6 +38,9 @@ STAGES = {
 """The stages of a sub-step, and how the names of their places in the source begin."""
 ENVS, SETTLING = 8, 20
 """Environments of which visits are counted, and control steps before."""
+SIDE, DIFFERENT = 5, 4
+"""Of random bodies; so many share a warp."""
+HEADS = ["instructions", "in float64", "wavefronts", "of these by conflicts"]
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,7 @@ def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90)
 
     The instructions of every place in the machine code, times its visits, over the environments of a warp. Loops that
     are unrolled stand in the code as often as they have rounds. What the compiler made in two versions counts twice.
-    Wavefronts come from the addresses in the tables of the first warp, else from the code, without conflicts.
+    Wavefronts come from the addresses in the tables of the bodies, else from the code, without conflicts.
     """
     sizes = sim.buffers.sizes
     group = choose(sizes["point"], sizes["spring"], "float32", "cuda:0")
@@ -118,7 +122,8 @@ def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90)
     found = dict.fromkeys(STAGES, Count())
     sim.buffers.group, together = group, WARP // group.parts
     visited, memory = visits(sim, steps, seed)
-    known = by_place(group, memory[:together])
+    warps = [by_place(group, warp) for warp in memory.reshape(-1, together, group.bytes)]
+    known = {name: np.mean([warp[name] for warp in warps], axis=0) for name in warps[0]}
     for name, times in zip(places(), visited, strict=True):
         stage = next(stage for stage, begins in STAGES.items() if name.startswith(begins))
         share = times / rounds.get(name, 1) / together
@@ -167,21 +172,48 @@ def _limits(report: Report, group: Group) -> list[dict[str, int]]:
     return found
 
 
+def _simulation(config: Any, bodies: Sequence[np.ndarray]) -> Simulation:
+    """Whole warps of environments, in which the bodies take turns."""
+    sims = [make_vec(config.task, [body], 1, device="cpu", dtype="float32", threads=1).sim for body in bodies]
+    worlds = [sims[k % len(sims)].worlds[0] for k in range(ENVS)]
+    return Simulation(worlds, "cpu", sims[0].physics, threads=1, loose=sims[0].loose, layout="group")
+
+
+def _total(found: dict[str, Count]) -> Count:
+    return Count(*map(sum, zip(*found.values(), strict=True)))
+
+
+def _different(config: Any, report: Report) -> dict[str, Count]:
+    """What different random bodies take that share a warp, and each of them alone."""
+    bodies = sampled_bodies(SIDE, DIFFERENT, config.seed)
+    cases = {f"{DIFFERENT} different bodies": bodies} | {f"body {k} in all": [body] for k, body in enumerate(bodies)}
+    with report.status("counting for different bodies"):
+        found = {
+            name: _total(instructions(_simulation(config, those), config.steps, config.seed))
+            for name, those in cases.items()
+        }
+    report.table(
+        f"{config.task}, random {SIDE}x{SIDE} bodies: the same of an environment in a warp of such",
+        ["", *HEADS],
+        [[name, *(number(value, 4) for value in count)] for name, count in found.items()],
+    )
+    return found
+
+
 def run(config: Any, report: Report) -> dict[str, Any]:
-    """Limits by compute capability, instructions by stage, predicted speeds."""
-    env = make_vec(config.task, [one_body(config)], 1, device="cpu", dtype="float32", threads=1)
-    sim = Simulation([env.sim.worlds[0]] * ENVS, "cpu", env.sim.physics, threads=1, loose=env.sim.loose, layout="group")
+    """Limits by compute capability, instructions by stage, predicted speeds, different bodies."""
+    sim = _simulation(config, [one_body(config)])
     with report.status("compiling for CUDA, counting"):
         found = instructions(sim, config.steps, config.seed)
         group = choose(sim.buffers.sizes["point"], sim.buffers.sizes["spring"], "float32", "cuda:0")
         limits = _limits(report, group)
-    whole = Count(*map(sum, zip(*found.values(), strict=True)))
+    whole = _total(found)
     rows = [[stage, *(number(value, 4) for value in count)] for stage, count in (found | {"all stages": whole}).items()]
     report.table(
         f"{config.task}: warp instructions and wavefronts of shared memory, of an environment and sub-step (machine"
         f" code for 9.0; visits counted over {config.steps} control steps with random actions; conflicts of banks are"
         " not counted for candidates, contacts and corrections of strain)",
-        ["stage", "instructions", "in float64", "wavefronts", "of these by conflicts"],
+        ["stage", *HEADS],
         rows,
     )
     speeds = {
@@ -194,4 +226,5 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         ["GPU", "least", "most"],
         [[name, *(f"{number(rate / 1e6)} M" for rate in rates)] for name, rates in speeds.items()],
     )
-    return {"task": config.task, "instructions": found, "limits": limits, "predicted": speeds}
+    different = _different(config, report)
+    return {"task": config.task, "instructions": found, "limits": limits, "predicted": speeds, "different": different}
