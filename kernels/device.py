@@ -33,9 +33,10 @@ double: round as the formulas are written, with fused multiply-add where they sa
 that a compiler chooses differ between devices."""
 
 
-def register_limited(registers: int) -> Any:
-    """Decorator: such a kernel with at most so many registers a thread on CUDA, and no loop over the grid."""
-    options = {"fuse_fp": False}
+def register_limited(registers: int, block: int) -> Any:
+    """Decorator: such a kernel for blocks of so many threads with at most so many registers each on CUDA, and no loop
+    over the grid."""
+    options = {"fuse_fp": False, "block_dim": block}
     return wp.kernel(
         enable_backward=False, module="unique", module_options=options, grid_stride=False, cuda_max_registers=registers
     )

@@ -27,8 +27,7 @@ WARP = 32
 BLOCK = 32
 """Threads of a CUDA block. Groups of a warp go the same way; more warps in a block would only wait for each other."""
 REGISTERS = 200
-"""Of a thread, at most, in float32 with 16 or 32 threads to an environment: 10 warps share a multiprocessor, without
-spills. In float64, and with 8 threads, that own twice as many springs, all 255 are taken."""
+"""Of a thread, at most, in float32: 10 warps share a multiprocessor, without spills. In float64 all 255 are taken."""
 SHARED_BYTES = 47 * 1024
 """Shared memory of the groups of a CUDA block, at most. A block has 48 KiB without asking, some of them Warp's."""
 SMALLEST, SMALL = (40, 112), 128
@@ -38,6 +37,8 @@ LINKS = 8
 """Springs of a point, at most: in a lattice four sides and four diagonals of voxels meet in it."""
 ROUNDS = 64
 """Of a loop over points, at most: a bit for each."""
+CODED = 1 << 13
+"""Candidates for contact whose corners can be listed: a code has 16 bits."""
 ON_CPU = 512, 1024
 """Points and springs for which the kernel is compiled on the CPU, where memory is no limit; more where needed."""
 FILES = ("base.h", "load.h", "candidates.h", "contact.h", "move.h", "limit.h", "step.h")
@@ -65,7 +66,7 @@ class Group:
     @property
     def registers(self) -> int:
         """Of a thread, at most."""
-        return REGISTERS if self.precision == "float32" and self.parts > 8 else 255
+        return REGISTERS if self.precision == "float32" else 255
 
     @property
     def few(self) -> int:
@@ -73,13 +74,31 @@ class Group:
         return 8 if self.parts > 8 else SMALLEST[1] // self.parts
 
     @property
+    def layout(self) -> dict[str, tuple[int, int]]:
+        """Elements of each field of ``Shared`` (``native/group/base.h``), and the bytes of one.
+
+        Forces of springs share their place with others. The list of close corners has room for 7 a thread and for what
+        makes the whole 64 bytes more than a multiple of 128: two groups of 8 threads, half a warp, use different banks.
+        """
+        real, points, springs, parts = 4 if self.precision == "float32" else 8, self.points, self.springs, self.parts
+        touch = 16 * points + parts * (16 + 12 * real + 16)
+        in_turn = max(touch, 2 * real * (2 * springs + 2), 2 * real * points)
+        fields = dict(pos=(points, 16), disp=(points, 2 * real), contact=(points, 2 * real), links=(points, 16))
+        fields |= dict(spring=(springs, 2 * real), length=(springs, 2 * real), rigid=(parts, 2 * real))
+        fields |= dict(tension=(in_turn // (2 * real), 2 * real))
+        used = sum(count * size for count, size in fields.values())
+        close = 7 * parts
+        return fields | dict(close=(close + (64 - used - 2 * close) % 128 // 2, 2))
+
+    @property
     def bytes(self) -> int:
-        """Memory that the threads of a group share; ``Shared`` in ``native/group/base.h``."""
-        real = 4 if self.precision == "float32" else 8
-        touch = 16 * self.points + self.parts * (16 + 12 * real + 16)
-        in_turn = max(touch, 2 * real * (2 * self.springs + 2), 2 * real * self.points)
-        whole = (32 + 4 * real) * self.points + 4 * real * self.springs + in_turn + (32 + 2 * real) * self.parts + 128
-        return -(-whole // 32) * 32 + 32
+        """Memory that the threads of a group share."""
+        return sum(count * size for count, size in self.layout.values())
+
+    @property
+    def row(self) -> int:
+        """Numbers of 8 bytes that a group has on the CPU: this memory and that of votes."""
+        return (self.bytes + 4 * WARP) // 8
 
 
 def choose(points: int, springs: int, precision: str, device: str) -> Group | None:
@@ -104,7 +123,7 @@ def places() -> list[str]:
 def source(group: Group, tallied: bool = False) -> str:
     """The C++ of a group kernel."""
     sizes = dict(PARTS=group.parts, POINTS=group.points, SPRINGS=group.springs, LINKS=LINKS)
-    sizes |= dict(GROUP_BYTES=group.bytes, FEW=group.few)
+    sizes |= dict(GROUP_BYTES=group.bytes, FEW=group.few, CODED=CODED, CLOSE=group.layout["close"][0])
     sizes |= CPP_CONSTANTS | dict(VOXEL=VOXEL, PARALLEL=PARALLEL, DEGENERATE=DEGENERATE, CLOSE_MARGIN=CLOSE_MARGIN)
     sizes |= dict(SHARED_BYTES=SHARED_BYTES, PLACES=len(places()))
     sizes |= {f"PLACE_{name}": k for k, name in enumerate(places())}
@@ -133,7 +152,7 @@ def group_kernel(group: Group, tallied: bool = False) -> wp.Kernel:
         live: int, substeps: int, dt: wp.float64,
     ): ...  # fmt: skip
 
-    @register_limited(group.registers)
+    @register_limited(group.registers, BLOCK)
     def group_step(
         model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), first_pack: int, packs: int,
         order: int, substeps: int, dt: wp.float64,

@@ -233,6 +233,8 @@ def test_the_cuda_suite_predicts_from_instructions(bench: Callable, warpvox: Cal
     assert [row["spilled"] for row in figures["limits"]] == [0, 0, 0, 0]
     assert all(low <= high for low, high in figures["predicted"].values())
     assert "warp instructions" in said
+    together, *alone = (row[0] for row in figures["different"].values())
+    assert sum(alone) / len(alone) < together < sum(alone)
     assert "smaller world" in warpvox("bench", "suite=cuda", "task=Traverser-v0", *TINY).err
 
 

@@ -97,6 +97,16 @@ def test_threads_may_run_in_any_order(order):
 
 
 @pytest.mark.slow
+def test_all_corners_are_tested_where_there_are_more_candidates_than_codes(monkeypatch):
+    monkeypatch.setattr(group, "CODED", 2)
+    group.group_kernel.cache_clear()
+    try:
+        run(pair_of(crowd(3)), 12)
+    finally:
+        group.group_kernel.cache_clear()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("parts", [8, 16])
 def test_groups_of_a_warp_go_the_same_way(parts):
     """Counted, the groups of a warp are one block that votes and waits together, as on CUDA: different bodies."""
@@ -241,6 +251,14 @@ def test_all_tasks_fit_into_shared_memory_and_35x35_bodies_do_not():
         assert group.choose(61 * 61, 14000, precision, "cpu") is None
     for points, springs in [(356, 560), (370, 362), (344, 850)]:  # the largest worlds of the tasks
         assert group.choose(points, springs, "float32", "cuda:0") is not None
+
+
+@pytest.mark.parametrize("sizes", [(36, 104), (40, 112), (45, 124), (69, 196)])
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_groups_side_by_side_begin_in_different_banks(sizes, precision):
+    chosen = group.choose(*sizes, precision, "cuda:0")
+    assert chosen.bytes % 128 == 64
+    assert chosen.layout["close"][0] >= 7 * chosen.parts
 
 
 @pytest.mark.parametrize(

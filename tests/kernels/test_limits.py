@@ -1,17 +1,23 @@
 """Registers, spills, stack and shared memory of the step kernels, from NVIDIA's assembler: no GPU is needed."""
 
+import numpy as np
 import pytest
 
-from warpvox.bench.cuda import SHARED, instructions
+from warpvox.bench.cuda import blocks, instructions, visits
 from warpvox.bench.ptxas import ARCHITECTURES, FETCHED, Limits, assemble, find_program
+from warpvox.bench.wavefronts import wavefronts
+from warpvox.design import sample_design
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import WarpvoxError
 from warpvox.kernels import group
 from warpvox.kernels.step import step_kernel
 from warpvox.simulation import Simulation
 
-INSTRUCTIONS = 1300
-"""Warp instructions of Walker-v0, an environment and sub-step (3,660 with one thread an environment)."""
+INSTRUCTIONS, WAVEFRONTS = 1290, 500
+"""Of Walker-v0, an environment and sub-step: warp instructions (3,660 with one thread an environment), and wavefronts
+of shared memory, 628 with elements and groups that share banks."""
+WARPS = {80: 7, 89: 4, 90: 10, 100: 10}
+"""Of walkers, on a multiprocessor by compute capability: four environments each."""
 WALKER, FULL, CARRIER, BEAM, TRAVERSER = (36, 104), (40, 112), (45, 124), (69, 196), (344, 850)
 BLOCK_SHARED = 48 * 1024
 LANES = Limits(registers=255, stack=512, spilled=640, shared=0)
@@ -66,8 +72,7 @@ def test_an_assembler_on_the_path_that_is_too_old_is_not_taken(release, taken, t
 def test_a_walker_needs_no_memory_but_registers_and_shared_memory(architecture, tmp_path):
     found, most = limits_of(WALKER, "float32", architecture, tmp_path)
     check_group(found, most)
-    # by registers 8 warps of 4 environments are on a multiprocessor; the shared memory has room for them, or for 4
-    assert found.shared * (8 if architecture in (90, 100) else 4) <= SHARED[architecture] * 1024
+    assert blocks(found, architecture) == WARPS[architecture]
 
 
 @needs_assembler
@@ -75,10 +80,32 @@ def test_a_walker_takes_few_instructions():
     env = make_vec("Walker-v0", num_envs=1, device="cpu", dtype="float32", lanes=1, threads=1)
     sim = Simulation([env.sim.worlds[0]] * 4, "cpu", env.sim.physics, threads=1, layout="group")
     found = instructions(sim, steps=10, seed=0)
-    every = sum(count for count, _ in found.values())
-    assert all(0 <= double <= count for count, double in found.values())
-    assert found["springs: three Runge-Kutta stages"][1] == 0  # springs are in float32
+    every, waves = (sum(getattr(count, name) for count in found.values()) for name in ("instructions", "wavefronts"))
+    assert all(0 <= count.wide <= count.instructions for count in found.values())
+    assert all(0 <= count.conflicts < count.wavefronts for count in found.values())
+    springs = found["springs: three Runge-Kutta stages"]
+    assert springs.wide == springs.conflicts == 0  # float32; elements of 8 bytes, and half a warp has all banks
     assert 0.5 * INSTRUCTIONS < every <= INSTRUCTIONS
+    assert 0.5 * WAVEFRONTS < waves <= WAVEFRONTS
+
+
+@pytest.mark.parametrize(
+    ("stride", "width", "cycles"), [(0, 4, 1), (4, 4, 1), (128, 4, 32), (8, 8, 2), (16, 8, 4), (16, 16, 4), (20, 4, 1)]
+)
+def test_wavefronts_are_the_words_of_the_busiest_bank(stride, width, cycles):
+    assert wavefronts(stride * np.arange(32)[None], width) == cycles
+
+
+def test_springs_that_only_fill_a_round_are_never_beyond_their_limit():
+    """Else all sub-steps would make the pass over springs, besides that over rigid voxels."""
+    body = sample_design((5, 5), seed=107)  # 100 springs of 104 that 8 threads take: the kernel of the walker
+    env = make_vec("Walker-v0", [body], num_envs=1, device="cpu", dtype="float32", lanes=1, threads=1)
+    sim = Simulation([env.sim.worlds[0]] * 4, "cpu", env.sim.physics, threads=1, layout="group")
+    sizes = sim.buffers.sizes
+    assert sizes["spring"] % 8
+    sim.buffers.group = group.choose(sizes["point"], sizes["spring"], "float32", "cuda:0")
+    passes = dict(zip(group.places(), visits(sim, steps=4, seed=0)[0], strict=True))["limit_pass"]
+    assert 1.0 <= passes < 1.9
 
 
 @needs_assembler

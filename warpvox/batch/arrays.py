@@ -94,7 +94,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
         batch.arithmetic, precision, device, width, lanes, units, packs, len(batch.index), batch.physics.dt, sizes,
         types.Model(), types.Data(), model | data,
         from_numpy(batch.env_pack, int, device), from_numpy(batch.env_lane, int, device), taken,
-        zeros((1, 1) if taken is None or on_cuda(device) else (packs, taken.bytes // 8), wp.float64, device),
+        zeros((1, 1) if taken is None or on_cuda(device) else (packs, taken.row), wp.float64, device),
     )  # fmt: skip
     for struct, arrays in ((state.model, model), (state.data, data)):
         for name, array in arrays.items():

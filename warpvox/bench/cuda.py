@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 import warp as wp
 
-from warpvox.bench.case import one_body
-from warpvox.bench.ptxas import ARCHITECTURES, assemble, counted
+from warpvox.bench.case import one_body, sampled_bodies
+from warpvox.bench.ptxas import ARCHITECTURES, Limits, assemble, counted
 from warpvox.bench.report import Report, number
+from warpvox.bench.wavefronts import by_place
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ConfigError
 from warpvox.kernels.device import record, zeros
@@ -22,7 +24,7 @@ from warpvox.kernels.step import record_actions
 from warpvox.simulation import Simulation
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["instructions", "run"]
+__all__ = ["blocks", "instructions", "run"]
 
 STAGES = {
     "candidates for contact": ("collect", "candidate"),
@@ -36,6 +38,9 @@ STAGES = {
 """The stages of a sub-step, and how the names of their places in the source begin."""
 ENVS, SETTLING = 8, 20
 """Environments of which visits are counted, and control steps before."""
+SIDE, DIFFERENT = 5, 4
+"""Of random bodies; so many share a warp."""
+HEADS = ["instructions", "in float64", "wavefronts", "of these by conflicts"]
 
 
 @dataclass(frozen=True)
@@ -58,13 +63,31 @@ REGISTERS = 65536
 """Of a multiprocessor."""
 SHARED = {80: 164, 89: 100, 90: 228, 100: 228}
 """Shared memory of a multiprocessor by compute capability, KiB."""
+RESERVED = 1024
+"""Of it, for every block, bytes that CUDA takes."""
 
 
-def visits(sim: Simulation, steps: int, seed: int) -> np.ndarray:
-    """How often each place is visited in a sub-step by a warp: the most of its threads. Random actions, on the CPU."""
+class Count(NamedTuple):
+    """Of an environment and sub-step."""
+
+    instructions: float = 0.0
+    """Of warps."""
+    wide: float = 0.0
+    """Those in float64."""
+    wavefronts: float = 0.0
+    """Of shared memory."""
+    conflicts: float = 0.0
+    """Those that conflicts of banks cause. Counted where the addresses are in tables of the body."""
+
+
+def visits(sim: Simulation, steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """How often each place is visited in a sub-step by a warp: the most of its threads. Random actions, on the CPU.
+
+    Also the shared memory of all groups, uint8 ``[environments, bytes]``, as the last sub-step has left it.
+    """
     state, names = sim.buffers, places()
     group, substeps = state.group, sim.physics.substeps
-    rows = group.bytes // 8 + substeps * len(names)
+    rows = group.row + substeps * len(names)
     scratch = zeros((sim.num_envs, rows), wp.float64, "cpu")
     inputs = [state.model, state.data, scratch, 0, sim.num_envs, 0, substeps, state.dt]
     kernel = group_kernel(group, tallied=True)
@@ -77,16 +100,17 @@ def visits(sim: Simulation, steps: int, seed: int) -> np.ndarray:
         take.launch()
         count.launch()
         if step >= SETTLING:
-            table = scratch.numpy()[:, group.bytes // 8 :].copy().view(np.int32)[:, : substeps * len(names)]
+            table = scratch.numpy()[:, group.row :].copy().view(np.int32)[:, : substeps * len(names)]
             found.append(table.reshape(sim.num_envs, substeps, len(names)))
-    return np.stack(found).mean((0, 1, 2))
+    return np.stack(found).mean((0, 1, 2)), scratch.numpy().view(np.uint8)[:, : group.bytes]
 
 
-def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90) -> dict[str, tuple[float, float]]:
-    """Warp instructions of an environment and sub-step by stage: all, and those in float64.
+def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90) -> dict[str, Count]:
+    """What an environment and sub-step takes, by stage.
 
     The instructions of every place in the machine code, times its visits, over the environments of a warp. Loops that
     are unrolled stand in the code as often as they have rounds. What the compiler made in two versions counts twice.
+    Wavefronts come from the addresses in the tables of the bodies, else from the code, without conflicts.
     """
     sizes = sim.buffers.sizes
     group = choose(sizes["point"], sizes["spring"], "float32", "cuda:0")
@@ -94,21 +118,32 @@ def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90)
         raise ConfigError("Instructions are counted where all loops over springs are unrolled: take a smaller world.")
     rounds = dict.fromkeys(("relax", "stretch", "limit"), group.springs // group.parts)
     rounds |= dict.fromkeys(("point", "floor", "gather"), group.points // group.parts)
-    static, wide, _ = counted(group_kernel(group), architecture)
-    found = dict.fromkeys(STAGES, (0.0, 0.0))
-    sim.buffers.group = group
-    for name, visited in zip(places(), visits(sim, steps, seed), strict=True):
+    static, wide, shared = counted(group_kernel(group), architecture)
+    found = dict.fromkeys(STAGES, Count())
+    sim.buffers.group, together = group, WARP // group.parts
+    visited, memory = visits(sim, steps, seed)
+    warps = [by_place(group, warp) for warp in memory.reshape(-1, together, group.bytes)]
+    known = {name: np.mean([warp[name] for warp in warps], axis=0) for name in warps[0]}
+    for name, times in zip(places(), visited, strict=True):
         stage = next(stage for stage, begins in STAGES.items() if name.startswith(begins))
-        share = visited / rounds.get(name, 1) / (WARP // group.parts)
-        every, double = found[stage]
-        found[stage] = every + static[name] * share, double + wide[name] * share
+        share = times / rounds.get(name, 1) / together
+        waves, least = known.get(name, (shared[name],) * 2)
+        new = static[name], wide[name], waves, waves - least
+        found[stage] = Count(*(count + share * more for count, more in zip(found[stage], new, strict=True)))
     return found
 
 
-def speed(device: Device, every: float, double: float, substeps: int, efficiency: float) -> float:
-    """Control steps per second of a full GPU: by the instructions that are issued, and by those in float64."""
-    issued = device.processors * SCHEDULERS * device.clock * 1e9 * efficiency / (every * substeps)
-    return min(issued, device.processors * device.clock * 1e9 * device.wide / (WARP * double * substeps))
+def speed(device: Device, count: Count, substeps: int, efficiency: float) -> float:
+    """Control steps per second of a full GPU: the least by all instructions, by those in float64, by shared memory."""
+    cycles = device.processors * device.clock * 1e9 / substeps
+    issued = cycles * SCHEDULERS * efficiency / count.instructions
+    return min(issued, cycles * device.wide / (WARP * count.wide), cycles / count.wavefronts)
+
+
+def blocks(limits: Limits, architecture: int) -> int:
+    """Blocks of a warp that a multiprocessor has registers and shared memory for."""
+    by_registers = REGISTERS // (-(-limits.registers // 8) * 8 * WARP)
+    return min(by_registers, SHARED[architecture] * 1024 // (limits.shared + RESERVED))
 
 
 def _limits(report: Report, group: Group) -> list[dict[str, int]]:
@@ -116,37 +151,73 @@ def _limits(report: Report, group: Group) -> list[dict[str, int]]:
     for architecture, name in ARCHITECTURES.items():
         with tempfile.TemporaryDirectory() as folder:
             limits = assemble(group_kernel(group), architecture, Path(folder))
-        warps = min(REGISTERS // (-(-limits.registers // 8) * 8 * WARP), SHARED[architecture] * 1024 // limits.shared)
-        values = [limits.registers, limits.spilled, limits.stack, limits.shared, warps * WARP // group.parts]
+        warps = blocks(limits, architecture)
+        values = [limits.registers, limits.spilled, limits.stack, limits.shared, warps, warps * WARP // group.parts]
         rows.append([f"{architecture / 10} ({name})", *(f"{value:,}" for value in values)])
         found.append({"architecture": architecture} | vars(limits))
-    heads = ["compute capability", "registers", "bytes spilled", "stack", "shared memory of a block", "environments"]
+    heads = [
+        "compute capability",
+        "registers",
+        "bytes spilled",
+        "stack",
+        "shared memory of a block",
+        "warps",
+        "environments",
+    ]
     report.table(
-        f"Registers of a thread, bytes of memory, and environments of {group.parts} threads that a multiprocessor has"
-        " registers and shared memory for",
+        f"Registers of a thread, bytes of memory, and warps and environments of {group.parts} threads that a"
+        " multiprocessor has registers and shared memory for",
         heads, rows,
     )  # fmt: skip
     return found
 
 
+def _simulation(config: Any, bodies: Sequence[np.ndarray]) -> Simulation:
+    """Whole warps of environments, in which the bodies take turns."""
+    sims = [make_vec(config.task, [body], 1, device="cpu", dtype="float32", threads=1).sim for body in bodies]
+    worlds = [sims[k % len(sims)].worlds[0] for k in range(ENVS)]
+    return Simulation(worlds, "cpu", sims[0].physics, threads=1, loose=sims[0].loose, layout="group")
+
+
+def _total(found: dict[str, Count]) -> Count:
+    return Count(*map(sum, zip(*found.values(), strict=True)))
+
+
+def _different(config: Any, report: Report) -> dict[str, Count]:
+    """What different random bodies take that share a warp, and each of them alone."""
+    bodies = sampled_bodies(SIDE, DIFFERENT, config.seed)
+    cases = {f"{DIFFERENT} different bodies": bodies} | {f"body {k} in all": [body] for k, body in enumerate(bodies)}
+    with report.status("counting for different bodies"):
+        found = {
+            name: _total(instructions(_simulation(config, those), config.steps, config.seed))
+            for name, those in cases.items()
+        }
+    report.table(
+        f"{config.task}, random {SIDE}x{SIDE} bodies: the same of an environment in a warp of such",
+        ["", *HEADS],
+        [[name, *(number(value, 4) for value in count)] for name, count in found.items()],
+    )
+    return found
+
+
 def run(config: Any, report: Report) -> dict[str, Any]:
-    """Limits by compute capability, instructions by stage, predicted speeds."""
-    env = make_vec(config.task, [one_body(config)], 1, device="cpu", dtype="float32", threads=1)
-    sim = Simulation([env.sim.worlds[0]] * ENVS, "cpu", env.sim.physics, threads=1, loose=env.sim.loose, layout="group")
+    """Limits by compute capability, instructions by stage, predicted speeds, different bodies."""
+    sim = _simulation(config, [one_body(config)])
     with report.status("compiling for CUDA, counting"):
         found = instructions(sim, config.steps, config.seed)
         group = choose(sim.buffers.sizes["point"], sim.buffers.sizes["spring"], "float32", "cuda:0")
         limits = _limits(report, group)
-    every, double = (sum(pair[k] for pair in found.values()) for k in (0, 1))
-    rows = [[stage, number(all_, 4), number(wide, 4)] for stage, (all_, wide) in found.items()]
+    whole = _total(found)
+    rows = [[stage, *(number(value, 4) for value in count)] for stage, count in (found | {"all stages": whole}).items()]
     report.table(
-        f"{config.task}: warp instructions of an environment and sub-step (machine code for 9.0; visits counted over"
-        f" {config.steps} control steps with random actions)",
-        ["stage", "all", "in float64"],
-        [*rows, ["all stages", number(every, 4), number(double, 4)]],
+        f"{config.task}: warp instructions and wavefronts of shared memory, of an environment and sub-step (machine"
+        f" code for 9.0; visits counted over {config.steps} control steps with random actions; conflicts of banks are"
+        " not counted for candidates, contacts and corrections of strain)",
+        ["stage", *HEADS],
+        rows,
     )
     speeds = {
-        name: [speed(device, every, double, sim.physics.substeps, share) for share in EFFICIENCY]
+        name: [speed(device, whole, sim.physics.substeps, share) for share in EFFICIENCY]
         for name, device in DEVICES.items()
     }
     report.table(
@@ -155,4 +226,5 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         ["GPU", "least", "most"],
         [[name, *(f"{number(rate / 1e6)} M" for rate in rates)] for name, rates in speeds.items()],
     )
-    return {"task": config.task, "instructions": found, "limits": limits, "predicted": speeds}
+    different = _different(config, report)
+    return {"task": config.task, "instructions": found, "limits": limits, "predicted": speeds, "different": different}

@@ -95,19 +95,20 @@ def assemble(kernel: wp.Kernel, architecture: int, folder: Path, lines: bool = F
     )
 
 
-def counted(kernel: wp.Kernel, architecture: int = 90) -> tuple[Counter[str], Counter[str], Limits]:
+def counted(kernel: wp.Kernel, architecture: int = 90) -> tuple[Counter[str], Counter[str], Counter[str]]:
     """Instructions of the machine code by the place of the source (``COUNT`` in ``native/group``) they come from.
 
-    All, and those in float64 (conversions included). A place is the rest of the block in which it stands; what is
-    inlined there belongs to it.
+    All, those in float64 (conversions included), and the wavefronts of shared memory that they would take without
+    conflicts of banks. A place is the rest of the block in which it stands; what is inlined there belongs to it.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        limits = assemble(kernel, architecture, folder, lines=True)
+        assemble(kernel, architecture, folder, lines=True)
         assembly, _ = _run("nvdisasm", "-c", "-gi", str(folder / "kernel.cubin"))
         place = _places(next(folder.glob("*.cu")).read_text(encoding="utf-8"))
     found: Counter[str] = Counter()
     wide: Counter[str] = Counter()
+    shared: Counter[str] = Counter()
     chain: list[int] = []  # lines of the generated source: of the instruction, and of the calls that were inlined
     begins, apart = True, False  # apart: the detours of diverged warps and of special numbers, at the end of the code
     for line in assembly.splitlines():
@@ -121,7 +122,9 @@ def counted(kernel: wp.Kernel, architecture: int = 90) -> tuple[Counter[str], Co
             at = OUTSIDE if apart else next((place[at] for at in chain if place.get(at)), OUTSIDE)
             found[at] += 1
             wide[at] += bool(re.search(r"\*/ +(@!?U?P\d+ +)?(D[A-Z]+|F2F\.\w*F64)", line))
-    return found, wide, limits
+            access = re.search(r"\*/ +(?:@!?U?P\d+ +)?(?:LDS|STS|ATOMS)(\.64|\.128)?", line)
+            shared[at] += (int((access[1] or ".32")[1:]) // 32) if access else 0
+    return found, wide, shared
 
 
 def _places(source: str) -> dict[int, Any]:

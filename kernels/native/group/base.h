@@ -40,13 +40,15 @@ constexpr int POINTS_AT_ONCE = POINT_ROUNDS <= FEW ? POINT_ROUNDS : 1;
 constexpr int SPRINGS_AT_ONCE = SPRING_ROUNDS <= FEW ? SPRING_ROUNDS : 1;
 constexpr int ROUNDS_A_BIT = (SPRING_ROUNDS + 31) / 32;  // of springs, in a set of rounds
 constexpr unsigned FREE = 1u << 15;                      // of the end of a Side: the point is free
-constexpr int QUEUE = 4 * PARTS, CLOSE = 8 * PARTS;  // room for contacts and for corners that are near another voxel
+constexpr int QUEUE = 4 * PARTS;                         // room for contacts
 
 typedef float Single;  // Warp gives float(...) a meaning of its own
-struct alignas(4 * sizeof(Real)) Spring {
+struct alignas(2 * sizeof(Real)) Spring {
     unsigned ends;  // places of the two displacements, 16 bits each
     Real stiffness;
-    Real goal;    // length that it relaxes to
+};
+struct alignas(2 * sizeof(Real)) Length {
+    Real goal;    // to which it relaxes
     Real middle;  // of the squares of the lengths within which it is not corrected
 };
 struct Side {
@@ -63,28 +65,26 @@ struct Touch {  // what the contacts of a sub-step need
     Hit hit[PARTS];
     int queue[QUEUE];
 };
-struct alignas(4 * sizeof(Real)) Shared {
+struct alignas(16) Shared {
     Place pos[POINTS];
     Pair disp[POINTS], contact[POINTS];
     Links links[POINTS];
     Spring spring[SPRINGS];
-    int close[CLOSE];
-    Side rigid[PARTS];  // the first of the sides of rigid voxels
+    Length length[SPRINGS];  // elements of 8 bytes: half a warp reads as many words as there are banks
+    Side rigid[PARTS];       // the first of the sides of rigid voxels
     union {  // one after another in a sub-step
         Touch touch;
-        Pair tension[2 * SPRINGS + 2];  // force of a spring on its first end, on its second; at last -0
+        Pair tension[2 * SPRINGS + 2];  // forces of a spring on its ends; at last -0
         Pair moved[POINTS];             // corrections of the strain limit
     };
-#if !defined(__CUDA_ARCH__)
-    int turn[32];  // for votes
-#endif
+    unsigned short close[CLOSE];  // corners that are near another voxel
 };
+static_assert(sizeof(Shared) == GROUP_BYTES, "Group.layout is another");
 
 // The groups of a warp take the same way: where one has work, all of them come along. `sync` and `some` are about the warp,
 // as is `most`, the largest of numbers that the threads of a group share; `vote` gives the bits of a group and whether the
 // warp has `any`. None of them stands where the groups of a warp may go different ways.
 #if defined(__CUDA_ARCH__)
-static_assert(sizeof(Shared) <= GROUP_BYTES, "Group.bytes is too small");
 static_assert(32 / PARTS * GROUP_BYTES <= SHARED_BYTES, "no room in shared memory");
 __shared__ Shared groups[32 / PARTS];
 Shared& at = groups[first_thread / PARTS];
@@ -114,6 +114,8 @@ auto most = [&](int a) -> int {
     return a;
 #endif
 };
+auto lower = [](Real a, Real b) -> Real { return fmin(a, b); };
+auto higher = [](Single a, Single b) -> Single { return fmax(a, b); };
 auto count_bits = [](unsigned a) -> int { return __popc(a); };
 auto lowest = [](unsigned a) -> int { return __ffs(a) - 1; };
 auto sign_of = [](double a) -> int { return __double2hiint(a); };  // of a number that is a difference, never -0
@@ -134,14 +136,14 @@ auto largest = [&](float a) -> float {  // of a warp, not negative
 #endif
 };
 #else
-static_assert(sizeof(Shared) <= GROUP_BYTES, "Group.bytes is too small");
 // A group is alone; where visits are counted, those of a warp are a block and go the same way, as on CUDA.
 constexpr int GROUPS = TALLIED ? 32 / PARTS : 1;
 Shared& at = *reinterpret_cast<Shared*>(&wp::index(scratch, pack, 0));
 auto place_of = [](const Pair*, int n) -> unsigned { return n; };
 auto pair_at = [](const Pair* pairs, unsigned place) -> Pair { return pairs[place]; };
 auto pos_at = [&](unsigned place) -> Place { return at.pos[place]; };
-int* const turn = reinterpret_cast<Shared*>(&wp::index(scratch, pack - pack % GROUPS, 0))->turn;
+// Behind the memory of a group is what its threads vote with, then what is counted.
+int* const turn = reinterpret_cast<int*>(reinterpret_cast<Shared*>(&wp::index(scratch, pack - pack % GROUPS, 0)) + 1);
 const int first_thread = pack % GROUPS * PARTS;
 auto sync = [&]() { WP_TILE_SYNC(); };
 auto fence = [&]() {
@@ -165,6 +167,9 @@ auto vote = [&](bool yes, bool& any) -> unsigned {
     return join(yes << part, true, either);
 };
 auto most = [&](int a) -> int { return GROUPS > 1 ? join(a, false, larger) : a; };
+// One of two numbers; the other where one is not a number.
+auto lower = [](Real a, Real b) -> Real { return a < b || b != b ? a : b; };
+auto higher = [](Single a, Single b) -> Single { return a > b || b != b ? a : b; };
 auto count_bits = [](unsigned a) -> int { return __builtin_popcount(a); };
 auto lowest = [](unsigned a) -> int { return __builtin_ctz(a); };
 auto sign_of = [](double a) -> int { return (a > 0.0) - (a < 0.0); };
@@ -258,7 +263,7 @@ auto tanh_of = [](double a) -> double {
 
 #if TALLIED
 auto tally = [&](int substep) {  // of the threads of a warp the most
-    int* all = reinterpret_cast<int*>(&wp::index(scratch, pack, 0)) + GROUP_BYTES / sizeof(int);
+    int* all = reinterpret_cast<int*>(&at + 1) + 32;
     for (int k = 0; k < PLACES; ++k) {
         const int visited = join(visits[k], false, larger);
         if (part == 0) all[substep * PLACES + k] = visited;

@@ -158,6 +158,6 @@ auto collect = [&]() {
         full |= found > capacity;
     }
     count = wp::min(found, capacity);
-    overflow = some_of_group(full);
+    status = (status & ~OVERFLOW) | (some_of_group(full) ? OVERFLOW : 0);
     sync();
 };

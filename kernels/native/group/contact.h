@@ -154,14 +154,13 @@ auto count_folds = [&](unsigned folded, int i) {
     }
 };
 
-// The corners that may be in another voxel before a point has moved by half of CLOSE_MARGIN, as codes in ascending order;
-// `crowded`: they are too many for the list, all corners of candidates are tested then. `folding`: some distant voxels of a
-// robot are as near.
+// The corners that may be in another voxel before a point has moved by half of CLOSE_MARGIN, as codes in ascending order.
+// More than CLOSE: they, or the candidates, are too many for the list, and all corners of candidates are tested.
 auto find_close = [&]() {
     COUNT(candidate_list);
     const int rounds = most(count);
     close_count = 0;
-    crowded = folding = false;
+    bool folding = false;
     ROLL for (int base = 0; base < rounds; base += PARTS) {
         COUNT(candidate);
         const int n = base + part;
@@ -185,8 +184,8 @@ auto find_close = [&]() {
             if (place < CLOSE) at.close[place] = 8 * n + lowest(near);
         }
     }
-    crowded = close_count > CLOSE;
-    folding = some_of_group(folding);
+    if (count > CODED) close_count = CLOSE + 1;
+    status = (status & ~FOLDING) | (some_of_group(folding) ? FOLDING : 0);
     sync();
 };
 
@@ -208,7 +207,7 @@ auto look_for_folds = [&]() {
         if (found) count_folds(folded, i);
     }
     for (int k = 0; any_folds && k < wp::index(model.robots, here); ++k) {
-        folded_up |= wp::index(data.folds, pack, k, 0) > wp::index(model.fold_limit, here, k, 0);
+        if (wp::index(data.folds, pack, k, 0) > wp::index(model.fold_limit, here, k, 0)) status |= UNSTABLE;
     }
 };
 
@@ -219,7 +218,8 @@ auto touch = [&]() {
         find_close();
         near_drift = 0.0f;
     }
-    if (some(folding)) look_for_folds();
+    if (some(status & FOLDING)) look_for_folds();
+    const bool crowded = close_count > CLOSE;
     const int total = crowded ? 8 * count : close_count, rounds = most(total);
     ROLL for (int base = 0; base < rounds; base += PARTS) {
         COUNT(near_corner);

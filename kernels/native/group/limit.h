@@ -94,7 +94,7 @@ auto limit_strain = [&]() {
         if (SPRING_ROUNDS > FEW && PARTS * j >= springs) break;
         COUNT(limit);
         const unsigned ends = at.spring[part + PARTS * j].ends;
-        const Real middle = at.spring[part + PARTS * j].middle;
+        const Real middle = at.length[part + PARTS * j].middle;
         const Pair a = pair_at(at.disp, ends & 0xffff), b = pair_at(at.disp, ends >> 16);
         const Real ex = vec[j].x + (b.x - a.x), ey = vec[j].y + (b.y - a.y);
         if (wp::abs(fused(ex, ex, fused(ey, ey, -middle))) >= middle * strain_reach) beyond |= 1u << j / ROUNDS_A_BIT;

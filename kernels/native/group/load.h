@@ -14,6 +14,10 @@ Bits active = 0, loose = 0;  // of the own points those that hang on a spring or
 const Pair no_contact{Real(0), APPROXIMATE ? -model.weight : Real(0)};
 bool sound = true;
 
+// Number in `tension` of the force on an end. In every other round the ends change places: points side by side look for
+// springs that are apart by about half a round, whose forces would lie in the same bank.
+auto pull_of = [](int s, int end) -> int { return 2 * s + (end ^ (unsigned(s) / PARTS & 1)); };
+
 auto load_points = [&]() {
     const int* link_start = row_of(model.link_start, mesh);
     const int* link = row_of(model.link, mesh);
@@ -42,7 +46,7 @@ auto load_points = [&]() {
         if (free_lanes[p] || count) active |= Bits(1) << j;
         for (int n = 0; n < count; ++n) {
             const int s = link[first + n];
-            at.links[p].place[n] = place_of(at.tension, s >= 0 ? 2 * s : 2 * (-1 - s) + 1);
+            at.links[p].place[n] = place_of(at.tension, s >= 0 ? pull_of(s, 0) : pull_of(-1 - s, 1));
         }
     }
 };
@@ -50,7 +54,10 @@ auto load_points = [&]() {
 const int unit = pack;
 int pair_count = wp::index(data.pair_count, unit), count = pair_count + wp::index(data.near_count, unit);
 int close_count = 0;
-bool crowded = false, folding = false;
 Single near_drift = STALE;  // the same since the corners near other voxels were listed
-bool overflow = wp::index(data.overflow, unit), any_folds = false, folded_up = false;
+// In `status`, where a bit takes no register of its own: some distant voxels of a robot are near each other; frozen, or
+// only here to fill the warp.
+constexpr int FOLDING = 1 << 8, STILL = 1 << 9;
+int status = wp::index(data.overflow, unit) ? OVERFLOW : 0;
+bool any_folds = false;
 Single drift = wp::index(data.drift, unit);  // bound of every point's path since the candidates were collected

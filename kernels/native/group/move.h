@@ -16,8 +16,8 @@ auto load_springs = [&]() {
         const Real rest0 = Real(spring_rest[t]);
         at.spring[s].ends = place_of(at.disp, spring_ends[t][0]) | place_of(at.disp, spring_ends[t][1]) << 16;
         at.spring[s].stiffness = s < springs ? wp::index(model.spring_k, mesh, t, 0) : Real(0);
-        at.spring[s].middle = s < springs ? rest0 * rest0 * (Real(1) + model.strain_limit * model.strain_limit) : Real(1);
-        at.spring[s].goal = Real(1);
+        at.length[s].middle = rest0 * rest0 * (Real(1) + model.strain_limit * model.strain_limit);
+        at.length[s].goal = Real(1);
         if (s >= springs) continue;
         const int drive = wp::index(model.spring_drive, mesh, s, 0), first = (drive & 0xffff) - 1, second = (drive >> 16) - 1;
         double length = spring_rest[s];
@@ -27,13 +27,15 @@ auto load_springs = [&]() {
             length = wp::index(data.action, pack, first, 0) * length;
         }
         goal[s] = APPROXIMATE ? length * length : length;
-        at.spring[s].goal = Real(length);
+        at.length[s].goal = Real(length);
     }
 };
 
-auto pull = [&](int s, Real size, Real x, Real y) {
-    at.tension[2 * s] = Pair{size * x, size * y};
-    at.tension[2 * s + 1] = Pair{-(size * x), -(size * y)};
+auto pull = [&](int j, Real size, Real x, Real y) {
+    const int n = 2 * (part + PARTS * j);
+    if (j & 1) size = -size;  // as pull_of has it
+    at.tension[n] = Pair{size * x, size * y};
+    at.tension[n + 1] = Pair{-(size * x), -(size * y)};
 };
 // On CUDA the tables have rows for all rounds of springs but some of the last, so that these need no test.
 auto has_row = [](int j) -> bool { return TIGHT && j + 1 < SPRING_ROUNDS; };
@@ -54,7 +56,7 @@ auto relax = [&](int j) {
     const Real near_square = fused(vec[j].x, vec[j].x, vec[j].y * vec[j].y), over = inverse_root(near_square);
     // goal - l = (goal^2 - l^2) / (goal + l), of which only the difference of the squares needs float64.
     const Real excess = Real(fused_wide(-x, x, fused_wide(-y, y, aim)));
-    const Real both = fused(near_square, over, at.spring[s].goal);
+    const Real both = fused(near_square, over, at.length[s].goal);
     rest[j] = over * over;
     offset[j] = excess * inverse(both) * (over * Real(model.actuation_rate));
     const Real force = -offset[j] * stiffness;
@@ -62,7 +64,7 @@ auto relax = [&](int j) {
     relaxed(vec[j].x, vec[j].y, Real(aim * aim - (x * x + y * y)), Real(aim), stiffness, rest[j], offset[j]);
     const Real force = offset[j];
 #endif
-    pull(s, force, vec[j].x, vec[j].y);
+    pull(j, force, vec[j].x, vec[j].y);
 };
 auto own_points = [&](auto&& act) {
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
@@ -89,18 +91,17 @@ auto stretch = [&](int j) {
     const Real twice = fused(vec[j].x + ex, ux, (vec[j].y + ey) * uy), square = fused(twice, rest[j], Real(1));
     const Real over = inverse_root(square), share = twice * rest[j] * inverse(fused(square, over, square));
     const Real size = reduced(offset[j], over, share) * stiffness;
-    pull(s, size, ex, ey);
+    pull(j, size, ex, ey);
 #else
     Pair force;
     spring_force(vec[j].x, vec[j].y, ux, uy, rest[j], offset[j], stiffness, force.x, force.y);
-    pull(s, Real(1), force.x, force.y);
+    pull(j, Real(1), force.x, force.y);
 #endif
 };
 
 auto runge_kutta = [&]() {
     Pair start_vel[POINT_ROUNDS], stage_vel[POINT_ROUNDS], sum_gain[POINT_ROUNDS], sum_force[POINT_ROUNDS];
     Real height[POINT_ROUNDS], lowest_point = Real(1);
-    auto lower = [](Real a, Real b) { return a < b ? a : b; };  // b where a is not a number
     int row = pack;
     HIDE(row);
     goal = state_of(data.goal, row);

@@ -5,16 +5,10 @@ auto advance = [&]() {
     const double rate = 1.0 / dt;
     float path = 0.0f;
     sync();
-    own_points([&](int j, int p) {
-        Place moved{0.0, 0.0};
-        if (active >> j & 1) {
-            at.pos[p] = Place{at.pos[p].x + move[j][0], at.pos[p].y + move[j][1]};
-            moved = Place{move[j][0] * rate, move[j][1] * rate};
-            const float x = wp::abs(Single(move[j][0])), y = wp::abs(Single(move[j][1]));
-            path = x > path ? x : path;  // NaN is not
-            path = y > path ? y : path;
-        }
-        at.touch.velocity[p] = moved;
+    own_points([&](int j, int p) {  // what is not free moves by 0
+        at.pos[p] = Place{at.pos[p].x + move[j][0], at.pos[p].y + move[j][1]};
+        path = higher(higher(wp::abs(Single(move[j][0])), wp::abs(Single(move[j][1]))), path);
+        at.touch.velocity[p] = Place{move[j][0] * rate, move[j][1] * rate};
         at.contact[p] = no_contact;
     });
     const Single farthest = largest(path) * 1.00001f + Single(model.margin) * 1e-7f;  // rounding of the sums included
@@ -55,9 +49,11 @@ auto store = [&]() {
 };
 
 load_points();
-int status = some_of_group(!sound) ? DIVERGED : 0;
-if (status && live) put_at_rest();
-if (status || frozen) points = springs = rigids = count = 0;  // nothing to do but come along
+if (some_of_group(!sound)) status |= DIVERGED;
+if (status & DIVERGED && live) put_at_rest();
+if (frozen) status = STILL;
+if (frozen && live && part == 0) wp::index(data.status, pack, 0) = 0;
+if (status & (DIVERGED | STILL)) points = springs = rigids = count = 0;  // nothing to do but come along
 load_springs();
 load_rigids();
 sync();
@@ -77,16 +73,16 @@ ROLL for (int n = 0; n < substeps; ++n) {
     TALLY(n);
 }
 if (some_of_group(!in_bounds())) status |= DIVERGED;
-if (folded_up) status |= UNSTABLE;
-if (part == 0 && live) wp::index(data.status, pack, 0) = frozen ? 0 : status | (overflow ? OVERFLOW : 0);
-if (frozen) return;
-if (!status) store();
+if (status & STILL) return;
+const bool stands = !(status & (DIVERGED | UNSTABLE));
+if (stands) store();
 if (part == 0) {
-    if (!status) wp::index(data.time, pack, 0) += 1;
-    wp::index(data.drift, unit) = status ? STALE : double(drift);
+    wp::index(data.status, pack, 0) = status & ~FOLDING;
+    if (stands) wp::index(data.time, pack, 0) += 1;
+    wp::index(data.drift, unit) = stands ? double(drift) : STALE;
     wp::index(data.pair_count, unit) = pair_count;
     wp::index(data.near_count, unit) = count - pair_count;
-    wp::index(data.overflow, unit) = overflow;
+    wp::index(data.overflow, unit) = (status & OVERFLOW) != 0;
 }
 #undef UNROLL
 #undef ROLL
