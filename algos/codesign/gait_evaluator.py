@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.algos.candidate import GAIT, START, Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.candidate import START, Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.checkpoints.files import PolicySpec, spec_dict
 from warpvox.algos.codesign.gait_actions import actions_of_gaits
 from warpvox.algos.codesign.gait_beam import Beam
@@ -32,7 +32,7 @@ __all__ = ["GaitEvaluator"]
 FRESH = 0.125
 """Share of the first gaits of a design with a parent that owe nothing to it."""
 KEPT = 0.5
-"""Share of designs with one gait each that move as their parent, where the body is another."""
+"""Share of designs with one gait each that move as their parent."""
 SAVE_INTERVAL = 20.0
 """Seconds between checkpoints."""
 STRETCH = (1.0, 3.0, 0.6, 2.0, 4.0, 1.4, 0.8)
@@ -45,8 +45,7 @@ STREAM = 0x6A17
 class GaitEvaluator:
     """The fitness of a design is the best return of some open-loop gaits, and the best gait is its policy.
 
-    The first ones are those of its parents with mutants of the best parent's; random ones, if it has none. A design
-    that differs from its parent in the gait alone (:data:`warpvox.algos.candidate.GAIT`) has mutants only. In each
+    The first ones are those of its parents with mutants of the best parent's; random ones, if it has none. In each
     further round mutants of the best so far are tried. Passes of a beam search (:class:`Beam`) may come before the
     rounds. It takes ``beam * passes + count * rounds`` episodes for a design, where a training of 512,000 control steps
     has a thousand.
@@ -179,17 +178,17 @@ class _Rounds:
         """What a design is tried with next."""
         rng, body, count = self.random[place], self.bodies[place], self.how.count
         steps = self.env.max_episode_steps
-        known, origin, gaits = self.inherited[place], self.origins[place], []
+        known, gaits = self.inherited[place], []
         if self.best:
             known, fresh = [self.best[place][1]], 0
         elif not known:
             fresh = count
         elif count == 1:
-            kept = origin == START or (origin != GAIT and rng.random() < KEPT)
+            kept = self.origins[place] == START or rng.random() < KEPT
             fresh, gaits = 0, known[:1] if kept else []
         else:
             fresh = math.ceil(FRESH * (count - 1))
-            gaits = [] if origin == GAIT else known[: count - fresh]
+            gaits = known[: count - fresh]
         gaits += [draw_gait(rng, body, steps, self.how.stages) for _ in range(fresh)]
         return gaits + [mutate_gait(rng, known[0], body, steps) for _ in range(count - len(gaits))]
 

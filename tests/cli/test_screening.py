@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from warpvox.algos.candidate import FINALIST, GAIT, START
+from warpvox.algos.candidate import FINALIST, START
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.algos.training.bodies import draw_bodies
 from warpvox.cli.commands.codesign import check, environments
@@ -155,48 +154,6 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
     assert warpvox("export", f"run={folder}/designs/0", "format=[jit]").code == 0
 
 
-def test_a_search_whose_bodies_come_back(warpvox: Callable) -> None:
-    words = "search.population=2 search.children=3 search.max_evaluations=12 search.survivor_rate=null".split()
-    settings = "screening.gaits=1 screening.rounds=1 screening.final_gaits=8 screening.final_rounds=1".split()
-    folder = search(warpvox, "search=evolution", "evaluation=gaits", ROUNDS, *words, *settings)
-    records = records_of(folder)
-    searched, finals = records[:12], records[12:]
-    children = [record for record in searched if record.candidate.origin == GAIT]
-    assert children
-    assert all(record.reused is None for record in searched)
-    assert any(record.policy is None for record in searched)  # of those that cannot have children
-    assert all(searched[parent].policy for record in searched for parent in record.candidate.parents)
-    for record in finals:
-        same = [other.id for other in searched if (other.candidate.body == record.candidate.body).all()]
-        assert sorted(record.candidate.parents) == same
-        best = max(searched[parent].fitness for parent in record.candidate.parents)
-        assert record.fitness >= best or searched[record.candidate.parents[0]].policy is None
-    config = yaml.safe_load((folder / "designs" / str(finals[0].id) / "config.yaml").read_text())
-    assert (config["dtype"], config["lanes"]) == ("float32", 8)
-    (folder / "summary.json").unlink()
-    assert warpvox("codesign", f"resume={folder}").code == 0
-    best = max((record for record in searched if record.policy), key=lambda record: record.fitness)
-    assert played(warpvox, folder / "designs" / str(best.id)) == pytest.approx(best.fitness, abs=ROUNDING)
-
-
-def test_a_search_of_a_version_with_fewer_keys_goes_on(warpvox: Callable) -> None:
-    folder = search(
-        warpvox, "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", ROUNDS, "screening.final_rounds=1"
-    )
-    with sqlite3.connect(folder / FILE) as database:
-        (text,) = database.execute("SELECT value FROM experiment WHERE key = 'settings'").fetchone()
-        settings = json.loads(text)
-        for group, name in ("search", "children"), ("search", "newcomers"), ("screening", "final_gaits"):
-            del settings[group][name]
-        database.execute("UPDATE experiment SET value = ? WHERE key = 'settings'", (json.dumps(settings),))
-    outcome = warpvox("codesign", f"resume={folder}")
-    assert outcome.code == 0, outcome.err
-    settings["screening"]["gaits"] = 9  # which did exist, and was another
-    with sqlite3.connect(folder / FILE) as database:
-        database.execute("UPDATE experiment SET value = ? WHERE key = 'settings'", (json.dumps(settings),))
-    assert "made with another value of 'screening'" in warpvox("codesign", f"resume={folder}").err
-
-
 def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     gaits = (
         "evaluation=gaits",
@@ -316,7 +273,6 @@ def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
         ("pretrained=latest", "evaluation=few_shot and pretrained go together"),
         ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
         ("evaluation=gaits training.inherit=true", "training.inherit does not go with evaluation=gaits"),
-        ("search=evolution search.survivor_rate=null", "search=evolution has children that only move in another way"),
         ("evaluation=gaits pretrained=latest", "evaluation=few_shot and pretrained go together"),
         ("evaluation=shared executor=ray", "one policy that learns in one process"),
         ("evaluation=shared batch=2", "leave batch away"),

@@ -29,8 +29,6 @@ from warpvox.cli.costs import steps_of_design
 from warpvox.cli.suite.members import CURVES, MEMBERS
 from warpvox.cli.suite.plan import BENCHMARK10, plan, task_names
 from warpvox.cli.suite.pool import LOG, LocalPool
-from warpvox.configs.schema import CodesignConfig
-from warpvox.configs.suite_keys import OF_RECIPES
 from warpvox.devices import names
 from warpvox.envs.registry import task_ids
 from warpvox.errors import ConfigError, DivergenceError, WarpvoxError
@@ -131,29 +129,6 @@ def test_budgets_by_task() -> None:
     budgets = [int((5_000_000 - spent) // (2 * 10 * steps)) for spent, steps in zip(last, (500, 4 * 400), strict=True)]
     assert [walker.config.search.max_evaluations, catcher.config.search.max_evaluations] == budgets
     assert (walker.config.evaluation, plain.config.evaluation) == ("gaits", "specialist")
-
-
-@pytest.mark.usefixtures("whole_episodes")
-def test_a_search_without_trainings_gets_the_control_steps_of_so_many() -> None:
-    words = ["tasks=[Walker-v0]", "searches=[evolution]", "seeds=[0]", "evaluation=gaits", "finalists=1"]
-    gaits = [
-        "screening.gaits=4",
-        "screening.rounds=2",
-        "screening.final_rounds=3",
-        "screening.final_gaits=5",
-        "screening.final_passes=0",
-    ]
-    (member,) = members(*words, *gaits, "evaluations=24", "search.population=8")
-    training = load("suite", []).training
-    last = 3 * 5 * 500 + steps_of_design(training, 1)
-    whole = 24 * steps_of_design(training, 8)
-    assert member.config.search.max_evaluations == int((whole - last) // (4 * 2 * 500))
-    beams = ["screening.passes=1", "screening.beam=6", "screening.final_passes=2", "screening.final_beam=7"]
-    (member,) = members(*words, *gaits[:-1], *beams, "evaluations=24", "search.population=8")
-    left = whole - last - 2 * 7 * 500
-    assert member.config.search.max_evaluations == int(left // ((4 * 2 + 6) * 500))
-    with pytest.raises(ConfigError, match=r"evaluations must be at least 3 for search=evolution, .* got 1"):
-        members(*words, *gaits, "evaluations=1", "search.population=8")
 
 
 @pytest.mark.parametrize(
@@ -321,20 +296,6 @@ def test_more_members_join_and_none_may_leave(quick: Callable) -> None:
         outcome = quick("resume=latest", words)
         assert (outcome.code, phrase in outcome.err) == (2, True), outcome.err
     assert states(folder) == ["done"] * 4
-
-
-def test_a_suite_of_an_earlier_version_goes_on_with_the_recipe_of_its_search(quick: Callable) -> None:
-    assert quick("seeds=1", "tasks=[Walker-v0]", "searches=[auto]").code == 0
-    (folder,) = Path("outputs/suite").iterdir()
-    file, usual = folder / "config.yaml", dataclasses.asdict(CodesignConfig())
-    stored = yaml.safe_load(file.read_text())
-    older = stored | {key: usual[key] for key in OF_RECIPES}
-    file.write_text(yaml.safe_dump(older, explicit_end=True))
-    outcome = quick("resume=latest", "seeds=2")
-    assert outcome.code == 0, outcome.err
-    assert states(folder) == ["done"] * 2
-    configs = [yaml.safe_load((folder / row["folder"] / "config.yaml").read_text()) for row in table(folder)]
-    assert [(one["evaluation"], one["finalists"], one["dtype"]) for one in configs] == [("gaits", 2, "float64")] * 2
 
 
 def test_a_member_that_fails_is_told_and_the_others_go_on(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -94,8 +94,6 @@ def test_a_configuration_that_was_cut_short_makes_no_other_run(
         (run / "config.yaml").write_text("".join(lines[:count]))
         outcome = warpvox(command, f"resume={run}")
         check_complaint(outcome)
-    (run / "config.yaml").write_text("".join(lines[:-1]))  # as written by an older version, and whole
-    assert "cut short" not in warpvox(command, f"resume={run}").err
     (run / "config.yaml").write_text("".join(lines[:-4]))
     check_complaint(warpvox(command, f"resume={run}"), "has been cut short", "...")
     if command == "train":

@@ -36,7 +36,6 @@ NAMES = {
     "cppn_neat": "CPPN-NEAT",
     "map_elites": "MAP-Elites",
     "random": "random search",
-    "evolution": "evolution of bodies and gaits",
 }
 
 

@@ -92,11 +92,6 @@ def check_evaluation(config: CodesignConfig) -> None:
             "evaluation=few_shot and pretrained go together: pretrained=latest, the folder of a run of `warpvox train"
             " designs=...` or a checkpoint in it."
         )
-    if config.search.algorithm == "evolution" and config.evaluation != "gaits":
-        raise ConfigError(
-            "search=evolution has children that only move in another way than their parent, which evaluation=gaits"
-            f" compares; with {how} take search=ga."
-        )
     if not is_screened(config):
         return
     if training.inherit:

@@ -153,7 +153,7 @@ def environments(config: CodesignConfig) -> int:
     own = _together(config) * config.training.envs
     if not is_screened(config):
         return own
-    how, most = config.screening, settings_from(config.search).generation
+    how, most = config.screening, config.search.population
     if has_common_policy(config):
         kinds = [(most, how.envs)]
     else:
@@ -230,7 +230,6 @@ def codesign(job: Job, console: Console) -> Path:
             settings = settings_from(config.search)
             search = make_search(settings, tuple(config.shape), config.seed, [robot.body for robot in start])
             total = settings.max_evaluations
-            reuse = config.reuse and not getattr(search, "repeats", False)
             finalists, worth = 0, 1.0
             if is_screened(config):
                 finalists = config.finalists
@@ -247,7 +246,7 @@ def codesign(job: Job, console: Console) -> Path:
                 policies=StoredPolicies(folder, config.training.ppo, functools.partial(design_config, written)),
                 checkpoints=folder / "training",
                 batch=config.batch,
-                reuse=reuse,
+                reuse=config.reuse,
                 inherit=config.training.inherit or config.evaluation == "gaits",
                 listener=watch,
             )
@@ -302,24 +301,11 @@ def _archive(folder: Path, config: CodesignConfig) -> Archive:
         return Archive.create(path, settings)
     archive = Archive.open(path)
     known = archive.settings
-    known["search"] = _all_settings(known["search"])
-    for name in settings:  # an earlier version had not all keys
-        default = _default(name)
-        value = known.setdefault(name, default)
-        if isinstance(default, dict):
-            known[name] = {key: default[key] for key in settings[name] if key in default} | value
     if known != settings:
         archive.close()
         other = next(name for name in {**settings, **known} if known.get(name) != settings.get(name))
         raise RunError(f"{path} was made with another value of '{other}' than {folder / CONFIG} has.")
     return archive
-
-
-def _default(name: str) -> Any:
-    """The default of a key of ``codesign``, as JSON holds it."""
-    item = CodesignConfig.__dataclass_fields__[name]
-    value = item.default if item.default_factory is dataclasses.MISSING else item.default_factory()
-    return dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value
 
 
 def design_config(config: CodesignConfig, candidate: Candidate, outcome: Outcome) -> str:
@@ -398,7 +384,7 @@ def _batch(config: CodesignConfig, executor: Executor) -> int | None:
         return config.batch
     if config.training.method == "sequential" and not is_screened(config):
         return 1
-    return -(-settings_from(config.search).generation // executor.size) if config.executor == "ray" else None
+    return -(-config.search.population // executor.size) if config.executor == "ray" else None
 
 
 def _where(config: CodesignConfig, executor: Executor) -> str:

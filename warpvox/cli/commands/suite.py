@@ -25,7 +25,7 @@ from warpvox.cli.console import echo, shell_argument, shown
 from warpvox.cli.evaluations import resolve_evaluation
 from warpvox.cli.runs import STAMP, find_suite, going_on, make_folder
 from warpvox.cli.suite.members import DONE, FAILED, MEMBERS, RUNNING, WAITING, Table
-from warpvox.cli.suite.plan import Member, plan, seeds_of, task_names, upgraded
+from warpvox.cli.suite.plan import Member, plan, seeds_of, task_names
 from warpvox.cli.suite.pool import LocalPool, Pool, RayPool
 from warpvox.cli.suite.progress import SuiteProgress, results
 from warpvox.cli.trust import as_stored, keep_code
@@ -93,7 +93,6 @@ def _prepare(config: SuiteConfig, overrides: list[str], config_dir: Path | None)
 
 def _resumed(config: SuiteConfig, named: set[str], overrides: list[str], config_dir: Path | None) -> Job:
     source = find_suite(config.resume, config.output_dir)
-    source = dataclasses.replace(source, config=upgraded(source.config))
     check_writable(source.folder)
     before = load_values("suite", source.config)
     code = [task for task in before.tasks if is_code(task)]
