@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import errno
 import os
 import signal
 import subprocess
@@ -31,7 +32,7 @@ from warpvox.cli.suite.plan import BENCHMARK10, plan, task_names
 from warpvox.cli.suite.pool import LOG, LocalPool
 from warpvox.devices import names
 from warpvox.envs.registry import task_ids
-from warpvox.errors import ConfigError, DivergenceError, WarpvoxError
+from warpvox.errors import ConfigError, DivergenceError, StorageError, WarpvoxError
 
 TINY = (
     "tasks=[Walker-v0,Thrower-v0] searches=[ga] seeds=2 shape=[3,3] evaluations=8 search.population=5"
@@ -339,6 +340,28 @@ def test_an_interrupt_saves_what_there_is(quick: Callable, monkeypatch: pytest.M
     monkeypatch.undo()
 
 
+def test_a_full_disk_stops_a_suite_which_goes_on_when_there_is_room(
+    quick: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = [StorageError("x.pt cannot be written: no space is left.", OSError(errno.ENOSPC, ""))]
+    failing(monkeypatch, lambda config: full[0] if full and config.task == "Thrower-v0" else None)
+    outcome = quick()
+    (folder,) = Path("outputs/suite").iterdir()
+    assert (outcome.code, outcome.err.strip()) == (2, "warpvox: x.pt cannot be written: no space is left.")
+    assert states(folder) == ["done", "waiting", "waiting", "waiting"]
+    full.clear()
+    assert quick("resume=latest").code == 0
+    assert states(folder) == ["done"] * 4
+
+
+def test_a_member_that_others_end_is_no_failure(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    failing(monkeypatch, lambda config: Terminated() if (config.task, config.seed) == ("Thrower-v0", 0) else None)
+    outcome = quick()
+    (folder,) = Path("outputs/suite").iterdir()
+    assert (outcome.code, "1 of 4 members were asked to end" in outcome.err) == (2, True), outcome.err
+    assert states(folder) == ["done", "done", "waiting", "done"]
+
+
 def test_report_again(quick: Callable) -> None:
     assert quick("seeds=1", "tasks=[Walker-v0]").code == 0
     (folder,) = Path("outputs/suite").iterdir()
@@ -393,6 +416,12 @@ def test_a_process_that_dies_takes_no_other_with_it(pool: LocalPool, tmp_path: P
         time.sleep(0.02)
     pool.stop()
     assert ended(pool, 1)[2]["status"] == "interrupted"
+
+
+def test_a_process_that_is_asked_to_end_while_it_starts_has_not_failed(pool: LocalPool, tmp_path: Path) -> None:
+    pool.begin(0, "work", tmp_path)
+    pool._workers[0].process.terminate()  # as one of a group, before this process knows of it
+    assert ended(pool, 1)[0]["status"] == "interrupted"
 
 
 @pytest.mark.slow

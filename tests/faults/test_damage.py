@@ -130,6 +130,10 @@ def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(
     cut(run / FILE, share)
     for words in (("codesign", "resume=latest"), ("codesign", "report=latest"), ("play", "window=off")):
         check_complaint(warpvox(*words), "damaged", f"{BACKUP} beside it", "copy it over")
+    (run / FILE).unlink()
+    check_complaint(warpvox("codesign", "resume=latest"), f"has no {FILE}", f"{BACKUP} beside it", "copy it over")
+    with pytest.raises(RunError, match=f"{FILE} is gone.*copy it over"):  # a member of a suite would make another one
+        Archive.create(run / FILE, {})
     shutil.copy(run / BACKUP, run / FILE)
     assert warpvox("codesign", f"resume={run}").code == 0
     check_search(run, runs["codesign"])

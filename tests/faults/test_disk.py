@@ -272,6 +272,26 @@ def test_a_folder_that_vanishes_is_told_of_and_not_made_anew(
     assert "go on:" not in outcome.out
 
 
+@pytest.mark.parametrize("name", ["designs", "archive.sqlite"])
+def test_what_vanishes_from_a_search_is_told_of(
+    name: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from warpvox.cli.codesign_progress import SearchProgress
+
+    def remove(self: SearchProgress, generation: int, fresh: bool) -> None:
+        place = self.results.folder / name
+        shutil.rmtree(place) if place.is_dir() else place.unlink()
+
+    with monkeypatch.context() as patched:
+        patched.setattr(SearchProgress, "told", remove)
+        check_complaint(warpvox(*CODESIGN), name, "vanished")
+    run = only(tmp_path, "codesign")
+    if name == "designs":
+        assert not (run / name).exists()
+        outcome = warpvox("codesign", f"resume={run}")
+        assert (outcome.code, "the policies of 3 designs are gone from" in outcome.out) == (0, True), outcome.err
+
+
 @pytest.mark.parametrize("command", ["train", "codesign"])
 def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refused(
     command: str, warpvox: Callable, tmp_path: Path

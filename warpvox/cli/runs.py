@@ -15,8 +15,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from warpvox.algos.codesign.archive import BACKUP, Archive, repair_hint
 from warpvox.algos.codesign.archive import FILE as ARCHIVE
-from warpvox.algos.codesign.archive import Archive
 from warpvox.cli.plain_yaml import LARGEST_CONFIG, parse_yaml
 from warpvox.cli.provenance import provenance
 from warpvox.errors import ConfigError, RunError, StorageError, listing
@@ -191,7 +191,9 @@ def find_codesign(text: str, output_dir: str) -> Run:
     if not {"task", "search", "training"} <= content.keys():
         raise RunError(f"{folder} is not a design search: its {CONFIG} is that of another run.")
     if not (folder / ARCHIVE).is_file():
-        raise RunError(f"{folder} has no {ARCHIVE}: the search was stopped before its first design; start it again.")
+        hint = repair_hint(folder / ARCHIVE)
+        why = f".{hint}" if hint else ": the search was stopped before its first design; start it again."
+        raise RunError(f"{folder} has no {ARCHIVE}{why}")
     return Run(folder, content)
 
 
@@ -285,7 +287,7 @@ def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
 
 def _has_begun(folder: Path, command: str, resume: bool) -> bool:
     if command == CODESIGN:
-        return (folder / ARCHIVE).is_file()
+        return any((folder / name).is_file() for name in (ARCHIVE, BACKUP))
     if resume and (folder / STATE).is_file():
         return True
     return next(folder.glob("model_*.pt"), None) is not None

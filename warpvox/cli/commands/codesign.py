@@ -253,6 +253,9 @@ def codesign(job: Job, console: Console) -> Path:
             done = f", {archive.trained()} of {total} designs done" if job.folder else ""
             echo(console, f"{results.search} on {config.task}, {_where(config, executor)}{done}")
             echo(console, f"run folder: {shown(folder)}")
+            lost = [record for record in archive.records() if record.policy and not (folder / record.policy).is_file()]
+            if lost:
+                echo(console, f"the policies of {len(lost)} designs are gone from {shown(folder / 'designs')}")
             if job.folder and archive.trained() >= total:
                 echo(
                     console,
