@@ -15,11 +15,10 @@ import torch
 
 from warpvox.algos.candidate import START, Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.checkpoints.files import PolicySpec, spec_dict
-from warpvox.algos.codesign.gait_actions import actions_of_gaits
+from warpvox.algos.codesign.gait_actions import begin_alike, play
 from warpvox.algos.codesign.gait_beam import Beam
 from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait, with_stages
 from warpvox.algos.env_factory import EnvFactory
-from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -56,7 +55,8 @@ class GaitEvaluator:
         rounds: of gaits.
         stages: parts of an episode in which a gait has a motion each.
         seed: of the experiment.
-        episodes: of each gait, whose mean counts; more than one for tasks that draw at random.
+        episodes: of each gait, whose mean counts; more than one for tasks that draw at random. All gaits of all
+            designs play the same ones, those of ``seed``.
         passes: beam searches before the rounds.
         beam: continuations that a beam search tries in each stage.
         stage_steps: control steps of a stage in the first beam search; others have longer and shorter ones.
@@ -197,7 +197,7 @@ class _Rounds:
         how = self.how
         known = [[best[1]] for best in self.best] if self.best else self.inherited
         steps = max(1, round(how.stage_steps * STRETCH[self.round % len(STRETCH)]))
-        return Beam(self.env, self.bodies, how.beam, how.episodes).search(known, self.random, self.seeds, steps)
+        return Beam(self.env, self.bodies, how.beam, how.episodes).search(known, self.random, how.seed, steps)
 
     def _try(self) -> tuple[list[tuple[float, Gait]], np.ndarray]:
         """The same of an episode of each gait that is tried next."""
@@ -205,13 +205,12 @@ class _Rounds:
         if self.env.num_envs != len(self.bodies) * how.count * how.episodes:
             self.env = self._environments(how.count)
         gaits = [self._gaits(place) for place in range(len(self.bodies))]
-        following = actions_of_gaits(self.env, self.bodies, gaits, how.episodes)
-        result = evaluate(self.env, lambda obs: next(following), seed=self.seeds)
-        returns = result.returns.view(len(self.bodies), how.count, how.episodes).mean(2).numpy()
+        begin_alike(self.env, len(self.bodies), how.count, how.episodes, how.seed)
+        returns = play(self.env, self.bodies, gaits, how.episodes).numpy()
         found = [
             (float(values.max()), tried[int(values.argmax())]) for values, tried in zip(returns, gaits, strict=True)
         ]
-        return found, result.lengths.view(len(self.bodies), -1).sum(1).numpy()
+        return found, self.env.state()["length"].view(len(self.bodies), -1).sum(1).cpu().numpy()
 
     def _outcome(self, place: int) -> Outcome:
         (value, gait), body = self.best[place], self.bodies[place]

@@ -88,7 +88,7 @@ class SequentialEvaluator:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             env = adapt(self.factory.make([candidate.body], settings.envs, [seed], auto_reset=True), settings.ppo)
-            judge = evaluator(self.factory.make([candidate.body], settings.eval_envs, [seed], auto_reset=False), [seed])
+            judge = evaluator(self.factory.make([candidate.body], settings.eval_envs, [seed], False), [self.seed])
 
             def evaluate(policy: Controller) -> Evaluation:
                 result = judge(policy)

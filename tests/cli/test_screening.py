@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ from warpvox.cli.config import load
 from warpvox.cli.evaluations import _common_factory, learns_by_gradients
 from warpvox.cli.start import read_start
 from warpvox.design import load_design, save_design
+from warpvox.envs import registry
 from warpvox.errors import ConfigError
 from warpvox.robots import read_robot
 from warpvox.system import processor_name
@@ -51,10 +53,10 @@ def summary(folder: Path) -> dict:
     return json.loads((folder / "summary.json").read_text(encoding="utf-8"))
 
 
-def played(warpvox: Callable, run: Path | str) -> float:
-    """The return of a design's policy."""
+def played(warpvox: Callable, run: Path | str, episodes: int = 2) -> float:
+    """The mean return of a design's policy."""
     before = set(Path("outputs").glob("play/*/*"))
-    outcome = warpvox("play", f"run={run}", "num_envs=2", "export=[]", "device=cpu")
+    outcome = warpvox("play", f"run={run}", f"num_envs={episodes}", "export=[]", "device=cpu")
     assert outcome.code == 0, outcome.err
     (folder,) = set(Path("outputs").glob("play/*/*")) - before
     return summary(folder)["mean_return"]
@@ -152,6 +154,29 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
     outcome = warpvox("play", f"run={folder}/designs/0", "stochastic=true", "export=[]", "device=cpu")
     assert "open-loop gait" in outcome.err
     assert warpvox("export", f"run={folder}/designs/0", "format=[jit]").code == 0
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        f"evaluation=gaits screening.gaits=4 screening.rounds=2 screening.final_rounds=1 {ROUNDS}",
+        "evaluation=shared screening.eval_envs=3 training.eval_envs=2",
+    ],
+)
+def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(
+    warpvox: Callable, monkeypatch: pytest.MonkeyPatch, words: str
+) -> None:
+    short = dataclasses.replace(registry.get_task("BidirectionalWalker-v0"), max_episode_steps=50)
+    monkeypatch.setitem(registry._TASKS, short.id, short)
+    outcome = warpvox("codesign", *TINY, "task=BidirectionalWalker-v0", "seed=3", *words.split())
+    assert outcome.code == 0, outcome.err
+    (folder,) = Path("outputs/codesign/BidirectionalWalker-v0").iterdir()
+    for record in records_of(folder)[1::5]:  # one that is compared, one that is trained
+        run = folder / "designs" / str(record.id)
+        config = yaml.safe_load((run / "config.yaml").read_text())
+        assert config["seed"] == 3
+        again = played(warpvox, run, config["eval_envs"])
+        assert again == pytest.approx(record.fitness, abs=ROUNDING)
 
 
 def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
