@@ -32,7 +32,6 @@ from warpvox.cli.evaluations import (
     has_common_policy,
     is_screened,
     keep_pretrained,
-    learns_by_gradients,
     read_pretrained,
     resolve_evaluation,
     screened_values,
@@ -69,9 +68,6 @@ OF_DESIGNS = (
     "network",
 )  # fmt: skip
 """Keys that the configuration of a design has from that of its search."""
-
-GRADIENTS = 17.0
-"""Control steps of PPO that take as long as one of tuning by gradients, both with their updates: for the time left."""
 
 
 @dataclass
@@ -230,14 +226,12 @@ def codesign(job: Job, console: Console) -> Path:
             settings = settings_from(config.search)
             search = make_search(settings, tuple(config.shape), config.seed, [robot.body for robot in start])
             total = settings.max_evaluations
-            finalists, worth = 0, 1.0
-            if is_screened(config):
-                finalists = config.finalists
-                cost, last = costs_of(config, get_task(config.task))
-                worth = last / finalists / cost / (GRADIENTS if learns_by_gradients(config) else 1)
-                search, total = Finalists(search, finalists), total + finalists
+            finalists = config.finalists if is_screened(config) else 0
+            cost, last = costs_of(config, get_task(config.task))
+            if finalists:
+                search, total, last = Finalists(search, finalists), total + finalists, last / finalists
             results = Results(folder, archive, written, (pretrained or {}).get(STEPS))
-            watch = SearchProgress(results, total, console, finalists, worth)
+            watch = SearchProgress(results, total, console, (cost, last), finalists)
             loop = Loop(
                 search,
                 executor,
@@ -274,7 +268,7 @@ def _search(loop: Any, watch: Any, config: CodesignConfig, console: Console) -> 
         with watch:
             loop.run()
     except KeyboardInterrupt:
-        conclude(console, watch.results.write("interrupted"), watch.results.folder, config)
+        conclude(console, watch.results.write("interrupted"), watch.results.folder, config, watch.under_way)
         raise
     except BaseException:
         # a search that has failed may have failed because nothing can be written; that is the error to report
@@ -445,12 +439,14 @@ def compare(config: CodesignConfig, texts: list[str], searches: list[Path], cons
     return page.parent
 
 
-def conclude(console: Console, summary: dict[str, Any], folder: Path, config: CodesignConfig) -> None:
+def conclude(
+    console: Console, summary: dict[str, Any], folder: Path, config: CodesignConfig, under_way: str = ""
+) -> None:
     """Say how the search has ended and what one can do next."""
     from warpvox.algos.report import FILE as REPORT
 
     words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[summary["status"]]
-    text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps"
+    text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps{under_way}"
     if summary["best_design"] is not None:
         text += f"; best fitness {summary['best_fitness']:.3f} (design {summary['best_design']})"
     echo(console, text)
