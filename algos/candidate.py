@@ -14,7 +14,6 @@ from warpvox.design import Design
 
 __all__ = [
     "FINALIST",
-    "GAIT",
     "PROGRESS",
     "START",
     "Candidate",
@@ -27,8 +26,6 @@ __all__ = [
 
 FINALIST = "finalist"
 """The origin of a candidate whose body has been compared by a common policy, and now gets a policy of its own."""
-GAIT = "gait"
-"""The origin of a candidate with the body of its parent, which is to move in another way."""
 START = "start"
 """The origin of a candidate whose body was known before the search."""
 PROGRESS = {

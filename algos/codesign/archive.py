@@ -34,7 +34,7 @@ from warpvox.errors import RunError, StorageError
 from warpvox.io.reading import parse_json
 from warpvox.io.writing import atomic_path
 
-__all__ = ["BACKUP", "FILE", "Archive", "Finished", "Record"]
+__all__ = ["BACKUP", "FILE", "Archive", "Finished", "Record", "repair_hint"]
 
 FILE = "archive.sqlite"
 """The name of the archive in a run's folder."""
@@ -157,10 +157,12 @@ class Archive:
             settings: all that the results follow from, as JSON can hold it.
 
         Raises:
-            RunError: something stands there already, or the file cannot be written.
+            RunError: something stands there already. StorageError: the file cannot be written.
         """
         if path.exists():
             raise RunError(f"{path} exists already: an archive is never overwritten.")
+        if hint := repair_hint(path):
+            raise RunError(f"{path} is gone.{hint}")
         lock = _lock_for_writing(path)
         try:
             with atomic_path(path, make_folders=False) as temporary:  # a killed process leaves no empty archive
@@ -230,7 +232,8 @@ class Archive:
             seed: of the experiment; those of the candidates follow from it.
 
         Raises:
-            RunError: an id that is not the next one, a parent that is not known, or the file cannot be written.
+            RunError: an id that is not the next one, or a parent that is not known. StorageError: the file cannot be
+                written.
         """
         known = self.count()
         for expected, candidate in enumerate(candidates, start=known):
@@ -256,7 +259,7 @@ class Archive:
 
         Raises:
             RunError: no such candidate, one that is evaluated already, a fitness or a value of the learning curve that
-                is not finite, or the file cannot be written.
+                is not finite. StorageError: the file cannot be written.
         """
         with self._writing() as db:
             for result in results:
@@ -305,7 +308,7 @@ class Archive:
         archive alone, in whatever order the designs were trained.
 
         Raises:
-            RunError: there is no other to compare with, or the file cannot be written.
+            RunError: there is no other to compare with. StorageError: the file cannot be written.
         """
         with self._writing() as db:
             query = "SELECT MIN(fitness) FROM candidates WHERE generation <= ? AND stopped < ?"
@@ -321,7 +324,7 @@ class Archive:
         """Write a copy beside the archive, whole or not at all; returns its path.
 
         Raises:
-            StorageError, RunError: it cannot be written.
+            StorageError: it cannot be written.
         """
         path = self.path.with_name(BACKUP)
         try:
@@ -357,7 +360,8 @@ class Archive:
             yield
         except (sqlite3.Error, ValueError, TypeError) as error:
             reason = _access_problem(error) or f"is damaged ({error})"
-            raise RunError(f"{self.path} {reason}.{_repair_hint(self.path, reason)}") from None
+            hint = repair_hint(self.path) if "damaged" in reason else ""
+            raise RunError(f"{self.path} {reason}.{hint}") from None
 
     def count(self) -> int:
         """Candidates so far, evaluated or not."""
@@ -521,19 +525,22 @@ def _lock_for_writing(path: Path) -> sqlite3.Connection:
     return db
 
 
-def _write_error(path: Path, error: Exception) -> RunError:
+def _write_error(path: Path, error: Exception) -> StorageError:
     """Error for an archive that cannot be written; its content is unchanged."""
-    reason = str(error).rstrip(".")
+    reason, cause = str(error).rstrip("."), error if isinstance(error, OSError) else None
     if not path.parent.is_dir():
         reason = "its folder has vanished; was it removed or renamed, or its disk detached?"
+    elif "readonly" in reason and not path.is_file():
+        reason = "it has vanished; was it removed or renamed?"
     elif "full" in reason or getattr(error, "errno", None) == errno.ENOSPC:
         reason = "database or disk is full; free some space, then go on with resume="
-    return RunError(f"The archive {path} cannot be written: {reason}.")
+        cause = OSError(errno.ENOSPC, reason)
+    return StorageError(f"The archive {path} cannot be written: {reason}.", cause)
 
 
 def _check_exists(path: Path) -> None:
     if not path.is_file():
-        raise RunError(f"There is no archive at {path}.")
+        raise RunError(f"There is no archive at {path}.{repair_hint(path)}")
 
 
 def _checked(path: Path) -> sqlite3.Connection:
@@ -555,7 +562,8 @@ def _checked(path: Path) -> sqlite3.Connection:
     if reason is not None:
         if db is not None:
             db.close()
-        raise RunError(f"{path} {reason}.{_repair_hint(path, reason)}")
+        hint = repair_hint(path) if "damaged" in reason else ""
+        raise RunError(f"{path} {reason}.{hint}")
     return db
 
 
@@ -569,10 +577,10 @@ def _access_problem(error: Exception) -> str | None:
     return None
 
 
-def _repair_hint(path: Path, reason: str) -> str:
-    """How to restore a damaged archive from its backup, if there is one."""
+def repair_hint(path: Path) -> str:
+    """How to restore an archive that is damaged or gone from its backup, as a sentence; empty if there is none."""
     backup = path.with_name(BACKUP)
-    if "damaged" not in reason or path == backup or not backup.is_file():
+    if path == backup or not backup.is_file():
         return ""
     return (
         f" {backup.name} beside it holds all generations that were whole: copy it over {path.name} (and remove"

@@ -144,7 +144,7 @@ class _Course:
     ) -> None:
         self.factory, self.settings, self.candidates = factory, settings, list(candidates)
         self.ppo = PpoConfig(**settings.ppo)
-        self.seeds = [candidate_seed(seed, candidate.id) for candidate in candidates]
+        self.seed, self.seeds = seed, [candidate_seed(seed, candidate.id) for candidate in candidates]
         self.learned, self.fresh = learned, fresh
         start = None if learned is None else policy_sha256(learned["actor_state_dict"])
         self.about = describe(factory, settings, seed, candidates) | {"start": start}
@@ -205,7 +205,7 @@ class _Course:
         runner, settings = self.runner, self.settings
         env = self._make(settings.eval_envs, auto_reset=False)
         runner.alg.eval_mode()
-        result = evaluate(env, runner.controller, seed=self.seeds)
+        result = evaluate(env, runner.controller, seed=[self.seed] * len(self.candidates))
         state = runner.alg.get_policy().state_dict()
         policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
         learning = settings.iterations * self.ppo.steps * settings.envs

@@ -11,14 +11,11 @@ from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Outcom
 
 __all__ = ["BestOf", "Finalists", "TwoStages"]
 
-PARENTS = 8
-"""Candidates of its body that a finalist has for parents, at most: the best ones."""
-
 
 class Finalists:
     """A search, and after it a last generation with the best of its designs; a :class:`Search` itself.
 
-    These are candidates of their own, with the body of the designs that are their parents and the origin
+    These are candidates of their own, with the body of the design that is their parent and the origin
     :data:`FINALIST`. The search is not told of their fitness.
 
     Args:
@@ -39,13 +36,13 @@ class Finalists:
         return self._asked
 
     def _finalists(self) -> list[Candidate]:
-        best: dict[bytes, list[Candidate]] = {}
+        best: dict[bytes, Candidate] = {}
         for candidate, _ in sorted(self._known, key=lambda pair: (-pair[1], pair[0].id)):
-            best.setdefault(candidate.body.tobytes(), []).append(candidate)
+            best.setdefault(candidate.body.tobytes(), candidate)
         first, generation = len(self._known), max((item.generation for item, _ in self._known), default=-1) + 1
         return [
-            Candidate(first + place, same[0].body, tuple(one.id for one in same[:PARENTS]), FINALIST, generation)
-            for place, same in enumerate(list(best.values())[: self.count])
+            Candidate(first + place, parent.body, (parent.id,), FINALIST, generation)
+            for place, parent in enumerate(list(best.values())[: self.count])
         ]
 
     def tell(self, fitness: Sequence[float]) -> None:
@@ -53,11 +50,6 @@ class Finalists:
         if self._asked[0].origin != FINALIST:
             self.search.tell(fitness)
             self._known += zip(self._asked, fitness, strict=True)
-
-    def wanted(self, candidate: Candidate, fitness: float) -> bool:
-        """Whether the policy of a candidate is worth keeping; that of a finalist always is."""
-        ask = getattr(self.search, "wanted", None)  # which a search of one's own need not have
-        return candidate.origin == FINALIST or ask is None or ask(candidate, fitness)
 
     def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
         """See :class:`Search`."""

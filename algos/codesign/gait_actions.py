@@ -1,4 +1,4 @@
-"""The actions of many gaits at once, of several designs."""
+"""Episodes of many gaits at once, of several designs."""
 
 from __future__ import annotations
 
@@ -11,13 +11,46 @@ import torch
 from warpvox.algos.checkpoints.files import actions_of
 from warpvox.algos.codesign.gaits import Gait
 from warpvox.algos.policies.gait import AMPLITUDE, gait_outputs
+from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.types import Cell
 
-__all__ = ["actions_of_gaits"]
+__all__ = ["actions_of_gaits", "begin_alike", "play"]
 
 AT_ONCE = 1 << 20
 """Actions that are computed at once, about: those of many control steps, if environments are few."""
+CHECK_EVERY = 25
+"""Control steps between checks whether all episodes have ended."""
+
+
+def begin_alike(env: VoxelVecEnv, designs: int, count: int, episodes: int, seed: int) -> None:
+    """Begin the same episodes, those of ``seed``, with each of ``count`` gaits of each design."""
+    env.reset(seed=[seed] * designs)
+    first = torch.arange(designs, device=env.device)[:, None, None] * count * episodes
+    rows = first + torch.arange(episodes, device=env.device).expand(designs, count, episodes)
+    env.set_state(state_rows(env.state(), rows.flatten()))
+
+
+def play(
+    env: VoxelVecEnv,
+    bodies: Sequence[np.ndarray],
+    gaits: Sequence[Sequence[Gait]],
+    episodes: int,
+    first: int = 0,
+    last: int | None = None,
+) -> torch.Tensor:
+    """Step episodes that have begun; arguments as for :func:`actions_of_gaits`.
+
+    Returns:
+        The mean return of each gait so far, float64 ``[designs, gaits]`` on the CPU.
+    """
+    with torch.no_grad():
+        for step, actions in enumerate(actions_of_gaits(env, bodies, gaits, episodes, first, last)):
+            _, _, terminated, truncated, _ = env.step(actions)
+            if step % CHECK_EVERY == 0 and bool((terminated | truncated).all()):
+                break
+    returns = env.state()["return"].to(env.dtype).double()
+    return returns.view(len(bodies), -1, episodes).mean(2).cpu()
 
 
 def actions_of_gaits(

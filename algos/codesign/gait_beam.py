@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from warpvox.algos.codesign.gait_actions import actions_of_gaits
+from warpvox.algos.codesign.gait_actions import play
 from warpvox.algos.codesign.gaits import Gait, Motion, draw_motion, gait_of, motions_of, mutate_motion
 from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -52,7 +52,7 @@ class Beam:
         self,
         known: Sequence[Sequence[Gait]],
         random: Sequence[np.random.Generator],
-        seeds: Sequence[int],
+        seed: int,
         steps: int,
     ) -> tuple[list[tuple[float, Gait]], np.ndarray]:
         """Go through the episode once.
@@ -60,7 +60,7 @@ class Beam:
         Args:
             known: gaits of each design, if there are, the best one first: the result is never worse than this one.
             random: source of random numbers of each design.
-            seeds: of the episodes.
+            seed: of the episodes, which are the same for all designs.
             steps: control steps of a stage.
 
         Returns:
@@ -72,7 +72,7 @@ class Beam:
         ]
         spent = np.zeros(len(searches), np.int64)
         with torch.no_grad():
-            env.reset(seed=seeds)
+            env.reset(seed=[seed] * len(searches))
             state = env.state()
             for first in range(0, limit, steps):
                 last = min(first + steps, limit)
@@ -80,12 +80,9 @@ class Beam:
                 state = state_rows(state, self._environments(searches))
                 before = state["length"]
                 env.set_state(state)
-                for actions in actions_of_gaits(env, self.bodies, gaits, self.episodes, first, last):
-                    env.step(actions)
+                values = play(env, self.bodies, gaits, self.episodes, first, last).tolist()
                 state = env.state()
                 spent += (state["length"] - before).view(len(searches), -1).sum(1).cpu().numpy()
-                returns = state["return"].to(env.dtype).double()  # rounded as those of whole episodes are
-                values = returns.view(len(searches), self.count, -1).mean(2).tolist()
                 ended = (state["terminated"] | state["truncated"]).view(len(searches), self.count, -1).all(2).tolist()
                 for place, search in enumerate(searches):
                     search.choose(values[place], ended[place])

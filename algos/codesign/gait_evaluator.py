@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.algos.candidate import GAIT, START, Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.candidate import START, Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.checkpoints.files import PolicySpec, spec_dict
-from warpvox.algos.codesign.gait_actions import actions_of_gaits
+from warpvox.algos.codesign.gait_actions import begin_alike, play
 from warpvox.algos.codesign.gait_beam import Beam
 from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait, with_stages
 from warpvox.algos.env_factory import EnvFactory
-from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -32,7 +31,7 @@ __all__ = ["GaitEvaluator"]
 FRESH = 0.125
 """Share of the first gaits of a design with a parent that owe nothing to it."""
 KEPT = 0.5
-"""Share of designs with one gait each that move as their parent, where the body is another."""
+"""Share of designs with one gait each that move as their parent."""
 SAVE_INTERVAL = 20.0
 """Seconds between checkpoints."""
 STRETCH = (1.0, 3.0, 0.6, 2.0, 4.0, 1.4, 0.8)
@@ -45,8 +44,7 @@ STREAM = 0x6A17
 class GaitEvaluator:
     """The fitness of a design is the best return of some open-loop gaits, and the best gait is its policy.
 
-    The first ones are those of its parents with mutants of the best parent's; random ones, if it has none. A design
-    that differs from its parent in the gait alone (:data:`warpvox.algos.candidate.GAIT`) has mutants only. In each
+    The first ones are those of its parents with mutants of the best parent's; random ones, if it has none. In each
     further round mutants of the best so far are tried. Passes of a beam search (:class:`Beam`) may come before the
     rounds. It takes ``beam * passes + count * rounds`` episodes for a design, where a training of 512,000 control steps
     has a thousand.
@@ -57,7 +55,8 @@ class GaitEvaluator:
         rounds: of gaits.
         stages: parts of an episode in which a gait has a motion each.
         seed: of the experiment.
-        episodes: of each gait, whose mean counts; more than one for tasks that draw at random.
+        episodes: of each gait, whose mean counts; more than one for tasks that draw at random. All gaits of all
+            designs play the same ones, those of ``seed``.
         passes: beam searches before the rounds.
         beam: continuations that a beam search tries in each stage.
         stage_steps: control steps of a stage in the first beam search; others have longer and shorter ones.
@@ -179,17 +178,17 @@ class _Rounds:
         """What a design is tried with next."""
         rng, body, count = self.random[place], self.bodies[place], self.how.count
         steps = self.env.max_episode_steps
-        known, origin, gaits = self.inherited[place], self.origins[place], []
+        known, gaits = self.inherited[place], []
         if self.best:
             known, fresh = [self.best[place][1]], 0
         elif not known:
             fresh = count
         elif count == 1:
-            kept = origin == START or (origin != GAIT and rng.random() < KEPT)
+            kept = self.origins[place] == START or rng.random() < KEPT
             fresh, gaits = 0, known[:1] if kept else []
         else:
             fresh = math.ceil(FRESH * (count - 1))
-            gaits = [] if origin == GAIT else known[: count - fresh]
+            gaits = known[: count - fresh]
         gaits += [draw_gait(rng, body, steps, self.how.stages) for _ in range(fresh)]
         return gaits + [mutate_gait(rng, known[0], body, steps) for _ in range(count - len(gaits))]
 
@@ -198,7 +197,7 @@ class _Rounds:
         how = self.how
         known = [[best[1]] for best in self.best] if self.best else self.inherited
         steps = max(1, round(how.stage_steps * STRETCH[self.round % len(STRETCH)]))
-        return Beam(self.env, self.bodies, how.beam, how.episodes).search(known, self.random, self.seeds, steps)
+        return Beam(self.env, self.bodies, how.beam, how.episodes).search(known, self.random, how.seed, steps)
 
     def _try(self) -> tuple[list[tuple[float, Gait]], np.ndarray]:
         """The same of an episode of each gait that is tried next."""
@@ -206,13 +205,12 @@ class _Rounds:
         if self.env.num_envs != len(self.bodies) * how.count * how.episodes:
             self.env = self._environments(how.count)
         gaits = [self._gaits(place) for place in range(len(self.bodies))]
-        following = actions_of_gaits(self.env, self.bodies, gaits, how.episodes)
-        result = evaluate(self.env, lambda obs: next(following), seed=self.seeds)
-        returns = result.returns.view(len(self.bodies), how.count, how.episodes).mean(2).numpy()
+        begin_alike(self.env, len(self.bodies), how.count, how.episodes, how.seed)
+        returns = play(self.env, self.bodies, gaits, how.episodes).numpy()
         found = [
             (float(values.max()), tried[int(values.argmax())]) for values, tried in zip(returns, gaits, strict=True)
         ]
-        return found, result.lengths.view(len(self.bodies), -1).sum(1).numpy()
+        return found, self.env.state()["length"].view(len(self.bodies), -1).sum(1).cpu().numpy()
 
     def _outcome(self, place: int) -> Outcome:
         (value, gait), body = self.best[place], self.bodies[place]

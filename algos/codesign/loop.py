@@ -57,7 +57,7 @@ class Loop:
         executor: evaluates candidates.
         archive: new or of an experiment to go on with; open for writing.
         seed: of the experiment.
-        policies: where policies go, those that ``search.wanted`` if it has that; None: they are not kept.
+        policies: where policies go; None: they are not kept.
         checkpoints: folder in which trainings are saved now and then, to go on from; None: they are not.
         batch: designs trained together; None: all of a generation.
         reuse: a body that was evaluated before is not trained again.
@@ -80,7 +80,6 @@ class Loop:
         listener: Listener | None = None,
     ) -> None:
         self.search, self.executor, self.archive = search, executor, archive
-        self._wanted = getattr(search, "wanted", lambda candidate, fitness: True)
         self.seed, self.batch, self.reuse, self.inherit = seed, batch, reuse, inherit
         self.policies, self.checkpoints = policies, checkpoints
         self.listener = listener or Listener()
@@ -223,7 +222,7 @@ class Loop:
 
     def _finished(self, candidate: Candidate, outcome: Outcome) -> Finished:
         """Store the policy first: the archive never names a missing file."""
-        if self.policies is None or outcome.policy is None or not self._wanted(candidate, outcome.fitness):
+        if self.policies is None or outcome.policy is None:
             return Finished(candidate.id, outcome)
         return Finished(candidate.id, outcome, *self.policies.save(candidate, outcome))
 

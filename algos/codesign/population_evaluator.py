@@ -48,7 +48,7 @@ class PopulationEvaluator:
     Attributes:
         factory: where they are trained.
         settings: how.
-        seed: of the experiment.
+        seed: of the experiment; all designs are evaluated in the episodes of this seed.
     """
 
     factory: EnvFactory
@@ -104,7 +104,7 @@ class _Generation:
     def __init__(
         self, evaluator: PopulationEvaluator, candidates: Sequence[Candidate], parents: Mapping[int, Parent]
     ) -> None:
-        self.factory, self.settings = evaluator.factory, evaluator.settings
+        self.factory, self.settings, self.seed = evaluator.factory, evaluator.settings, evaluator.seed
         self.candidates, self.parents = list(candidates), parents
         self.seeds = [candidate_seed(evaluator.seed, candidate.id) for candidate in candidates]
         self.about = describe(evaluator.factory, evaluator.settings, evaluator.seed, candidates)
@@ -122,8 +122,8 @@ class _Generation:
                 if chosen[design] is not None:
                     inherit_policy(self.factory, chosen[design], env, design, networks)
 
-        bodies = [self.candidates[k].body for k in self.active]
-        return PopulationTraining(self.factory, bodies, [self.seeds[k] for k in self.active], self.settings, prepare)
+        bodies, seeds = zip(*((self.candidates[k].body, self.seeds[k]) for k in self.active), strict=True)
+        return PopulationTraining(self.factory, bodies, seeds, self.settings, prepare, self.seed)
 
     @property
     def iteration(self) -> int:

@@ -89,7 +89,7 @@ class SequentialEvaluator:
             torch.manual_seed(seed)
             env = adapt(self.factory.make([candidate.body], settings.envs, [seed], auto_reset=True), settings.ppo)
             on_cpu = dataclasses.replace(self.factory, device="cpu")  # where few environments are faster
-            judge = evaluator(on_cpu.make([candidate.body], settings.eval_envs, [seed], auto_reset=False), [seed])
+            judge = evaluator(on_cpu.make([candidate.body], settings.eval_envs, [seed], auto_reset=False), [self.seed])
 
             def evaluate(policy: Controller) -> Evaluation:
                 result = judge(policy)

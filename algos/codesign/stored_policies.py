@@ -13,9 +13,12 @@ from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import PolicySpec, load_checkpoint, save_checkpoint, spec_dict
 from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.runner import BEST
-from warpvox.io.writing import write_text
+from warpvox.io.writing import check_folder, write_text, writing
 
 __all__ = ["StoredPolicies", "policy_sha256"]
+
+DESIGNS = "designs"
+"""The folder of all policies."""
 
 
 class StoredPolicies:
@@ -29,10 +32,17 @@ class StoredPolicies:
 
     def __init__(self, folder: Path, ppo: PpoConfig, config: Callable[[Candidate, Outcome], str]) -> None:
         self.folder, self.ppo, self.config = folder, ppo, config
+        with writing(folder / DESIGNS):
+            (folder / DESIGNS).mkdir(exist_ok=True)
 
     def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
-        """Write the policy of an outcome; returns its path relative to the run's folder, and its SHA-256."""
-        place = Path("designs") / str(candidate.id)
+        """Write the policy of an outcome; returns its path relative to the run's folder, and its SHA-256.
+
+        Raises:
+            StorageError: it cannot be written, or the folder of all policies has vanished.
+        """
+        check_folder(self.folder / DESIGNS)
+        place = Path(DESIGNS) / str(candidate.id)
         content = {
             "policy": outcome.spec or spec_dict(self._spec(outcome.policy)),
             "actor_state_dict": {name: value.detach().cpu() for name, value in outcome.policy.items()},

@@ -61,6 +61,7 @@ class PopulationTraining:
         settings: how they are trained.
         prepare: may change a design's networks before training; called with its number, the environments and the
             networks.
+        eval_seed: of the episodes that all designs are evaluated in.
 
     Attributes:
         iteration: iterations done.
@@ -74,8 +75,10 @@ class PopulationTraining:
         seeds: Sequence[int],
         settings: TrainingConfig,
         prepare: Callable[[int, Any, Networks], None] | None = None,
+        eval_seed: int = 0,
     ) -> None:
         self.factory, self.bodies, self.seeds, self.settings = factory, list(bodies), list(seeds), settings
+        self.eval_seed = eval_seed
         self.ppo, self.iteration = settings.ppo, 0
         self._make_environments()
         inner = self.env.env
@@ -91,7 +94,7 @@ class PopulationTraining:
         settings = self.settings
         training = self.factory.make(self.bodies, settings.envs, self.seeds, auto_reset=True)
         self.env = adapt(training, self.ppo, apart=True)
-        self._judge = self.factory.make(self.bodies, settings.eval_envs, self.seeds, auto_reset=False)
+        self._judge = self.factory.make(self.bodies, settings.eval_envs, self._eval_seeds, auto_reset=False)
 
     def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
         device, obs = str(self.env.device), self.env.get_observations()
@@ -109,6 +112,10 @@ class PopulationTraining:
     def num_designs(self) -> int:
         """Designs in training."""
         return len(self.bodies)
+
+    @property
+    def _eval_seeds(self) -> list[int]:
+        return [self.eval_seed] * self.num_designs
 
     @property
     def steps_per_iteration(self) -> int:
@@ -155,7 +162,7 @@ class PopulationTraining:
             return actions_of(means, self.ppo.action_scale)
 
         diverged = torch.zeros(self.num_designs, dtype=torch.bool, device=self.algorithm.device)
-        return evaluate(self._judge, policy, seed=self.seeds).fitness.masked_fill(diverged.cpu(), math.nan)
+        return evaluate(self._judge, policy, seed=self._eval_seeds).fitness.masked_fill(diverged.cpu(), math.nan)
 
     def policy(self, design: int) -> dict[str, torch.Tensor]:
         """The design's policy as the state of a stock actor."""

@@ -65,8 +65,6 @@ class BaseSearch(ABC):
         ConfigError: a shape with hardly more valid bodies than ``max_evaluations``, or a bad shape or seed.
     """
 
-    repeats: ClassVar[bool] = False
-    """Whether a body may be proposed again."""
     takes_start: ClassVar[bool] = True
     """Whether the first generation may contain bodies that :meth:`propose` has not made."""
 
@@ -92,7 +90,7 @@ class BaseSearch(ABC):
             raise ConfigError(
                 f"search.algorithm={self.settings.algorithm} makes all bodies itself: start goes with the others."
             )
-        most = min(self.settings.generation, self.settings.max_evaluations)
+        most = min(self.settings.population, self.settings.max_evaluations)
         if len(bodies) > most:
             raise ConfigError(f"start has {len(bodies)} robots, the first generation {most} designs.")
         for body in bodies:
@@ -111,10 +109,6 @@ class BaseSearch(ABC):
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:  # noqa: B027  (a choice)
         """Update the model with a generation and its fitness; ``bodies`` and ``fitness`` contain it already."""
-
-    def wanted(self, candidate: Candidate, fitness: float) -> bool:
-        """Whether the policy of a candidate that was asked for last is worth keeping."""
-        return True
 
     def claim(self, body: np.ndarray) -> bool:
         """Whether ``body`` was never proposed before; from now on it was."""
@@ -181,7 +175,7 @@ class BaseSearch(ABC):
         if left <= 0:
             return []
         rng = np.random.default_rng([STREAM, self.seed, self.generation])
-        wanted = min(self.settings.generation, left)
+        wanted = min(self.settings.population, left)
         proposals = [] if self.generation else [known for known in self._start if self.claim(known.body)]
         if len(proposals) < wanted:
             proposals += self.propose(rng, wanted - len(proposals))
@@ -230,7 +224,7 @@ class BaseSearch(ABC):
             SearchError: they cannot have been the next generation of this search.
         """
         first, left = len(self.bodies), self.settings.max_evaluations - len(self.bodies)
-        fits = 0 < len(candidates) <= min(left, self.settings.generation)
+        fits = 0 < len(candidates) <= min(left, self.settings.population)
         for place, candidate in enumerate(candidates):
             in_order = candidate.id == first + place and candidate.generation == self.generation
             fits = fits and in_order and candidate.body.shape == self.shape and self.claim(candidate.body)
@@ -249,7 +243,7 @@ class BaseSearch(ABC):
         if len(proposals) > wanted:
             raise SearchError(f"{who} {len(proposals)} bodies where {wanted} were wanted.")
         keys = {body_key(proposal.body) for proposal in proposals}
-        if not self.repeats and (len(keys) < len(proposals) or keys & self._told):
+        if len(keys) < len(proposals) or keys & self._told:
             raise SearchError(f"{who} a body twice: use those for which claim() is true.")
         self._seen |= keys
         for proposal in proposals:

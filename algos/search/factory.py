@@ -18,7 +18,6 @@ SEARCHES = {
     "bo": ("bo", "BayesianSearch"),
     "cppn_neat": ("cppn_neat", "CppnNeatSearch"),
     "map_elites": ("map_elites", "MapElitesSearch"),
-    "evolution": ("evolution", "EvolutionSearch"),
     "custom": ("custom", "make_custom"),
 }
 """Module of this package and class (or function) for each :attr:`SearchSettings.algorithm`."""

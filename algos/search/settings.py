@@ -21,7 +21,6 @@ __all__ = [
     "BoSettings",
     "CppnNeatSettings",
     "CustomSettings",
-    "EvolutionSettings",
     "GaSettings",
     "MapElitesSettings",
     "RandomSettings",
@@ -49,11 +48,6 @@ class SearchSettings:
     def __post_init__(self) -> None:
         _check_types(self)
         check_values(self)
-
-    @property
-    def generation(self) -> int:
-        """Candidates of a generation, at most."""
-        return self.population
 
 
 @dataclass(frozen=True)
@@ -134,25 +128,6 @@ class MapElitesSettings(SearchSettings):
 
 
 @dataclass(frozen=True)
-class EvolutionSettings(SearchSettings):
-    """Evolution of bodies and gaits in one population (age-fitness Pareto optimisation)."""
-
-    algorithm: ClassVar[str] = "evolution"
-
-    population: int = key(32, "candidates that have children: the best of all generations so far", low=2)
-    max_evaluations: int = key(10000, "number of designs to evaluate, those that move otherwise included", low=1)
-    mutation_rate: float = key(0.1, "probability that a mutation changes a voxel", above=0, high=1)
-    children: int = key(128, "candidates of a generation", low=1)
-    same_body: float = key(0.5, "share of the children that have their parent's body and move otherwise", low=0, high=1)
-    newcomers: float = key(0.06, "share of the candidates after the first generation that are random", low=0, high=1)
-
-    @property
-    def generation(self) -> int:
-        """See :class:`SearchSettings`."""
-        return self.children
-
-
-@dataclass(frozen=True)
 class CustomSettings(SearchSettings):
     """A search of your own; see docs/search.md."""
 
@@ -180,7 +155,6 @@ ALGORITHMS: dict[str, type[SearchSettings]] = {
         CppnNeatSettings,
         MapElitesSettings,
         RandomSettings,
-        EvolutionSettings,
         CustomSettings,
     )
 }

@@ -23,7 +23,7 @@ import yaml
 from PIL import Image
 from rich.console import Console
 
-from warpvox.algos.candidate import Candidate, Outcome
+from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.search import settings_from
@@ -32,7 +32,7 @@ from warpvox.cli.cell_text import body_rows
 from warpvox.cli.codesign_progress import Results, SearchProgress
 from warpvox.cli.commands.codesign import _archive, resolve
 from warpvox.cli.config import load
-from warpvox.cli.runs import ADDED, END
+from warpvox.cli.runs import END
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError
@@ -139,10 +139,7 @@ def test_playing_finds_the_fitness_again(search: Callable, warpvox: Callable) ->
     config = folder / "designs" / str(records[0].id) / "config.yaml"
     lines = config.read_text().splitlines(keepends=True)
     assert lines[-1] == END
-    older = [line for line in lines[:-1] if line.split(":")[0].strip() not in {name.split(".")[-1] for name in ADDED}]
-    config.write_text("".join(line for line in older if line != "designs:\n"))  # as the version before wrote it
-    assert warpvox("play", f"run={config.parent}", "num_envs=1", "export=[]", "device=cpu").code == 0
-    config.write_text("".join(older[:-8]))
+    config.write_text("".join(lines[:-8]))
     assert "cut short" in warpvox("play", f"run={config.parent}", "num_envs=1", "export=[]", "device=cpu").err
 
 
@@ -229,28 +226,61 @@ def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
         assert load_design(file).shape == (3, 3)
 
 
-def test_the_time_left_counts_that_finalists_take_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = [0.0]
+@pytest.fixture
+def watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable:
+    """``news(watch, seconds, iteration, steps, first)`` of two designs; returns what the last line says is left."""
+    clock, output = [0.0], io.StringIO()
     monkeypatch.setattr(codesign_progress.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(codesign_progress, "QUIET_SECONDS", 0.0)
     config = load("codesign", ["search.max_evaluations=4"])
-    console = Console(width=120, file=io.StringIO())
     results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), config)
-    with results.archive as archive:
-        watch = SearchProgress(results, 6, console, finalists=2, worth=3.0)
-        for generation in range(3):
-            asked = [Candidate(2 * generation + k, example_design("walker"), generation=generation) for k in (0, 1)]
-            archive.propose(asked, 0)
-            watch.proposed(generation, asked, 2)
-            if generation == 2:  # half of both finalists is done
-                clock[0] = 70.0
-                event = {"iteration": 5, "iterations": 10, "steps": 1, "best": [1.0, 1.0], "training": [True, True]}
-                watch.progress(asked, event)
-                break
-            clock[0] += 20.0
-            archive.finish([Finished(candidate.id, Outcome(1.0)) for candidate in asked])
-            watch.told(generation, fresh=True)
-    left = re.findall(r"left (\S+)", console.file.getvalue())
-    assert left == ["0:01:20", "0:01:00", "0:00:30"]  # 20 s for 2 of 10 designs' worth, 40 s for 4, 70 s for 7
+
+    def watch(finalists: int = 0, costs: tuple[float, float] = (100.0, 1000.0)) -> SearchProgress:
+        return SearchProgress(results, 4 + finalists, Console(width=120, file=output), costs, finalists)
+
+    def news(watch: SearchProgress, seconds: float, asked: list[Candidate], steps: int) -> str:
+        clock[0] += seconds
+        event = {"iteration": 1, "iterations": 10, "steps": steps, "best": [1.0, 1.0], "training": [True, True]}
+        watch.progress(asked, event)
+        return re.findall(r"left (.*)", output.getvalue())[-1]
+
+    with results.archive:
+        yield watch, news, results.archive
+
+
+def pair(generation: int, origin: str = "random") -> list[Candidate]:
+    return [Candidate(2 * generation + k, example_design("walker"), (), origin, generation) for k in (0, 1)]
+
+
+def test_the_time_left_counts_control_steps(watched: Callable) -> None:
+    """Of designs that are stopped early, and of finalists, which begin when the others are done."""
+    make, news, archive = watched
+    watch, said = make(finalists=2), []
+    for generation, reports, ends in ((0, (20, 60), (100, 60)), (1, (20, 60), (100, 60)), (2, (200, 600), (600, 600))):
+        asked = pair(generation, FINALIST if generation == 2 else "random")
+        archive.propose(asked, 0)
+        watch.proposed(generation, asked, 2)
+        said.append([news(watch, 10.0, asked, steps) for steps in reports])
+        archive.finish([Finished(item.id, Outcome(1.0, steps=end)) for item, end in zip(asked, ends, strict=True)])
+        watch.finished(archive.records(generation))
+        watch.told(generation, fresh=True)
+    assert said[0] == ["-", "0:01:25, then 2 finalists"]  # 40 steps in 10 s, 340 of 4 * 100 are left
+    assert said[1][1] == "0:00:30, then 2 finalists"  # 100 steps in 30 s, and 100 of 2 * 80 are left
+    assert said[2] == ["-", "0:00:35"]  # 400 steps in 10 s, and 1400 of 2 * 1000 are left
+
+
+def test_what_was_done_before_an_interrupt_does_not_count_as_fast(watched: Callable) -> None:
+    make, news, archive = watched
+    watch, asked = make(), pair(0)
+    archive.propose(asked, 0)
+    watch.proposed(0, asked, 2)
+    news(watch, 10.0, asked, 20)
+    assert news(watch, 10.0, asked, 40) == "0:03:00"  # 20 of 400 steps in 10 s
+    assert watch.under_way == "; 2 more under way, iteration 1/10 and 40 control steps"
+    again = make()
+    again.proposed(0, asked, 2)
+    assert news(again, 1.0, asked, 60) == "-"
+    assert news(again, 10.0, asked, 80) == "0:02:40"
 
 
 def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None:
@@ -258,7 +288,7 @@ def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None
     console = Console(force_terminal=True, color_system="truecolor", width=120, file=io.StringIO())
     bodies = [example_design("walker"), sample_design((5, 5), 0)]
     results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), config)
-    with results.archive as archive, SearchProgress(results, 4, console) as watch:
+    with results.archive as archive, SearchProgress(results, 4, console, (500.0, 0.0)) as watch:
         asked = [Candidate(k, body) for k, body in enumerate(bodies)]
         archive.propose(asked, 0)
         watch.proposed(0, asked, 2)
@@ -294,17 +324,10 @@ def test_settings_that_an_algorithm_has_by_default_are_in_the_resolved_configura
         assert settings_from(config.search) == settings_from(asked.search)
 
 
-def test_an_archive_with_settings_left_to_their_defaults_is_still_its_own(tmp_path: Path) -> None:
-    """And one that knows of no presets: it holds what they stand for."""
-    before = load("codesign", ["search=paper", "device=cpu"])
-    now = dataclasses.replace(resolve(before), preset="paper")
-    with _archive(tmp_path, now) as archive:
-        assert "preset" not in archive.settings
-        stored = archive.settings
-    stored["search"] |= {"mutation_rate": None, "survivor_rate": None}
-    (tmp_path / FILE).unlink()
-    Archive.create(tmp_path / FILE, stored).close()
-    _archive(tmp_path, now).close()
+def test_an_archive_of_other_settings_is_refused(tmp_path: Path) -> None:
+    config = resolve(load("codesign", ["search=paper", "device=cpu"]))
+    _archive(tmp_path, config).close()
+    _archive(tmp_path, dataclasses.replace(config, preset="paper")).close()  # it names values
     with pytest.raises(RunError, match="another value of 'search'"):
         _archive(tmp_path, resolve(load("codesign", ["search=paper", "search.mutation_rate=0.2", "device=cpu"])))
 

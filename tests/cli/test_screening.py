@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
-import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from warpvox.algos.candidate import FINALIST, GAIT, START
+from warpvox.algos.candidate import FINALIST, START
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.algos.training.bodies import draw_bodies
 from warpvox.cli.commands.codesign import check, environments
@@ -19,6 +19,7 @@ from warpvox.cli.config import load
 from warpvox.cli.evaluations import _common_factory, learns_by_gradients
 from warpvox.cli.start import read_start
 from warpvox.design import load_design, save_design
+from warpvox.envs import registry
 from warpvox.errors import ConfigError
 from warpvox.robots import read_robot
 from warpvox.system import processor_name
@@ -52,10 +53,10 @@ def summary(folder: Path) -> dict:
     return json.loads((folder / "summary.json").read_text(encoding="utf-8"))
 
 
-def played(warpvox: Callable, run: Path | str) -> float:
-    """The return of a design's policy."""
+def played(warpvox: Callable, run: Path | str, episodes: int = 2) -> float:
+    """The mean return of a design's policy."""
     before = set(Path("outputs").glob("play/*/*"))
-    outcome = warpvox("play", f"run={run}", "num_envs=2", "export=[]", "device=cpu")
+    outcome = warpvox("play", f"run={run}", f"num_envs={episodes}", "export=[]", "device=cpu")
     assert outcome.code == 0, outcome.err
     (folder,) = set(Path("outputs").glob("play/*/*")) - before
     return summary(folder)["mean_return"]
@@ -155,46 +156,27 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
     assert warpvox("export", f"run={folder}/designs/0", "format=[jit]").code == 0
 
 
-def test_a_search_whose_bodies_come_back(warpvox: Callable) -> None:
-    words = "search.population=2 search.children=3 search.max_evaluations=12 search.survivor_rate=null".split()
-    settings = "screening.gaits=1 screening.rounds=1 screening.final_gaits=8 screening.final_rounds=1".split()
-    folder = search(warpvox, "search=evolution", "evaluation=gaits", ROUNDS, *words, *settings)
-    records = records_of(folder)
-    searched, finals = records[:12], records[12:]
-    children = [record for record in searched if record.candidate.origin == GAIT]
-    assert children
-    assert all(record.reused is None for record in searched)
-    assert any(record.policy is None for record in searched)  # of those that cannot have children
-    assert all(searched[parent].policy for record in searched for parent in record.candidate.parents)
-    for record in finals:
-        same = [other.id for other in searched if (other.candidate.body == record.candidate.body).all()]
-        assert sorted(record.candidate.parents) == same
-        best = max(searched[parent].fitness for parent in record.candidate.parents)
-        assert record.fitness >= best or searched[record.candidate.parents[0]].policy is None
-    config = yaml.safe_load((folder / "designs" / str(finals[0].id) / "config.yaml").read_text())
-    assert (config["dtype"], config["lanes"]) == ("float32", 8)
-    (folder / "summary.json").unlink()
-    assert warpvox("codesign", f"resume={folder}").code == 0
-    best = max((record for record in searched if record.policy), key=lambda record: record.fitness)
-    assert played(warpvox, folder / "designs" / str(best.id)) == pytest.approx(best.fitness, abs=ROUNDING)
-
-
-def test_a_search_of_a_version_with_fewer_keys_goes_on(warpvox: Callable) -> None:
-    folder = search(
-        warpvox, "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", ROUNDS, "screening.final_rounds=1"
-    )
-    with sqlite3.connect(folder / FILE) as database:
-        (text,) = database.execute("SELECT value FROM experiment WHERE key = 'settings'").fetchone()
-        settings = json.loads(text)
-        for group, name in ("search", "children"), ("search", "newcomers"), ("screening", "final_gaits"):
-            del settings[group][name]
-        database.execute("UPDATE experiment SET value = ? WHERE key = 'settings'", (json.dumps(settings),))
-    outcome = warpvox("codesign", f"resume={folder}")
+@pytest.mark.parametrize(
+    "words",
+    [
+        f"evaluation=gaits screening.gaits=4 screening.rounds=2 screening.final_rounds=1 {ROUNDS}",
+        "evaluation=shared screening.eval_envs=3 training.eval_envs=2",
+    ],
+)
+def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(
+    warpvox: Callable, monkeypatch: pytest.MonkeyPatch, words: str
+) -> None:
+    short = dataclasses.replace(registry.get_task("BidirectionalWalker-v0"), max_episode_steps=50)
+    monkeypatch.setitem(registry._TASKS, short.id, short)
+    outcome = warpvox("codesign", *TINY, "task=BidirectionalWalker-v0", "seed=3", *words.split())
     assert outcome.code == 0, outcome.err
-    settings["screening"]["gaits"] = 9  # which did exist, and was another
-    with sqlite3.connect(folder / FILE) as database:
-        database.execute("UPDATE experiment SET value = ? WHERE key = 'settings'", (json.dumps(settings),))
-    assert "made with another value of 'screening'" in warpvox("codesign", f"resume={folder}").err
+    (folder,) = Path("outputs/codesign/BidirectionalWalker-v0").iterdir()
+    for record in records_of(folder)[1::5]:  # one that is compared, one that is trained
+        run = folder / "designs" / str(record.id)
+        config = yaml.safe_load((run / "config.yaml").read_text())
+        assert config["seed"] == 3
+        again = played(warpvox, run, config["eval_envs"])
+        assert again == pytest.approx(record.fitness, abs=ROUNDING)
 
 
 def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
@@ -316,7 +298,6 @@ def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
         ("pretrained=latest", "evaluation=few_shot and pretrained go together"),
         ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
         ("evaluation=gaits training.inherit=true", "training.inherit does not go with evaluation=gaits"),
-        ("search=evolution search.survivor_rate=null", "search=evolution has children that only move in another way"),
         ("evaluation=gaits pretrained=latest", "evaluation=few_shot and pretrained go together"),
         ("evaluation=shared executor=ray", "one policy that learns in one process"),
         ("evaluation=shared batch=2", "leave batch away"),

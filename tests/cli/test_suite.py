@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import errno
 import os
 import signal
 import subprocess
@@ -29,11 +30,9 @@ from warpvox.cli.costs import steps_of_design
 from warpvox.cli.suite.members import CURVES, MEMBERS
 from warpvox.cli.suite.plan import BENCHMARK10, plan, task_names
 from warpvox.cli.suite.pool import LOG, LocalPool
-from warpvox.configs.schema import CodesignConfig
-from warpvox.configs.suite_keys import OF_RECIPES
 from warpvox.devices import names
 from warpvox.envs.registry import task_ids
-from warpvox.errors import ConfigError, DivergenceError, WarpvoxError
+from warpvox.errors import ConfigError, DivergenceError, StorageError, WarpvoxError
 
 TINY = (
     "tasks=[Walker-v0,Thrower-v0] searches=[ga] seeds=2 shape=[3,3] evaluations=8 search.population=5"
@@ -131,29 +130,6 @@ def test_budgets_by_task() -> None:
     budgets = [int((5_000_000 - spent) // (2 * 10 * steps)) for spent, steps in zip(last, (500, 4 * 400), strict=True)]
     assert [walker.config.search.max_evaluations, catcher.config.search.max_evaluations] == budgets
     assert (walker.config.evaluation, plain.config.evaluation) == ("gaits", "specialist")
-
-
-@pytest.mark.usefixtures("whole_episodes")
-def test_a_search_without_trainings_gets_the_control_steps_of_so_many() -> None:
-    words = ["tasks=[Walker-v0]", "searches=[evolution]", "seeds=[0]", "evaluation=gaits", "finalists=1"]
-    gaits = [
-        "screening.gaits=4",
-        "screening.rounds=2",
-        "screening.final_rounds=3",
-        "screening.final_gaits=5",
-        "screening.final_passes=0",
-    ]
-    (member,) = members(*words, *gaits, "evaluations=24", "search.population=8")
-    training = load("suite", []).training
-    last = 3 * 5 * 500 + steps_of_design(training, 1)
-    whole = 24 * steps_of_design(training, 8)
-    assert member.config.search.max_evaluations == int((whole - last) // (4 * 2 * 500))
-    beams = ["screening.passes=1", "screening.beam=6", "screening.final_passes=2", "screening.final_beam=7"]
-    (member,) = members(*words, *gaits[:-1], *beams, "evaluations=24", "search.population=8")
-    left = whole - last - 2 * 7 * 500
-    assert member.config.search.max_evaluations == int(left // ((4 * 2 + 6) * 500))
-    with pytest.raises(ConfigError, match=r"evaluations must be at least 3 for search=evolution, .* got 1"):
-        members(*words, *gaits, "evaluations=1", "search.population=8")
 
 
 @pytest.mark.parametrize(
@@ -323,20 +299,6 @@ def test_more_members_join_and_none_may_leave(quick: Callable) -> None:
     assert states(folder) == ["done"] * 4
 
 
-def test_a_suite_of_an_earlier_version_goes_on_with_the_recipe_of_its_search(quick: Callable) -> None:
-    assert quick("seeds=1", "tasks=[Walker-v0]", "searches=[auto]").code == 0
-    (folder,) = Path("outputs/suite").iterdir()
-    file, usual = folder / "config.yaml", dataclasses.asdict(CodesignConfig())
-    stored = yaml.safe_load(file.read_text())
-    older = stored | {key: usual[key] for key in OF_RECIPES}
-    file.write_text(yaml.safe_dump(older, explicit_end=True))
-    outcome = quick("resume=latest", "seeds=2")
-    assert outcome.code == 0, outcome.err
-    assert states(folder) == ["done"] * 2
-    configs = [yaml.safe_load((folder / row["folder"] / "config.yaml").read_text()) for row in table(folder)]
-    assert [(one["evaluation"], one["finalists"], one["dtype"]) for one in configs] == [("gaits", 2, "float64")] * 2
-
-
 def test_a_member_that_fails_is_told_and_the_others_go_on(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     calls, errors = [], {"Walker-v0": DivergenceError("it\n diverged"), "Thrower-v0": ValueError("a defect")}
 
@@ -376,6 +338,28 @@ def test_an_interrupt_saves_what_there_is(quick: Callable, monkeypatch: pytest.M
     assert states(folder) == ["done", "waiting", "waiting", "waiting"]
     assert f"resume={folder.absolute()}" in outcome.out
     monkeypatch.undo()
+
+
+def test_a_full_disk_stops_a_suite_which_goes_on_when_there_is_room(
+    quick: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = [StorageError("x.pt cannot be written: no space is left.", OSError(errno.ENOSPC, ""))]
+    failing(monkeypatch, lambda config: full[0] if full and config.task == "Thrower-v0" else None)
+    outcome = quick()
+    (folder,) = Path("outputs/suite").iterdir()
+    assert (outcome.code, outcome.err.strip()) == (2, "warpvox: x.pt cannot be written: no space is left.")
+    assert states(folder) == ["done", "waiting", "waiting", "waiting"]
+    full.clear()
+    assert quick("resume=latest").code == 0
+    assert states(folder) == ["done"] * 4
+
+
+def test_a_member_that_others_end_is_no_failure(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    failing(monkeypatch, lambda config: Terminated() if (config.task, config.seed) == ("Thrower-v0", 0) else None)
+    outcome = quick()
+    (folder,) = Path("outputs/suite").iterdir()
+    assert (outcome.code, "1 of 4 members were asked to end" in outcome.err) == (2, True), outcome.err
+    assert states(folder) == ["done", "done", "waiting", "done"]
 
 
 def test_report_again(quick: Callable) -> None:
@@ -432,6 +416,12 @@ def test_a_process_that_dies_takes_no_other_with_it(pool: LocalPool, tmp_path: P
         time.sleep(0.02)
     pool.stop()
     assert ended(pool, 1)[2]["status"] == "interrupted"
+
+
+def test_a_process_that_is_asked_to_end_while_it_starts_has_not_failed(pool: LocalPool, tmp_path: Path) -> None:
+    pool.begin(0, "work", tmp_path)
+    pool._workers[0].process.terminate()  # as one of a group, before this process knows of it
+    assert ended(pool, 1)[0]["status"] == "interrupted"
 
 
 @pytest.mark.slow

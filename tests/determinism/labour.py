@@ -35,10 +35,7 @@ TIMES = ("steps_per_second", "elapsed")
 FORMATS = {"usd": "pxr", "html": None, "png": "PIL", "strip": "PIL", "gif": "imageio", "mp4": "imageio_ffmpeg"}
 FILES = {"usd": "rollout.usd", "strip": "rollout_strip.png"}
 NEEDS = {"bo": "botorch", "map_elites": "ribs"}
-HASTY = {
-    "bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 40},
-    "evolution": {"children": 6},
-}
+HASTY = {"bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 40}}
 GENERATIONS = 3
 
 

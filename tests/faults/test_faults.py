@@ -31,8 +31,8 @@ from fault_cases import (
 
 from warpvox import system
 from warpvox.algos.checkpoints.files import load_checkpoint
-from warpvox.algos.codesign.archive import BACKUP, FILE
-from warpvox.errors import RolloutError, StorageError
+from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
+from warpvox.errors import RolloutError, RunError, StorageError
 from warpvox.io import writing
 from warpvox.io.writing import MARK, claimed, write_text
 
@@ -211,6 +211,26 @@ def test_a_folder_that_vanishes_is_told_of_and_not_made_anew(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("name", ["designs", "archive.sqlite"])
+def test_what_vanishes_from_a_search_is_told_of(
+    name: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from warpvox.cli.codesign_progress import SearchProgress
+
+    def remove(self: SearchProgress, generation: int, fresh: bool) -> None:
+        place = self.results.folder / name
+        shutil.rmtree(place) if place.is_dir() else place.unlink()
+
+    with monkeypatch.context() as patched:
+        patched.setattr(SearchProgress, "told", remove)
+        check_complaint(warpvox(*CODESIGN), name, "vanished")
+    run = only(tmp_path, "codesign")
+    if name == "designs":
+        assert not (run / name).exists()
+        outcome = warpvox("codesign", f"resume={run}")
+        assert (outcome.code, "the policies of 3 designs are gone from" in outcome.out) == (0, True), outcome.err
+
+
 def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refused(
     copied: Callable, warpvox: Callable
 ) -> None:
@@ -309,6 +329,10 @@ def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(
     (run / f"{FILE}-journal").write_bytes(b"nonsense" * 500)
     for words in (("codesign", "resume=latest"), ("codesign", "report=latest"), ("play", "window=off")):
         check_complaint(warpvox(*words), "damaged", f"{BACKUP} beside it", "copy it over")
+    (run / FILE).unlink()
+    check_complaint(warpvox("codesign", "resume=latest"), f"has no {FILE}", f"{BACKUP} beside it", "copy it over")
+    with pytest.raises(RunError, match=f"{FILE} is gone.*copy it over"):  # a member of a suite would make another one
+        Archive.create(run / FILE, {})
     shutil.copy(run / BACKUP, run / FILE)
     assert warpvox("codesign", f"resume={run}").code == 0
     check_search(run, runs["codesign"])

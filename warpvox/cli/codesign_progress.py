@@ -36,7 +36,6 @@ NAMES = {
     "cppn_neat": "CPPN-NEAT",
     "map_elites": "MAP-Elites",
     "random": "random search",
-    "evolution": "evolution of bodies and gaits",
 }
 
 
@@ -141,18 +140,23 @@ class SearchProgress(Listener):
 
     A context manager. Args:
         total: evaluations that the search may spend, those of finalists included.
+        costs: control steps that a design takes at most, and a finalist.
         finalists: how many of them; they come last.
-        worth: how many other designs take as long as a finalist.
     """
 
-    def __init__(self, results: Results, total: int, console: Console, finalists: int = 0, worth: float = 1.0) -> None:
+    def __init__(
+        self, results: Results, total: int, console: Console, costs: tuple[float, float], finalists: int = 0
+    ) -> None:
         self.results, self.total, self.console = results, total, console
-        self._searched, self._worth = total - finalists, worth
+        self._costs, self._finalists = costs, finalists
         self.archive = results.archive
         self._work: dict[int, _Training] = {}
         self._began = self._printed = time.monotonic()
         self._start = self.archive.trained()
+        self._resumed = self.archive.count() > 0  # until a generation is whole: trainings may go on
         self._spent = 0  # control steps of trainings that have ended since the beginning
+        self._first: tuple[float, int] | None = None  # time and control steps of the first news of a stage
+        self._last = False  # the finalists are being evaluated
         self._generation = 0
         self._progress = Progress(
             TextColumn("{task.description}"),
@@ -178,6 +182,9 @@ class SearchProgress(Listener):
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
         """See :class:`warpvox.algos.codesign.loop.Listener`."""
         self._generation, self._work = generation, {}
+        last = any(candidate.origin == FINALIST for candidate in waiting)
+        self._first = self._first if last == self._last else None
+        self._last = last
         if self._live is None:
             reused = f", {total - len(waiting)} known" if total > len(waiting) else ""
             echo(self.console, f"generation {generation}: {len(waiting)} designs to evaluate{reused}")
@@ -185,9 +192,10 @@ class SearchProgress(Listener):
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
         """See :class:`warpvox.algos.codesign.loop.Listener`."""
-        training = self._work.setdefault(batch[0].id, _Training(len(batch), event["steps"]))
+        training = self._work.setdefault(batch[0].id, _Training(len(batch), event["steps"] if self._resumed else 0))
         training.event = event
         now = time.monotonic()
+        self._first = self._first or (now, self._steps)
         if self._live is None and now - self._printed >= QUIET_SECONDS:
             self._printed = now
             echo(self.console, f"  {self._inside()}  {self._figures()}")
@@ -206,6 +214,7 @@ class SearchProgress(Listener):
         self.results.draw(generation)
         if not fresh:
             return
+        self._resumed = False
         self.results.write("running")
         row = self.archive.generations()[generation]
         echo(
@@ -228,8 +237,21 @@ class SearchProgress(Listener):
     @property
     def steps_per_second(self) -> float:
         """Control steps of training per second since the beginning."""
-        spent = self._spent + sum(training.steps for training in self._work.values())
-        return spent / max(time.monotonic() - self._began, 1e-9)
+        return self._steps / max(time.monotonic() - self._began, 1e-9)
+
+    @property
+    def _steps(self) -> int:
+        """Control steps of training since the beginning."""
+        return self._spent + sum(training.steps for training in self._work.values())
+
+    @property
+    def under_way(self) -> str:
+        """What is being evaluated, for the end of a sentence; empty if nothing is."""
+        if not self._work:
+            return ""
+        designs = sum(training.designs for training in self._work.values())
+        steps = sum(training.event["steps"] for training in self._work.values())
+        return f"; {designs} more under way, {self._iteration()} and {steps:,} control steps"
 
     def _figures(self) -> str:
         return f"{self.steps_per_second:,.0f} steps/s  left {self._left()}"
@@ -240,14 +262,17 @@ class SearchProgress(Listener):
         return f"  {count} diverged" if count else ""
 
     def _left(self) -> str:
-        begun, now, end = (self._work_in(designs) for designs in (self._start, self.done, self.total))
-        if now <= begun:
+        """The time until the search is done, or its finalists begin, which take another time for a control step."""
+        if self._first is None or self._steps <= self._first[1]:
             return "-"
-        return duration((time.monotonic() - self._began) / (now - begun) * max(end - now, 0.0))
-
-    def _work_in(self, designs: float) -> float:
-        """What the first designs take, a finalist as long as several others."""
-        return designs + (self._worth - 1) * max(designs - self._searched, 0)
+        began, before = self._first
+        trained, cost = self.archive.trained(), self._costs[self._last]
+        if trained and not self._last:  # fewer than at most, where episodes end early
+            cost = sum(row["steps"] or 0 for row in self.archive.generations()) / trained
+        designs = self.total - trained - (0 if self._last else self._finalists)
+        steps = cost * designs - sum(training.event["steps"] for training in self._work.values())
+        left = duration((time.monotonic() - began) / (self._steps - before) * max(steps, 0.0))
+        return left if self._last or not self._finalists else f"{left}, then {self._finalists} finalists"
 
     def _inside(self) -> str:
         """The trainings under way in words."""
@@ -256,14 +281,18 @@ class SearchProgress(Listener):
             return "starting"
         going = sum(sum(event["training"]) for event in events)
         best = max((value for event in events for value in event["best"] if math.isfinite(value)), default=math.nan)
-        iteration = "/".join(str(min(event[name] for event in events)) for name in ("iteration", "iterations"))
         lost = sum(
             math.isnan(value) and not training
             for event in events
             for value, training in zip(event["best"], event["training"], strict=True)
         )
         diverged = f", {lost} diverged" if lost else ""
-        return f"iteration {iteration}, {going} in training{diverged}, best of them {figure(best)}"
+        return f"{self._iteration()}, {going} in training{diverged}, best of them {figure(best)}"
+
+    def _iteration(self) -> str:
+        events = [training.event for training in self._work.values()]
+        done, total = (min(event[name] for event in events) for name in ("iteration", "iterations"))
+        return f"iteration {done}/{total}"
 
     def _show(self) -> None:
         if self._live is None:

@@ -92,11 +92,6 @@ def check_evaluation(config: CodesignConfig) -> None:
             "evaluation=few_shot and pretrained go together: pretrained=latest, the folder of a run of `warpvox train"
             " designs=...` or a checkpoint in it."
         )
-    if config.search.algorithm == "evolution" and config.evaluation != "gaits":
-        raise ConfigError(
-            "search=evolution has children that only move in another way than their parent, which evaluation=gaits"
-            f" compares; with {how} take search=ga."
-        )
     if not is_screened(config):
         return
     if training.inherit:
@@ -361,9 +356,9 @@ def values_of_gait(config: CodesignConfig, candidate: Candidate) -> dict[str, An
     from warpvox.algos.policies.registry import MLP
 
     how = config.screening
-    count = how.gaits_of_finalist if candidate.origin == FINALIST else how.gaits
-    lanes = factory_of(config).shared_lanes(count * episodes_of(config.task))
-    return {"policy": MLP, "network": None, "obs": "timed", "lanes": lanes}
+    count, episodes = how.gaits_of_finalist if candidate.origin == FINALIST else how.gaits, episodes_of(config.task)
+    lanes = factory_of(config).shared_lanes(count * episodes)
+    return {"policy": MLP, "network": None, "obs": "timed", "lanes": lanes, "eval_envs": episodes}
 
 
 def episodes_of(task: str) -> int:

@@ -10,13 +10,13 @@ import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from warpvox.algos.codesign.archive import BACKUP, Archive, repair_hint
 from warpvox.algos.codesign.archive import FILE as ARCHIVE
-from warpvox.algos.codesign.archive import Archive
 from warpvox.cli.plain_yaml import LARGEST_CONFIG, parse_yaml
 from warpvox.cli.provenance import provenance
 from warpvox.errors import ConfigError, RunError, StorageError, listing
@@ -26,7 +26,6 @@ from warpvox.robots.entry import Robot, find_robot
 from warpvox.robots.gait import Gait
 
 __all__ = [
-    "ADDED",
     "END",
     "ZOO",
     "Run",
@@ -62,9 +61,6 @@ LONGEST_NAME, LONGEST_BYTES = 100, 150
 """What a name may add to that of a folder: date and a sweep's values need room as well, and 255 bytes are the end."""
 END = "...\n"
 """The last line of a run's configuration, YAML's own mark of an end: what lacks it has been cut short."""
-ADDED = {"policy", "network", "logger", "pretrained"}
-ADDED |= {"designs.bodies", "designs.refresh", "designs.held_out", "designs.grid"}
-"""Keys that the version before had not, which wrote the configurations of designs without such a last line."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +191,9 @@ def find_codesign(text: str, output_dir: str) -> Run:
     if not {"task", "search", "training"} <= content.keys():
         raise RunError(f"{folder} is not a design search: its {CONFIG} is that of another run.")
     if not (folder / ARCHIVE).is_file():
-        raise RunError(f"{folder} has no {ARCHIVE}: the search was stopped before its first design; start it again.")
+        hint = repair_hint(folder / ARCHIVE)
+        why = f".{hint}" if hint else ": the search was stopped before its first design; start it again."
+        raise RunError(f"{folder} has no {ARCHIVE}{why}")
     return Run(folder, content)
 
 
@@ -269,25 +267,9 @@ def _read_config(folder: Path, command: str) -> dict[str, Any]:
         raise RunError(f"{config} cannot be read as YAML ({error}): is {folder} a run?") from None
     if not isinstance(content, dict):
         return {}
-    missing = [] if text.endswith(END) else _missing(content, command)
-    if missing and set(missing) != ADDED:
-        # it would be taken for the default, and the run for another one
-        raise RunError(
-            f"{config} has been cut short: it lacks {listing(missing, 3)} and its last line, {END.strip()}. Restore it"
-            " from a copy; if it is whole, but of an older version, add that line."
-        )
+    if not text.endswith(END):  # missing keys would be taken for the defaults, and the run for another one
+        raise RunError(f"{config} has been cut short: it lacks its last line, {END.strip()}. Restore it from a copy.")
     return content
-
-
-def _missing(content: dict[str, Any], command: str) -> list[str]:
-    """Keys of a command that a configuration lacks, those of another kind of run aside."""
-    from warpvox.cli.help import flat_keys, flat_values
-    from warpvox.configs.schema import COMMANDS
-
-    if not {"tasks", "seeds"} <= content.keys() and not {"task", "seed"} <= content.keys():
-        return []
-    present = flat_values(content)
-    return [name for name, key in flat_keys(COMMANDS[command]) if name not in present and not is_dataclass(key.default)]
 
 
 def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
@@ -305,7 +287,7 @@ def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
 
 def _has_begun(folder: Path, command: str, resume: bool) -> bool:
     if command == CODESIGN:
-        return (folder / ARCHIVE).is_file()
+        return any((folder / name).is_file() for name in (ARCHIVE, BACKUP))
     if resume and (folder / STATE).is_file():
         return True
     return next(folder.glob("model_*.pt"), None) is not None

@@ -22,6 +22,7 @@ from warpvox.system import flush_to_disk, folder_lock
 __all__ = [
     "MARK",
     "OF_DISKS",
+    "OF_FULL_DISKS",
     "atomic_path",
     "check_folder",
     "check_writable",
@@ -51,6 +52,8 @@ ADVICE = {
 """What may be wrong with a disk, and what to do about it."""
 OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of the system that are no defect of ours, wherever they appear: in a log, a cache, a library's own file."""
+OF_FULL_DISKS = {errno.ENOSPC, errno.EDQUOT}
+"""Those that more room cures."""
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
 from warpvox.algos.codesign.archive import APPLICATION, VERSION, Archive, Finished
 from warpvox.algos.codesign.archive_export import COLUMNS, export, read_designs, write_csv, write_parquet
 from warpvox.design import example_design, full_connections, sample_design
-from warpvox.errors import DesignError, RunError
+from warpvox.errors import DesignError, RunError, StorageError
 
 SETTINGS = {"task": "Walker-v0", "search": {"name": "ga"}}
 ENDLESS = "import sys, time; from pathlib import Path; from warpvox.algos.codesign.archive import Archive\n"
@@ -208,7 +208,7 @@ def test_files_that_are_no_archives_are_refused(tmp_path: Path) -> None:
                 way(file)
     with pytest.raises(RunError, match="never overwritten"):
         Archive.create(good, {})
-    with pytest.raises(RunError, match="cannot be written"):
+    with pytest.raises(StorageError, match="cannot be written"):
         Archive.create(tmp_path / "missing" / "a", {})
     Archive.open(good).close()
 

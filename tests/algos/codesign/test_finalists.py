@@ -18,10 +18,7 @@ from warpvox.algos.report.members import read_members
 from warpvox.algos.search import ALGORITHMS, make_search
 
 NEEDS = {"map_elites": "ribs"}
-QUICK = {
-    "bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 10},
-    "evolution": {"children": 3, "same_body": 0.0},
-}
+QUICK = {"bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 10}}
 OURS = [name for name in ALGORITHMS if name != "custom"]
 
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 from population_cases import LIMIT, candidates, factory
 
-from warpvox.algos.candidate import START, candidate_seed
+from warpvox.algos.candidate import START
 from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.gait_actions import actions_of_gaits
 from warpvox.algos.codesign.gait_beam import KEPT, SIBLINGS, _Search
@@ -56,8 +56,7 @@ def test_the_value_of_a_gait_is_the_return_of_its_episode(task: str, dtype: str,
     where = dataclasses.replace(factory(task, dtype), max_episode_steps=limit, lanes=LANES)
     outcomes = evaluator(where, passes=2, episodes=episodes).evaluate(found, {})
     for candidate, outcome in zip(found, outcomes, strict=True):
-        seed = candidate_seed(0, candidate.id)
-        env = where.make([candidate.body], episodes, [seed], auto_reset=False)
+        env = where.make([candidate.body], episodes, [0], auto_reset=False)
         gait = policy_gait(outcome.policy)
         policy = RobotGait(gait.begin, gait.period, **by_cell_order(gait, candidate.body))
         time = itertools.count()
@@ -65,7 +64,7 @@ def test_the_value_of_a_gait_is_the_return_of_its_episode(task: str, dtype: str,
         def act(obs: torch.Tensor, policy=policy, time=time) -> torch.Tensor:
             return torch.as_tensor(policy(np.full((len(obs), 1), float(next(time)))))  # numpy's, as the zoo has it
 
-        played = evaluate(env, act, seed=[seed])
+        played = evaluate(env, act, seed=0)  # which all designs have in common
         assert played.returns.mean().item() == outcome.fitness
         assert len(gait.begin) > 1
         # no step is taken twice, and none after the end of an episode

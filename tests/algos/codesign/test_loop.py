@@ -20,7 +20,7 @@ from warpvox.algos.candidate import Candidate, Outcome, Parent
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.executors import LocalExecutor, batches
 from warpvox.algos.codesign.loop import Listener
-from warpvox.errors import RunError
+from warpvox.errors import RunError, StorageError
 
 PROGRAM = Path(__file__).parents[2] / "helpers" / "codesign_toys.py"
 
@@ -272,7 +272,7 @@ def test_a_full_disk_is_one_clear_error_and_nothing_is_lost(tmp_path: Path, undi
     )
     assert page_size * pages == os.stat(tmp_path / FILE).st_size
     loop.archive._db.execute(f"PRAGMA max_page_count = {pages + 1}")
-    with pytest.raises(RunError, match="cannot be written: database or disk is full"):
+    with pytest.raises(StorageError, match="cannot be written: database or disk is full"):
         loop.run()
     loop.archive.close()
     again = make_loop(tmp_path)

@@ -76,7 +76,7 @@ def test_the_papers_searches_have_its_settings_shape_and_training(
     assert config.training == load("codesign", ["training=paper"]).training
 
 
-@pytest.mark.parametrize("algorithm", [name for name in OURS if name != "evolution"])  # which is not the paper's
+@pytest.mark.parametrize("algorithm", OURS)
 def test_defaults_are_those_of_table_2(algorithm: str) -> None:
     settings = ALGORITHMS[algorithm]()
     assert (settings.population, settings.max_evaluations) == (25, 250)

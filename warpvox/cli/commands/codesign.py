@@ -32,7 +32,6 @@ from warpvox.cli.evaluations import (
     has_common_policy,
     is_screened,
     keep_pretrained,
-    learns_by_gradients,
     read_pretrained,
     resolve_evaluation,
     screened_values,
@@ -69,9 +68,6 @@ OF_DESIGNS = (
     "network",
 )  # fmt: skip
 """Keys that the configuration of a design has from that of its search."""
-
-GRADIENTS = 17.0
-"""Control steps of PPO that take as long as one of tuning by gradients, both with their updates: for the time left."""
 
 
 @dataclass
@@ -153,7 +149,7 @@ def environments(config: CodesignConfig) -> int:
     own = _together(config) * config.training.envs
     if not is_screened(config):
         return own
-    how, most = config.screening, settings_from(config.search).generation
+    how, most = config.screening, config.search.population
     if has_common_policy(config):
         kinds = [(most, how.envs)]
     else:
@@ -230,15 +226,12 @@ def codesign(job: Job, console: Console) -> Path:
             settings = settings_from(config.search)
             search = make_search(settings, tuple(config.shape), config.seed, [robot.body for robot in start])
             total = settings.max_evaluations
-            reuse = config.reuse and not getattr(search, "repeats", False)
-            finalists, worth = 0, 1.0
-            if is_screened(config):
-                finalists = config.finalists
-                cost, last = costs_of(config, get_task(config.task))
-                worth = last / finalists / cost / (GRADIENTS if learns_by_gradients(config) else 1)
-                search, total = Finalists(search, finalists), total + finalists
+            finalists = config.finalists if is_screened(config) else 0
+            cost, last = costs_of(config, get_task(config.task))
+            if finalists:
+                search, total, last = Finalists(search, finalists), total + finalists, last / finalists
             results = Results(folder, archive, written, (pretrained or {}).get(STEPS))
-            watch = SearchProgress(results, total, console, finalists, worth)
+            watch = SearchProgress(results, total, console, (cost, last), finalists)
             loop = Loop(
                 search,
                 executor,
@@ -247,13 +240,16 @@ def codesign(job: Job, console: Console) -> Path:
                 policies=StoredPolicies(folder, config.training.ppo, functools.partial(design_config, written)),
                 checkpoints=folder / "training",
                 batch=config.batch,
-                reuse=reuse,
+                reuse=config.reuse,
                 inherit=config.training.inherit or config.evaluation == "gaits",
                 listener=watch,
             )
             done = f", {archive.trained()} of {total} designs done" if job.folder else ""
             echo(console, f"{results.search} on {config.task}, {_where(config, executor)}{done}")
             echo(console, f"run folder: {shown(folder)}")
+            lost = [record for record in archive.records() if record.policy and not (folder / record.policy).is_file()]
+            if lost:
+                echo(console, f"the policies of {len(lost)} designs are gone from {shown(folder / 'designs')}")
             if job.folder and archive.trained() >= total:
                 echo(
                     console,
@@ -272,7 +268,7 @@ def _search(loop: Any, watch: Any, config: CodesignConfig, console: Console) -> 
         with watch:
             loop.run()
     except KeyboardInterrupt:
-        conclude(console, watch.results.write("interrupted"), watch.results.folder, config)
+        conclude(console, watch.results.write("interrupted"), watch.results.folder, config, watch.under_way)
         raise
     except BaseException:
         # a search that has failed may have failed because nothing can be written; that is the error to report
@@ -302,24 +298,11 @@ def _archive(folder: Path, config: CodesignConfig) -> Archive:
         return Archive.create(path, settings)
     archive = Archive.open(path)
     known = archive.settings
-    known["search"] = _all_settings(known["search"])
-    for name in settings:  # an earlier version had not all keys
-        default = _default(name)
-        value = known.setdefault(name, default)
-        if isinstance(default, dict):
-            known[name] = {key: default[key] for key in settings[name] if key in default} | value
     if known != settings:
         archive.close()
         other = next(name for name in {**settings, **known} if known.get(name) != settings.get(name))
         raise RunError(f"{path} was made with another value of '{other}' than {folder / CONFIG} has.")
     return archive
-
-
-def _default(name: str) -> Any:
-    """The default of a key of ``codesign``, as JSON holds it."""
-    item = CodesignConfig.__dataclass_fields__[name]
-    value = item.default if item.default_factory is dataclasses.MISSING else item.default_factory()
-    return dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value
 
 
 def design_config(config: CodesignConfig, candidate: Candidate, outcome: Outcome) -> str:
@@ -398,7 +381,7 @@ def _batch(config: CodesignConfig, executor: Executor) -> int | None:
         return config.batch
     if config.training.method == "sequential" and not is_screened(config):
         return 1
-    return -(-settings_from(config.search).generation // executor.size) if config.executor == "ray" else None
+    return -(-config.search.population // executor.size) if config.executor == "ray" else None
 
 
 def _where(config: CodesignConfig, executor: Executor) -> str:
@@ -456,12 +439,14 @@ def compare(config: CodesignConfig, texts: list[str], searches: list[Path], cons
     return page.parent
 
 
-def conclude(console: Console, summary: dict[str, Any], folder: Path, config: CodesignConfig) -> None:
+def conclude(
+    console: Console, summary: dict[str, Any], folder: Path, config: CodesignConfig, under_way: str = ""
+) -> None:
     """Say how the search has ended and what one can do next."""
     from warpvox.algos.report import FILE as REPORT
 
     words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[summary["status"]]
-    text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps"
+    text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps{under_way}"
     if summary["best_design"] is not None:
         text += f"; best fitness {summary['best_fitness']:.3f} (design {summary['best_design']})"
     echo(console, text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
 from collections import deque
@@ -25,13 +26,13 @@ from warpvox.cli.console import echo, shell_argument, shown
 from warpvox.cli.evaluations import resolve_evaluation
 from warpvox.cli.runs import STAMP, find_suite, going_on, make_folder
 from warpvox.cli.suite.members import DONE, FAILED, MEMBERS, RUNNING, WAITING, Table
-from warpvox.cli.suite.plan import Member, plan, seeds_of, task_names, upgraded
+from warpvox.cli.suite.plan import Member, plan, seeds_of, task_names
 from warpvox.cli.suite.pool import LocalPool, Pool, RayPool
 from warpvox.cli.suite.progress import SuiteProgress, results
 from warpvox.cli.trust import as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig, SuiteConfig
-from warpvox.errors import ConfigError, RunError, listing
-from warpvox.io.writing import check_writable
+from warpvox.errors import ConfigError, RunError, StorageError, listing
+from warpvox.io.writing import OF_FULL_DISKS, check_writable
 from warpvox.system import available_memory, usable_cores
 
 __all__ = ["Job", "make_member", "run", "suite"]
@@ -40,6 +41,8 @@ GROWING = ("tasks", "searches", "seeds")
 """Keys that may get more entries when a suite is resumed."""
 CHANGEABLE = (*GROWING, "retry", *codesign.CHANGEABLE)
 POLL_SECONDS = 0.5
+FULL = "full"
+"""Status of a member that has ended for lack of room on its disk: when there is some, it goes on."""
 PROCESS_BYTES = 1_000_000_000
 """Of memory that a process should find free: PyTorch, Warp and a small search take half of it."""
 
@@ -92,7 +95,6 @@ def _prepare(config: SuiteConfig, overrides: list[str], config_dir: Path | None)
 
 def _resumed(config: SuiteConfig, overrides: list[str], config_dir: Path | None) -> Job:
     source = find_suite(config.resume, config.output_dir)
-    source = dataclasses.replace(source, config=upgraded(source.config))
     check_writable(source.folder)
     before = load_values("suite", source.config)
     config = load("suite", overrides, config_dir, base=source.config, home=source.folder)
@@ -170,16 +172,16 @@ def _make(table: Table, members: list[Member], config: SuiteConfig, console: Con
     """Make those ``members`` whose rows in the table wait, several at a time.
 
     Raises:
-        KeyboardInterrupt: interrupted; the members have saved their states.
+        KeyboardInterrupt: interrupted; the members have saved their states. StorageError: the disk is full.
     """
     waiting, running = deque(number for number, row in enumerate(table.rows) if row.state == WAITING), {}
     pool, threads = _pool(config, [members[number].config for number in waiting])
     echo(console, f"{pool.size} at a time, each with {threads} thread{'s' * (threads > 1)}")
     try:
         with deferred_interrupts() as interrupt, SuiteProgress(table, console) as progress:
-            stopping = False
-            while running or (waiting and not interrupt):
-                while waiting and len(running) < pool.size and not interrupt:
+            stopping, full = False, ""
+            while running or (waiting and not interrupt and not full):
+                while waiting and len(running) < pool.size and not interrupt and not full:
                     number = waiting.popleft()
                     row = table.rows[number]
                     row.folder.mkdir(parents=True, exist_ok=True)
@@ -188,18 +190,23 @@ def _make(table: Table, members: list[Member], config: SuiteConfig, console: Con
                 for number, outcome in pool.wait(POLL_SECONDS):
                     row = running.pop(number)
                     row.state = {"done": DONE, "failed": FAILED}.get(outcome["status"], WAITING)
-                    row.error = outcome.get("error", "")
+                    row.error = outcome.get("error", "") if row.state == FAILED else ""
+                    full = outcome["error"] if outcome["status"] == FULL else full
                     table.write()
                     table.write_curves()
                     progress.ended(row)
-                if interrupt and not stopping:
-                    echo(console, "interrupted: waiting for the members to save their states")
+                if (interrupt or full) and not stopping:
+                    why = "the disk is full" if full else "interrupted"
+                    echo(console, f"{why}: waiting for the members to save their states")
                     pool.stop()
                     stopping = True
                 progress.refresh()
-            if interrupt:
+            if stopping:
                 _stopped(table, console)
+            if interrupt:
                 interrupt.stop()
+            if full:
+                raise StorageError(full)
     finally:
         pool.close()
 
@@ -222,14 +229,20 @@ def _pool(config: SuiteConfig, members: list[CodesignConfig]) -> tuple[Pool, int
 
 def make_member(config: CodesignConfig, folder: Path) -> dict[str, Any]:
     """Make a design search in ``folder``, or go on with the one that is there; returns how it has ended."""
-    row, console = {"run": folder.name}, Console()
-    try:
+    row, console, full = {"run": folder.name}, Console(), False
+
+    def make() -> Path:
+        nonlocal full
         known = (folder / ARCHIVE).is_file()
-        job = codesign.Job(config, folder) if known else codesign.Job(config, place=folder)
-        sweep.attempt(row, sweep.Member([]), lambda: codesign.codesign(job, console), console)
-    except KeyboardInterrupt:
-        pass
-    return {"status": row["status"], "error": row.get("error", "")}
+        try:
+            return codesign.codesign(codesign.Job(config, folder if known else None, place=folder), console)
+        except OSError as error:
+            full = error.errno in OF_FULL_DISKS
+            raise
+
+    with contextlib.suppress(KeyboardInterrupt):
+        sweep.attempt(row, sweep.Member([]), make, console)
+    return {"status": FULL if full else row["status"], "error": row.get("error", "")}
 
 
 # ---------------------------------------------------------------------------------------------------------- after
@@ -263,7 +276,7 @@ def _stopped(table: Table, console: Console) -> None:
     for row in table.of(RUNNING):
         row.state = WAITING
     table.write()
-    echo(console, f"interrupted, state saved; {len(table.of(DONE))} of {len(table.rows)} members are done")
+    echo(console, f"stopped, state saved; {len(table.of(DONE))} of {len(table.rows)} members are done")
     _advise(table, console)
 
 
@@ -275,11 +288,14 @@ def _conclude(table: Table, console: Console) -> Path:
     """Say how the suite has ended.
 
     Raises:
-        RunError: members have failed.
+        RunError: members have failed, or have been ended from outside.
     """
     console.print(results(table.rows))
     echo(console, f"members: {shown(table.folder / MEMBERS)}")
-    failed = table.of(FAILED)
+    failed, left = table.of(FAILED), table.of(WAITING)
+    if left and not failed:
+        _advise(table, console)
+        raise RunError(f"{len(left)} of {len(table.rows)} members were asked to end (SIGTERM) before they were done.")
     if not failed:
         return table.folder
     _advise(table, console, " retry=true")

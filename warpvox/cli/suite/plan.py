@@ -13,8 +13,8 @@ from typing import Any
 from warpvox.algos.search.settings import ALGORITHMS
 from warpvox.checks import check_integer, check_shape, is_integer
 from warpvox.cli.config import load
-from warpvox.cli.costs import costs_of, steps_of_design
-from warpvox.cli.evaluations import has_common_policy, is_screened
+from warpvox.cli.costs import costs_of
+from warpvox.cli.evaluations import has_common_policy
 from warpvox.cli.help import options_of
 from warpvox.configs.paper import shape_of
 from warpvox.configs.schema import CodesignConfig, SuiteConfig
@@ -23,7 +23,7 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["BENCHMARK10", "Member", "plan", "seeds_of", "task_names", "upgraded"]
+__all__ = ["BENCHMARK10", "Member", "plan", "seeds_of", "task_names"]
 
 BENCHMARK10 = (
     "Walker-v0",
@@ -83,7 +83,7 @@ def plan(config: SuiteConfig, config_dir: Path | None = None) -> list[Member]:
         shape = shape_of(spec.id) if shape is None else list(check_shape("shape", shape))
         values = shared | {"task": task, "shape": shape, "seed": seed} | recipes[search]
         member = CodesignConfig(**values, search=settings)
-        settings = dataclasses.replace(settings, max_evaluations=_evaluations(config, spec, search, member))
+        settings = dataclasses.replace(settings, max_evaluations=_evaluations(config, spec, member))
         members.append(Member(spec.id, search, seed, dataclasses.replace(member, search=settings)))
     return members
 
@@ -149,20 +149,6 @@ def _said(config: SuiteConfig, file: CodesignConfig, key: str) -> Any:
     return usual if value is None else value
 
 
-def upgraded(stored: dict[str, Any]) -> dict[str, Any]:
-    """The configuration of a suite, where an earlier version has stored it without null in keys of recipes.
-
-    There the file of a search held against the suite; what the suite left at its default is left to the files.
-    """
-    if any(stored.get(key) is None for key in OF_RECIPES):
-        return stored
-    usual = dataclasses.asdict(CodesignConfig())
-    how, own = stored["screening"], usual["screening"]
-    changed = {key: None if stored[key] == usual[key] else stored[key] for key in OF_RECIPES}
-    changed["screening"] = {key: None if value == own.get(key) else value for key, value in how.items()}
-    return stored | changed
-
-
 def _given(settings: Any) -> dict[str, Any]:
     """The settings of a suite that are not left to the files of the searches."""
     return {name: value for name, value in vars(settings).items() if value is not None}
@@ -206,25 +192,15 @@ def _of_task(key: str, value: Any, task: TaskSpec) -> Any:
     return value[found]
 
 
-def _evaluations(config: SuiteConfig, task: TaskSpec, search: str, member: CodesignConfig) -> int:
-    """How many designs ``search`` may evaluate on ``task``."""
-    cost, last = costs_of(member, task)
+def _evaluations(config: SuiteConfig, task: TaskSpec, member: CodesignConfig) -> int:
+    """How many designs a member may evaluate on ``task``."""
     if config.control_steps is None:
-        count = check_integer("evaluations", _of_task("evaluations", config.evaluations, task), 1)
-        if member.search.algorithm != "evolution" or not is_screened(member):
-            return count
-        # whose evaluations are no trainings: as many control steps as those of so many trainings
-        each = steps_of_design(member.training, member.search.population)
-        if count * each < cost + last:
-            raise ConfigError(
-                f"evaluations must be at least {math.ceil((cost + last) / each):,} for search={search}, which spends"
-                f" the control steps of so many trainings, and {math.ceil(last):,} of them on finalists; got {count}."
-            )
-        return int((count * each - last) // cost)
+        return check_integer("evaluations", _of_task("evaluations", config.evaluations, task), 1)
     if has_common_policy(member):
         raise ConfigError(
             "control_steps goes with evaluation=specialist or gaits, where a design takes a known number of them."
         )
+    cost, last = costs_of(member, task)
     steps = check_integer("control_steps", _of_task("control_steps", config.control_steps, task), 1)
     if steps < cost + last:
         what = "which a design takes" if not last else "for a design and the finalists"

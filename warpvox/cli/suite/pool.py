@@ -90,9 +90,10 @@ class LocalPool:
         """The error of a member whose process has ended without a result."""
         self._workers.remove(worker)
         worker.process.join()
-        if self._stopping:
-            return {"status": INTERRUPTED}
         code = worker.process.exitcode or 0
+        # a process that is only starting dies of what asks all of a group to end, before it can save anything
+        if self._stopping or code == -signal.SIGTERM:
+            return {"status": INTERRUPTED}
         name = signal.Signals(-code).name if -code in set(signal.Signals) else ""
         how = f"was ended by {name}" if name else f"ended with exit code {code}"
         hint = "; the system does so where memory runs out" if name == "SIGKILL" else f"; see its {LOG}"
