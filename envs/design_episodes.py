@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.checks import check_integer, check_shape, is_number
+from warpvox.checks import check_integer, check_mask, check_shape, is_number
 from warpvox.design import are_valid, as_grid, repair_design, sample_design
 from warpvox.envs.checks import check_fields
 from warpvox.envs.random_stream import RandomStream
@@ -324,9 +324,7 @@ class DesignVecEnv:
             Observations ``[num_envs, num_obs]`` and an empty dictionary.
         """
         whole = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        mask = whole if mask is None else torch.as_tensor(mask, device=self.device)
-        if tuple(mask.shape) != (self.num_envs,) or mask.dtype != torch.bool:
-            raise ConfigError(f"mask must be bool [{self.num_envs}], got {mask.dtype} {list(mask.shape)}.")
+        mask = whole if mask is None else check_mask(mask, whole)
         if seed is not None:
             self.env.reset(seed, mask=mask)
             self._starts.begin(seed, mask.cpu())
@@ -427,7 +425,7 @@ class DesignVecEnv:
             raise ActionError(
                 f"Actions must have the shape {expected} [num_envs, num_actions], got {list(actions.shape)}."
             )
-        actions = torch.where(self.action_mask, actions, AT_REST).to(self.dtype)
+        actions = torch.where(self.action_mask, actions, AT_REST)
         if actions.device.type == "cpu" and not bool(torch.isfinite(actions).all()):
             bad = int((~torch.isfinite(actions)).nonzero()[0, 0])
             raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")

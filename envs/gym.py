@@ -58,17 +58,18 @@ def _register(namespace: str, name: str, task: str | TaskSpec) -> str:
 def spaces_of(env: Any) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
     """The spaces of observations and actions of a single environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv`.
 
-    An entry's bounds are those of its term (:mod:`warpvox.envs.about`), over all designs; what has none, such as
-    places and velocities, may become as large as it likes. Both have the precision of the environment.
+    An entry's bounds are those of the terms (:mod:`warpvox.envs.about`) that it belongs to in some design, or with
+    ``grid`` in any that may be put in; what has none, such as places and velocities, may become as large as it likes.
+    Both have the precision of the environment.
     """
     dtype = np.dtype(str(env.dtype).removeprefix("torch."))
-    bounds = np.zeros((2, env.num_designs, env.num_obs))
-    for design, columns in enumerate(env.obs_columns):
-        for term in env.spec.observations:
-            bounds[:, design, columns[term.name]] = [[term.about.low], [term.about.high]]
-    low, high = bounds[0].min(0).astype(dtype), bounds[1].max(0).astype(dtype)
+    padding = np.arange(env.num_obs) >= env.layout.always  # is 0
+    low, high = np.where(padding, 0.0, np.inf), np.where(padding, 0.0, -np.inf)
+    for term in env.spec.observations:
+        at = env.layout.places[term.name]
+        low[at], high[at] = np.minimum(low[at], term.about.low), np.maximum(high[at], term.about.high)
     actions = gymnasium.spaces.Box(ACTION_LOW, ACTION_HIGH, (env.num_actions,), dtype)
-    return gymnasium.spaces.Box(low, high, dtype=dtype), actions
+    return gymnasium.spaces.Box(low.astype(dtype), high.astype(dtype), dtype=dtype), actions
 
 
 class VoxelEnv(gymnasium.Env):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.checks import check_integer
+from warpvox.checks import check_integer, check_mask
 from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
 from warpvox.envs.bodies import check_grid, load_connections, load_designs, one_body
@@ -30,8 +30,8 @@ from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.terms.elapsed import retimed, timed_observations
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_world
-from warpvox.errors import ConfigError, did_you_mean, known_arguments, listing
-from warpvox.simulation import Simulation
+from warpvox.errors import ConfigError, DesignError, did_you_mean, known_arguments, listing
+from warpvox.simulation import STATE_FIELDS, Simulation
 from warpvox.types import Physics
 
 __all__ = ["VoxelVecEnv", "make_vec", "one_body"]
@@ -161,6 +161,7 @@ class VoxelVecEnv:
             entries are real for a design. Real ones come first, observations are padded with 0.
         obs_columns: per design where each observation term lies, ``{term name: slice}``.
         action_columns: per design where the actions of each robot lie, ``{robot name: slice}``.
+        layout: where observation terms lie (:class:`warpvox.envs.observations.ObservationLayout`).
         voxels: with ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name.
         episodes: length, return, memory of the running episodes (:class:`warpvox.envs.episodes.Episodes`).
         auto_reset: whether environments are reset in the step in which they end; may be changed between steps.
@@ -199,20 +200,20 @@ class VoxelVecEnv:
         self._draws = RandomStream(seed, self.num_envs, sim.device) if spec.memory else None
         if spec.memory:
             check_memory(spec, sim, self._draws)
-            self._start_memory(None)
+            self._start_memory(None, {})
         check_terms(spec, sim, self._snapshot())
         # Rewards compare with the state before a step: find out once which quantities they need.
         before, probe = self._snapshot(), self._snapshot()
         for term in spec.rewards:
             term(before, probe)
         self.episodes.before = {quantity: before.value(quantity).clone() for quantity in before.quantities}
-        self._layout = ObservationLayout(spec.observations, sim, probe)
-        self.num_obs, self.num_actions = self._layout.num_obs, sim.num_actions
+        self.layout = ObservationLayout(spec.observations, sim, probe)
+        self.num_obs, self.num_actions = self.layout.num_obs, sim.num_actions
         self._describe(sim.design_index[::block])  # equal designs share one entry of the simulation
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
         # On the CPU a mask can be read to skip work; elsewhere reading it would wait for the device.
         self._on_cpu = torch.device(sim.device).type == "cpu"
-        self._finite = FiniteGuard(spec, sim, self._layout)
+        self._finite = FiniteGuard(spec, sim, self.layout)
         self.dump: DivergenceDump | None = None
         self._graph: StepGraph | None = None
         if cuda_graph and not self._on_cpu:
@@ -224,9 +225,9 @@ class VoxelVecEnv:
 
     def _describe(self, worlds: torch.Tensor) -> None:
         """Sizes of the designs, from the simulation's world of each."""
-        self.obs_mask = self._layout.mask[worlds]
+        self.obs_mask = self.layout.mask[worlds]
         self.action_mask = self.sim.action_mask[worlds]
-        self.obs_columns = [self._layout.columns[d] for d in worlds.tolist()]
+        self.obs_columns = [self.layout.columns[d] for d in worlds.tolist()]
         action_columns = self.sim.action_columns
         self.action_columns = [action_columns[d] for d in worlds.tolist()]
 
@@ -286,12 +287,13 @@ class VoxelVecEnv:
             dictionary.
 
         Raises:
-            ConfigError: the task has no memory of that name, or not of that shape; no such seed or mask.
+            ConfigError: the task has no memory of that name, or not such numbers; no such seed or mask.
         """
-        mask = None if mask is None else self._check_mask(mask)
+        mask = None if mask is None else check_mask(mask, self.design_index)
         if seed is not None:
             _check_seeds(seed, self._blocks, self.num_envs)
             self.seed = seed if mask is None else self.seed
+        given = self._given(memory)
         self.sim.reset(mask)
         if self._draws is not None:
             if seed is not None:
@@ -301,9 +303,7 @@ class VoxelVecEnv:
             elif not self.episodes.drawn:
                 self._draws.episode.add_(1)
             self.episodes.drawn = False
-            self._start_memory(mask, memory)
-        elif memory:
-            raise ConfigError(f"{self.spec.id} has no episode state: there is no {listing(memory)} to set.")
+            self._start_memory(mask, given)
         self.episodes.clear(mask)
         now = self._snapshot()
         self.episodes.set_before(now)
@@ -331,14 +331,16 @@ class VoxelVecEnv:
             SimulationError: made without ``grid``, or a body that does not fit it. DesignError, WorldError: a body that
                 is not valid or does not fit the world. Nothing has changed then.
         """
-        mask = self._check_mask(mask)
+        mask = check_mask(mask, self.design_index)
+        if designs is None:
+            raise DesignError("set_designs needs a body, or a list of bodies; got None.")
         count, bodies = int(mask.sum()), load_designs(self.spec, designs)
         if len(bodies) not in (1, count):
             raise ConfigError(f"{count} environments need a design each, or one for all; got {len(bodies)}.")
         links = load_connections(connections, len(bodies))
         worlds = [task_world(self.spec, body, links[d]) for d, body in enumerate(bodies)]
         self.sim.set_worlds(worlds if len(worlds) == count else worlds * count, mask)
-        self._layout.refresh()
+        self.layout.refresh()
         self._finite.refresh()
         for term in self.spec.observations:
             if isinstance(term.function, VoxelGrid):
@@ -354,36 +356,37 @@ class VoxelVecEnv:
             self.dump.refresh()
         return self.reset(mask=mask)[0]
 
-    def _check_mask(self, mask: torch.Tensor | np.ndarray) -> torch.Tensor:
-        mask = torch.as_tensor(mask, device=self.device)
-        if tuple(mask.shape) != (self.num_envs,) or mask.dtype != torch.bool:
-            raise ConfigError(f"mask must be bool [{self.num_envs}], got {mask.dtype} {list(mask.shape)}.")
-        return mask
-
-    def _start_memory(self, mask: torch.Tensor | None, given: Mapping[str, Any] | None = None) -> None:
+    def _start_memory(self, mask: torch.Tensor | None, given: Mapping[str, torch.Tensor]) -> None:
         """Set the memory of episodes that begin where ``mask`` (None: everywhere), and move the randomized objects."""
         draws = self._draws.rewind()
-        fresh = {memory.name: memory.begin(draws) for memory in self.spec.memory}
-        for name, values in (given or {}).items():
-            fresh[name] = self._given(name, values, fresh)
+        fresh = {memory.name: memory.begin(draws) for memory in self.spec.memory} | given
         self.episodes.set_memory(fresh, mask)
         if self.spec.randomized:
             self.sim.shift(fresh["offset"], mask)
 
-    def _given(self, name: str, values: Any, drawn: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        """Values for a memory from outside, padded with 0 to the shape of those that would have been drawn."""
-        if name not in drawn:
-            raise ConfigError(
-                f"The episode state of {self.spec.id} is {listing(drawn)}, not {name!r}.{did_you_mean(name, drawn)}"
-            )
-        like = drawn[name]
-        values = torch.as_tensor(values, dtype=like.dtype, device=like.device)
-        shape, most = tuple(values.shape), tuple(like.shape)
-        if len(shape) != len(most) or shape[:1] != most[:1] or any(n > m for n, m in zip(shape, most, strict=True)):
-            raise ConfigError(f"The memory {name!r} must have the shape {list(most)}, got {list(shape)}.")
-        whole = torch.zeros_like(like)
-        whole[tuple(slice(n) for n in shape)] = values
-        return whole
+    def _given(self, memory: Mapping[str, Any] | None) -> dict[str, torch.Tensor]:
+        """Values for memories from outside, padded with 0 to the shapes of those that would be drawn."""
+        drawn, given = self.episodes.memory, {}
+        if not isinstance(memory or {}, Mapping):
+            raise ConfigError(f"memory must be values by name, got {memory!r:.60}.")
+        for name, values in (memory or {}).items():
+            if name not in drawn:
+                hint = did_you_mean(name, drawn)
+                raise ConfigError(f"The episode state of {self.spec.id} is {listing(drawn)}, not {name!r}.{hint}")
+            most = list(drawn[name].shape)
+            try:
+                values = torch.as_tensor(values, dtype=drawn[name].dtype, device=self.device)
+                fits = bool(torch.isfinite(values).all())
+            except Exception:  # `as_tensor` may raise anything for what is no array
+                fits = False
+            if not fits:
+                raise ConfigError(f"The memory {name!r} must be finite numbers {most}, got {values!r:.60}.")
+            shape = list(values.shape)
+            if len(shape) != len(most) or shape[0] != most[0] or any(n > m for n, m in zip(shape, most, strict=True)):
+                raise ConfigError(f"The memory {name!r} must have the shape {most}, got {shape}.")
+            given[name] = torch.zeros_like(drawn[name])
+            given[name][tuple(slice(n) for n in shape)] = values
+        return given
 
     def step(self, actions: torch.Tensor | np.ndarray) -> StepResult:
         """One control step everywhere.
@@ -519,7 +522,7 @@ class VoxelVecEnv:
 
     def observe(self, state: Snapshot) -> torch.Tensor:
         """The observation ``[num_envs, num_obs]`` that a state gives, as it is: also what is not finite."""
-        return self._layout.observe(state)
+        return self.layout.observe(state)
 
     def retimed(self, obs: torch.Tensor) -> torch.Tensor:
         """The last observation ``[num_envs, num_obs]``, with ``obs="timed"`` after episode lengths were assigned."""
@@ -552,7 +555,7 @@ class VoxelVecEnv:
         self.sim.reset(done)
         if self._draws is not None:
             self._draws.episode.add_(done)
-            self._start_memory(done)
+            self._start_memory(done, {})
         self.episodes.clear(done)
         now = self._snapshot()
         self.episodes.set_before(now)
@@ -577,7 +580,7 @@ class VoxelVecEnv:
                 the message names it, and nothing has changed.
         """
         like = self.state()
-        check_fields(state, like | {"sim": dict.fromkeys(like["sim"], torch.Tensor)})
+        check_fields(state, like | {"sim": dict.fromkeys(STATE_FIELDS, torch.Tensor)})
         self.sim.set_state({name: value.to(self.device) for name, value in state["sim"].items()})
         self.episodes.set_memory({name: state["memory"][name].to(self.device) for name in self.episodes.memory})
         if self._draws is not None:

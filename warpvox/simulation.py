@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import os
+import weakref
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -14,6 +16,7 @@ from warpvox.batch.arrays import Buffers, allocate_buffers, put_tables
 from warpvox.batch.objects import CompiledWorlds, Objects
 from warpvox.batch.options import choose_threads, resolve_arithmetic, resolve_layout
 from warpvox.batch.packs import Batch, group
+from warpvox.checks import check_mask
 from warpvox.compile import Body, mesh
 from warpvox.devices.names import resolve_device
 from warpvox.errors import ActionError, SimulationError
@@ -40,13 +43,23 @@ NUMBERS = {
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 _STOPPED, _OVERFLOW = int(UNSTABLE | DIVERGED), int(OVERFLOW)
+_living: weakref.WeakSet[Simulation] = weakref.WeakSet()
+
+
+def _renew_pools() -> None:
+    for sim in list(_living):
+        sim._pool = ThreadPoolExecutor(sim.threads)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew_pools)  # a child has no threads but the one that forked
 
 
 class Simulation(Sensing):
     """Worlds stepped together, one environment each.
 
     Args:
-        worlds: one :class:`World` per environment.
+        worlds: one :class:`World` per environment; they are copied.
         device: 'auto' (CUDA where there is one, from 100 environments per CPU core on), 'cpu', 'cuda', 'cuda:<index>'.
         physics: a preset's name or a :class:`Physics`.
         dtype: precision of the springs and of what is returned: 'float32' or 'float64'. State and contacts are float64
@@ -63,6 +76,9 @@ class Simulation(Sensing):
             threads an environment, with its state on the chip for a whole control step. None: 'group' on CUDA in fast
             arithmetic where a world's state fits into 48 KiB, else 'lanes'. Also an attribute: what is in use. On the
             CPU 'group' is slow, and meant for tests.
+
+    Attributes:
+        world_numbers: long ``[num_envs]``: equal for equal worlds, also in other simulations and processes.
 
     Positions are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step lasts
     ``physics.substeps * physics.dt``, 30 x 1e-4). Tensors that methods return are fresh; they never alias the
@@ -115,6 +131,7 @@ class Simulation(Sensing):
         self._loose = self._objects.loose_points(self.loose)
         self.threads = choose_threads(threads)
         self._pool = ThreadPoolExecutor(self.threads)
+        _living.add(self)
         self._shares: list[Recorded] = []
         self._take: Recorded | None = None
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
@@ -162,6 +179,9 @@ class Simulation(Sensing):
         if actions.device.type == "cpu" and not bool(torch.isfinite(actions).all()):
             bad = int((~torch.isfinite(actions)).nonzero()[0, 0])
             raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
+        if actions.dtype == torch.float64 and self.dtype != torch.float64:
+            most = torch.finfo(self.dtype).max
+            actions = actions.clamp(-most, most)  # beyond it a finite number would become infinite
         self._actions.copy_(actions)
 
     @property
@@ -273,10 +293,7 @@ class Simulation(Sensing):
         self._views["frozen"].view(-1)[self._slot] = self._check_mask(mask).to(torch.int32)
 
     def _check_mask(self, mask) -> torch.Tensor:
-        mask = torch.as_tensor(mask, device=self.device)
-        if tuple(mask.shape) != (self.num_envs,) or mask.dtype != torch.bool:
-            raise SimulationError(f"A mask must be bool [{self.num_envs}], got {mask.dtype} {list(mask.shape)}.")
-        return mask
+        return check_mask(mask, self.design_index, SimulationError)
 
     # ------------------------------------------------------------------ status
 
@@ -380,9 +397,10 @@ class Simulation(Sensing):
     def state(self) -> dict[str, torch.Tensor]:
         """Everything that changes, a row for every environment: what :meth:`set_state` takes back.
 
-        Positions and velocities list the points as observations do, x and y alternately, padded with 0.
+        Positions and velocities list the points as observations do, x and y alternately, padded with 0. ``world`` is a
+        number for the world that an environment has.
         """
-        return self._read(slice(None))
+        return self._read(slice(None)) | {"world": self.world_numbers.clone()}
 
     def _read(self, envs: torch.Tensor | slice) -> dict[str, torch.Tensor]:
         """Rows of :meth:`state`."""
@@ -422,7 +440,7 @@ class Simulation(Sensing):
         depend on which worlds there are.
 
         Raises:
-            SimulationError: fields or shapes that are not this simulation's.
+            SimulationError: fields or shapes that are not this simulation's, or other worlds; nothing has changed then.
         """
         least = 2 * int(self._objects.total.max())
         for name in STATE_FIELDS:
@@ -436,6 +454,9 @@ class Simulation(Sensing):
                     f"The state's {name!r} is not that of this simulation of {self.num_envs} environments: expected"
                     f" {expected}, got {got.removeprefix('torch.')}."
                 )
+        world = state.get("world", self.world_numbers)  # files of earlier versions do not say
+        if not torch.equal(world.to(self.device), self.world_numbers):
+            raise SimulationError("The state is that of other worlds: bodies have been exchanged since.")
         self._write(state, torch.arange(self.num_envs, device=self.device))
 
     def _write(self, state: dict[str, torch.Tensor], envs: torch.Tensor) -> None:
@@ -487,6 +508,8 @@ class Simulation(Sensing):
         self._objects.refresh()
         self.designs.forget()
         self.design_index.copy_(torch.as_tensor(self._batch.index))
+        numbers = np.array([int.from_bytes(key[:8], "little", signed=True) for key in self._batch.keys])
+        self.world_numbers = torch.as_tensor(numbers[self._batch.index], device=self.device)
         for buffer in self.sensing_buffers:  # entries of points that there are no more
             buffer.zero_()
         rows = self._objects.rows

@@ -74,6 +74,7 @@ def test_what_it_is_asked_about_its_environments() -> None:
     assert env.render_mode == "rgb_array"
     assert [picture.shape for picture in env.get_images()] == [(45, 80, 3)] * 3
     assert env.get_attr("num_obs", [0, 2]) == [env.vec.num_obs] * 2
+    assert np.isfinite(env.step(np.full((3, env.vec.num_actions), 1e39))[1]).all()
     assert env.env_is_wrapped(object) == [False] * 3
     assert make().get_images() == [None] * 3
     env.set_attr("nothing", 1)
