@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -14,6 +13,7 @@ import torch
 
 from warpvox.checks import check_integer, check_mask
 from warpvox.design import Design
+from warpvox.devices.names import resolve_device
 from warpvox.devices.out_of_memory import enough_memory, fewer
 from warpvox.envs.bodies import check_grid, load_connections, load_designs, one_body
 from warpvox.envs.checks import check_fields, check_memory, check_terms
@@ -21,7 +21,7 @@ from warpvox.envs.dumps import DivergenceDump, check_guard
 from warpvox.envs.episodes import Episodes
 from warpvox.envs.finite import FiniteGuard, all_finite
 from warpvox.envs.graph import StepGraph, capture_on_cuda
-from warpvox.envs.needs import check_environments
+from warpvox.envs.memory import ask, environment_bytes
 from warpvox.envs.observations import ObservationLayout
 from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
@@ -31,7 +31,7 @@ from warpvox.envs.terms.elapsed import retimed, timed_observations
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, DesignError, did_you_mean, known_arguments, listing
-from warpvox.simulation import STATE_FIELDS, Simulation
+from warpvox.simulation import DTYPES, STATE_FIELDS, Simulation
 from warpvox.types import Physics
 
 __all__ = ["VoxelVecEnv", "make_vec", "one_body"]
@@ -115,28 +115,25 @@ def make_vec(
     if count % len(bodies):
         below = count - count % len(bodies)
         near = f"{below} or {below + len(bodies)}" if below else f"{len(bodies)}"
-        raise ConfigError(
-            f"num_envs must be a multiple of the number of designs ({len(bodies)}), got {count}; try {near}."
-        )
+        what = f"a multiple of the number of designs ({len(bodies)})"
+        raise ConfigError(f"num_envs must be {what}, got {count}; try {near}.")
     _check_seeds(seed, len(bodies), count)
     links = load_connections(connections, len(bodies))
     worlds = [task_world(spec, body, links[d]) for d, body in enumerate(bodies)]
-    make = functools.partial(
-        Simulation,
-        device=device,
-        physics=rules if physics is None else physics,
-        dtype=dtype,
-        arithmetic=arithmetic,
-        lanes=lanes,
-        layout=layout,
-        threads=threads,
-        loose=spec.randomized,
-        grid=check_grid(grid),
-    )
-    if memory_check:
-        check_environments(worlds, count // len(bodies), device, make)
+    options = {
+        "device": resolve_device(device, count),
+        "physics": Physics.preset(physics or rules) if physics is None or isinstance(physics, str) else physics,
+        "dtype": dtype,
+        "arithmetic": arithmetic,
+        "lanes": lanes,
+        "layout": layout,
+        "grid": check_grid(grid),
+    }
+    if memory_check and dtype in DTYPES and (count > 1 or grid is not None):
+        ask(environment_bytes(spec, worlds, count, obs=obs, **options), count, options["device"], step=len(bodies))
     with enough_memory(fewer(count)):
-        sim = make([world for world in worlds for _ in range(count // len(bodies))])
+        worlds = [world for world in worlds for _ in range(count // len(bodies))]
+        sim = Simulation(worlds, threads=threads, loose=spec.randomized, **options)
         env = VoxelVecEnv(
             spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs, cuda_graph=cuda_graph
         )
