@@ -129,7 +129,7 @@ def make_vec(
         "layout": layout,
         "grid": check_grid(grid),
     }
-    if memory_check and dtype in DTYPES and (count > 1 or grid is not None):
+    if memory_check and dtype in list(DTYPES) and (count > 1 or grid is not None):
         ask(environment_bytes(spec, worlds, count, obs=obs, **options), count, options["device"], step=len(bodies))
     with enough_memory(fewer(count)):
         worlds = [world for world in worlds for _ in range(count // len(bodies))]

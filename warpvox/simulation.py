@@ -46,13 +46,8 @@ _STOPPED, _OVERFLOW = int(UNSTABLE | DIVERGED), int(OVERFLOW)
 _living: weakref.WeakSet[Simulation] = weakref.WeakSet()
 
 
-def _renew_pools() -> None:
-    for sim in list(_living):
-        sim._pool = ThreadPoolExecutor(sim.threads)
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_renew_pools)  # a child has no threads but the one that forked
+if hasattr(os, "register_at_fork"):  # a child has no threads but the one that forked
+    os.register_at_fork(after_in_child=lambda: [sim.begin_threads() for sim in list(_living)])
 
 
 class Simulation(Sensing):
@@ -130,7 +125,7 @@ class Simulation(Sensing):
         self.loose = tuple(loose)
         self._loose = self._objects.loose_points(self.loose)
         self.threads = choose_threads(threads)
-        self._pool = ThreadPoolExecutor(self.threads)
+        self.begin_threads()
         _living.add(self)
         self._shares: list[Recorded] = []
         self._take: Recorded | None = None
@@ -210,6 +205,10 @@ class Simulation(Sensing):
         for job in jobs:
             job.result()
         self._centres_are_new = False
+
+    def begin_threads(self) -> None:
+        """Begin the threads that :meth:`run` hands work to; a forked process does so by itself."""
+        self._pool = ThreadPoolExecutor(self.threads)
 
     def _record_shares(self) -> list[Recorded]:
         """On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs."""

@@ -69,6 +69,10 @@ class Policy(nn.Module):
         self.register_buffer("mean", torch.zeros(spec.num_obs))
         self.register_buffer("deviation", torch.ones(spec.num_obs))
 
+    def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
+        """:meth:`forward` of a tensor, :meth:`act` of an array."""
+        return self.act(obs) if isinstance(obs, np.ndarray) else super().__call__(obs, *more)
+
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
         scaled = (obs.to(self.mean.dtype) - self.mean) / self.deviation
