@@ -8,14 +8,15 @@ come on top; :data:`SHARE` leaves room for them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf
+from dataclasses import replace
+from math import inf, prod
 from typing import Any
 
 import numpy as np
 
 from warpvox.batch.arrays import array_sizes
 from warpvox.batch.frames import capacities, is_cut
-from warpvox.batch.options import lanes_for, resolve_arithmetic, resolve_layout
+from warpvox.batch.options import SimOptions, lanes_for
 from warpvox.batch.packs import Batch
 from warpvox.devices.out_of_memory import free_memory
 from warpvox.envs.about import about_of
@@ -25,7 +26,6 @@ from warpvox.envs.voxels import NUM_FEATURES
 from warpvox.errors import MemoryLimitError
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.state import DATA, MODEL, bytes_of
-from warpvox.types import Physics
 from warpvox.world import World
 
 __all__ = ["ask", "environment_bytes", "fitting"]
@@ -38,48 +38,31 @@ SCALARS = 6
 
 
 def environment_bytes(
-    spec: TaskSpec,
-    worlds: Sequence[World],
-    count: int,
-    *,
-    device: str,
-    physics: Physics,
-    dtype: str = "float32",
-    arithmetic: str | None = None,
-    lanes: int | None = None,
-    layout: str | None = None,
-    grid: tuple[int, int] | None = None,
-    obs: str = "task",
-    ppo: Any = None,
+    spec: TaskSpec, worlds: Sequence[World], count: int, sim: SimOptions, *, obs: str = "task", ppo: Any = None
 ) -> float:
     """Bytes of each of ``count`` environments; nothing of their size is made.
 
     Args:
-        worlds: one for each design. In fast arithmetic there is room for all bodies of their common box or of ``grid``.
-        device: resolved.
-        obs: as in :func:`warpvox.make_vec`; the other options are those of :class:`warpvox.Simulation`.
+        worlds: one for each design. In fast arithmetic there is room for all bodies of their common box or of the grid.
+        sim: resolved.
+        obs: as in :func:`warpvox.make_vec`.
         ppo: settings of the learning that goes on besides (``steps``, ``hidden``, ``minibatches``); None: none.
     """
-    arithmetic, robots = resolve_arithmetic(arithmetic, dtype), list(spec.robots)
+    robots, exact = list(spec.robots), sim.arithmetic == "exact"
     bodies = [world.objects[name] for world in worlds for name in robots]
-    exact = arithmetic == "exact"
-    if exact:  # packs hold one design each
-        grid = None
-    elif len(worlds) > 1 and grid is None:
-        grid = max(body.height for body in bodies), max(body.width for body in bodies)
-    if device == "cpu":
-        lanes = lanes or lanes_for(count // len(worlds) if exact else count)
+    box = max(body.height for body in bodies), max(body.width for body in bodies)
+    grid = sim.grid or (box if len(worlds) > 1 and not exact else None)  # exact packs hold one design each
+    count = max(1, count // len(worlds)) if exact else count
+    lanes = sim.lanes or lanes_for(count) if sim.device == "cpu" and sim.layout == "lanes" else sim.lanes
     largest = max(worlds, key=lambda world: sum(np.count_nonzero(world.objects[name].grid) for name in robots))
-    layout = resolve_layout(layout, arithmetic, device, None if device == "cpu" and layout == "group" else lanes)
-    batch = Batch({b"": largest}, [0], physics, arithmetic, device, lanes, spec.randomized, None, layout)
-    cut = any(is_cut(body) for body in bodies)
-    room = {} if grid is None else capacities(batch.frames[0], *grid, cut)
+    one = replace(sim, grid=None, lanes=lanes)
+    batch = Batch({b"": largest}, [0], one, spec.randomized, sim.layout)
+    room = {} if grid is None else capacities(batch.frames[0], *grid, any(is_cut(body) for body in bodies))
     sizes = array_sizes(batch, batch.tables()[0], batch.frame_tables(), room)
-    pack = bytes_of(DATA, sizes, dtype) + (0 if grid is None else bytes_of(MODEL, sizes, dtype))
-    each = pack / min(batch.lanes, max(1, count // len(worlds) if exact else count))
-    cells = np.prod(grid or (max(body.height for body in bodies), max(body.width for body in bodies)))
-    num_obs = _entries(spec, obs, sizes["point"], int(cells))
-    each += sizes["point"] * (3 * LONG + 2) + num_obs * (LONG + 2 * np.dtype(dtype).itemsize)
+    pack = bytes_of(DATA, sizes, sim.dtype) + (0 if grid is None else bytes_of(MODEL, sizes, sim.dtype))
+    num_obs = _entries(spec, obs, sizes["point"], prod(grid or box))
+    each = pack / min(batch.lanes, count) + sizes["point"] * (3 * LONG + 2)
+    each += num_obs * (LONG + 2 * np.dtype(sim.dtype).itemsize)
     return each if ppo is None else each + _learning(num_obs, sizes["action"], ppo)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,13 +10,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from warpvox.batch.options import SimOptions
 from warpvox.checks import check_integer, check_mask
 from warpvox.design import Design
-from warpvox.devices.names import resolve_device
 from warpvox.devices.out_of_memory import enough_memory, fewer
-from warpvox.envs.bodies import check_grid, load_connections, load_designs, one_body
+from warpvox.envs.bodies import load_connections, load_designs, one_body
 from warpvox.envs.checks import check_fields, check_memory, check_terms
-from warpvox.envs.dumps import DivergenceDump, check_guard
+from warpvox.envs.dumps import DivergenceDump
 from warpvox.envs.episodes import Episodes
 from warpvox.envs.finite import FiniteGuard, all_finite
 from warpvox.envs.graph import StepGraph, capture_on_cuda
@@ -30,9 +29,8 @@ from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.terms.elapsed import retimed, timed_observations
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_world
-from warpvox.errors import ConfigError, DesignError, did_you_mean, known_arguments, listing
-from warpvox.simulation import DTYPES, STATE_FIELDS, Simulation
-from warpvox.types import Physics
+from warpvox.errors import ConfigError, DesignError, did_you_mean, listing
+from warpvox.simulation import STATE_FIELDS, Simulation
 
 __all__ = ["VoxelVecEnv", "make_vec", "one_body"]
 
@@ -41,30 +39,20 @@ OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 StepResult = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
 
-@known_arguments
 def make_vec(
     task: str | TaskSpec,
     designs: Sequence[object] | np.ndarray | str | None = None,
     num_envs: int = 1,
-    device: str = "auto",
+    *,
     rules: str = "evogym",
-    dtype: str = "float32",
+    obs: str = "task",
     seed: int | Sequence[int] = 0,
     auto_reset: bool = True,
-    physics: str | Physics | None = None,
-    lanes: int | None = None,
-    threads: int | None = None,
+    body: object = None,
     connections: Sequence[object] | None = None,
     max_episode_steps: int | None = None,
-    obs: str = "task",
-    cuda_graph: bool = False,
-    nan_guard: str = "on",
-    dump_folder: str | os.PathLike[str] = "dumps",
-    body: object = None,
-    arithmetic: str | None = None,
-    memory_check: bool = True,
-    grid: tuple[int, int] | None = None,
-    layout: str | None = None,
+    sim: SimOptions | None = None,
+    **options: Any,
 ) -> VoxelVecEnv:
     """Make ``num_envs`` environments of a task, ready to be stepped.
 
@@ -74,39 +62,28 @@ def make_vec(
             Environments come in equal blocks, design by design. Default: the example design ``walker``. Where a
             task has several robots, a design is a mapping ``{name: body}``; a single body is meant for all of them.
         num_envs: a multiple of the number of designs.
-        device: ``auto`` (CUDA where there is one, from 100 environments per CPU core on), ``cpu``, ``cuda[:<index>]``.
-        rules: ``evogym`` (as released) or ``paper`` (section B as printed).
-        dtype: ``float32`` or ``float64``, of the simulation, observations and rewards.
+        rules: ``evogym`` (as released) or ``paper`` (section B as printed); the physics follow unless told otherwise.
+        obs: ``task`` (what the task observes) or ``voxel`` (every cell of the body, then the rest of what the task
+            observes; see :mod:`warpvox.envs.voxels`); ``timed`` and ``timed_voxel``: the same, then the control steps
+            since the episode began.
         seed: of all random numbers of a task (there are none in the deterministic ones). The numbers of environment k
             do not depend on the other environments. Or one seed for each design, whose environments then draw as if
             they were alone; or one for each environment.
         auto_reset: reset environments in the step in which they end; otherwise they stay as they ended.
-        physics: preset or constants; default: the preset named as the rules.
-        lanes, threads, layout: see :class:`warpvox.Simulation`.
-        connections: for each design EvoGym's ``[2, k]`` index pairs, or None to connect all neighbours.
-        max_episode_steps: another time limit than the task's.
-        obs: ``task`` (what the task observes) or ``voxel`` (every cell of the body, then the rest of what the task
-            observes; see :mod:`warpvox.envs.voxels`); ``timed`` and ``timed_voxel``: the same, then the control steps
-            since the episode began.
-        cuda_graph: on CUDA launch a whole control step, from the physics to rewards and resets, as one graph (see
-            :mod:`warpvox.envs.graph`). Means nothing on the CPU.
-        nan_guard: ``on``: a simulation that diverges is ended and reset, which costs nothing and cannot be switched
-            off; ``dump``: its last 64 control steps are written to a rollout file besides (see
-            :class:`warpvox.envs.dumps.DivergenceDump`), which ``warpvox play rollout=FILE`` shows.
-        dump_folder: where these files go, 10 at most; made when there is one.
         body: one body for all environments, as in ``gymnasium.make``: short for ``designs=[body]``. ``connections`` are
             then its own.
-        arithmetic: ``fast`` or ``exact``, as for :class:`warpvox.Simulation`; None: what suits ``dtype``.
-        grid: rows and columns up to which :meth:`VoxelVecEnv.set_designs` may bring other bodies. Observations and
-            actions have room for the largest of them. Needs fast arithmetic.
-        memory_check: refuse at once what does not fit into the memory that is free.
+        connections: for each design EvoGym's ``[2, k]`` index pairs, or None to connect all neighbours.
+        max_episode_steps: another time limit than the task's.
+        sim: how they are computed; its fields may also be given by name: ``device="cpu"``.
+        options: fields of :class:`warpvox.SimOptions`: ``device``, ``dtype``, ``arithmetic``, ``physics``, ...
 
     Raises:
         TaskError: unknown task. DesignError: a body that is not valid. WorldError: a body that does not fit.
         ConfigError: a count or name out of range, an unknown argument, or both ``body`` and ``designs``.
-        DeviceError: no such device. MemoryLimitError: more environments than fit.
+        SimulationError, DeviceError: an option that cannot be. MemoryLimitError: more environments than fit.
     """
-    spec, guard = get_task(task).under(rules), check_guard(nan_guard)
+    sim = SimOptions.of(sim, options, make_vec)
+    spec = get_task(task).under(rules)
     if max_episode_steps is not None:
         spec = replace(spec, max_episode_steps=check_integer("max_episode_steps", max_episode_steps, 1))
     designs, connections = one_body(body, designs, connections)
@@ -120,26 +97,13 @@ def make_vec(
     _check_seeds(seed, len(bodies), count)
     links = load_connections(connections, len(bodies))
     worlds = [task_world(spec, body, links[d]) for d, body in enumerate(bodies)]
-    options = {
-        "device": resolve_device(device, count),
-        "physics": Physics.preset(physics or rules) if physics is None or isinstance(physics, str) else physics,
-        "dtype": dtype,
-        "arithmetic": arithmetic,
-        "lanes": lanes,
-        "layout": layout,
-        "grid": check_grid(grid),
-    }
-    if memory_check and dtype in list(DTYPES) and (count > 1 or grid is not None):
-        ask(environment_bytes(spec, worlds, count, obs=obs, **options), count, options["device"], step=len(bodies))
+    sim = sim.resolved(count, rules)
+    if sim.memory_check and (count > 1 or sim.grid is not None):
+        ask(environment_bytes(spec, worlds, count, sim, obs=obs), count, sim.device, step=len(bodies))
     with enough_memory(fewer(count)):
         worlds = [world for world in worlds for _ in range(count // len(bodies))]
-        sim = Simulation(worlds, threads=threads, loose=spec.randomized, **options)
-        env = VoxelVecEnv(
-            spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs, cuda_graph=cuda_graph
-        )
-    if guard == "dump":
-        env.dump = DivergenceDump(env, dump_folder)
-    return env
+        made = Simulation(worlds, sim, loose=spec.randomized)
+        return VoxelVecEnv(spec, bodies, made, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs)
 
 
 class VoxelVecEnv:
@@ -175,7 +139,6 @@ class VoxelVecEnv:
         seed: int | Sequence[int] = 0,
         auto_reset: bool = True,
         obs: str = "task",
-        cuda_graph: bool = False,
     ) -> None:
         if not isinstance(obs, str) or obs not in OBSERVATIONS:
             hint = did_you_mean(obs, OBSERVATIONS)
@@ -213,7 +176,7 @@ class VoxelVecEnv:
         self._finite = FiniteGuard(spec, sim, self.layout)
         self.dump: DivergenceDump | None = None
         self._graph: StepGraph | None = None
-        if cuda_graph and not self._on_cpu:
+        if not self._on_cpu and sim.options.cuda_graph:
             self._graph = StepGraph(self._whole_step, capture_on_cuda(sim.device))
 
     def _snapshot(self, values: Mapping[Quantity, torch.Tensor] | None = None) -> Snapshot:

@@ -20,7 +20,7 @@ from torch.func import functional_call
 from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.layout import CLOCK, VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
-from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.sources import is_code
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError

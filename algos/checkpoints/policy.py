@@ -25,7 +25,7 @@ from warpvox.algos.checkpoints.files import (
     spec_of,
     with_code,
 )
-from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
 from warpvox.errors import RunError
 from warpvox.io.reading import Unreadable, parse_json

@@ -14,9 +14,9 @@ import pytest
 import torch
 
 from warpvox.envs.about import about
-from warpvox.envs.gym import register_task
+from warpvox.envs.adapters.gym import register_task
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.registry import get_task
-from warpvox.envs.rsl_rl import RslRlVecEnv
 from warpvox.envs.spec import Memory, TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.observations import velocity
 from warpvox.envs.terms.rewards import displacement

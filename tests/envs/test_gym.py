@@ -16,7 +16,7 @@ from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 
 from warpvox.design import example_design
-from warpvox.envs.gym import VoxelEnv, register, register_task
+from warpvox.envs.adapters.gym import VoxelEnv, register, register_task
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import ActionError, ConfigError, DesignError, DisplayError, WorldError
 

@@ -18,7 +18,7 @@ from gymnasium.wrappers.vector import (
 )
 
 from warpvox.design import example_design, sample_design
-from warpvox.envs.gym_vector import VoxelGymVectorEnv
+from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv
 from warpvox.envs.registry import task_ids
 from warpvox.errors import ConfigError, SimulationError
 

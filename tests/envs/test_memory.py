@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import warpvox as wv
+from warpvox.batch.options import SimOptions
 from warpvox.design import sample_design
 from warpvox.envs import memory
 from warpvox.envs.memory import environment_bytes
@@ -18,7 +19,6 @@ from warpvox.envs.vec_env import make_vec
 from warpvox.envs.worlds import task_world
 from warpvox.errors import DeviceError, MemoryLimitError
 from warpvox.simulation import Simulation
-from warpvox.types import Physics
 
 BODIES = [sample_design((5, 5), seed=seed) for seed in range(4)]
 GIB = 2**30
@@ -45,7 +45,7 @@ def test_the_estimate_is_what_the_arrays_take_and_a_little_more(
     env = make_vec(task, bodies, count, device="cpu", threads=1, **options)
     taken = sum(array.capacity for array in env.sim.buffers.arrays.values())
     worlds = [task_world(get_task(task), wv.load_design(body)) for body in bodies]
-    each = environment_bytes(get_task(task), worlds, count, device="cpu", physics=Physics.preset("evogym"), **options)
+    each = environment_bytes(get_task(task), worlds, count, SimOptions("cpu", **options).resolved(count))
     mixed = env.sim.arithmetic == "fast" and len(bodies) > 1  # room for all that their common grid may hold
     assert 0.95 < each * count / taken < (2 if mixed else 1.3)
 
@@ -90,10 +90,8 @@ def test_learning_counts_what_it_keeps() -> None:
     spec = get_task("Walker-v0")
     worlds, ppo = [task_world(spec, np.full((5, 5), 3))], lambda: None
     ppo.steps, ppo.hidden, ppo.minibatches = 64, [64, 64], 4
-    plain, learning = (
-        environment_bytes(spec, worlds, 512, device="cpu", physics=Physics.preset("evogym"), ppo=what)
-        for what in (None, ppo)
-    )
+    sim = SimOptions("cpu").resolved(512)
+    plain, learning = (environment_bytes(spec, worlds, 512, sim, ppo=what) for what in (None, ppo))
     env = make_vec(spec, [np.full((5, 5), 3)], 1, device="cpu", threads=1)
     rollout = torch.zeros(ppo.steps, env.num_obs + 3 * env.num_actions).nbytes
     assert rollout < learning - plain < 3 * rollout

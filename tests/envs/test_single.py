@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from warpvox.design import example_design
-from warpvox.envs.gym import VoxelEnv
+from warpvox.envs.adapters.gym import VoxelEnv
+from warpvox.envs.adapters.single import Number, Row
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.envs.single import Number, Row
 from warpvox.envs.spec import rewards
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ActionError
@@ -41,10 +41,10 @@ def test_every_task_is_stepped_fast_with_the_numbers_of_torch(task: str, rules: 
             assert (reward, terminated) == (float(their_reward), bool(their_end))
             assert info["reward_terms"] == {name: part.item() for name, part in their_info["reward_terms"].items()}
             assert (info["unstable"], info["diverged"]) == (bool(their_info["unstable"]), bool(their_info["diverged"]))
-    ours, theirs = env._vec.state(), slow.state()
+    ours, theirs = env.vec.state(), slow.state()
     assert all(torch.equal(ours[name], theirs[name]) for name in ("length", "return", "terminated", "truncated"))
-    assert env._vec.memory.keys() == slow.memory.keys()
-    assert all(torch.equal(value, slow.memory[name]) for name, value in env._vec.memory.items())
+    assert env.vec.memory.keys() == slow.memory.keys()
+    assert all(torch.equal(value, slow.memory[name]) for name, value in env.vec.memory.items())
 
 
 def test_it_is_stepped_fast_in_float32_too() -> None:

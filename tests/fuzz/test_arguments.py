@@ -18,7 +18,7 @@ from warpvox.cli.config import load, load_values
 from warpvox.cli.help import flat_keys
 from warpvox.configs.schema import COMMANDS
 from warpvox.design import check_design, load_design, sample_design
-from warpvox.envs.gym import VoxelEnv
+from warpvox.envs.adapters.gym import VoxelEnv
 from warpvox.envs.registry import get_task
 from warpvox.errors import ConfigError, DesignError, DeviceError, SimulationError, TaskError, WorldError
 from warpvox.evogym.simulator_cpp import Sim

@@ -216,7 +216,7 @@ def test_the_command_lists_evaluates_and_plays_them(warpvox: Callable, tmp_path:
 
 def test_a_model_that_stable_baselines_has_saved_acts_as_there() -> None:
     sb3 = pytest.importorskip("stable_baselines3")
-    from warpvox.envs.sb3 import VoxelSB3VecEnv
+    from warpvox.envs.adapters.sb3 import VoxelSB3VecEnv
 
     env = VoxelSB3VecEnv("Walker-v0", 1, BODY, normalize_actions=False)
     model = sb3.PPO("MlpPolicy", env, n_steps=8, batch_size=4, device="cpu")

@@ -13,8 +13,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from warpvox.envs.gym import VoxelEnv
-from warpvox.envs.gym_vector import VoxelGymVectorEnv
+from warpvox.envs.adapters.gym import VoxelEnv
+from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ActionError, ConfigError, RolloutError
 from warpvox.types import Physics

@@ -8,11 +8,10 @@ from dataclasses import InitVar, dataclass, field
 import numpy as np
 
 from warpvox.batch.frames import Frame, capacities, frame_key, is_cut, join
-from warpvox.batch.options import choose_lanes
+from warpvox.batch.options import SimOptions, choose_lanes
 from warpvox.compile import compile_world, exact_tables, pad, world_arrays
 from warpvox.contact_order import no_order
 from warpvox.errors import SimulationError
-from warpvox.types import Physics
 from warpvox.world import World
 
 __all__ = ["Batch", "group"]
@@ -44,11 +43,9 @@ class Batch:
 
     Args:
         different: the worlds, by their keys. index: the number of each environment's world.
-        arithmetic: packs of ``exact`` hold one world each; those of ``fast`` any worlds of one frame (see
+        options: resolved. In ``exact`` arithmetic packs hold one world each; in ``fast`` any worlds of one frame (see
             :mod:`warpvox.batch.frames`).
-        wanted_lanes: see :class:`warpvox.Simulation`.
         layout: 'lanes', or 'group', whose packs have one lane each.
-        grid: rows and columns up to which bodies may be exchanged later, or None.
 
     Attributes:
         worlds, keys: the different worlds, and what :meth:`World.key` gives of each.
@@ -60,21 +57,17 @@ class Batch:
 
     different: InitVar[Mapping[bytes, World]]
     index: list[int]
-    physics: Physics
-    arithmetic: str
-    device: str
-    wanted_lanes: int | None = None
+    options: SimOptions
     loose: tuple[str, ...] = ()
-    grid: tuple[int, int] | None = None
     layout: str = "lanes"
     pack_group: list[int] = field(default_factory=list)
 
     def __post_init__(self, different: Mapping[bytes, World]) -> None:
         self.worlds, self.keys = list(different.values()), list(different)
         worlds = self.worlds
+        self.physics, self.arithmetic, self.device = self.options.physics, self.options.arithmetic, self.options.device
+        self.grid = self.options.grid
         self.actuators = [_actuators(world) for world in worlds]
-        if self.grid is not None and self.arithmetic == "exact":
-            raise SimulationError("Packs of exact arithmetic hold one world each: grid needs arithmetic='fast'.")
         if self.arithmetic == "exact":
             self.group_of = list(range(len(worlds)))
         else:
@@ -82,7 +75,7 @@ class Batch:
             self.group_of = [keys.setdefault(frame_key(world), len(keys)) for world in worlds]
         self._compile()
         groups = np.asarray(self.group_of)[np.asarray(self.index)]
-        self.lanes = 1 if self.layout == "group" else choose_lanes(groups, self.wanted_lanes, self.device)
+        self.lanes = 1 if self.layout == "group" else choose_lanes(groups, self.options.lanes, self.device)
         self.env_pack, self.env_lane = (np.zeros(len(self.index), np.int32) for _ in range(2))
         lane_world = []
         for number in range(max(self.group_of) + 1):

@@ -132,7 +132,7 @@ def _limits(report: Report, group: Group) -> list[dict[str, int]]:
 def run(config: Any, report: Report) -> dict[str, Any]:
     """Limits by compute capability, instructions by stage, predicted speeds."""
     env = make_vec(config.task, [one_body(config)], 1, device="cpu", dtype="float32", threads=1)
-    sim = Simulation([env.sim.worlds[0]] * ENVS, "cpu", env.sim.physics, threads=1, loose=env.sim.loose, layout="group")
+    sim = Simulation([env.sim.worlds[0]] * ENVS, env.sim.options, loose=env.sim.loose, layout="group")
     with report.status("compiling for CUDA, counting"):
         found = instructions(sim, config.steps, config.seed)
         group = choose(sim.buffers.sizes["point"], sim.buffers.sizes["spring"], "float32", "cuda:0")

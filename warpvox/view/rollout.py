@@ -259,7 +259,7 @@ def record(
 
     if not hasattr(env, "sim") or not hasattr(env, "max_episode_steps"):
         inner = getattr(env, "unwrapped", env)
-        hint = " Here it is env.unwrapped.vec." if hasattr(inner, "vec") else ""
+        hint = " Here it is env.unwrapped.vec." if hasattr(inner, "vec") and hasattr(inner, "num_envs") else ""
         raise ConfigError(f"record needs what warpvox.make_vec makes, got {type(env).__name__}.{hint}")
     if num_steps is not None:
         check_integer("num_steps (or None)", num_steps, 1)

@@ -27,7 +27,7 @@ from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, DivergenceError, RunError
 
 pytestmark = pytest.mark.usefixtures("one_thread", "narrow_packs")
-FACTORY = dataclasses.replace(factory(), obs="voxel", grid=(3, 3))
+FACTORY = dataclasses.replace(factory(), obs="voxel").computed(grid=(3, 3))
 
 
 class Killed(Exception):

@@ -176,21 +176,21 @@ def environments(config: CodesignConfig) -> int:
 
 def _ask_for_memory(config: CodesignConfig) -> None:
     """Raise MemoryLimitError, with what fits, where a search would take too much with bodies that fill their grid."""
-    from warpvox.cli.build import physics_of
-    from warpvox.devices.names import resolve_device
+    from warpvox.cli.build import sim_of
     from warpvox.envs.memory import ask, environment_bytes, fitting
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
 
-    spec, device = get_task(config.task).under(config.rules), resolve_device(config.device, environments(config))
+    spec = get_task(config.task).under(config.rules)
+    sim = dataclasses.replace(sim_of(config), grid=None if config.dtype == "float64" else tuple(config.shape))
+    sim = sim.resolved(environments(config))
     worlds = [task_world(spec, np.full(config.shape, Cell.H_ACT, np.int8))]
-    options = {"device": device, "dtype": config.dtype, "arithmetic": config.arithmetic, "physics": physics_of(config)}
     for designs, envs, key, value, obs, ppo in _batches(config):
-        each = environment_bytes(spec, worlds, designs * envs, grid=tuple(config.shape), obs=obs, ppo=ppo, **options)
-        if fitting(each * envs, device) < 1 or designs == 1:
-            ask(each * designs * envs / value, value, device, key, f"({key}) for each of {designs} designs")
+        each = environment_bytes(spec, worlds, designs * envs, sim, obs=obs, ppo=ppo)
+        if fitting(each * envs, sim.device) < 1 or designs == 1:
+            ask(each * designs * envs / value, value, sim.device, key, f"({key}) for each of {designs} designs")
         batch = "search.population" if key == "screening.envs" else "batch"
-        ask(each * envs, designs, device, batch, f"designs of {envs:,} environments each")
+        ask(each * envs, designs, sim.device, batch, f"designs of {envs:,} environments each")
 
 
 def resolve(config: CodesignConfig, folder: Path | None = None) -> CodesignConfig:

@@ -173,16 +173,15 @@ def _ask_for_memory(config: TrainConfig, designs: Sequence[Any], grid: tuple[int
         designs: one for each block of environments; of many bodies one for each environment.
         grid: of many bodies, whose number does not restrict that of environments.
     """
-    from warpvox.cli.build import physics_of
+    from warpvox.cli.build import sim_of
     from warpvox.envs.memory import ask, environment_bytes
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
 
     spec = get_task(config.task).under(config.rules)
     worlds = [task_world(spec, design) for design in (designs if grid is None else designs[:1])]
-    options = {"device": config.device, "dtype": config.dtype, "arithmetic": config.arithmetic, "lanes": config.lanes}
-    options |= {"physics": physics_of(config), "obs": config.obs, "grid": grid, "ppo": config.ppo}
-    each = environment_bytes(spec, worlds, config.num_envs, **options)
+    sim = dataclasses.replace(sim_of(config), grid=grid).resolved(config.num_envs)
+    each = environment_bytes(spec, worlds, config.num_envs, sim, obs=config.obs, ppo=config.ppo)
     ask(each, config.num_envs, config.device, step=len(worlds))
 
 
@@ -200,6 +199,7 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         from warpvox.algos.training.runner import Runner, Schedule, adapt
         from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes, voxels_of
         from warpvox.cli.designs import HeldOut, bodies_of, grid_of, held_out_of, is_many, trained_on
+        from warpvox.envs.dumps import DivergenceDump
 
         group = join_process_group(job.config.device)
         console.quiet = console.quiet or not group.is_main_process
@@ -214,10 +214,9 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
     preparing = console.status("preparing the simulation (the first time on a machine its kernels are compiled)")
     with preparing, enough_memory(advice):
         schedule = Schedule(config.max_iterations, config.save_interval, config.eval_interval, config.stop_return)
-        seed, guard = group.seed(config.seed), config.nan_guard
         room = {"designs": designs, "grid": grid_of(config)} if many else {}
         ascends = getattr(config, "method", "ppo") == "gradients"  # a demo has no such key
-        options = {"auto_reset": True, "seed": seed, "nan_guard": guard, "cuda_graph": config.cuda_graph} | room
+        options = {"auto_reset": True, "seed": group.seed(config.seed), "cuda_graph": config.cuda_graph} | room
         if ascends:
             options["layout"] = "lanes"
         env = adapt(make_env(config, config.num_envs, **options), config.ppo)
@@ -245,8 +244,9 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         runner.folder = folder
         if many and group.is_main_process:
             judge.folder = folder
-        if env.env.dump is not None:
-            env.env.dump.folder = folder / ("dumps" if group.is_main_process else f"dumps_{group.rank}")
+        if config.nan_guard == "dump":
+            dumps = "dumps" if group.is_main_process else f"dumps_{group.rank}"
+            env.env.dump = DivergenceDump(env.env, folder / dumps)
         _announce(console, as_stored(config, job.stored), runner, folder)
         if group.is_main_process:
             keep_code(config, folder, console)
