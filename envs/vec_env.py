@@ -29,8 +29,8 @@ from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.terms.elapsed import retimed, timed_observations
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_world
-from warpvox.errors import ConfigError, DesignError, did_you_mean, listing
-from warpvox.simulation import STATE_FIELDS, Simulation
+from warpvox.errors import ConfigError, DesignError, SimulationError, did_you_mean, listing
+from warpvox.simulation import Simulation
 
 __all__ = ["VoxelVecEnv", "make_vec", "one_body"]
 
@@ -397,22 +397,11 @@ class VoxelVecEnv:
         episodes = self.episodes
         going = None if self.auto_reset else ~(episodes.terminated | episodes.truncated)
         obs, after, memory_values, unstable, terms, terminated = self._advance(going)
-        diverged = self.sim.diverged & unstable
-        idle = diverged if going is None else diverged | ~going
-        reward = sum(terms.values())
-        if not (self._on_cpu and all_finite(obs, reward) and not idle.any()):
-            obs, odd = self._finite.step(obs, terms, ~idle, self._on_cpu)
-            diverged, unstable, terminated = diverged | odd, unstable | odd, terminated | odd
-            terms["unstable"] = unstable.double() * self.spec.unstable_penalty
-            # the state before the step may be non-finite: no reward follows from it
-            for term in self.spec.rewards:
-                terms[term.name] = terms[term.name].masked_fill(idle | odd, 0.0)
-            reward = sum(terms.values())
-        episodes.returns.add_(reward)
-        truncated = episodes.length >= episodes.limit
+        obs, reward, unstable, diverged = self._sound(obs, terms, unstable, going)
+        terminated, truncated = terminated | unstable, episodes.length >= episodes.limit
+        truncated = truncated if going is None else truncated & going
         done = terminated | truncated
-        if going is not None:
-            done = done & going
+        episodes.returns.add_(reward)
         info = {
             "final_obs": obs,
             "episode": {
@@ -425,17 +414,33 @@ class VoxelVecEnv:
             "reward_terms": terms,
         }
         episodes.set_before(after)
+        # An ended environment keeps the episode state that its last observation shows.
+        episodes.set_memory(memory_values, None if going is None else going & ~done)
         if going is None:
-            episodes.set_memory(memory_values)
             obs = self._restart(done, obs)
         else:
-            # An ended environment keeps the episode state that its last observation shows.
-            episodes.set_memory(memory_values, going & ~done)
-            terminated, truncated = episodes.terminated | terminated, episodes.truncated | (truncated & going)
-            episodes.terminated.copy_(terminated)
-            episodes.truncated.copy_(truncated)
+            terminated, truncated = episodes.end(terminated, truncated)
             self.sim.set_frozen(terminated | truncated)
         return obs, reward.to(self.dtype), terminated, truncated, info
+
+    def _sound(
+        self, obs: torch.Tensor, terms: dict[str, torch.Tensor], unstable: torch.Tensor, going: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Observation, reward, where the step was stopped and where it diverged, without what is not finite.
+
+        Args:
+            terms: parts of the reward; changed where the step diverged, and where nothing is going on.
+        """
+        diverged, reward = self.sim.diverged & unstable, sum(terms.values())
+        idle = diverged if going is None else diverged | ~going
+        if self._on_cpu and all_finite(obs, reward) and not idle.any():
+            return obs, reward, unstable, diverged
+        obs, odd = self._finite.step(obs, terms, ~idle, self._on_cpu)
+        unstable, idle = unstable | odd, idle | odd
+        terms["unstable"] = unstable.double() * self.spec.unstable_penalty
+        for term in self.spec.rewards:  # the state before the step may be non-finite: no reward follows from it
+            terms[term.name] = terms[term.name].masked_fill(idle, 0.0)
+        return obs, sum(terms.values()), unstable, diverged | odd
 
     def _advance(self, going: torch.Tensor | None):
         """The step without what follows at the end of an episode."""
@@ -527,6 +532,7 @@ class VoxelVecEnv:
         """The full state, as tensors with a row for every environment, for :meth:`set_state`."""
         return {
             "sim": self.sim.state(),
+            "world": self.sim.world_numbers.clone(),
             "memory": self.memory,
             "draws": None if self._draws is None else self._draws.episode.clone(),
             **self.episodes.state(),
@@ -540,7 +546,11 @@ class VoxelVecEnv:
                 the message names it, and nothing has changed.
         """
         like = self.state()
-        check_fields(state, like | {"sim": dict.fromkeys(STATE_FIELDS, torch.Tensor)})
+        if isinstance(state, Mapping):
+            state = {"world": like["world"]} | dict(state)  # files of earlier versions do not say
+        check_fields(state, like | {"sim": dict.fromkeys(like["sim"], torch.Tensor)})
+        if not torch.equal(state["world"].to(self.device), like["world"]):
+            raise SimulationError("The state is that of other worlds: bodies have been exchanged since.")
         self.sim.set_state({name: value.to(self.device) for name, value in state["sim"].items()})
         self.episodes.set_memory({name: state["memory"][name].to(self.device) for name in self.episodes.memory})
         if self._draws is not None:

@@ -375,10 +375,9 @@ class Simulation(Sensing):
     def state(self) -> dict[str, torch.Tensor]:
         """Everything that changes, a row for every environment: what :meth:`set_state` takes back.
 
-        Positions and velocities list the points as observations do, x and y alternately, padded with 0. ``world`` is a
-        number for the world that an environment has.
+        Positions and velocities list the points as observations do, x and y alternately, padded with 0.
         """
-        return self._read(slice(None)) | {"world": self.world_numbers.clone()}
+        return self._read(slice(None))
 
     def _read(self, envs: torch.Tensor | slice) -> dict[str, torch.Tensor]:
         """Rows of :meth:`state`."""
@@ -418,7 +417,7 @@ class Simulation(Sensing):
         depend on which worlds there are.
 
         Raises:
-            SimulationError: fields or shapes that are not this simulation's, or other worlds; nothing has changed then.
+            SimulationError: fields or shapes that are not this simulation's.
         """
         least = 2 * int(self._objects.total.max())
         for name in STATE_FIELDS:
@@ -432,9 +431,6 @@ class Simulation(Sensing):
                     f"The state's {name!r} is not that of this simulation of {self.num_envs} environments: expected"
                     f" {expected}, got {got.removeprefix('torch.')}."
                 )
-        world = state.get("world", self.world_numbers)  # files of earlier versions do not say
-        if not torch.equal(world.to(self.device), self.world_numbers):
-            raise SimulationError("The state is that of other worlds: bodies have been exchanged since.")
         self._write(state, torch.arange(self.num_envs, device=self.device))
 
     def _write(self, state: dict[str, torch.Tensor], envs: torch.Tensor) -> None:

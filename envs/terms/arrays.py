@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["double", "extremes_at", "filled", "library", "long", "taken"]
+__all__ = ["double", "extremes_at", "filled", "library", "long", "replaced", "taken"]
 
 
 def library(array: Any) -> Any:
@@ -33,6 +33,13 @@ def long(array: Any) -> Any:
 def filled(like: Any, shape: tuple[int, ...], value: float) -> Any:
     """An array of one value, with the type and device of ``like``."""
     return np.full(shape, value, like.dtype) if isinstance(like, np.ndarray) else like.new_full(shape, value)
+
+
+def replaced(array: Any, where: Any, value: float) -> Any:
+    """The same with ``value`` where a mask is True; the two are broadcast."""
+    if isinstance(array, np.ndarray):
+        return np.where(where, array.dtype.type(value), array)
+    return array.masked_fill(where, value)  # a number for `where` would have to be brought to the device
 
 
 def taken(array: Any, index: Any) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warpvox.envs.about import about
-from warpvox.envs.terms.arrays import double, library, taken
+from warpvox.envs.terms.arrays import double, library, replaced, taken
 from warpvox.types import VOXEL
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def next_goal(state: Snapshot, name: str, within: float) -> Tensor:
     number = xp.ones_like(goals[:1]).cumsum(1) - 1
     near = abs(double(goals) * VOXEL - state.com(name)[:, :1]) < within
     ahead = (number >= state.memory("goal")) & (~near | (goals == 0))
-    return xp.amin(xp.where(ahead, number, count), 1)[:, None]
+    return xp.amin(replaced(number, ~ahead, count), 1)[:, None]
 
 
 def goal_x(state: Snapshot) -> Tensor:

@@ -10,7 +10,7 @@ from math import inf, pi
 from typing import TYPE_CHECKING
 
 from warpvox.envs.about import ANGLE, LENGTH, NUMBER, SPEED, about
-from warpvox.envs.terms.arrays import double, extremes_at, filled, library, long
+from warpvox.envs.terms.arrays import double, extremes_at, filled, library, long, replaced
 from warpvox.envs.terms.goals import LONGEST, goal_x
 from warpvox.types import SIGHT, VOXEL
 
@@ -119,7 +119,7 @@ def _windows(state: Snapshot, name: str, reach: int, objects: tuple[str, ...], n
         points = double(state.positions(terrain))
         x, y = points[..., 0], points[..., 1]
         hidden = y <= centre[:, 1:] if above else y >= centre[:, 1:]
-        seen = xp.where(hidden, none, y)
+        seen = replaced(y, hidden, none)
         along = (x - centre[:, :1]) / VOXEL
         # A point on the border of two windows belongs to both.
         for window in (xp.floor(along), xp.ceil(along) - 1):
@@ -133,8 +133,8 @@ def _windows(state: Snapshot, name: str, reach: int, objects: tuple[str, ...], n
 def short_of(state: Snapshot, name: str, x: float, y: float) -> Tensor:
     """From the centre of mass to a goal: (g_x - p_x, g_y - p_y)."""
     centre = state.com(name)
-    goal = filled(centre, (2,), x)  # filled on the device: a list would have to be brought there, which waits
-    goal[1:] = y
+    # filled on the device: a list would have to be brought there, which waits
+    goal = library(centre).concatenate((filled(centre, (1,), x), filled(centre, (1,), y)))
     return goal - centre
 
 

@@ -9,7 +9,7 @@ from math import pi
 from typing import TYPE_CHECKING
 
 from warpvox.envs.about import about
-from warpvox.envs.terms.arrays import double, library
+from warpvox.envs.terms.arrays import double, library, replaced
 from warpvox.types import AXES
 
 if TYPE_CHECKING:
@@ -42,16 +42,15 @@ def displacement(before: Snapshot, after: Snapshot, name: str, axis: str) -> Ten
 def drop(before: Snapshot, after: Snapshot, name: str, below: float) -> Tensor:
     """How far the centre of mass has risen (negative: fallen) where it is now below a height, else 0."""
     height = after.com(name)[:, 1]
-    return library(height).where(height >= below, 0.0, height - before.com(name)[:, 1])
+    return replaced(height - before.com(name)[:, 1], height >= below, 0.0)
 
 
 @about("[y_{name} < ({below} if x_{name} <= {x} else {below_beyond})] Δy_{name}")
 def staged_drop(before: Snapshot, after: Snapshot, name: str, below: float, x: float, below_beyond: float) -> Tensor:
     """As :func:`drop`, with another height (``below_beyond``) where the centre of mass is now beyond ``x``."""
     place, height = after.com(name)[:, 0], after.com(name)[:, 1]
-    xp = library(height)
-    above = xp.where(place <= x, height >= below, height >= below_beyond)
-    return xp.where(above, 0.0, height - before.com(name)[:, 1])
+    above = library(height).where(place <= x, height >= below, height >= below_beyond)
+    return replaced(height - before.com(name)[:, 1], above, 0.0)
 
 
 @about("|Δ{axis}_{name}|")
