@@ -119,7 +119,6 @@ def design_episodes(
     task: str | TaskSpec,
     num_envs: int = 1,
     shape: tuple[int, int] = (5, 5),
-    *,
     design_steps: int | None = None,
     revise: str = "all",
     actions: str = "types",
