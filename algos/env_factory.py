@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
-from warpvox.batch.options import MAX_WIDTH, lanes_for, resolve_arithmetic
+from warpvox.batch.options import MAX_WIDTH, SimOptions, lanes_for, resolve_arithmetic
 from warpvox.design import Design
 from warpvox.devices.names import resolve_device
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
-from warpvox.types import Physics
 
 __all__ = ["EnvFactory"]
+
+CPU = SimOptions(device="cpu")
 
 
 @dataclass(frozen=True)
@@ -24,20 +26,17 @@ class EnvFactory:
 
     task: str | TaskSpec
     rules: str = "evogym"
-    physics: str | Physics | None = None
-    device: str = "cpu"
-    dtype: str = "float32"
-    threads: int | None = None
-    max_episode_steps: int | None = None
-    arithmetic: str | None = None
     obs: str = "task"
-    grid: tuple[int, int] | None = None
-    lanes: int | None = None
-    layout: str | None = None
+    max_episode_steps: int | None = None
+    sim: SimOptions = CPU
 
     def __post_init__(self) -> None:
-        if self.device == "auto":
-            object.__setattr__(self, "device", resolve_device(self.device))
+        if self.sim.device == "auto":
+            object.__setattr__(self, "sim", replace(self.sim, device=resolve_device(self.sim.device)))
+
+    def computed(self, **changes: Any) -> EnvFactory:
+        """A copy that simulates in another way: ``changes`` of ``sim``."""
+        return replace(self, sim=replace(self.sim, **changes))
 
     def make(
         self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool, shared: bool = False
@@ -48,24 +47,17 @@ class EnvFactory:
         """
         # Lanes follow from `envs` alone, however often a body occurs, so that all batches run the same kernels.
         chosen = self.shared_lanes(envs) if shared else lanes_for(envs)
-        lanes = (self.lanes or chosen) if self.device == "cpu" else None
         return make_vec(
             self.task,
             list(bodies),
             envs * len(bodies),
-            device=self.device,
             rules=self.rules,
-            dtype=self.dtype,
-            arithmetic=self.arithmetic,
+            obs=self.obs,
             seed=list(seeds),
             auto_reset=auto_reset,
-            physics=self.physics,
-            lanes=lanes,
-            layout=self.layout,
-            threads=self.threads,
             max_episode_steps=self.max_episode_steps,
-            obs=self.obs,
-            grid=self.grid,
+            sim=self.sim,
+            lanes=(self.sim.lanes or chosen) if self.sim.device == "cpu" else None,
             memory_check=False,  # the command has checked the whole; here the batch before may still hold memory
         )
 
@@ -74,5 +66,5 @@ class EnvFactory:
 
         In fast arithmetic different bodies share packs, in exact arithmetic they do not.
         """
-        fast = resolve_arithmetic(self.arithmetic, self.dtype) == "fast"
+        fast = resolve_arithmetic(self.sim.arithmetic, self.sim.dtype) == "fast"
         return MAX_WIDTH if fast else lanes_for(envs)

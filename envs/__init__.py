@@ -8,6 +8,6 @@ if __name__ != "warpvox.envs":
     # module.
     raise ImportError("import this package as warpvox.envs")
 
-from warpvox.envs.gym import register as _register
+from warpvox.envs.adapters.gym import register as _register
 
 _register()

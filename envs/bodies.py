@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from warpvox.checks import check_shape
 from warpvox.design import Design, load_design
 from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.worlds import task_team
 from warpvox.errors import ConfigError, DesignError
 
-__all__ = ["check_grid", "load_connections", "load_designs", "one_body"]
+__all__ = ["load_connections", "load_designs", "one_body"]
 
 DEFAULT_DESIGN = "walker"
 
@@ -54,14 +53,3 @@ def load_connections(connections: Sequence[object] | None, count: int) -> Sequen
     if len(connections) != count:
         raise ConfigError(f"connections must have one entry a design ({count}), got {len(connections)}.")
     return connections
-
-
-def check_grid(grid: object) -> tuple[int, int] | None:
-    """Rows and columns, or None.
-
-    Raises:
-        ConfigError: something else.
-    """
-    if grid is None:
-        return None
-    return check_shape("grid", grid)

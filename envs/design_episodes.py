@@ -16,14 +16,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.checks import check_integer, check_shape, is_number
+from warpvox.batch.options import check_known
+from warpvox.checks import check_integer, check_mask, check_shape, is_number
 from warpvox.design import are_valid, as_grid, repair_design, sample_design
 from warpvox.envs.checks import check_fields
 from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import StepResult, VoxelVecEnv, make_vec
-from warpvox.errors import ActionError, ConfigError, DesignError, did_you_mean, known_arguments, listing
+from warpvox.errors import ActionError, ConfigError, DesignError, did_you_mean, listing
 from warpvox.types import Cell
 
 __all__ = ["NUM_TYPES", "DesignLayout", "DesignVecEnv", "design_episodes"]
@@ -114,7 +115,6 @@ class DesignLayout:
         return asdict(self)
 
 
-@known_arguments
 def design_episodes(
     task: str | TaskSpec,
     num_envs: int = 1,
@@ -126,23 +126,13 @@ def design_episodes(
     invalid: str = "repair",
     penalty: float = 0.0,
     cost: float | Sequence[float] = 0.0,
-    device: str = "auto",
-    rules: str = "evogym",
-    dtype: str = "float32",
-    seed: int | Sequence[int] = 0,
     auto_reset: bool = True,
-    physics: object = None,
-    lanes: int | None = None,
-    threads: int | None = None,
-    max_episode_steps: int | None = None,
-    obs: str = "voxel",
-    arithmetic: str = "fast",
-    memory_check: bool = True,
+    **options: Any,
 ) -> DesignVecEnv:
     """Make environments in which the body is designed within the episode.
 
     Args:
-        task: a task with one robot, as for :func:`warpvox.make_vec`; so are the arguments from ``device`` on.
+        task: a task with one robot.
         num_envs: environments, each of which designs its own body.
         shape: rows and columns of the grid that bodies are made in. The largest body of it must fit into the world.
         design_steps: steps of the design stage. None: with ``revise="all"`` the longer side of the grid, so that what a
@@ -159,13 +149,16 @@ def design_episodes(
         cost: of material, taken off the reward of the last design step: for each voxel of the body that the control
             stage gets, or four numbers, for each rigid, soft, horizontally and vertically actuated voxel.
         auto_reset: begin the next episode, with its design stage, in the step in which one ends.
-        max_episode_steps: time limit of the control stage.
+        options: ``rules``, ``obs`` (here ``voxel`` by default), ``seed``, ``sim`` and its fields, as in
+            :func:`warpvox.make_vec`; ``max_episode_steps`` limits the control stage.
 
     Raises:
         ConfigError: a value that is not valid, or a task with several robots. SimulationError: exact arithmetic, in
             which bodies cannot be exchanged. DesignError: a ``start`` that is no grid of ``shape``. WorldError: the
             largest body does not fit. And what ``make_vec`` raises.
     """
+    without = ("designs", "body", "connections", "grid")
+    check_known(options, design_episodes, make_vec, without=without)
     given = {"revise": revise, "actions": actions, "invalid": invalid}
     for name, value in given.items():
         if not isinstance(value, str) or value not in CHOICES[name]:
@@ -180,24 +173,9 @@ def design_episodes(
     if not is_number(penalty):
         raise ConfigError(f"penalty must be a number, got {penalty!r:.80}.")
     prices, beginning = _prices(cost), _start(start, shape)
-    env = make_vec(
-        task,
-        [np.full(shape, int(Cell.H_ACT), np.int8)],
-        num_envs,
-        device=device,
-        rules=rules,
-        dtype=dtype,
-        seed=seed,
-        auto_reset=False,
-        physics=physics,
-        lanes=lanes,
-        threads=threads,
-        max_episode_steps=max_episode_steps,
-        obs=obs,
-        arithmetic=arithmetic,
-        memory_check=memory_check,
-        grid=shape,
-    )
+    body = [np.full(shape, int(Cell.H_ACT), np.int8)]
+    given = {"obs": "voxel"} | ({} if options.get("sim") else {"arithmetic": "fast"}) | options | {"grid": shape}
+    env = make_vec(task, body, num_envs, auto_reset=False, **given)
     layout = DesignLayout(*shape, env.num_obs, env.num_actions, revise, actions)
     return DesignVecEnv(env, layout, design_steps, beginning, invalid, float(penalty), prices, auto_reset)
 
@@ -324,9 +302,7 @@ class DesignVecEnv:
             Observations ``[num_envs, num_obs]`` and an empty dictionary.
         """
         whole = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        mask = whole if mask is None else torch.as_tensor(mask, device=self.device)
-        if tuple(mask.shape) != (self.num_envs,) or mask.dtype != torch.bool:
-            raise ConfigError(f"mask must be bool [{self.num_envs}], got {mask.dtype} {list(mask.shape)}.")
+        mask = whole if mask is None else check_mask(mask, whole)
         if seed is not None:
             self.env.reset(seed, mask=mask)
             self._starts.begin(seed, mask.cpu())
@@ -427,7 +403,7 @@ class DesignVecEnv:
             raise ActionError(
                 f"Actions must have the shape {expected} [num_envs, num_actions], got {list(actions.shape)}."
             )
-        actions = torch.where(self.action_mask, actions, AT_REST).to(self.dtype)
+        actions = torch.where(self.action_mask, actions, AT_REST)
         if actions.device.type == "cpu" and not bool(torch.isfinite(actions).all()):
             bad = int((~torch.isfinite(actions)).nonzero()[0, 0])
             raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")

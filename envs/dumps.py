@@ -10,17 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from warpvox.errors import ConfigError, RolloutError, did_you_mean, listing
+from warpvox.errors import RolloutError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 from warpvox.view.rollout import Rollout, points_of
 
 if TYPE_CHECKING:
     from warpvox.envs.vec_env import VoxelVecEnv
 
-__all__ = ["GUARDS", "LIMIT", "STEPS", "DivergenceDump", "check_guard"]
+__all__ = ["LIMIT", "STEPS", "DivergenceDump"]
 
-GUARDS = ("on", "dump")
-"""Values of ``nan_guard``. ``dump``: the last steps before a divergence are also written to a file."""
 STEPS = 64
 """Control steps that a file holds at most."""
 LIMIT = 10
@@ -30,6 +28,8 @@ PATTERN = "diverged_*.npz"
 
 class DivergenceDump:
     """Keeps the last control steps of all environments, and writes those of one that diverges.
+
+    ``env.dump = DivergenceDump(env, "dumps")`` switches it on.
 
     A file is a :class:`warpvox.view.rollout.Rollout` of one environment: positions before each of its last steps, at
     most :data:`STEPS` and of the same episode, the actions taken and the rewards. The last step is the one that
@@ -145,17 +145,3 @@ def _finite_frames(positions: np.ndarray) -> np.ndarray:
         return np.zeros_like(frames)
     last = np.maximum.accumulate(np.where(good, np.arange(len(frames)), -1))
     return frames[np.where(last < 0, good.argmax(), last)]
-
-
-def check_guard(guard: str) -> str:
-    """``guard``, if it is one of :data:`GUARDS`.
-
-    Raises:
-        ConfigError: it is not.
-    """
-    if guard not in GUARDS:
-        hint = did_you_mean(str(guard), GUARDS)
-        raise ConfigError(
-            f"nan_guard must be one of {listing(GUARDS)}, got {guard!r}.{hint} (Divergence is always caught.)"
-        )
-    return guard

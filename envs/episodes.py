@@ -50,6 +50,13 @@ class Episodes:
             else:
                 tensor.masked_fill_(mask, 0)
 
+    def end(self, terminated: torch.Tensor, truncated: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Note what ends now, bool ``[num_envs]``; return how all have ended that wait for their reset."""
+        terminated, truncated = self.terminated | terminated, self.truncated | truncated
+        self.terminated.copy_(terminated)
+        self.truncated.copy_(truncated)
+        return terminated, truncated
+
     def set_memory(self, values: Mapping[str, torch.Tensor], mask: torch.Tensor | None = None) -> None:
         """Set the task's episode state, everywhere or where ``mask`` is True."""
         if not self.memory:

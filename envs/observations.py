@@ -10,6 +10,9 @@ from warpvox.simulation import Simulation
 
 __all__ = ["ObservationLayout"]
 
+LEAST_POINTS = 4
+"""Of a body: those of a single voxel."""
+
 
 class ObservationLayout:
     """Concatenates observation terms; each design's real entries come first, the rest of its row is 0.
@@ -21,6 +24,8 @@ class ObservationLayout:
         num_obs: entries of a row.
         mask: bool ``[sim.num_designs, num_obs]``: the entries that are real.
         columns: for every distinct design of the simulation, where each term lies: ``{term name: slice}``.
+        places: the columns that a term can take in some design, also in those that may be put in later.
+        always: so many columns are real in all of these.
     """
 
     def __init__(self, terms: tuple[Observation, ...], sim: Simulation, state: Snapshot) -> None:
@@ -28,10 +33,19 @@ class ObservationLayout:
         self._values = [term(state) for term in terms]
         self._gather: torch.Tensor | None = None
         self._zeros = torch.zeros((sim.num_envs, 1), dtype=sim.dtype, device=sim.device)
-        self.refresh()
+        counts = self.refresh()
+        least, most = counts.min(0).values, counts.max(0).values
+        if sim.grid is not None:
+            most = torch.tensor([value[0].numel() for value in self._values])
+            robots = [dict(term.params).get("name") in sim.action_columns[0] for term in terms]
+            bodies = torch.tensor(robots) & torch.tensor([value.ndim == 3 for value in self._values])
+            least = torch.where(bodies, 2 * LEAST_POINTS, least)
+        starts, stops = (least.cumsum(0) - least).tolist(), most.cumsum(0).tolist()
+        self.places = {term.name: slice(*at) for term, at in zip(terms, zip(starts, stops, strict=True), strict=True)}
+        self.always = int(least.sum())
 
-    def refresh(self) -> None:
-        """Read the sizes of the designs again, after they have changed."""
+    def refresh(self) -> torch.Tensor:
+        """Read the sizes of the designs again, after they have changed: columns ``[designs, terms]``."""
         sim, terms = self._sim, self._terms
         real = [self._real_columns(term, value, sim) for term, value in zip(terms, self._values, strict=True)]
         counts = torch.stack([mask.sum(1) for mask in real], dim=1)  # [designs, terms]
@@ -56,6 +70,7 @@ class ObservationLayout:
                 self._gather = source
             else:
                 self._gather.copy_(source)  # in place: a captured step may read it
+        return counts
 
     @staticmethod
     def _real_columns(term: Observation, value: torch.Tensor, sim: Simulation) -> torch.Tensor:

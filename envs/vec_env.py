@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,16 +10,17 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.checks import check_integer
+from warpvox.batch.options import SimOptions
+from warpvox.checks import check_integer, check_mask
 from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
-from warpvox.envs.bodies import check_grid, load_connections, load_designs, one_body
+from warpvox.envs.bodies import load_connections, load_designs, one_body
 from warpvox.envs.checks import check_fields, check_memory, check_terms
-from warpvox.envs.dumps import DivergenceDump, check_guard
+from warpvox.envs.dumps import DivergenceDump
 from warpvox.envs.episodes import Episodes
 from warpvox.envs.finite import FiniteGuard, all_finite
 from warpvox.envs.graph import StepGraph, capture_on_cuda
-from warpvox.envs.needs import check_environments
+from warpvox.envs.memory import ask, environment_bytes
 from warpvox.envs.observations import ObservationLayout
 from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
@@ -30,9 +29,8 @@ from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.terms.elapsed import retimed, timed_observations
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import task_world
-from warpvox.errors import ConfigError, did_you_mean, known_arguments, listing
+from warpvox.errors import ConfigError, DesignError, SimulationError, did_you_mean, listing
 from warpvox.simulation import Simulation
-from warpvox.types import Physics
 
 __all__ = ["VoxelVecEnv", "make_vec", "one_body"]
 
@@ -41,30 +39,20 @@ OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 StepResult = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
 
-@known_arguments
 def make_vec(
     task: str | TaskSpec,
     designs: Sequence[object] | np.ndarray | str | None = None,
     num_envs: int = 1,
-    device: str = "auto",
+    *,
     rules: str = "evogym",
-    dtype: str = "float32",
+    obs: str = "task",
     seed: int | Sequence[int] = 0,
     auto_reset: bool = True,
-    physics: str | Physics | None = None,
-    lanes: int | None = None,
-    threads: int | None = None,
+    body: object = None,
     connections: Sequence[object] | None = None,
     max_episode_steps: int | None = None,
-    obs: str = "task",
-    cuda_graph: bool = False,
-    nan_guard: str = "on",
-    dump_folder: str | os.PathLike[str] = "dumps",
-    body: object = None,
-    arithmetic: str | None = None,
-    memory_check: bool = True,
-    grid: tuple[int, int] | None = None,
-    layout: str | None = None,
+    sim: SimOptions | None = None,
+    **options: Any,
 ) -> VoxelVecEnv:
     """Make ``num_envs`` environments of a task, ready to be stepped.
 
@@ -74,39 +62,28 @@ def make_vec(
             Environments come in equal blocks, design by design. Default: the example design ``walker``. Where a
             task has several robots, a design is a mapping ``{name: body}``; a single body is meant for all of them.
         num_envs: a multiple of the number of designs.
-        device: ``auto`` (CUDA where there is one, from 100 environments per CPU core on), ``cpu``, ``cuda[:<index>]``.
-        rules: ``evogym`` (as released) or ``paper`` (section B as printed).
-        dtype: ``float32`` or ``float64``, of the simulation, observations and rewards.
+        rules: ``evogym`` (as released) or ``paper`` (section B as printed); the physics follow unless told otherwise.
+        obs: ``task`` (what the task observes) or ``voxel`` (every cell of the body, then the rest of what the task
+            observes; see :mod:`warpvox.envs.voxels`); ``timed`` and ``timed_voxel``: the same, then the control steps
+            since the episode began.
         seed: of all random numbers of a task (there are none in the deterministic ones). The numbers of environment k
             do not depend on the other environments. Or one seed for each design, whose environments then draw as if
             they were alone; or one for each environment.
         auto_reset: reset environments in the step in which they end; otherwise they stay as they ended.
-        physics: preset or constants; default: the preset named as the rules.
-        lanes, threads, layout: see :class:`warpvox.Simulation`.
-        connections: for each design EvoGym's ``[2, k]`` index pairs, or None to connect all neighbours.
-        max_episode_steps: another time limit than the task's.
-        obs: ``task`` (what the task observes) or ``voxel`` (every cell of the body, then the rest of what the task
-            observes; see :mod:`warpvox.envs.voxels`); ``timed`` and ``timed_voxel``: the same, then the control steps
-            since the episode began.
-        cuda_graph: on CUDA launch a whole control step, from the physics to rewards and resets, as one graph (see
-            :mod:`warpvox.envs.graph`). Means nothing on the CPU.
-        nan_guard: ``on``: a simulation that diverges is ended and reset, which costs nothing and cannot be switched
-            off; ``dump``: its last 64 control steps are written to a rollout file besides (see
-            :class:`warpvox.envs.dumps.DivergenceDump`), which ``warpvox play rollout=FILE`` shows.
-        dump_folder: where these files go, 10 at most; made when there is one.
         body: one body for all environments, as in ``gymnasium.make``: short for ``designs=[body]``. ``connections`` are
             then its own.
-        arithmetic: ``fast`` or ``exact``, as for :class:`warpvox.Simulation`; None: what suits ``dtype``.
-        grid: rows and columns up to which :meth:`VoxelVecEnv.set_designs` may bring other bodies. Observations and
-            actions have room for the largest of them. Needs fast arithmetic.
-        memory_check: refuse at once what does not fit into the memory that is free.
+        connections: for each design EvoGym's ``[2, k]`` index pairs, or None to connect all neighbours.
+        max_episode_steps: another time limit than the task's.
+        sim: how they are computed; its fields may also be given by name: ``device="cpu"``.
+        options: fields of :class:`warpvox.SimOptions`: ``device``, ``dtype``, ``arithmetic``, ``physics``, ...
 
     Raises:
         TaskError: unknown task. DesignError: a body that is not valid. WorldError: a body that does not fit.
         ConfigError: a count or name out of range, an unknown argument, or both ``body`` and ``designs``.
-        DeviceError: no such device. MemoryLimitError: more environments than fit.
+        SimulationError, DeviceError: an option that cannot be. MemoryLimitError: more environments than fit.
     """
-    spec, guard = get_task(task).under(rules), check_guard(nan_guard)
+    sim = SimOptions.of(sim, options, make_vec)
+    spec = get_task(task).under(rules)
     if max_episode_steps is not None:
         spec = replace(spec, max_episode_steps=check_integer("max_episode_steps", max_episode_steps, 1))
     designs, connections = one_body(body, designs, connections)
@@ -115,34 +92,18 @@ def make_vec(
     if count % len(bodies):
         below = count - count % len(bodies)
         near = f"{below} or {below + len(bodies)}" if below else f"{len(bodies)}"
-        raise ConfigError(
-            f"num_envs must be a multiple of the number of designs ({len(bodies)}), got {count}; try {near}."
-        )
+        what = f"a multiple of the number of designs ({len(bodies)})"
+        raise ConfigError(f"num_envs must be {what}, got {count}; try {near}.")
     _check_seeds(seed, len(bodies), count)
     links = load_connections(connections, len(bodies))
     worlds = [task_world(spec, body, links[d]) for d, body in enumerate(bodies)]
-    make = functools.partial(
-        Simulation,
-        device=device,
-        physics=rules if physics is None else physics,
-        dtype=dtype,
-        arithmetic=arithmetic,
-        lanes=lanes,
-        layout=layout,
-        threads=threads,
-        loose=spec.randomized,
-        grid=check_grid(grid),
-    )
-    if memory_check:
-        check_environments(worlds, count // len(bodies), device, make)
+    sim = sim.resolved(count, rules)
+    if sim.memory_check and (count > 1 or sim.grid is not None):
+        ask(environment_bytes(spec, worlds, count, sim, obs=obs), count, sim.device, step=len(bodies))
     with enough_memory(fewer(count)):
-        sim = make([world for world in worlds for _ in range(count // len(bodies))])
-        env = VoxelVecEnv(
-            spec, bodies, sim, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs, cuda_graph=cuda_graph
-        )
-    if guard == "dump":
-        env.dump = DivergenceDump(env, dump_folder)
-    return env
+        worlds = [world for world in worlds for _ in range(count // len(bodies))]
+        made = Simulation(worlds, sim, loose=spec.randomized)
+        return VoxelVecEnv(spec, bodies, made, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs)
 
 
 class VoxelVecEnv:
@@ -161,6 +122,7 @@ class VoxelVecEnv:
             entries are real for a design. Real ones come first, observations are padded with 0.
         obs_columns: per design where each observation term lies, ``{term name: slice}``.
         action_columns: per design where the actions of each robot lie, ``{robot name: slice}``.
+        layout: where observation terms lie (:class:`warpvox.envs.observations.ObservationLayout`).
         voxels: with ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name.
         episodes: length, return, memory of the running episodes (:class:`warpvox.envs.episodes.Episodes`).
         auto_reset: whether environments are reset in the step in which they end; may be changed between steps.
@@ -177,7 +139,6 @@ class VoxelVecEnv:
         seed: int | Sequence[int] = 0,
         auto_reset: bool = True,
         obs: str = "task",
-        cuda_graph: bool = False,
     ) -> None:
         if not isinstance(obs, str) or obs not in OBSERVATIONS:
             hint = did_you_mean(obs, OBSERVATIONS)
@@ -199,23 +160,23 @@ class VoxelVecEnv:
         self._draws = RandomStream(seed, self.num_envs, sim.device) if spec.memory else None
         if spec.memory:
             check_memory(spec, sim, self._draws)
-            self._start_memory(None)
+            self._start_memory(None, {})
         check_terms(spec, sim, self._snapshot())
         # Rewards compare with the state before a step: find out once which quantities they need.
         before, probe = self._snapshot(), self._snapshot()
         for term in spec.rewards:
             term(before, probe)
         self.episodes.before = {quantity: before.value(quantity).clone() for quantity in before.quantities}
-        self._layout = ObservationLayout(spec.observations, sim, probe)
-        self.num_obs, self.num_actions = self._layout.num_obs, sim.num_actions
+        self.layout = ObservationLayout(spec.observations, sim, probe)
+        self.num_obs, self.num_actions = self.layout.num_obs, sim.num_actions
         self._describe(sim.design_index[::block])  # equal designs share one entry of the simulation
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
         # On the CPU a mask can be read to skip work; elsewhere reading it would wait for the device.
         self._on_cpu = torch.device(sim.device).type == "cpu"
-        self._finite = FiniteGuard(spec, sim, self._layout)
+        self._finite = FiniteGuard(spec, sim, self.layout)
         self.dump: DivergenceDump | None = None
         self._graph: StepGraph | None = None
-        if cuda_graph and not self._on_cpu:
+        if not self._on_cpu and sim.options.cuda_graph:
             self._graph = StepGraph(self._whole_step, capture_on_cuda(sim.device))
 
     def _snapshot(self, values: Mapping[Quantity, torch.Tensor] | None = None) -> Snapshot:
@@ -224,9 +185,9 @@ class VoxelVecEnv:
 
     def _describe(self, worlds: torch.Tensor) -> None:
         """Sizes of the designs, from the simulation's world of each."""
-        self.obs_mask = self._layout.mask[worlds]
+        self.obs_mask = self.layout.mask[worlds]
         self.action_mask = self.sim.action_mask[worlds]
-        self.obs_columns = [self._layout.columns[d] for d in worlds.tolist()]
+        self.obs_columns = [self.layout.columns[d] for d in worlds.tolist()]
         action_columns = self.sim.action_columns
         self.action_columns = [action_columns[d] for d in worlds.tolist()]
 
@@ -286,12 +247,13 @@ class VoxelVecEnv:
             dictionary.
 
         Raises:
-            ConfigError: the task has no memory of that name, or not of that shape; no such seed or mask.
+            ConfigError: the task has no memory of that name, or not such numbers; no such seed or mask.
         """
-        mask = None if mask is None else self._check_mask(mask)
+        mask = None if mask is None else check_mask(mask, self.design_index)
         if seed is not None:
             _check_seeds(seed, self._blocks, self.num_envs)
             self.seed = seed if mask is None else self.seed
+        given = self._given(memory)
         self.sim.reset(mask)
         if self._draws is not None:
             if seed is not None:
@@ -301,9 +263,7 @@ class VoxelVecEnv:
             elif not self.episodes.drawn:
                 self._draws.episode.add_(1)
             self.episodes.drawn = False
-            self._start_memory(mask, memory)
-        elif memory:
-            raise ConfigError(f"{self.spec.id} has no episode state: there is no {listing(memory)} to set.")
+            self._start_memory(mask, given)
         self.episodes.clear(mask)
         now = self._snapshot()
         self.episodes.set_before(now)
@@ -331,14 +291,16 @@ class VoxelVecEnv:
             SimulationError: made without ``grid``, or a body that does not fit it. DesignError, WorldError: a body that
                 is not valid or does not fit the world. Nothing has changed then.
         """
-        mask = self._check_mask(mask)
+        mask = check_mask(mask, self.design_index)
+        if designs is None:
+            raise DesignError("set_designs needs a body, or a list of bodies; got None.")
         count, bodies = int(mask.sum()), load_designs(self.spec, designs)
         if len(bodies) not in (1, count):
             raise ConfigError(f"{count} environments need a design each, or one for all; got {len(bodies)}.")
         links = load_connections(connections, len(bodies))
         worlds = [task_world(self.spec, body, links[d]) for d, body in enumerate(bodies)]
         self.sim.set_worlds(worlds if len(worlds) == count else worlds * count, mask)
-        self._layout.refresh()
+        self.layout.refresh()
         self._finite.refresh()
         for term in self.spec.observations:
             if isinstance(term.function, VoxelGrid):
@@ -354,36 +316,37 @@ class VoxelVecEnv:
             self.dump.refresh()
         return self.reset(mask=mask)[0]
 
-    def _check_mask(self, mask: torch.Tensor | np.ndarray) -> torch.Tensor:
-        mask = torch.as_tensor(mask, device=self.device)
-        if tuple(mask.shape) != (self.num_envs,) or mask.dtype != torch.bool:
-            raise ConfigError(f"mask must be bool [{self.num_envs}], got {mask.dtype} {list(mask.shape)}.")
-        return mask
-
-    def _start_memory(self, mask: torch.Tensor | None, given: Mapping[str, Any] | None = None) -> None:
+    def _start_memory(self, mask: torch.Tensor | None, given: Mapping[str, torch.Tensor]) -> None:
         """Set the memory of episodes that begin where ``mask`` (None: everywhere), and move the randomized objects."""
         draws = self._draws.rewind()
-        fresh = {memory.name: memory.begin(draws) for memory in self.spec.memory}
-        for name, values in (given or {}).items():
-            fresh[name] = self._given(name, values, fresh)
+        fresh = {memory.name: memory.begin(draws) for memory in self.spec.memory} | given
         self.episodes.set_memory(fresh, mask)
         if self.spec.randomized:
             self.sim.shift(fresh["offset"], mask)
 
-    def _given(self, name: str, values: Any, drawn: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        """Values for a memory from outside, padded with 0 to the shape of those that would have been drawn."""
-        if name not in drawn:
-            raise ConfigError(
-                f"The episode state of {self.spec.id} is {listing(drawn)}, not {name!r}.{did_you_mean(name, drawn)}"
-            )
-        like = drawn[name]
-        values = torch.as_tensor(values, dtype=like.dtype, device=like.device)
-        shape, most = tuple(values.shape), tuple(like.shape)
-        if len(shape) != len(most) or shape[:1] != most[:1] or any(n > m for n, m in zip(shape, most, strict=True)):
-            raise ConfigError(f"The memory {name!r} must have the shape {list(most)}, got {list(shape)}.")
-        whole = torch.zeros_like(like)
-        whole[tuple(slice(n) for n in shape)] = values
-        return whole
+    def _given(self, memory: Mapping[str, Any] | None) -> dict[str, torch.Tensor]:
+        """Values for memories from outside, padded with 0 to the shapes of those that would be drawn."""
+        drawn, given = self.episodes.memory, {}
+        if not isinstance(memory or {}, Mapping):
+            raise ConfigError(f"memory must be values by name, got {memory!r:.60}.")
+        for name, values in (memory or {}).items():
+            if name not in drawn:
+                hint = did_you_mean(name, drawn)
+                raise ConfigError(f"The episode state of {self.spec.id} is {listing(drawn)}, not {name!r}.{hint}")
+            most = list(drawn[name].shape)
+            try:
+                values = torch.as_tensor(values, dtype=drawn[name].dtype, device=self.device)
+                fits = bool(torch.isfinite(values).all())
+            except Exception:  # `as_tensor` may raise anything for what is no array
+                fits = False
+            if not fits:
+                raise ConfigError(f"The memory {name!r} must be finite numbers {most}, got {values!r:.60}.")
+            shape = list(values.shape)
+            if len(shape) != len(most) or shape[0] != most[0] or any(n > m for n, m in zip(shape, most, strict=True)):
+                raise ConfigError(f"The memory {name!r} must have the shape {most}, got {shape}.")
+            given[name] = torch.zeros_like(drawn[name])
+            given[name][tuple(slice(n) for n in shape)] = values
+        return given
 
     def step(self, actions: torch.Tensor | np.ndarray) -> StepResult:
         """One control step everywhere.
@@ -434,22 +397,11 @@ class VoxelVecEnv:
         episodes = self.episodes
         going = None if self.auto_reset else ~(episodes.terminated | episodes.truncated)
         obs, after, memory_values, unstable, terms, terminated = self._advance(going)
-        diverged = self.sim.diverged & unstable
-        idle = diverged if going is None else diverged | ~going
-        reward = sum(terms.values())
-        if not (self._on_cpu and all_finite(obs, reward) and not idle.any()):
-            obs, odd = self._finite.step(obs, terms, ~idle, self._on_cpu)
-            diverged, unstable, terminated = diverged | odd, unstable | odd, terminated | odd
-            terms["unstable"] = unstable.double() * self.spec.unstable_penalty
-            # the state before the step may be non-finite: no reward follows from it
-            for term in self.spec.rewards:
-                terms[term.name] = terms[term.name].masked_fill(idle | odd, 0.0)
-            reward = sum(terms.values())
-        episodes.returns.add_(reward)
-        truncated = episodes.length >= episodes.limit
+        obs, reward, unstable, diverged = self._sound(obs, terms, unstable, going)
+        terminated, truncated = terminated | unstable, episodes.length >= episodes.limit
+        truncated = truncated if going is None else truncated & going
         done = terminated | truncated
-        if going is not None:
-            done = done & going
+        episodes.returns.add_(reward)
         info = {
             "final_obs": obs,
             "episode": {
@@ -462,17 +414,33 @@ class VoxelVecEnv:
             "reward_terms": terms,
         }
         episodes.set_before(after)
+        # An ended environment keeps the episode state that its last observation shows.
+        episodes.set_memory(memory_values, None if going is None else going & ~done)
         if going is None:
-            episodes.set_memory(memory_values)
             obs = self._restart(done, obs)
         else:
-            # An ended environment keeps the episode state that its last observation shows.
-            episodes.set_memory(memory_values, going & ~done)
-            terminated, truncated = episodes.terminated | terminated, episodes.truncated | (truncated & going)
-            episodes.terminated.copy_(terminated)
-            episodes.truncated.copy_(truncated)
+            terminated, truncated = episodes.end(terminated, truncated)
             self.sim.set_frozen(terminated | truncated)
         return obs, reward.to(self.dtype), terminated, truncated, info
+
+    def _sound(
+        self, obs: torch.Tensor, terms: dict[str, torch.Tensor], unstable: torch.Tensor, going: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Observation, reward, where the step was stopped and where it diverged, without what is not finite.
+
+        Args:
+            terms: parts of the reward; changed where the step diverged, and where nothing is going on.
+        """
+        diverged, reward = self.sim.diverged & unstable, sum(terms.values())
+        idle = diverged if going is None else diverged | ~going
+        if self._on_cpu and all_finite(obs, reward) and not idle.any():
+            return obs, reward, unstable, diverged
+        obs, odd = self._finite.step(obs, terms, ~idle, self._on_cpu)
+        unstable, idle = unstable | odd, idle | odd
+        terms["unstable"] = unstable.double() * self.spec.unstable_penalty
+        for term in self.spec.rewards:  # the state before the step may be non-finite: no reward follows from it
+            terms[term.name] = terms[term.name].masked_fill(idle, 0.0)
+        return obs, sum(terms.values()), unstable, diverged | odd
 
     def _advance(self, going: torch.Tensor | None):
         """The step without what follows at the end of an episode."""
@@ -519,7 +487,7 @@ class VoxelVecEnv:
 
     def observe(self, state: Snapshot) -> torch.Tensor:
         """The observation ``[num_envs, num_obs]`` that a state gives, as it is: also what is not finite."""
-        return self._layout.observe(state)
+        return self.layout.observe(state)
 
     def retimed(self, obs: torch.Tensor) -> torch.Tensor:
         """The last observation ``[num_envs, num_obs]``, with ``obs="timed"`` after episode lengths were assigned."""
@@ -552,7 +520,7 @@ class VoxelVecEnv:
         self.sim.reset(done)
         if self._draws is not None:
             self._draws.episode.add_(done)
-            self._start_memory(done)
+            self._start_memory(done, {})
         self.episodes.clear(done)
         now = self._snapshot()
         self.episodes.set_before(now)
@@ -564,6 +532,7 @@ class VoxelVecEnv:
         """The full state, as tensors with a row for every environment, for :meth:`set_state`."""
         return {
             "sim": self.sim.state(),
+            "world": self.sim.world_numbers.clone(),
             "memory": self.memory,
             "draws": None if self._draws is None else self._draws.episode.clone(),
             **self.episodes.state(),
@@ -577,7 +546,11 @@ class VoxelVecEnv:
                 the message names it, and nothing has changed.
         """
         like = self.state()
+        if isinstance(state, Mapping):
+            state = {"world": like["world"]} | dict(state)  # files of earlier versions do not say
         check_fields(state, like | {"sim": dict.fromkeys(like["sim"], torch.Tensor)})
+        if not torch.equal(state["world"].to(self.device), like["world"]):
+            raise SimulationError("The state is that of other worlds: bodies have been exchanged since.")
         self.sim.set_state({name: value.to(self.device) for name, value in state["sim"].items()})
         self.episodes.set_memory({name: state["memory"][name].to(self.device) for name in self.episodes.memory})
         if self._draws is not None:

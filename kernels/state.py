@@ -19,6 +19,7 @@ the sub-step's start: ``disp`` is the position, ``stages`` holds velocities and 
 """
 
 import functools
+import math
 from types import SimpleNamespace
 
 import warp as wp
@@ -241,6 +242,15 @@ def structs(precision: str) -> SimpleNamespace:
     model = struct("Model", MODEL, CONSTANTS | {"contact": contact})
     tape = struct("Tape", TAPE, {"smoothing": REAL})
     return SimpleNamespace(Model=model, Data=struct("Data", DATA, {}), Tape=tape, Contact=contact)
+
+
+def bytes_of(table, sizes, precision) -> int:
+    """Bytes of the arrays of a table."""
+    real = REALS[precision]
+    return sum(
+        math.prod(rows(shape, sizes)) * wp.types.type_size_in_bytes(real if kind is REAL else kind)
+        for kind, shape, _ in table.values()
+    )
 
 
 def allocate(table, sizes, precision, device) -> dict[str, wp.array]:

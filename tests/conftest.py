@@ -27,7 +27,7 @@ FIRST = (
     *("test_gpu_check", "test_config", "test_suites", "test_protocol", "test_comparison"),
     # Those that take longest, so that no process waits for another at the end.
     *("test_ray_executor", "test_processes", "test_faults", "test_recordings", "test_cuda_build", "test_pages"),
-    *("test_codesign", "test_trust", "test_commands", "test_needs"),
+    *("test_codesign", "test_trust", "test_commands", "test_memory"),
 )
 """Files that go first, in this order."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")

@@ -3,6 +3,7 @@
 from .api import TrainedRun as TrainedRun
 from .api import load_policy as load_policy
 from .api import train as train
+from .batch.options import SimOptions as SimOptions
 from .code import Code as Code
 from .design import (
     check_design as check_design,

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from numbers import Integral
+from typing import TYPE_CHECKING, Any
 
 from warpvox.errors import ConfigError
 
-__all__ = ["check_integer", "check_shape", "is_integer", "is_number"]
+if TYPE_CHECKING:
+    from torch import Tensor
+
+__all__ = ["check_integer", "check_mask", "check_shape", "is_integer", "is_number"]
 
 
 def is_integer(value: object) -> bool:
@@ -39,3 +43,17 @@ def check_shape(name: str, value: object, error: type[Exception] = ConfigError) 
     if len(sizes) != 2 or not all(is_integer(size) and size >= 1 for size in sizes):
         raise error(f"{name} must be two integers >= 1, (rows, columns), got {value!r:.80}.")
     return int(sizes[0]), int(sizes[1])
+
+
+def check_mask(mask: Any, like: Tensor, error: type[Exception] = ConfigError) -> Tensor:
+    """``mask`` as a bool tensor of the shape and device of ``like`` (``[num_envs]``), or an ``error``."""
+    import torch
+
+    try:
+        found = torch.as_tensor(mask, device=like.device)
+    except Exception:  # `as_tensor` may raise anything for what is no array
+        found = None
+    if found is None or found.shape != like.shape or found.dtype != torch.bool:
+        got = f"{mask!r:.60}" if found is None else f"{found.dtype} {list(found.shape)}"
+        raise error(f"mask must be bool {list(like.shape)}, got {got}.")
+    return found

@@ -11,10 +11,7 @@ A message says what was expected, what was given, which values are valid and whi
 from __future__ import annotations
 
 import difflib
-import functools
-import inspect
-from collections.abc import Callable, Iterable
-from typing import TypeVar
+from collections.abc import Iterable
 
 __all__ = [
     "ActionError",
@@ -33,11 +30,8 @@ __all__ = [
     "WarpvoxError",
     "WorldError",
     "did_you_mean",
-    "known_arguments",
     "listing",
 ]
-
-Function = TypeVar("Function", bound=Callable[..., object])
 
 
 class WarpvoxError(Exception):
@@ -120,26 +114,6 @@ def did_you_mean(name: object, options: Iterable[object]) -> str:
     by_folded = {str(option).casefold(): str(option) for option in options}
     near = difflib.get_close_matches(str(name).casefold(), by_folded, n=1, cutoff=0.6)
     return f" Did you mean '{by_folded[near[0]]}'?" if near else ""
-
-
-def known_arguments(function: Function) -> Function:
-    """Decorate a function so that a misspelt keyword argument is answered with the nearest one.
-
-    Raises:
-        ConfigError: by the decorated function, for a keyword argument that it does not have.
-    """
-    names = [name for name in inspect.signature(function).parameters if name != "self"]
-    owner = function.__qualname__.removesuffix(".__init__")
-
-    @functools.wraps(function)
-    def checked(*args: object, **given: object) -> object:
-        for name in given:
-            if name not in names:
-                hint = did_you_mean(name, names)
-                raise ConfigError(f"{owner} has no argument {name!r}.{hint} There are {listing(names, len(names))}.")
-        return function(*args, **given)
-
-    return checked  # type: ignore[return-value]
 
 
 def listing(options: Iterable[object], limit: int = 12) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 import warp as wp
 
+from warpvox.checks import is_number
 from warpvox.errors import SimulationError
 from warpvox.kernels.reverse import record_reverse
 from warpvox.kernels.state import TAPE, allocate, structs
@@ -41,13 +42,13 @@ class Gradients:
         tape: the arrays of :data:`warpvox.kernels.state.TAPE`, of the control step that was differentiated last.
 
     Raises:
-        SimulationError: another arithmetic or layout, or a smoothing that is no positive number.
+        SimulationError: another arithmetic or layout, or a smoothing that is no number from 1e-9 to 1e9.
     """
 
     def __init__(self, sim: Simulation, smoothing: float = SMOOTHING) -> None:
         self.check(sim)
-        if not isinstance(smoothing, (int, float)) or not 0 < smoothing < float("inf"):
-            raise SimulationError(f"smoothing must be a positive number of simulator units, got {smoothing!r:.80}.")
+        if not is_number(smoothing) or not 1e-9 <= smoothing <= 1e9:  # its cube must be a number, too
+            raise SimulationError(f"smoothing must be from 1e-9 to 1e9 simulator units, got {smoothing!r:.80}.")
         self.sim, self.smoothing = sim, float(smoothing)
         buffers = sim.buffers
         substeps = sim.physics.substeps
@@ -104,7 +105,7 @@ class Gradients:
         return _Step.apply(self, state, actions)
 
     def com(self, state: torch.Tensor, name: str) -> torch.Tensor:
-        """``[num_envs, 2]``: the centre of mass of an object in a state."""
+        """``[num_envs, 2]``: the centre of mass of an object in a state; SimulationError: it never moves."""
         return self._mean(state, name, 0)
 
     def velocity(self, state: torch.Tensor, name: str) -> torch.Tensor:
@@ -113,6 +114,8 @@ class Gradients:
 
     def _mean(self, state: torch.Tensor, name: str, part: int) -> torch.Tensor:
         mask = self.sim.rows_of(name)
+        if not mask.any():
+            raise SimulationError(f"The object {name!r} is made of fixed cells only: it never moves.")
         values = (state[:, part] * mask).unflatten(1, (-1, len(AXES)))
         return values.sum(1) / mask.sum(1, keepdim=True) * len(AXES)
 
@@ -161,12 +164,16 @@ class _Step(torch.autograd.Function):
     def forward(ctx: Any, gradients: Gradients, state: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
         after, moved = gradients._forward(state, actions)
         ctx.gradients = gradients
-        ctx.save_for_backward(state, torch.as_tensor(actions), moved)
+        ctx.save_for_backward(state, torch.as_tensor(actions), moved, gradients.sim.world_numbers)
         return after
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, by_end: torch.Tensor) -> tuple[None, torch.Tensor, torch.Tensor]:
-        state, actions, moved = ctx.saved_tensors
+        state, actions, moved, worlds = ctx.saved_tensors
+        if not torch.equal(worlds, ctx.gradients.sim.world_numbers):
+            raise SimulationError(
+                "The bodies have been exchanged since the step: it cannot be differentiated any more."
+            )
         by_start, by_actions = ctx.gradients._backward(state, actions, by_end)
         return None, by_start.where(moved[:, None, None], by_end), by_actions.where(moved[:, None], 0.0)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import os
+import weakref
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,16 +15,16 @@ import warp as wp
 
 from warpvox.batch.arrays import Buffers, allocate_buffers, put_tables
 from warpvox.batch.objects import CompiledWorlds, Objects
-from warpvox.batch.options import choose_threads, resolve_arithmetic, resolve_layout
+from warpvox.batch.options import SimOptions
 from warpvox.batch.packs import Batch, group
+from warpvox.checks import check_mask
 from warpvox.compile import Body, mesh
-from warpvox.devices.names import resolve_device
 from warpvox.errors import ActionError, SimulationError
 from warpvox.kernels import reset as reset_stage
 from warpvox.kernels import step as step_stage
 from warpvox.kernels.state import DIVERGED, OVERFLOW, STALE, UNSTABLE
 from warpvox.sensors import Recorded, Sensing
-from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL, Physics
+from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 from warpvox.world import World
 
 __all__ = ["STATE_FIELDS", "Simulation"]
@@ -40,29 +43,26 @@ NUMBERS = {
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 _STOPPED, _OVERFLOW = int(UNSTABLE | DIVERGED), int(OVERFLOW)
+_living: weakref.WeakSet[Simulation] = weakref.WeakSet()
+
+
+if hasattr(os, "register_at_fork"):  # a child has no threads but the one that forked
+    os.register_at_fork(after_in_child=lambda: [sim.begin_threads() for sim in list(_living)])
 
 
 class Simulation(Sensing):
     """Worlds stepped together, one environment each.
 
     Args:
-        worlds: one :class:`World` per environment.
-        device: 'auto' (CUDA where there is one, from 100 environments per CPU core on), 'cpu', 'cuda', 'cuda:<index>'.
-        physics: a preset's name or a :class:`Physics`.
-        dtype: precision of the springs and of what is returned: 'float32' or 'float64'. State and contacts are float64
-            in both.
-        lanes: environments that one CPU thread advances at once (1, 8, 16 or 32); None chooses.
-        threads: CPU threads; None takes all cores. Also an attribute.
+        worlds: one :class:`World` per environment; they are copied.
+        sim: how they are computed; its fields may also be given by name: ``device="cpu"``.
         loose: names of objects that :meth:`shift` may move; terrain among them is not merged with the rest.
-        grid: rows and columns up to which :meth:`set_worlds` may bring other bodies; arrays have room for them.
-            Only in fast arithmetic.
         action_range: to what actions are clipped.
-        arithmetic: 'fast', or 'exact' (float64 only), which repeats the released simulator bit for bit: the same
-            physics, every sum in its order. None: 'fast' in float32, 'exact' in float64.
-        layout: 'lanes', one thread an environment (on the CPU as vectors over environments), or 'group', 16 or 32
-            threads an environment, with its state on the chip for a whole control step. None: 'group' on CUDA in fast
-            arithmetic where a world's state fits into 48 KiB, else 'lanes'. Also an attribute: what is in use. On the
-            CPU 'group' is slow, and meant for tests.
+        options: fields of ``sim``.
+
+    Attributes:
+        options: as chosen; ``layout``, ``threads``, ``physics``, ``arithmetic``, ``dtype``, ``device``: what is in use.
+        world_numbers: long ``[num_envs]``: equal for equal worlds, also in other simulations and processes.
 
     Positions are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step lasts
     ``physics.substeps * physics.dt``, 30 x 1e-4). Tensors that methods return are fresh; they never alias the
@@ -75,34 +75,25 @@ class Simulation(Sensing):
     def __init__(
         self,
         worlds: Sequence[World],
-        device: str = "auto",
-        physics: str | Physics = "evogym",
-        dtype: str = "float32",
-        lanes: int | None = None,
-        threads: int | None = None,
+        sim: SimOptions | None = None,
+        *,
         loose: Sequence[str] = (),
         action_range: tuple[float, float] = (ACTION_LOW, ACTION_HIGH),
-        arithmetic: str | None = None,
-        grid: tuple[int, int] | None = None,
-        layout: str | None = None,
+        **options: Any,
     ):
         if not isinstance(worlds, Sequence) or not worlds or not all(isinstance(world, World) for world in worlds):
             raise SimulationError(f"Simulation needs a list of one World or more, got {worlds!r:.80}.")
-        if not isinstance(dtype, str) or dtype not in DTYPES:
-            raise SimulationError(f"dtype must be 'float32' or 'float64', got {dtype!r:.80}.")
-        self.arithmetic = resolve_arithmetic(arithmetic, dtype)
+        self.options = SimOptions.of(sim, options, Simulation.__init__).resolved(len(worlds))
         _check_names(loose)
         low, high = _check_range(action_range)
-        self.device = resolve_device(device, len(worlds))
-        self.physics = physics if isinstance(physics, Physics) else Physics.preset(physics)
-        self.dtype = DTYPES[dtype]
+        self.device, self.physics = self.options.device, self.options.physics
+        self.arithmetic, self.threads = self.options.arithmetic, self.options.threads
+        self.dtype = DTYPES[self.options.dtype]
         different, index = group(worlds)
-        layout = resolve_layout(layout, self.arithmetic, self.device, lanes)
-        for self.layout in ("group", "lanes") if layout == "group" else ("lanes",):
-            self._batch = Batch(
-                different, index, self.physics, self.arithmetic, self.device, lanes, tuple(loose), grid, self.layout,
-            )  # fmt: skip
-            self._state = allocate_buffers(self._batch, dtype)
+        group_first = self.options.layout == "group"
+        for self.layout in ("group", "lanes") if group_first else ("lanes",):
+            self._batch = Batch(different, index, self.options, tuple(loose), self.layout)
+            self._state = allocate_buffers(self._batch, self.options.dtype)
             if self._state is not None:
                 break
         self.designs = CompiledWorlds(self._batch)
@@ -113,8 +104,8 @@ class Simulation(Sensing):
         self.object_names = self._objects.names
         self.loose = tuple(loose)
         self._loose = self._objects.loose_points(self.loose)
-        self.threads = choose_threads(threads)
-        self._pool = ThreadPoolExecutor(self.threads)
+        self.begin_threads()
+        _living.add(self)
         self._shares: list[Recorded] = []
         self._take: Recorded | None = None
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
@@ -162,6 +153,9 @@ class Simulation(Sensing):
         if actions.device.type == "cpu" and not bool(torch.isfinite(actions).all()):
             bad = int((~torch.isfinite(actions)).nonzero()[0, 0])
             raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
+        if actions.dtype == torch.float64 and self.dtype != torch.float64:
+            most = torch.finfo(self.dtype).max
+            actions = actions.clamp(-most, most)  # beyond it a finite number would become infinite
         self._actions.copy_(actions)
 
     @property
@@ -190,6 +184,10 @@ class Simulation(Sensing):
         for job in jobs:
             job.result()
         self._centres_are_new = False
+
+    def begin_threads(self) -> None:
+        """Begin the threads that :meth:`run` hands work to; a forked process does so by itself."""
+        self._pool = ThreadPoolExecutor(self.threads)
 
     def _record_shares(self) -> list[Recorded]:
         """On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs."""
@@ -273,10 +271,7 @@ class Simulation(Sensing):
         self._views["frozen"].view(-1)[self._slot] = self._check_mask(mask).to(torch.int32)
 
     def _check_mask(self, mask) -> torch.Tensor:
-        mask = torch.as_tensor(mask, device=self.device)
-        if tuple(mask.shape) != (self.num_envs,) or mask.dtype != torch.bool:
-            raise SimulationError(f"A mask must be bool [{self.num_envs}], got {mask.dtype} {list(mask.shape)}.")
-        return mask
+        return check_mask(mask, self.design_index, SimulationError)
 
     # ------------------------------------------------------------------ status
 
@@ -487,6 +482,8 @@ class Simulation(Sensing):
         self._objects.refresh()
         self.designs.forget()
         self.design_index.copy_(torch.as_tensor(self._batch.index))
+        numbers = np.array([int.from_bytes(key[:8], "little", signed=True) for key in self._batch.keys])
+        self.world_numbers = torch.as_tensor(numbers[self._batch.index], device=self.device)
         for buffer in self.sensing_buffers:  # entries of points that there are no more
             buffer.zero_()
         rows = self._objects.rows

@@ -19,7 +19,7 @@ from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.layout import VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.code import Code, is_code
-from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError
 from warpvox.io.writing import atomic_path

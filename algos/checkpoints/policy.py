@@ -26,7 +26,7 @@ from warpvox.algos.checkpoints.files import (
     spec_of,
     with_code,
 )
-from warpvox.envs.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
 from warpvox.errors import RunError
 from warpvox.io.reading import Unreadable, parse_json
@@ -69,6 +69,10 @@ class Policy(nn.Module):
         self.mlp = nn.Sequential(*MLP(spec.num_obs, spec.num_actions, list(spec.hidden), spec.activation))
         self.register_buffer("mean", torch.zeros(spec.num_obs))
         self.register_buffer("deviation", torch.ones(spec.num_obs))
+
+    def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
+        """:meth:`forward` of a tensor, :meth:`act` of an array."""
+        return self.act(obs) if isinstance(obs, np.ndarray) else super().__call__(obs, *more)
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""

@@ -205,13 +205,11 @@ class _Generation:
 
 def describe(factory: EnvFactory, settings: Any, seed: int, candidates: Sequence[Candidate]) -> dict[str, Any]:
     """All that determines the outcomes, as plain values, to recognise a checkpoint; ``settings``: a dataclass."""
-    irrelevant = {"save_interval", "method"}
+    irrelevant, sim = {"save_interval", "method"}, factory.sim
     return {
         "version": VERSION,
         "task": get_task(factory.task).id,
-        "simulation": repr(
-            (factory.rules, factory.physics, factory.dtype, factory.arithmetic, factory.max_episode_steps)
-        ),
+        "simulation": repr((factory.rules, sim.physics, sim.dtype, sim.arithmetic, factory.max_episode_steps)),
         "settings": {key: value for key, value in dataclasses.asdict(settings).items() if key not in irrelevant},
         "seed": seed,
         "candidates": [[candidate.id, candidate.body.tolist(), list(candidate.parents)] for candidate in candidates],

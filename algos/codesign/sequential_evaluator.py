@@ -88,7 +88,7 @@ class SequentialEvaluator:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             env = adapt(self.factory.make([candidate.body], settings.envs, [seed], auto_reset=True), settings.ppo)
-            on_cpu = dataclasses.replace(self.factory, device="cpu")  # where few environments are faster
+            on_cpu = self.factory.computed(device="cpu")  # where few environments are faster
             judge = evaluator(on_cpu.make([candidate.body], settings.eval_envs, [seed], auto_reset=False), [self.seed])
 
             def evaluate(policy: Controller) -> Evaluation:

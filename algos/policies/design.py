@@ -1,6 +1,7 @@
 """A policy for the body inside the episode: a cellular automaton designs it, a network for voxels controls it.
 
-Both are one model of rsl-rl's kind, which stock PPO trains on :class:`warpvox.envs.design_rsl_rl.RslRlDesignEnv`.
+Both are one model of rsl-rl's kind, which stock PPO trains on
+:class:`warpvox.envs.adapters.design_rsl_rl.RslRlDesignEnv`.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from torch import nn
 from warpvox.algos.policies.layout import VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.training.networks import observations
+from warpvox.envs.adapters.design_rsl_rl import RslRlDesignEnv
+from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.design_episodes import NUM_TYPES, DesignLayout
-from warpvox.envs.design_rsl_rl import RslRlDesignEnv
-from warpvox.envs.rsl_rl import OBS_GROUP
 from warpvox.envs.voxels import NUM_FEATURES
 from warpvox.errors import ConfigError
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import torch
 from torch import nn
 
-from warpvox.envs.rsl_rl import OBS_GROUP
+from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 
 __all__ = ["AMPLITUDE", "GaitModel", "gait_outputs", "phase_at"]
 

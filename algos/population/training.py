@@ -23,7 +23,7 @@ from warpvox.algos.settings import PpoConfig, TrainingConfig
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import adapt
 from warpvox.design import Design
-from warpvox.envs.rsl_rl import OBS_GROUP
+from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.errors import ActionError
 
 __all__ = ["Networks", "PopulationTraining", "fresh_networks"]

@@ -13,7 +13,7 @@ from warpvox.algos.policies.layout import MOVING
 from warpvox.algos.training.ppo import PPO
 from warpvox.algos.training.runner import Runner
 from warpvox.algos.training.targets import Targets
-from warpvox.envs.rsl_rl import ACTION_CENTER
+from warpvox.envs.adapters.rsl_rl import ACTION_CENTER
 from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, SimulationError

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from warpvox.design import Design, sample_design
-from warpvox.envs.rsl_rl import RslRlVecEnv
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError
 
 __all__ = ["Bodies", "draw_bodies"]

@@ -16,7 +16,7 @@ from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.adam import VectorAdam
 from warpvox.algos.training.networks import Gaussian, Network, observations
-from warpvox.envs.rsl_rl import OBS_GROUP
+from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.errors import ConfigError
 
 __all__ = ["PPO", "rsl_rl_config"]

@@ -28,7 +28,7 @@ from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
 from warpvox.algos.training.metrics import Metrics
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.devices.out_of_memory import enough_memory
-from warpvox.envs.rsl_rl import RslRlVecEnv
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warpvox.envs.about import about
+from warpvox.envs.terms.arrays import double, library, replaced, taken
 from warpvox.types import VOXEL
 
 if TYPE_CHECKING:
@@ -43,25 +44,25 @@ def first_goal(draws: RandomStream) -> Tensor:
 def next_goal(state: Snapshot, name: str, within: float) -> Tensor:
     """The first goal from the present one on that is not within a distance of the object, else their count."""
     goals = state.memory("goals")
-    count = goals.shape[1]
-    number = goals.new_ones(count).cumsum(0) - 1
-    near = (goals.double() * VOXEL - state.com(name)[:, :1]).abs() < within
+    count, xp = goals.shape[1], library(goals)
+    number = xp.ones_like(goals[:1]).cumsum(1) - 1
+    near = abs(double(goals) * VOXEL - state.com(name)[:, :1]) < within
     ahead = (number >= state.memory("goal")) & (~near | (goals == 0))
-    return number.expand_as(goals).masked_fill(~ahead, count).amin(1, keepdim=True)
+    return xp.amin(replaced(number, ~ahead, count), 1)[:, None]
 
 
 def goal_x(state: Snapshot) -> Tensor:
     """float64 ``[num_envs, 1]``: the present goal; after the last one still that."""
     goals = state.memory("goals")
-    last = (goals > 0).sum(1, keepdim=True) - 1
-    return goals.gather(1, state.memory("goal").minimum(last)).double() * VOXEL
+    last = (goals > 0).sum(1)[:, None] - 1
+    return double(taken(goals, library(goals).minimum(state.memory("goal"), last))) * VOXEL
 
 
 @about("-Δ|x of the goal - x_{name}|")
 def approach_goal(before: Snapshot, after: Snapshot, name: str) -> Tensor:
     """How much closer the object has come to the goal that it has after the step, in x."""
     goal = goal_x(after)[:, 0]
-    return (goal - before.com(name)[:, 0]).abs() - (goal - after.com(name)[:, 0]).abs()
+    return abs(goal - before.com(name)[:, 0]) - abs(goal - after.com(name)[:, 0])
 
 
 @about("all goals reached by {name}")

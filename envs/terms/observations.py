@@ -10,6 +10,7 @@ from math import inf, pi
 from typing import TYPE_CHECKING
 
 from warpvox.envs.about import ANGLE, LENGTH, NUMBER, SPEED, about
+from warpvox.envs.terms.arrays import double, extremes_at, filled, library, long, replaced
 from warpvox.envs.terms.goals import LONGEST, goal_x
 from warpvox.types import SIGHT, VOXEL
 
@@ -94,7 +95,7 @@ def elevation(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) 
     open: heights are absolute and in simulator units, as positions are; where a window holds no such point, the
     height is that of the floor at y = 0, on which bodies that leave the terrain do land.
     """
-    floor = state.com(name).new_zeros((len(state.com(name)), 1))
+    floor = filled(state.com(name), (len(state.com(name)), 1), 0.0)
     return _windows(state, name, reach, objects, floor, above=False)
 
 
@@ -111,28 +112,29 @@ def overhang(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) -
 
 def _windows(state: Snapshot, name: str, reach: int, objects: tuple[str, ...], nothing: Tensor, above: bool) -> Tensor:
     """Height of the lowest point above or the highest below in windows that begin at the centre, else ``nothing``."""
-    centre = state.com(name)
-    none = nothing.new_full((1, 1), inf if above else -inf)
-    heights = none.repeat(len(centre), 2 * reach + 3)  # one more window on each side collects the rest
+    centre, none = state.com(name), inf if above else -inf
+    xp, width = library(centre), 2 * reach + 3  # one more window on each side collects the rest
+    heights = filled(centre, (len(centre), width), none)
     for terrain in objects:
-        x, y = state.positions(terrain).double().unbind(-1)
+        points = double(state.positions(terrain))
+        x, y = points[..., 0], points[..., 1]
         hidden = y <= centre[:, 1:] if above else y >= centre[:, 1:]
-        seen = none.where(hidden, y)
+        seen = replaced(y, hidden, none)
         along = (x - centre[:, :1]) / VOXEL
         # A point on the border of two windows belongs to both.
-        for window in (along.floor(), along.ceil() - 1):
-            slot = (window + (reach + 1)).clamp(0, 2 * reach + 2).long()
-            heights.scatter_reduce_(1, slot, seen, "amin" if above else "amax")
+        for window in (xp.floor(along), xp.ceil(along) - 1):
+            slot = long(xp.clip(window + (reach + 1), 0, width - 1))
+            extremes_at(heights, slot, seen, "amin" if above else "amax")
     heights = heights[:, 1:-1]
-    return nothing.where(heights == none, heights)
+    return xp.where(heights == none, nothing, heights)
 
 
 @about("({x}, {y}) - p_{name}", unit=LENGTH, entries=2)
 def short_of(state: Snapshot, name: str, x: float, y: float) -> Tensor:
     """From the centre of mass to a goal: (g_x - p_x, g_y - p_y)."""
     centre = state.com(name)
-    goal = centre.new_full((2,), x)  # filled on the device: a list would have to be brought there, which waits
-    goal[1:].fill_(y)
+    # filled on the device: a list would have to be brought there, which waits
+    goal = library(centre).concatenate((filled(centre, (1,), x), filled(centre, (1,), y)))
     return goal - centre
 
 

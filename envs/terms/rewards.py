@@ -9,6 +9,7 @@ from math import pi
 from typing import TYPE_CHECKING
 
 from warpvox.envs.about import about
+from warpvox.envs.terms.arrays import double, library, replaced
 from warpvox.types import AXES
 
 if TYPE_CHECKING:
@@ -41,43 +42,43 @@ def displacement(before: Snapshot, after: Snapshot, name: str, axis: str) -> Ten
 def drop(before: Snapshot, after: Snapshot, name: str, below: float) -> Tensor:
     """How far the centre of mass has risen (negative: fallen) where it is now below a height, else 0."""
     height = after.com(name)[:, 1]
-    return (height - before.com(name)[:, 1]).masked_fill(height >= below, 0.0)
+    return replaced(height - before.com(name)[:, 1], height >= below, 0.0)
 
 
 @about("[y_{name} < ({below} if x_{name} <= {x} else {below_beyond})] Δy_{name}")
 def staged_drop(before: Snapshot, after: Snapshot, name: str, below: float, x: float, below_beyond: float) -> Tensor:
     """As :func:`drop`, with another height (``below_beyond``) where the centre of mass is now beyond ``x``."""
-    place, height = after.com(name).unbind(1)
-    above = (height >= below).where(place <= x, height >= below_beyond)
-    return (height - before.com(name)[:, 1]).masked_fill(above, 0.0)
+    place, height = after.com(name)[:, 0], after.com(name)[:, 1]
+    above = library(height).where(place <= x, height >= below, height >= below_beyond)
+    return replaced(height - before.com(name)[:, 1], above, 0.0)
 
 
 @about("|Δ{axis}_{name}|")
 def motion(before: Snapshot, after: Snapshot, name: str, axis: str) -> Tensor:
     """How far the centre of mass has moved along an axis, either way: |delta p|."""
-    return displacement(before, after, name, axis).abs()
+    return abs(displacement(before, after, name, axis))
 
 
 @about("(Δx_{name} if x_{name} >= 0 else -Δx_{name})")
 def away_from_start(before: Snapshot, after: Snapshot, name: str) -> Tensor:
     """How far the centre of mass has moved away from x = 0, on the side where it is now."""
     moved = displacement(before, after, name, "x")
-    return moved.where(after.com(name)[:, 0] >= 0, -moved)
+    return library(moved).where(after.com(name)[:, 0] >= 0, moved, -moved)
 
 
 @about("Δ|{goal} - {axis}_{name}|")
 def distance(before: Snapshot, after: Snapshot, name: str, axis: str, goal: float) -> Tensor:
     """How much further from a goal the centre of mass now is along an axis: delta |g - p|."""
     column = AXES[axis]
-    return (goal - after.com(name)[:, column]).abs() - (goal - before.com(name)[:, column]).abs()
+    return abs(goal - after.com(name)[:, column]) - abs(goal - before.com(name)[:, column])
 
 
 @about("Δ|{axis}_{name} - {axis}_{other}|")
 def gap(before: Snapshot, after: Snapshot, name: str, other: str, axis: str) -> Tensor:
     """How much further apart two objects now are along an axis: delta |p^name - p^other|."""
     column = AXES[axis]
-    now = (after.com(name) - after.com(other))[:, column].abs()
-    return now - (before.com(name) - before.com(other))[:, column].abs()
+    now = abs((after.com(name) - after.com(other))[:, column])
+    return now - abs((before.com(name) - before.com(other))[:, column])
 
 
 @about("Δ(max {axis} - min {axis} of the points of {name})")
@@ -102,6 +103,6 @@ def turned(before: Snapshot, after: Snapshot, name: str) -> Tensor:
     """
     start, end = before.orientation(name), after.orientation(name)
     low, high = pi / 3, 5 * pi / 3
-    forward = ((start > high) & (end < low)).double()
-    backward = ((start < low) & (end > high)).double()
+    forward = double((start > high) & (end < low))
+    backward = double((start < low) & (end > high))
     return end - start + 2 * pi * (forward - backward)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warpvox.envs.about import about
+from warpvox.envs.terms.arrays import library
 from warpvox.types import AXES
 
 if TYPE_CHECKING:
@@ -25,7 +26,8 @@ def beyond(state: Snapshot, name: str, axis: str, limit: float) -> Tensor:
 def reaches(state: Snapshot, name: str, axis: str, limit: float) -> Tensor:
     """The foremost point of the object has passed ``limit`` along an axis."""
     column = AXES[axis]
-    return state.relative_positions(name)[:, column].amax(1) + state.com(name)[:, column] > limit
+    along = state.relative_positions(name)[:, column]
+    return library(along).amax(along, 1) + state.com(name)[:, column] > limit
 
 
 @about("{axis}_{name} < {limit}")

@@ -31,7 +31,7 @@ FIGURE_2 = "scaling.bodies=2 scaling.seconds=0.04".split()
 # A package that looks like the reference to the worker, and is warpvox: the whole protocol runs without evogym.
 FAKE = """
 import gymnasium, numpy as np
-from warpvox.envs.gym import VoxelEnv
+from warpvox.envs.adapters.gym import VoxelEnv
 
 class Env(VoxelEnv):
     def __init__(self, task, body, **rest):

@@ -128,8 +128,8 @@ def test_a_search_that_tunes_by_gradients(warpvox: Callable, train: Callable) ->
     assert 2 * 4 < one.steps <= 2 * 4 + 500
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
     # on CUDA another layout would be chosen, through which gradients do not go
-    assert _common_factory(load("codesign", ["evaluation=shared", "screening.policy=cpg"]), None).layout == "lanes"
-    assert _common_factory(load("codesign", ["evaluation=shared"]), None).layout is None
+    assert _common_factory(load("codesign", ["evaluation=shared", "screening.policy=cpg"]), None).sim.layout == "lanes"
+    assert _common_factory(load("codesign", ["evaluation=shared"]), None).sim.layout is None
     assert learns_by_gradients(load("codesign", ["evaluation=shared", "screening.policy=cpg"]))
     assert not learns_by_gradients(load("codesign", ["screening.policy=cpg"]))
     refused = warpvox("codesign", *TINY, "evaluation=shared", "screening.policy=cpg", "task=AreaMaximizer-v0")

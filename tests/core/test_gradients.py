@@ -309,12 +309,24 @@ def test_mistakes(grads):
         Gradients(Simulation([world], device="cpu", dtype="float64"))
     with pytest.raises(SimulationError, match="layout='lanes', got 'group'"):
         Gradients(Simulation([world], device="cpu", layout="group"))
-    for smoothing in (0, -1.0, float("inf"), float("nan"), "thin"):
-        with pytest.raises(SimulationError, match="smoothing must be a positive number"):
+    for smoothing in (0, -1.0, float("inf"), float("nan"), "thin", True, 1e-300):
+        with pytest.raises(SimulationError, match="smoothing must be from"):
             Gradients(grads.sim, smoothing)
+    with pytest.raises(SimulationError, match="'ground' is made of fixed cells only"):
+        grads.com(grads.state(), "ground")
     actions = grads.sim.actions
     for state in (grads.state()[:3], grads.state()[:, :2], grads.state().float(), None):
         with pytest.raises(SimulationError, match=r"A state must be a tensor float64 \[8, 3, "):
             grads.step(state, actions)
     with pytest.raises(ActionError, match="must have the shape"):
         grads.step(grads.state(), actions[:, :1])
+
+
+def test_a_step_of_bodies_that_have_gone_cannot_be_differentiated():
+    grads = Gradients(simulation(grid=(4, 4)))
+    sim, actions = grads.sim, torch.ones((8, grads.sim.num_actions), dtype=torch.float64, requires_grad=True)
+    kept = grads.step(grads.state(), actions)
+    mask = torch.arange(8) == 5
+    sim.set_worlds([sim.worlds[0]], mask)
+    with pytest.raises(SimulationError, match="exchanged since the step"):
+        kept.sum().backward()

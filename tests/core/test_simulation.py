@@ -1,5 +1,7 @@
 """Contracts of the simulator that hold for every body: batching, determinism, reset, freezing, physics."""
 
+import os
+
 import numpy as np
 import pytest
 import torch
@@ -188,10 +190,42 @@ def test_bad_actions_are_refused():
         sim.step(bad)
 
 
+def test_a_world_that_is_changed_afterwards_changes_no_simulation():
+    world = world_of(np.array([[3, 4]]))
+    sim = Simulation([world], device="cpu", lanes=8)
+    world.add_from_array("stone", [[2]], 20, 3)
+    assert set(sim.worlds[0].objects) == set(sim.object_names) == {"ground", "robot"}
+
+
+class Rewards(torch.utils.data.Dataset):
+    """Steps a simulation in another process."""
+
+    def __init__(self, sim):
+        self.sim = sim
+
+    def __len__(self):
+        return 1
+
+    def __getitem__(self, index):
+        self.sim.step(torch.ones((self.sim.num_envs, self.sim.num_actions)))
+        return self.sim.time
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_forked_process_steps_it():
+    sim = Simulation(worlds(2), device="cpu", lanes=1, threads=2)
+    sim.step(torch.ones((2, sim.num_actions)))  # its threads are at work
+    loader = torch.utils.data.DataLoader(Rewards(sim), num_workers=1, timeout=60, multiprocessing_context="fork")
+    assert next(iter(loader)).tolist() == [[2, 2]]
+    assert sim.time.tolist() == [1, 1]
+
+
 def test_actions_are_clipped():
     low, high = (Simulation(worlds(1), device="cpu", lanes=1) for _ in range(2))
     assert torch.equal(
-        run(low, torch.full((5, 1, low.num_actions), 9.0)), run(high, torch.full((5, 1, low.num_actions), 1.6))
+        run(low, torch.full((5, 1, low.num_actions), 1e39, dtype=torch.float64)),  # more than float32 can hold
+        run(high, torch.full((5, 1, low.num_actions), 1.6)),
     )
 
 

@@ -11,6 +11,7 @@ import torch
 import warp as wp
 
 from warpvox.algos.env_factory import EnvFactory
+from warpvox.batch.options import SimOptions
 from warpvox.cli.build import resolve
 from warpvox.cli.config import load
 from warpvox.devices import names
@@ -53,7 +54,7 @@ def test_environments_and_commands_choose_by_their_number() -> None:
 
 @pytest.mark.usefixtures("gpu")
 def test_a_factory_has_one_device_for_batches_of_all_sizes() -> None:
-    assert EnvFactory("Walker-v0", device="auto").device == "cuda:0"
+    assert EnvFactory("Walker-v0", sim=SimOptions()).sim.device == "cuda:0"
 
 
 @pytest.mark.parametrize(

@@ -129,8 +129,13 @@ def test_what_cannot_be_given_is_refused_before_anything_changes() -> None:
     ):
         with pytest.raises(error, match=words):
             env.set_designs(designs, all_of_them, **options)
+    for mask in (torch.ones(3, dtype=torch.bool), None, "x"):
+        with pytest.raises(ConfigError, match=r"mask must be bool \[4\]"):
+            env.set_designs(sampled(1), mask)
     with pytest.raises(ConfigError, match=r"mask must be bool \[4\]"):
-        env.set_designs(sampled(1), torch.ones(3, dtype=torch.bool))
+        env.reset(mask="x")
+    with pytest.raises(DesignError, match="needs a body"):
+        env.set_designs(None, all_of_them)
     after = env.state()
     assert all(torch.equal(after["sim"][name], value) for name, value in state["sim"].items())
     with pytest.raises(SimulationError, match=r"made with grid=\(rows, columns\)"):
@@ -140,6 +145,16 @@ def test_what_cannot_be_given_is_refused_before_anything_changes() -> None:
     for grid in (5, (5,), "5x5", (0, 5), (5.0, 5)):
         with pytest.raises(ConfigError, match="grid must be two integers"):
             make_vec("Walker-v0", sampled(1), 1, device="cpu", grid=grid)
+
+
+def test_a_state_of_other_bodies_is_refused() -> None:
+    env = make_vec("Walker-v0", sampled(2), 2, grid=(5, 5), device="cpu", threads=1)
+    state, mask = env.state(), torch.tensor([False, True])
+    env.set_designs(sampled(1, 9), mask)
+    with pytest.raises(SimulationError, match="bodies have been exchanged"):
+        env.set_state(state)
+    env.set_designs(sampled(1, 1), mask)  # as they were
+    env.set_state(state)
 
 
 def test_rewards_and_resets_of_a_changed_environment_are_its_own() -> None:

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from warpvox.design import are_valid, repair_design, sample_design
+from warpvox.envs.adapters.design_rsl_rl import RslRlDesignEnv
 from warpvox.envs.design_episodes import NUM_TYPES, DesignVecEnv, design_episodes
-from warpvox.envs.design_rsl_rl import RslRlDesignEnv
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ActionError, ConfigError, DesignError
 from warpvox.types import Cell

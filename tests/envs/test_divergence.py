@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from warpvox.envs.rsl_rl import RslRlVecEnv
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.simulation import Simulation
 from warpvox.types import Physics

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import warnings
@@ -15,7 +16,7 @@ from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 
 from warpvox.design import example_design
-from warpvox.envs.gym import VoxelEnv, register, register_task
+from warpvox.envs.adapters.gym import VoxelEnv, register, register_task
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import ActionError, ConfigError, DesignError, DisplayError, WorldError
 
@@ -98,6 +99,8 @@ def test_the_time_limit_is_gymnasiums() -> None:
 def test_importing_the_environments_registers_them(code: str, tmp_path: Path) -> None:
     run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
+    page = (ROOT / "docs" / "observations.md").read_text(encoding="utf-8")
+    assert set(re.findall(r'"(\w[\w.]*:warpvox/Walker-v0)"', page)) == {"warpvox.envs:warpvox/Walker-v0"}
 
 
 def test_a_window_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ from gymnasium.wrappers.vector import (
 )
 
 from warpvox.design import example_design, sample_design
-from warpvox.envs.gym_vector import VoxelGymVectorEnv
+from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv
 from warpvox.envs.registry import task_ids
 from warpvox.errors import ConfigError, SimulationError
 
@@ -229,3 +229,18 @@ def test_bodies_are_exchanged_in_the_running_batch(mode: AutoresetMode) -> None:
     assert not env.step(actions)[3].any()
     with pytest.raises(SimulationError, match="grid"):
         make(body=first, dtype="float32").set_designs(second, mask)
+
+
+@pytest.mark.parametrize("task", ["Walker-v0", "UpStepper-v0", "Pusher-v0"])
+def test_the_space_holds_whatever_bodies_are_put_in(task: str) -> None:
+    """Terms behind the shape of a body lie elsewhere for each; Pusher has a second object, UpStepper bounded scans."""
+    env = make(task, num_envs=4, body=[[3]], grid=(3, 2), dtype="float32")
+    bodies = [np.array(body) for body in ([[3]], [[3, 4]], [[3, 3], [4, 4], [1, 2]], [[4, 1], [4, 1], [0, 3]])]
+    env.reset(seed=0)
+    for body in bodies:
+        obs = env.set_designs(body, np.array([True, False, False, False]))
+        assert env.observation_space.contains(obs)
+    for _ in range(3):
+        assert env.observation_space.contains(env.step(env.action_space.sample())[0])
+    if task == "UpStepper-v0":  # and it still says something
+        assert np.isfinite(env.single_observation_space.high[-1])

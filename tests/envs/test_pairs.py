@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from warpvox.design import sample_design
-from warpvox.envs.gym import spaces_of
+from warpvox.envs.adapters.base import spaces_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import make_vec

@@ -101,9 +101,12 @@ def test_what_is_drawn_can_be_set() -> None:
 @pytest.mark.parametrize(
     ("task", "memory", "words"),
     [
-        ("Walker-v0", {"goals": [[30]]}, "has no episode state"),
+        ("Walker-v0", {"goals": [[30]]}, "episode state of Walker-v0 is .none., not 'goals'"),
         ("Catcher-v0", {"offsets": [[0, 0]]}, "Did you mean 'offset'"),
         ("Catcher-v0", {"offset": [[0, 0, 0]]}, r"shape \[1, 2\], got \[1, 3\]"),
+        ("Catcher-v0", {"offset": [[float("nan"), 0]]}, "must be finite numbers"),
+        ("Catcher-v0", {"offset": "far"}, "must be finite numbers"),
+        ("Catcher-v0", [1], "must be values by name"),
     ],
 )
 def test_what_cannot_be_set_is_refused(task: str, memory: dict, words: str) -> None:

@@ -11,7 +11,7 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 
 from rsl_rl.runners import OnPolicyRunner
 
-from warpvox.envs.rsl_rl import RslRlVecEnv
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.vec_env import make_vec
 
 

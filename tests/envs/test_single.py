@@ -8,14 +8,11 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from warpvox.design import example_design
-from warpvox.envs.gym import VoxelEnv
+from warpvox.envs.adapters.gym import VoxelEnv
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.envs.single import Number, Row
 from warpvox.envs.spec import rewards
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ActionError
@@ -41,10 +38,10 @@ def test_every_task_is_stepped_fast_with_the_numbers_of_torch(task: str, rules: 
             assert (reward, terminated) == (float(their_reward), bool(their_end))
             assert info["reward_terms"] == {name: part.item() for name, part in their_info["reward_terms"].items()}
             assert (info["unstable"], info["diverged"]) == (bool(their_info["unstable"]), bool(their_info["diverged"]))
-    ours, theirs = env._vec.state(), slow.state()
+    ours, theirs = env.vec.state(), slow.state()
     assert all(torch.equal(ours[name], theirs[name]) for name in ("length", "return", "terminated", "truncated"))
-    assert env._vec.memory.keys() == slow.memory.keys()
-    assert all(torch.equal(value, slow.memory[name]) for name, value in env._vec.memory.items())
+    assert env.vec.memory.keys() == slow.memory.keys()
+    assert all(torch.equal(value, slow.memory[name]) for name, value in env.vec.memory.items())
 
 
 def test_it_is_stepped_fast_in_float32_too() -> None:
@@ -118,30 +115,3 @@ def test_actions_are_checked_and_clipped_as_before() -> None:
         (obs, reward, *_), (theirs, their_reward, *_) = env.step(huge), twin.step(most)
         assert np.array_equal(obs, theirs)
         assert reward == their_reward
-
-
-NUMBERS = st.floats(-1e3, 1e3)
-ROWS = st.lists(NUMBERS, min_size=3, max_size=3)
-OPERATIONS = {
-    "arithmetic": lambda a, b: (1.5 - a[:, 0]) * 2.0 + b[:, 1] - a[:, 2] * 0.5,
-    "rows": lambda a, b: ((2 * a - b) / 0.1).abs().floor() + b.ceil().clamp(-5, 5),
-    "selection": lambda a, b: a[:, 0].where(a[:, 1] >= b[:, 2], -b[:, 0]),
-    "masks": lambda a, b: (a[:, 0] - b[:, 0]).masked_fill(~(a[:, 1] > 0) | (b[:, 1] < 0), 0.0),
-    "limits": lambda a, b: a[:, 0].new_full((), 0.4).where(a[:, 1] <= 2.0, a[:, 0].new_full((), 0.7)) + b[:, 0],
-    "extremes": lambda a, b: a.amax(1) + b.amin(1, keepdim=True)[:, 0],
-    "counts": lambda a, b: (a > b).sum(1).double() + (a.long() == b.long()).sum(1, keepdim=True)[:, 0],
-    "mixed": lambda a, b: a.amax(1) - b[:, :2] + a[:, 1],
-    "places": lambda a, b: a.gather(1, (b > 0).sum(1, keepdim=True).minimum((a == a).sum(1, keepdim=True) - 1)),
-    "windows": lambda a, b: a.new_zeros((1, 4)).scatter_reduce_(1, b.long().clamp(0, 3), a, "amin"),
-    "axes": lambda a, b: a.unbind(1)[2] * 3.0 - b.unbind(-1)[0],
-    "comparisons": lambda a, b: (a[:, 0] < 3.0).double() - (a[:, 0] != b[:, 0]).double(),
-}
-
-
-@pytest.mark.parametrize("operation", OPERATIONS)
-@given(a=ROWS, b=ROWS)
-def test_rows_compute_as_tensors_do(operation: str, a: list[float], b: list[float]) -> None:
-    theirs = OPERATIONS[operation](torch.tensor([a], dtype=torch.float64), torch.tensor([b], dtype=torch.float64))
-    ours = OPERATIONS[operation](np.array([a]).view(Row), np.array([b]).view(Row))
-    ours = [ours.value] if isinstance(ours, Number) else ours.ravel().tolist()
-    assert [float(value) for value in ours] == theirs.double().ravel().tolist()

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from warpvox.design import example_design, sample_design
-from warpvox.envs.gym import register_task
+from warpvox.envs.adapters.gym import register_task
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.observations import separation, shape, velocity

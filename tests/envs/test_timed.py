@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from warpvox.envs.adapters.gym import VoxelEnv
+from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.design_episodes import design_episodes
-from warpvox.envs.gym import VoxelEnv
-from warpvox.envs.gym_vector import VoxelGymVectorEnv
 from warpvox.envs.registry import get_task
-from warpvox.envs.rsl_rl import RslRlVecEnv
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 
 LIMIT = 4

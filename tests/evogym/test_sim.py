@@ -75,7 +75,7 @@ def test_it_is_the_simulation_of_warpvox() -> None:
     core = World()
     for obj in world.objects.values():
         core.add_object(obj.to_core())
-    batch = Simulation([core], "cpu", "evogym", "float64", lanes=1, threads=1)
+    batch = Simulation([core], device="cpu", dtype="float64", lanes=1, threads=1)
     for row in actions:
         sim.set_action("robot", row)
         assert sim.step() is False

@@ -7,6 +7,7 @@ import numpy as np
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.settings import TrainingConfig
+from warpvox.batch.options import SimOptions
 from warpvox.configs.presets import training_preset
 from warpvox.design import sample_design
 
@@ -20,7 +21,7 @@ def small(preset: str = "fast", **changes: object) -> TrainingConfig:
 
 
 def factory(task: str = "Walker-v0", dtype: str = "float32") -> EnvFactory:
-    return EnvFactory(task, threads=1, max_episode_steps=LIMIT, dtype=dtype)
+    return EnvFactory(task, max_episode_steps=LIMIT, sim=SimOptions("cpu", dtype, threads=1))
 
 
 def bodies(count: int) -> list[np.ndarray]:

@@ -78,7 +78,7 @@ def test_a_walker_needs_no_memory_but_registers_and_shared_memory(architecture, 
 @needs_assembler
 def test_a_walker_takes_few_instructions():
     env = make_vec("Walker-v0", num_envs=1, device="cpu", dtype="float32", lanes=1, threads=1)
-    sim = Simulation([env.sim.worlds[0]] * 4, "cpu", env.sim.physics, threads=1, layout="group")
+    sim = Simulation([env.sim.worlds[0]] * 4, env.sim.options, layout="group", lanes=None)
     found = instructions(sim, steps=10, seed=0)
     every, waves = (sum(getattr(count, name) for count in found.values()) for name in ("instructions", "wavefronts"))
     assert all(0 <= count.wide <= count.instructions for count in found.values())

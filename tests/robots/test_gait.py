@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from warpvox.algos.checkpoints.files import PolicySpec, save_checkpoint, spec_dict
 from warpvox.algos.checkpoints.policy import parse_policy, policy_text
 from warpvox.design import full_connections, load_design
-from warpvox.envs.gym import VoxelEnv
+from warpvox.envs.adapters.gym import VoxelEnv
 from warpvox.errors import RunError
 from warpvox.robots import Gait, Robot, judge, read_robot, robot_env, save_robot
 from warpvox.robots.gait import ARRAYS

@@ -13,6 +13,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from warpvox.envs.adapters.gym import VoxelEnv
+from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ActionError, ConfigError, RolloutError
 from warpvox.types import Physics
@@ -280,6 +282,12 @@ def test_record_refuses_what_makes_no_sense() -> None:
         record(env, "zero", num_steps=0)
     with pytest.raises(ActionError):
         record(env, lambda obs: torch.ones(1, 1))
+    with pytest.raises(ActionError, match="must give actions, got NoneType None"):
+        record(env, lambda obs: None)
+    with pytest.raises(ConfigError, match=r"what warpvox.make_vec makes, got VoxelGymVectorEnv\. Here it is env\.un"):
+        record(VoxelGymVectorEnv("Walker-v0", 1, body="mini", threads=1))
+    with pytest.raises(ConfigError, match=r"got VoxelEnv\.$"):
+        record(VoxelEnv("Walker-v0", "mini"))
     assert env.auto_reset is True
 
 

@@ -15,7 +15,7 @@ from warpvox.kernels.group import LINKS, Group, choose
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, allocate, structs
 from warpvox.types import Physics
 
-__all__ = ["MARGIN", "Buffers", "allocate_buffers", "put_tables"]
+__all__ = ["MARGIN", "Buffers", "allocate_buffers", "array_sizes", "put_tables"]
 
 MARGIN = 0.04  # width added to boxes when candidates are collected, two fifths of a voxel
 HITS, HITS_PER_VOXEL = 64, 12  # capacity for contacts that are put in order, in exact arithmetic
@@ -69,25 +69,14 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
     if batch.grid is not None:  # any pack may come to differ from the others
         tables, which = {name: values[which] for name, values in tables.items()}, np.arange(packs)
     frames = batch.frame_tables()
-    sizes = {symbol: tables[name].shape[1] for symbol, name in SIZES.items()}
-    sizes |= {"point": sizes["point"] // 2, "active": sizes["active"] // 2}
-    sizes |= {"action": int(tables.pop("actions").max(initial=0))}
-    sizes |= {name: max(sizes[name], size) for name, size in batch.capacities().items()}
-    sizes |= {"mesh": len(which) if batch.grid else int(which.max()) + 1, "frame": len(frames["terrain"])}
-    sizes |= {"cell": frames["terrain_side"].shape[1]}
+    sizes = array_sizes(batch, tables, frames, batch.capacities())
+    sizes["mesh"] = len(which) if batch.grid else int(which.max()) + 1
+    tables.pop("actions")
     taken = None
     if batch.layout == "group":
         taken = choose(sizes["point"], sizes["spring"], precision, device)
         if taken is None or np.diff(tables["link_start"]).max(initial=0) > LINKS:
             return None
-    hits = HITS + HITS_PER_VOXEL * sizes["movable"] if batch.arithmetic == "exact" else 1
-    sizes["pulled"] = sizes["spring" if batch.arithmetic == "exact" else "point"]
-    sizes |= _capacities(sizes["voxel"], sizes["movable"], width, taken is not None) | {
-        "hit": hits,
-        "pack": packs,
-        "lane": lanes,
-        "unit": packs * units,
-    }
     model, data = allocate(MODEL, sizes, precision, device), allocate(DATA, sizes, precision, device)
     types = structs(precision)
     state = Buffers(
@@ -109,6 +98,28 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
     wp.to_torch(data["pos"]).copy_(rest_pos)
     wp.to_torch(data["drift"]).fill_(STALE)
     return state
+
+
+def array_sizes(
+    batch: Batch, tables: dict[str, np.ndarray], frames: dict[str, np.ndarray], room: dict[str, int]
+) -> dict[str, int]:
+    """The shape symbols of :mod:`warpvox.kernels.state`, with one mesh for each of ``tables``.
+
+    Args:
+        room: sizes that they have at least (:meth:`Batch.capacities`).
+    """
+    width = batch.lanes if batch.device == "cpu" else 1
+    packs = len(batch.pack_group)
+    sizes = {symbol: tables[name].shape[1] for symbol, name in SIZES.items()}
+    sizes |= {"point": sizes["point"] // 2, "active": sizes["active"] // 2}
+    sizes |= {"action": int(tables["actions"].max(initial=0))}
+    sizes |= {name: max(sizes[name], size) for name, size in room.items()}
+    sizes |= {"frame": len(frames["terrain"]), "cell": frames["terrain_side"].shape[1], "mesh": len(tables["actions"])}
+    exact = batch.arithmetic == "exact"
+    sizes["pulled"] = sizes["spring" if exact else "point"]
+    sizes["hit"] = HITS + HITS_PER_VOXEL * sizes["movable"] if exact else 1
+    sizes |= {"pack": packs, "lane": batch.lanes, "unit": packs * batch.lanes // width}
+    return sizes | _capacities(sizes["voxel"], sizes["movable"], width, batch.layout == "group")
 
 
 def put_tables(state: Buffers, tables: dict[str, np.ndarray], meshes: np.ndarray | None = None) -> None:

@@ -1,23 +1,125 @@
-"""Options of a simulation, checked and chosen: arithmetic, layout, lanes, threads."""
+"""Options of a simulation, checked and chosen: device, precision, arithmetic, physics, layout, lanes, threads."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
-from warpvox.errors import SimulationError, did_you_mean, listing
+from warpvox.checks import check_shape
+from warpvox.devices.names import resolve_device
+from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
 from warpvox.kernels.device import on_cuda
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.step import STAGES
 from warpvox.system import usable_cores
+from warpvox.types import Physics
 
-__all__ = ["CUDA_LANES", "choose_lanes", "choose_threads", "lanes_for", "resolve_arithmetic", "resolve_layout"]
+__all__ = ["CUDA_LANES", "SimOptions", "check_known", "choose_lanes", "lanes_for", "resolve_arithmetic"]
 
 # Lane widths offered on the CPU; the narrowest that holds the environments that can share a pack is taken.
 WIDTHS = (1, 8, 16, 32)
 LAYOUTS = ("group", "lanes")
 CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
+
+
+@dataclass(frozen=True)
+class SimOptions:
+    """How environments are computed: taken by everything that makes some, whole as ``sim`` or one by one by name.
+
+    Attributes:
+        device: ``auto`` (CUDA where there is one, from 100 environments per CPU core on), ``cpu``, ``cuda[:<index>]``.
+        dtype: precision of the springs and of what is returned, ``float32`` or ``float64``. State and contacts are
+            float64 in both.
+        arithmetic: ``fast``, or ``exact`` (float64 only), which repeats the released simulator bit for bit: the same
+            physics, every sum in its order. None: ``fast`` in float32, ``exact`` in float64.
+        physics: preset or constants; None: the preset of the rules of a task, ``evogym`` in a simulation alone.
+        lanes: environments that one CPU thread advances at once (1, 8, 16 or 32); None chooses.
+        threads: CPU threads; None takes all cores.
+        layout: ``lanes``, one thread an environment (on the CPU as vectors over environments), or ``group``, 16 or 32
+            threads an environment, with its state on the chip for a whole control step. None: ``group`` on CUDA in fast
+            arithmetic where a world's state fits into 48 KiB, else ``lanes``. On the CPU ``group`` is slow, and meant
+            for tests.
+        grid: rows and columns up to which other bodies may be put in later; arrays, observations and actions have room
+            for the largest of them. Only in fast arithmetic.
+        cuda_graph: of environments: on CUDA launch a whole control step, from the physics to rewards and resets, as one
+            graph (see :mod:`warpvox.envs.graph`). Means nothing on the CPU.
+        memory_check: of environments: refuse at once what does not fit into the memory that is free.
+    """
+
+    device: str = "auto"
+    dtype: str = "float32"
+    arithmetic: str | None = None
+    physics: str | Physics | None = None
+    lanes: int | None = None
+    threads: int | None = None
+    layout: str | None = None
+    grid: tuple[int, int] | None = None
+    cuda_graph: bool = False
+    memory_check: bool = True
+
+    @classmethod
+    def of(cls, sim: SimOptions | None, given: Mapping[str, Any], *functions: Callable[..., Any]) -> SimOptions:
+        """``sim``, or the defaults, with options that were given by name to the first of ``functions``.
+
+        Raises:
+            ConfigError: see :func:`check_known`; or ``sim`` is something else.
+        """
+        check_known(given, *functions)
+        if sim is not None and not isinstance(sim, SimOptions):
+            raise ConfigError(f"sim must be SimOptions(device=..., ...), got {sim!r:.80}.")
+        return replace(sim or cls(), **given)
+
+    def resolved(self, num_envs: int, preset: str = "evogym") -> SimOptions:
+        """These options with everything chosen but the lanes, for so many environments.
+
+        Args:
+            preset: of the physics, if none is named.
+
+        Raises:
+            SimulationError, DeviceError, ConfigError: an option that is none, or does not go with the others.
+        """
+        if self.dtype not in ("float32", "float64") or not isinstance(self.dtype, str):
+            raise SimulationError(f"dtype must be 'float32' or 'float64', got {self.dtype!r:.80}.")
+        arithmetic = resolve_arithmetic(self.arithmetic, self.dtype)
+        device = resolve_device(self.device, num_envs)
+        physics = preset if self.physics is None else self.physics
+        if self.threads is not None and (type(self.threads) is not int or self.threads < 1):
+            raise SimulationError(f"threads must be an integer >= 1 or None, got {self.threads!r:.80}.")
+        if self.grid is not None and arithmetic == "exact":
+            raise SimulationError("Packs of exact arithmetic hold one world each: grid needs arithmetic='fast'.")
+        return replace(
+            self,
+            device=device,
+            arithmetic=arithmetic,
+            physics=physics if isinstance(physics, Physics) else Physics.preset(physics),
+            threads=usable_cores() if self.threads is None else self.threads,
+            layout=resolve_layout(self.layout, arithmetic, device, self.lanes),
+            grid=None if self.grid is None else check_shape("grid", self.grid),
+        )
+
+
+def check_known(given: Mapping[str, Any], *functions: Callable[..., Any], without: Collection[str] = ()) -> None:
+    """Raise ConfigError, with the nearest name, for an argument that is neither of ``functions`` nor of SimOptions.
+
+    Args:
+        functions: the one that was called, and those that get what it does not know.
+        without: arguments of the latter that the former sets itself.
+    """
+    kinds = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+    own, *others = (
+        [one.name for one in inspect.signature(function).parameters.values() if one.kind not in kinds]
+        for function in functions
+    )
+    others = [name for names in (*others, [item.name for item in fields(SimOptions)]) for name in names]
+    names = [name for name in dict.fromkeys([*own, *others]) if name != "self" and (name in own or name not in without)]
+    for name in given:
+        if name not in names:
+            owner, hint = functions[0].__qualname__.removesuffix(".__init__"), did_you_mean(name, names)
+            raise ConfigError(f"{owner} has no argument {name!r}.{hint} There are {listing(names, len(names))}.")
 
 
 def resolve_arithmetic(arithmetic: str | None, dtype: str) -> str:
@@ -72,11 +174,3 @@ def choose_lanes(index: Sequence[int], lanes: int | None, device: str) -> int:
     if type(lanes) is not int or lanes not in WIDTHS:
         raise SimulationError(f"lanes must be one of {listing(WIDTHS)}, got {lanes!r:.80}.")
     return lanes
-
-
-def choose_threads(threads: int | None) -> int:
-    if threads is None:
-        return usable_cores()
-    if type(threads) is not int or threads < 1:
-        raise SimulationError(f"threads must be an integer >= 1 or None, got {threads!r:.80}.")
-    return threads

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 
 from warpvox.batch.frames import Frame, capacities, frame_key, is_cut, join
-from warpvox.batch.options import choose_lanes
+from warpvox.batch.options import SimOptions, choose_lanes
 from warpvox.compile import compile_world, exact_tables, pad, world_arrays
 from warpvox.contact_order import no_order
 from warpvox.errors import SimulationError
-from warpvox.types import Physics
 from warpvox.world import World
 
 __all__ = ["Batch", "group"]
@@ -20,16 +19,16 @@ __all__ = ["Batch", "group"]
 FRAME_TABLES = ("fixed_at", "terrain", "terrain_side", "terrain_box")
 
 
-def group(worlds: Sequence[World]) -> tuple[list[World], list[int]]:
-    """The different worlds, each once, and for every world the number of the one that is equal to it."""
+def group(worlds: Sequence[World]) -> tuple[dict[bytes, World], list[int]]:
+    """Copies of the different worlds by their keys, and for every world the number of the one that is equal to it."""
     seen: dict[bytes, int] = {}
     by_id: dict[int, int] = {}
-    different, index = [], []
+    different, index = {}, []
     for world in worlds:
         if id(world) not in by_id:
-            by_id[id(world)] = seen.setdefault(world.key(), len(seen))
-            if by_id[id(world)] == len(different):
-                different.append(world)
+            key = world.key()
+            by_id[id(world)] = seen.setdefault(key, len(seen))
+            different.setdefault(key, world.copy())
         index.append(by_id[id(world)])
     return different, index
 
@@ -43,36 +42,32 @@ class Batch:
     """Which world every environment has, and in which lane of which pack it lies.
 
     Args:
-        worlds: different worlds. index: the number of each environment's world.
-        arithmetic: packs of ``exact`` hold one world each; those of ``fast`` any worlds of one frame (see
+        different: the worlds, by their keys. index: the number of each environment's world.
+        options: resolved. In ``exact`` arithmetic packs hold one world each; in ``fast`` any worlds of one frame (see
             :mod:`warpvox.batch.frames`).
-        wanted_lanes: see :class:`warpvox.Simulation`.
         layout: 'lanes', or 'group', whose packs have one lane each.
-        grid: rows and columns up to which bodies may be exchanged later, or None.
 
     Attributes:
+        worlds, keys: the different worlds, and what :meth:`World.key` gives of each.
         env_pack, env_lane: int ``[num_envs]``.
         lane_world: int ``[packs, lanes]``; lanes without an environment repeat the one before them.
         object_names: of all worlds, robots first, then by name.
         actuators: of each world, the name and the number of actuators of each robot, by name.
     """
 
-    worlds: list[World]
+    different: InitVar[Mapping[bytes, World]]
     index: list[int]
-    physics: Physics
-    arithmetic: str
-    device: str
-    wanted_lanes: int | None = None
+    options: SimOptions
     loose: tuple[str, ...] = ()
-    grid: tuple[int, int] | None = None
     layout: str = "lanes"
     pack_group: list[int] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        worlds, self._keys = self.worlds, []
+    def __post_init__(self, different: Mapping[bytes, World]) -> None:
+        self.worlds, self.keys = list(different.values()), list(different)
+        worlds = self.worlds
+        self.physics, self.arithmetic, self.device = self.options.physics, self.options.arithmetic, self.options.device
+        self.grid = self.options.grid
         self.actuators = [_actuators(world) for world in worlds]
-        if self.grid is not None and self.arithmetic == "exact":
-            raise SimulationError("Packs of exact arithmetic hold one world each: grid needs arithmetic='fast'.")
         if self.arithmetic == "exact":
             self.group_of = list(range(len(worlds)))
         else:
@@ -80,7 +75,7 @@ class Batch:
             self.group_of = [keys.setdefault(frame_key(world), len(keys)) for world in worlds]
         self._compile()
         groups = np.asarray(self.group_of)[np.asarray(self.index)]
-        self.lanes = 1 if self.layout == "group" else choose_lanes(groups, self.wanted_lanes, self.device)
+        self.lanes = 1 if self.layout == "group" else choose_lanes(groups, self.options.lanes, self.device)
         self.env_pack, self.env_lane = (np.zeros(len(self.index), np.int32) for _ in range(2))
         lane_world = []
         for number in range(max(self.group_of) + 1):
@@ -130,11 +125,10 @@ class Batch:
         if self.grid is None:
             raise SimulationError("Worlds can be exchanged in a simulation made with grid=(rows, columns) only.")
         known = {frame_key(self.worlds[self.group_of.index(k)]): k for k in range(len(self.frames))}
-        self._keys = self._keys or [world.key() for world in self.worlds]
         added: dict[int, list[tuple[bytes, World]]] = {}
         keys = {id(world): world for world in worlds}
         keys = {number: world.key() for number, world in keys.items()}
-        seen, chosen = set(self._keys), []
+        seen, chosen = set(self.keys), []
         for env, world in zip(envs, worlds, strict=True):
             key = keys[id(world)]
             chosen.append(key)
@@ -146,14 +140,14 @@ class Batch:
                     )
                 self._check_bodies(world)
                 seen.add(key)
-                added.setdefault(group, []).append((key, world))
+                added.setdefault(group, []).append((key, world.copy()))
         for group, new in added.items():
             self.local = np.append(self.local, self.frames[group].add([world for _, world in new]))
             self.worlds = [*self.worlds, *(world for _, world in new)]
             self.actuators = [*self.actuators, *(_actuators(world) for _, world in new)]
-            self._keys = [*self._keys, *(key for key, _ in new)]
+            self.keys = [*self.keys, *(key for key, _ in new)]
             self.group_of = [*self.group_of, *[group] * len(new)]
-        place = {key: k for k, key in enumerate(self._keys)}
+        place = {key: k for k, key in enumerate(self.keys)}
         return self._assign(envs, [place[key] for key in chosen])
 
     def _check_bodies(self, world: World) -> None:
@@ -183,7 +177,7 @@ class Batch:
         self.index = inverse.tolist()
         self.worlds = [self.worlds[k] for k in used]
         self.actuators = [self.actuators[k] for k in used]
-        self._keys = [self._keys[k] for k in used]
+        self.keys = [self.keys[k] for k in used]
         self.group_of = [self.group_of[k] for k in used]
         groups = np.asarray(self.group_of)
         local = self.local[used]

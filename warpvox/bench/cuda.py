@@ -176,7 +176,7 @@ def _simulation(config: Any, bodies: Sequence[np.ndarray]) -> Simulation:
     """Whole warps of environments, in which the bodies take turns."""
     sims = [make_vec(config.task, [body], 1, device="cpu", dtype="float32", threads=1).sim for body in bodies]
     worlds = [sims[k % len(sims)].worlds[0] for k in range(ENVS)]
-    return Simulation(worlds, "cpu", sims[0].physics, threads=1, loose=sims[0].loose, layout="group")
+    return Simulation(worlds, sims[0].options, loose=sims[0].loose, layout="group")
 
 
 def _total(found: dict[str, Count]) -> Count:

@@ -7,6 +7,7 @@ from typing import Any
 
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
+from warpvox.batch.options import SimOptions
 from warpvox.bench.case import Case, full_body, one_body, sampled_bodies
 from warpvox.bench.learning import learn
 from warpvox.bench.machine import available_memory
@@ -126,8 +127,8 @@ def training(config: Any, progress: Progress, counts: tuple[int, ...], designs: 
     if not progress.time_for("training: population"):
         return
     settings = training_preset("paper_wide", {"steps": POPULATION_STEPS})
-    precision = dict(dtype=config.dtype, arithmetic=config.arithmetic)
-    factory = EnvFactory(config.task, device=config.device, threads=config.threads, **precision)
+    sim = SimOptions(config.device, config.dtype, config.arithmetic, threads=config.threads)
+    factory = EnvFactory(config.task, sim=sim)
     population = PopulationTraining(factory, sampled_bodies(5, designs, config.seed), list(range(designs)), settings)
     population.iterate()  # loads the kernels
     began = clock(config.device)

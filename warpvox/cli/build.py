@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from warpvox.algos.policies.registry import MLP, check_policy, layout_for, make_network
-from warpvox.batch.options import lanes_for
+from warpvox.batch.options import SimOptions, lanes_for
 from warpvox.design import load_design
 from warpvox.devices.names import resolve_device
 from warpvox.devices.startup import LOGGER, start_warp
@@ -20,7 +20,7 @@ from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError, DesignError
 from warpvox.types import Physics
 
-__all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "training_lanes", "voxels_of"]
+__all__ = ["load_bodies", "make_env", "physics_of", "prepare", "resolve", "sim_of", "training_lanes", "voxels_of"]
 
 OBS_OF_VOXELS = {"task": "voxel", "timed": "timed_voxel"}
 """What a policy for voxels observes in place of what ``obs`` says."""
@@ -85,6 +85,19 @@ def physics_of(config: Any) -> Physics:
     return Physics.preset(config.rules if preset == "auto" else preset, **changes)
 
 
+def sim_of(config: Any) -> SimOptions:
+    """How a configuration has environments computed."""
+    return SimOptions(
+        config.device,
+        config.dtype,
+        config.arithmetic,
+        physics_of(config),
+        getattr(config, "lanes", None),
+        config.threads,
+        memory_check=config.memory_check,
+    )
+
+
 def resolve(config: Any) -> Any:
     """A copy of a training configuration with what its names stand for: bodies, constants, device.
 
@@ -134,18 +147,8 @@ def voxels_of(config: Any, env: VoxelVecEnv) -> dict[str, Any] | None:
 
 def make_env(config: Any, num_envs: int, *, auto_reset: bool, **changes: Any) -> VoxelVecEnv:
     """Environments of a resolved training configuration; ``changes`` are other arguments of ``make_vec``."""
-    options = {
-        "device": config.device,
-        "rules": config.rules,
-        "dtype": config.dtype,
-        "arithmetic": config.arithmetic,
-        "seed": config.seed,
-        "physics": physics_of(config),
-        "threads": config.threads,
-        "lanes": config.lanes,
-        "obs": config.obs,
-    }
-    options |= {"designs": load_bodies(config.design, config.seed), "memory_check": config.memory_check}
+    options = {"rules": config.rules, "seed": config.seed, "obs": config.obs, "sim": sim_of(config)}
+    options["designs"] = load_bodies(config.design, config.seed)
     return make_vec(config.task, num_envs=num_envs, auto_reset=auto_reset, **(options | changes))
 
 

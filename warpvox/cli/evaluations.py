@@ -167,7 +167,7 @@ def resolve_evaluation(config: CodesignConfig, folder: Path | None) -> CodesignC
         return config
     pretrained = read_pretrained(config, folder)
     body = np.full(config.shape, FULL, np.int8)
-    factory = dataclasses.replace(_common_factory(config, pretrained), device="cpu", threads=1)
+    factory = _common_factory(config, pretrained).computed(device="cpu", threads=1)
     env = factory.make([body], 1, [0], auto_reset=False)
     for key, (name, settings) in networks.items():
         if settings is not None and not isinstance(settings, Mapping):
@@ -267,18 +267,9 @@ def keep_pretrained(content: Mapping[str, Any] | None, folder: Path) -> None:
 def factory_of(config: CodesignConfig, obs: str = "task") -> EnvFactory:
     """Where a configuration has designs trained; ``config.device`` may still be auto."""
     from warpvox.algos.env_factory import EnvFactory
-    from warpvox.cli.build import physics_of
+    from warpvox.cli.build import sim_of
 
-    return EnvFactory(
-        config.task,
-        config.rules,
-        physics_of(config),
-        config.device,
-        config.dtype,
-        config.threads,
-        arithmetic=config.arithmetic,
-        obs=obs,
-    )
+    return EnvFactory(config.task, config.rules, obs, sim=sim_of(config))
 
 
 def evaluator_of(
@@ -324,7 +315,7 @@ def _common_factory(config: CodesignConfig, pretrained: Mapping[str, Any] | None
     else:
         obs = "timed_voxel" if without_feedback else "voxel"
     layout = "lanes" if without_feedback else None
-    return dataclasses.replace(factory_of(config, obs), grid=tuple(config.shape), layout=layout)
+    return factory_of(config, obs).computed(grid=tuple(config.shape), layout=layout)
 
 
 def _by_gaits(config: CodesignConfig, training: DesignEvaluator, known: Mapping[bytes, Gait]) -> DesignEvaluator:

@@ -9,7 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from warpvox.envs.single import Sensors
+from warpvox.batch.options import SimOptions
+from warpvox.envs.adapters.single import Sensors
 from warpvox.errors import listing
 from warpvox.evogym.errors import ArgumentError, ArgumentTypeError
 from warpvox.kernels.state import DIVERGED, UNSTABLE
@@ -55,7 +56,7 @@ class Engine:
 
     def _build(self) -> None:
         sim = Simulation(
-            [self.world], "cpu", "evogym", "float64", lanes=1, threads=1, loose=self._loose, action_range=_ANY_NUMBER
+            [self.world], SimOptions("cpu", "float64", lanes=1, threads=1), loose=self._loose, action_range=_ANY_NUMBER
         )
         design = sim.designs[0]
         self._views = {name: sim.array(name).numpy().reshape(-1, 2) for name in ("pos", "vel", "true_vel")}

@@ -15,9 +15,9 @@ from warpvox.algos.checkpoints.files import PolicySpec, load_controller
 from warpvox.algos.checkpoints.policy import Policy, make_policy, policy_of
 from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.design import Design
-from warpvox.envs.gym import VoxelEnv
+from warpvox.envs.adapters.gym import VoxelEnv
+from warpvox.envs.adapters.rsl_rl import ACTION_CENTER
 from warpvox.envs.registry import get_task
-from warpvox.envs.rsl_rl import ACTION_CENTER
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import RunError
 from warpvox.robots.entry import DIGITS, Robot

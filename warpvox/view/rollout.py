@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.checks import check_integer, is_integer
-from warpvox.errors import ConfigError, RolloutError, did_you_mean, listing
+from warpvox.errors import ActionError, ConfigError, RolloutError, did_you_mean, listing
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
@@ -252,11 +252,15 @@ def record(
         metadata: JSON values to keep with the rollout, for instance the configuration of a run.
 
     Raises:
-        ConfigError: an unknown agent or a number of steps below 1. ActionError: what the policy gives is
-        refused.
+        ConfigError: an unknown agent, a number of steps below 1, or environments of another kind (gymnasium's).
+        ActionError: what the policy gives is refused.
     """
     import torch
 
+    if not hasattr(env, "sim") or not hasattr(env, "max_episode_steps"):
+        inner = getattr(env, "unwrapped", env)
+        hint = " Here it is env.unwrapped.vec." if hasattr(inner, "vec") and hasattr(inner, "num_envs") else ""
+        raise ConfigError(f"record needs what warpvox.make_vec makes, got {type(env).__name__}.{hint}")
     if num_steps is not None:
         check_integer("num_steps (or None)", num_steps, 1)
     act = _agent(policy, env) if isinstance(policy, str) else policy
@@ -296,7 +300,11 @@ def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], n
     seen: dict[str, list] = {name: [] for name in ("actions", "rewards", "terminated", "truncated")}
     positions = [gather()]
     for _ in range(limit):
-        actions = torch.as_tensor(act(obs))
+        given = act(obs)
+        try:
+            actions = torch.as_tensor(given)
+        except Exception:  # `as_tensor` may raise anything for what is no array
+            raise ActionError(f"A policy must give actions, got {type(given).__name__} {given!r:.60}.") from None
         obs, reward, terminated, truncated, _ = env.step(actions)
         row = (actions.clamp(ACTION_LOW, ACTION_HIGH), reward, terminated, truncated)
         for name, value in zip(seen, row, strict=True):

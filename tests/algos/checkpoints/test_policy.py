@@ -61,6 +61,7 @@ def test_actions_stay_in_the_range_and_shapes_are_free() -> None:
     acted = policy.act(obs.numpy())
     assert acted.dtype == np.float32
     assert np.array_equal(acted, policy(obs).numpy())
+    assert np.array_equal(acted, policy(obs.numpy()))
     assert not policy(obs).requires_grad
     assert policy.requires_grad_()(obs).requires_grad
 

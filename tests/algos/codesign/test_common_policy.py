@@ -27,7 +27,7 @@ from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, DivergenceError, RunError
 
 pytestmark = pytest.mark.usefixtures("one_thread", "narrow_packs")
-FACTORY = dataclasses.replace(factory(), obs="voxel", grid=(3, 3))
+FACTORY = dataclasses.replace(factory(), obs="voxel").computed(grid=(3, 3))
 
 
 class Killed(Exception):
@@ -162,7 +162,7 @@ def test_zero_shot_is_the_pretrained_policy_itself_in_any_company(pretrained: di
 
 
 def test_a_pretrained_policy_for_other_bodies_is_refused(pretrained: dict[str, Any]) -> None:
-    larger = dataclasses.replace(FACTORY, grid=(3, 4))
+    larger = FACTORY.computed(grid=(3, 4))
     with pytest.raises(RunError, match="another layout"):
         FewShotEvaluator(larger, how(), 0, pretrained).evaluate(candidates(1), {})
 

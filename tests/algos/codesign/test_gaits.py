@@ -68,7 +68,7 @@ def test_the_stored_policy_repeats_the_fitness() -> None:
     actor = build_actor(spec)
     actor.load_state_dict(outcome.policy)
     controller = Controller(actor, spec)
-    where = dataclasses.replace(factory(), obs="timed", lanes=LANES)
+    where = dataclasses.replace(factory(), obs="timed").computed(lanes=LANES)
     env = where.make([candidate.body], 1, [candidate_seed(0, 0)], auto_reset=False)
     controller.check(env)
     assert evaluate(env, controller).returns.tolist() == [outcome.fitness]

@@ -13,9 +13,9 @@ from torch.distributions import Categorical, Normal
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.design import DesignModel, design_models
 from warpvox.design import are_valid
+from warpvox.envs.adapters.design_rsl_rl import RslRlDesignEnv
+from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, ACTION_SCALE
 from warpvox.envs.design_episodes import design_episodes
-from warpvox.envs.design_rsl_rl import RslRlDesignEnv
-from warpvox.envs.rsl_rl import ACTION_CENTER, ACTION_SCALE
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ConfigError
 from warpvox.view.rollout import record

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
 import torch
 from population_cases import bodies, factory
@@ -108,7 +106,7 @@ def test_learning_is_the_same_bit_for_bit_with_any_number_of_threads(threads: in
     how = training_preset("fast", {"steps": 4, "epochs": 2}, envs=8)
     designs = 17  # in two blocks
     one, many = (
-        PopulationTraining(dataclasses.replace(factory(), threads=count), bodies(designs), list(range(designs)), how)
+        PopulationTraining(factory().computed(threads=count), bodies(designs), list(range(designs)), how)
         for count in (1, threads)
     )
     for training in (one, many):

@@ -15,10 +15,11 @@ from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import Runner, Schedule, adapt
+from warpvox.batch.options import SimOptions
 from warpvox.cli.config import load
 from warpvox.configs.presets import training_preset
 from warpvox.design import example_design
-from warpvox.envs.rsl_rl import RslRlVecEnv
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ActionError
 
@@ -106,7 +107,10 @@ def test_no_step_of_a_population_waits() -> None:
     for steps in (4, 8):
         bodies = [example_design("mini")] * 2
         made = PopulationTraining(
-            EnvFactory("Walker-v0", threads=1), bodies, [0, 1], training_preset("fast", {"steps": steps})
+            EnvFactory("Walker-v0", sim=SimOptions("cpu", threads=1)),
+            bodies,
+            [0, 1],
+            training_preset("fast", {"steps": steps}),
         )
         made.env.env._on_cpu = False
         found.append(counted(made.iterate))

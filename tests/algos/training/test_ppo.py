@@ -13,7 +13,7 @@ from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
-from warpvox.envs.rsl_rl import RslRlVecEnv
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError, RunError
 
 STEPS, LIMIT = 6, 14

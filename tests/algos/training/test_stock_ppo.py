@@ -11,7 +11,7 @@ from rsl_rl.models import MLPModel
 from warpvox.algos.settings import PpoConfig
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import adapt
-from warpvox.envs.rsl_rl import RslRlVecEnv
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError
 
 STEPS, LIMIT, UPDATES = 6, 10, 3

@@ -19,6 +19,7 @@ from warpvox.algos.codesign.archive import FILE as ARCHIVE
 from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.codesign.archive_export import export
 from warpvox.algos.search import make_search, settings_from
+from warpvox.algos.settings import PpoConfig
 from warpvox.cli.application import run_command
 from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
@@ -46,6 +47,7 @@ from warpvox.code import is_code
 from warpvox.configs.schema import CodesignConfig
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.writing import check_writable
+from warpvox.types import Cell
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import DesignEvaluator
@@ -115,7 +117,6 @@ def check(config: CodesignConfig, folder: Path | None = None) -> None:
         WarpvoxError: a task, shape, setting, device or library that does not exist or does not go with the others.
     """
     from warpvox.cli.build import physics_of
-    from warpvox.cli.memory_check import check_screening, check_search
     from warpvox.devices.names import resolve_device
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
@@ -131,9 +132,8 @@ def check(config: CodesignConfig, folder: Path | None = None) -> None:
         for key in ("address", "workers"):
             if getattr(config, key) is not None:
                 raise ConfigError(f"{key} goes with executor=ray.")
-        check_search(config, _together(config))
-        if has_common_policy(config):
-            check_screening(config)
+        if config.memory_check:
+            _ask_for_memory(config)
 
 
 def _together(config: CodesignConfig) -> int:
@@ -144,20 +144,49 @@ def _together(config: CodesignConfig) -> int:
     return min(config.batch or most, most) if is_screened(config) else config.batch or most
 
 
+def _batches(config: CodesignConfig) -> list[tuple[int, int, str, int, str, PpoConfig | None]]:
+    """What is simulated together: designs, environments of each, the key that counts these, its value, ``obs``, PPO."""
+    training, how = config.training, config.screening
+    obs = "task" if config.policy == "mlp" else "voxel"
+    found = [(_together(config), training.envs, "training.envs", training.envs, obs, training.ppo)]
+    if not is_screened(config):
+        return found
+    most = settings_from(config.search).generation
+    if has_common_policy(config):
+        ppo = dataclasses.replace(training.ppo, **(how.ppo or {}))
+        return [*found, (most, how.envs, "screening.envs", how.envs, "voxel", ppo)]
+    first = [("screening.gaits", how.gaits), ("screening.beam", how.beam if how.passes else 1)]
+    last = [("screening.final_gaits", how.gaits_of_finalist)]
+    last += [("screening.final_beam", how.final_beam if how.final_passes else 1)]
+    for designs, keys in ((most, first), (config.finalists, last)):
+        key, value = max(keys, key=lambda one: one[1])
+        together = min(config.batch or designs, designs)
+        found.append((together, value * episodes_of(config.task), key, value, "task", None))
+    return found
+
+
 def environments(config: CodesignConfig) -> int:
     """Environments that are stepped together at most."""
-    own = _together(config) * config.training.envs
-    if not is_screened(config):
-        return own
-    how, most = config.screening, config.search.population
-    if has_common_policy(config):
-        kinds = [(most, how.envs)]
-    else:
-        episodes = episodes_of(config.task)
-        first = max(how.gaits, how.beam if how.passes else 1)
-        last = max(how.gaits_of_finalist, how.final_beam if how.final_passes else 1)
-        kinds = [(most, first * episodes), (config.finalists, last * episodes)]
-    return max(own, *(min(config.batch or designs, designs) * each for designs, each in kinds))
+    return max(designs * envs for designs, envs, *_ in _batches(config))
+
+
+def _ask_for_memory(config: CodesignConfig) -> None:
+    """Raise MemoryLimitError, with what fits, where a search would take too much with bodies that fill their grid."""
+    from warpvox.cli.build import sim_of
+    from warpvox.envs.memory import ask, environment_bytes, fitting
+    from warpvox.envs.registry import get_task
+    from warpvox.envs.worlds import task_world
+
+    spec = get_task(config.task).under(config.rules)
+    sim = dataclasses.replace(sim_of(config), grid=None if config.dtype == "float64" else tuple(config.shape))
+    sim = sim.resolved(environments(config))
+    worlds = [task_world(spec, np.full(config.shape, Cell.H_ACT, np.int8))]
+    for designs, envs, key, value, obs, ppo in _batches(config):
+        each = environment_bytes(spec, worlds, designs * envs, sim, obs=obs, ppo=ppo)
+        if fitting(each * envs, sim.device) < 1 or designs == 1:
+            ask(each * designs * envs / value, value, sim.device, key, f"({key}) for each of {designs} designs")
+        batch = "search.population" if key == "screening.envs" else "batch"
+        ask(each * envs, designs, sim.device, batch, f"designs of {envs:,} environments each")
 
 
 def resolve(config: CodesignConfig, folder: Path | None = None) -> CodesignConfig:

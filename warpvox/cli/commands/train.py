@@ -165,6 +165,26 @@ def _known(config: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in config.items() if name in names}
 
 
+def _ask_for_memory(config: TrainConfig, designs: Sequence[Any], grid: tuple[int, int] | None) -> None:
+    """Raise MemoryLimitError, with the number of environments that fits, if a training does not.
+
+    Args:
+        config: resolved.
+        designs: one for each block of environments; of many bodies one for each environment.
+        grid: of many bodies, whose number does not restrict that of environments.
+    """
+    from warpvox.cli.build import sim_of
+    from warpvox.envs.memory import ask, environment_bytes
+    from warpvox.envs.registry import get_task
+    from warpvox.envs.worlds import task_world
+
+    spec = get_task(config.task).under(config.rules)
+    worlds = [task_world(spec, design) for design in (designs if grid is None else designs[:1])]
+    sim = dataclasses.replace(sim_of(config), grid=grid).resolved(config.num_envs)
+    each = environment_bytes(spec, worlds, config.num_envs, sim, obs=config.obs, ppo=config.ppo)
+    ask(each, config.num_envs, config.device, step=len(worlds))
+
+
 def train(job: Job, console: Console, command: str = "train") -> Path:
     """Make a run; returns its folder. Nothing is written before everything has been checked.
 
@@ -179,7 +199,7 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         from warpvox.algos.training.runner import Runner, Schedule, adapt
         from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes, voxels_of
         from warpvox.cli.designs import HeldOut, bodies_of, grid_of, held_out_of, is_many, trained_on
-        from warpvox.cli.memory_check import check_training
+        from warpvox.envs.dumps import DivergenceDump
 
         group = join_process_group(job.config.device)
         console.quiet = console.quiet or not group.is_main_process
@@ -188,15 +208,15 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         many = is_many(config)
         bodies = bodies_of(config, group.seed(config.seed)) if many else None
         designs = bodies.first(config.num_envs) if many else load_bodies(config.design, config.seed)
-        check_training(config, designs)
+        if config.memory_check:
+            _ask_for_memory(config, designs, grid_of(config) if many else None)
     advice = f"Train with fewer environments: num_envs={max(1, config.num_envs // 2)} instead of {config.num_envs}."
     preparing = console.status("preparing the simulation (the first time on a machine its kernels are compiled)")
     with preparing, enough_memory(advice):
         schedule = Schedule(config.max_iterations, config.save_interval, config.eval_interval, config.stop_return)
-        seed, guard = group.seed(config.seed), config.nan_guard
         room = {"designs": designs, "grid": grid_of(config)} if many else {}
         ascends = getattr(config, "method", "ppo") == "gradients"  # a demo has no such key
-        options = {"auto_reset": True, "seed": seed, "nan_guard": guard, "cuda_graph": config.cuda_graph} | room
+        options = {"auto_reset": True, "seed": group.seed(config.seed), "cuda_graph": config.cuda_graph} | room
         if ascends:
             options["layout"] = "lanes"
         env = adapt(make_env(config, config.num_envs, **options), config.ppo)
@@ -224,8 +244,9 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         runner.folder = folder
         if many and group.is_main_process:
             judge.folder = folder
-        if env.env.dump is not None:
-            env.env.dump.folder = folder / ("dumps" if group.is_main_process else f"dumps_{group.rank}")
+        if config.nan_guard == "dump":
+            dumps = "dumps" if group.is_main_process else f"dumps_{group.rank}"
+            env.env.dump = DivergenceDump(env.env, folder / dumps)
         _announce(console, as_stored(config, job.stored), runner, folder)
         if group.is_main_process:
             keep_code(config, folder, console)

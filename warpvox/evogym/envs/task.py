@@ -50,7 +50,7 @@ class TaskEnv(BenchmarkBase):
         render_mode: str | None = None,
         render_options: dict[str, Any] | None = None,
     ) -> None:
-        from warpvox.envs.single import RowTerms  # brings torch, which registering must not
+        from warpvox.envs.adapters.single import RowTerms  # brings torch, which registering must not
 
         self._spec = self._rules()
         self.world = self._make_world(self._spec, body, connections)

@@ -9,13 +9,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from warpvox.envs.adapters.base import Adapter, check_mode, spaces_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ActionError, ConfigError, DisplayError, known_arguments, listing
-from warpvox.types import ACTION_HIGH, ACTION_LOW, Physics
+from warpvox.errors import ActionError, ConfigError, DisplayError
 from warpvox.view.rollout import FRAME_SECONDS
 
-__all__ = ["VoxelEnv", "register", "register_task", "spaces_of"]
+__all__ = ["VoxelEnv", "register", "register_task"]
 
 NAMESPACE = "warpvox"
 FPS = round(1 / FRAME_SECONDS)
@@ -47,34 +47,19 @@ def register_task(task: str | TaskSpec, namespace: str) -> str:
 def _register(namespace: str, name: str, task: str | TaskSpec) -> str:
     gymnasium.register(
         f"{namespace}/{name}",
-        entry_point="warpvox.envs.gym:VoxelEnv",
-        vector_entry_point="warpvox.envs.gym_vector:VoxelGymVectorEnv",
+        entry_point="warpvox.envs.adapters.gym:VoxelEnv",
+        vector_entry_point="warpvox.envs.adapters.gym_vector:VoxelGymVectorEnv",
         max_episode_steps=get_task(task).max_episode_steps,
         kwargs={"task": task},
     )
     return f"{namespace}/{name}"
 
 
-def spaces_of(env: Any) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
-    """The spaces of observations and actions of a single environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv`.
-
-    An entry's bounds are those of its term (:mod:`warpvox.envs.about`), over all designs; what has none, such as
-    places and velocities, may become as large as it likes. Both have the precision of the environment.
-    """
-    dtype = np.dtype(str(env.dtype).removeprefix("torch."))
-    bounds = np.zeros((2, env.num_designs, env.num_obs))
-    for design, columns in enumerate(env.obs_columns):
-        for term in env.spec.observations:
-            bounds[:, design, columns[term.name]] = [[term.about.low], [term.about.high]]
-    low, high = bounds[0].min(0).astype(dtype), bounds[1].max(0).astype(dtype)
-    actions = gymnasium.spaces.Box(ACTION_LOW, ACTION_HIGH, (env.num_actions,), dtype)
-    return gymnasium.spaces.Box(low, high, dtype=dtype), actions
-
-
-class VoxelEnv(gymnasium.Env):
+class VoxelEnv(Adapter, gymnasium.Env):
     """One robot in one task: numpy in and out, float64.
 
-    Observations are ``[num_obs]`` (for their bounds see :func:`spaces_of`), actions ``[num_actions]``
+    Observations are ``[num_obs]`` (for their bounds see
+    :func:`warpvox.envs.adapters.base.spaces_of`), actions ``[num_actions]``
     (``Box(0.6, 1.6)``): target lengths of the actuators, row by row from the top of the body, in units of their
     rest length. The time limit is gymnasium's. An environment that has terminated stays as it is until it is
     reset.
@@ -89,7 +74,8 @@ class VoxelEnv(gymnasium.Env):
         connections: EvoGym's ``[2, k]`` pairs of flat cell indices; None connects all neighbours.
         render_mode: None, ``rgb_array`` (:meth:`render` gives a picture) or ``human`` (a window shows every step).
         render_size: width and height of pictures in pixels.
-        rules, physics, dtype, arithmetic, device, obs: as in :func:`warpvox.make_vec`.
+        options: ``rules``, ``obs``, ``sim`` and its fields as in :func:`warpvox.make_vec`; here ``device="cpu"``,
+            ``dtype="float64"`` and ``threads=1`` unless ``sim`` is given.
 
     Raises:
         TaskError, DesignError, WorldError, DeviceError: as :func:`warpvox.make_vec`. ConfigError: unknown
@@ -98,46 +84,28 @@ class VoxelEnv(gymnasium.Env):
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": FPS}  # noqa: RUF012
 
-    @known_arguments
     def __init__(
         self,
         task: str | TaskSpec,
         body: object = None,
         connections: object = None,
         render_mode: str | None = None,
-        rules: str = "evogym",
-        physics: str | Physics | None = None,
-        dtype: str = "float64",
-        device: str = "cpu",
-        obs: str = "task",
         render_size: tuple[int, int] = (640, 360),
-        arithmetic: str | None = None,
+        **options: Any,
     ) -> None:
-        from warpvox.envs.single import fast_stepper
-        from warpvox.envs.vec_env import make_vec  # brings torch, which registering must not
+        from warpvox.envs.adapters.single import fast_stepper
 
         self._check_mode(render_mode)
-        self._vec = make_vec(
-            task,
-            designs=None if body is None else [body],
-            connections=[connections],
-            device=device,
-            rules=rules,
-            physics=physics,
-            dtype=dtype,
-            arithmetic=arithmetic,
-            auto_reset=False,
-            threads=1,
-            max_episode_steps=_NO_LIMIT,
-            obs=obs,
-        )
+        bodies, links = (None if body is None else [body]), [connections]
+        defaults = {"device": "cpu", "dtype": "float64", "threads": 1}
+        limit = {"auto_reset": False, "max_episode_steps": _NO_LIMIT}
+        self._make(task, bodies, 1, options, defaults, connections=links, body=None, seed=0, **limit)
         self.render_mode, self.render_size = render_mode, render_size
-        self.observation_space, self.action_space = spaces_of(self._vec)
-        self._view: Any = None
+        self.observation_space, self.action_space = spaces_of(self.vec)
         self._window: Any = None
         self._next_frame = 0.0
         self._ended: np.ndarray | None = None  # the observation with which the episode has ended
-        self._fast = fast_stepper(self._vec)
+        self._fast = fast_stepper(self.vec)
         self._zeros = np.zeros(self.action_space.shape)
 
     def _check_mode(self, mode: str | None) -> None:
@@ -145,8 +113,7 @@ class VoxelEnv(gymnasium.Env):
         from warpvox.view.window import why_no_window
 
         modes = VoxelEnv.metadata["render_modes"]
-        if mode is not None and mode not in modes:
-            raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {mode!r}.")
+        check_mode(mode, modes)
         reason = why_no_window()
         if reason is None:
             return
@@ -157,17 +124,17 @@ class VoxelEnv(gymnasium.Env):
     @property
     def sim(self) -> Any:
         """The :class:`warpvox.Simulation`, with one environment."""
-        return self._vec.sim
+        return self.vec.sim
 
     @property
     def voxels(self) -> dict[str, Any]:
         """With ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name."""
-        return self._vec.voxels
+        return self.vec.voxels
 
     @property
     def body(self) -> np.ndarray | dict[str, np.ndarray]:
         """int8 ``[rows, columns]``: the robot; of several robots all, by name."""
-        design = self._vec.designs[0]
+        design = self.vec.designs[0]
         if isinstance(design, dict):
             return {name: cells.copy() for name, cells in design.items()}
         return design.copy()
@@ -177,7 +144,7 @@ class VoxelEnv(gymnasium.Env):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode; ``options`` are not used."""
         super().reset(seed=seed)
-        obs, _ = self._vec.reset(seed)
+        obs, _ = self.vec.reset(seed)
         if self._fast is not None:
             self._fast.begin()
         self._ended = None
@@ -209,7 +176,7 @@ class VoxelEnv(gymnasium.Env):
                 self.sim.take(action[None])  # names an entry that is not finite
             obs, terms, terminated, unstable, diverged = self._fast.step(action)
         else:
-            obs, terms, terminated, unstable, diverged = self._vec.step_one(action[None])
+            obs, terms, terminated, unstable, diverged = self.vec.step_one(action[None])
             obs = obs.cpu().numpy()
         if terminated:
             self._ended = obs.copy()
@@ -229,14 +196,7 @@ class VoxelEnv(gymnasium.Env):
         if self.render_mode == "human":
             self._show()
             return None
-        return self._picture()
-
-    def _picture(self) -> np.ndarray:
-        if self._view is None:
-            from warpvox.view.live import LiveView
-
-            self._view = LiveView(self.sim, self.render_size)
-        return self._view.pictures()[0]
+        return self._pictures()[0]
 
     def _show(self) -> None:
         """In human mode: the state in the window, which is opened if need be; one that was closed stays closed."""
@@ -245,13 +205,13 @@ class VoxelEnv(gymnasium.Env):
         if self._window is None:
             from warpvox.view.window import Window
 
-            self._window = Window(self.render_size, f"{NAMESPACE} {self._vec.spec.id}")
+            self._window = Window(self.render_size, f"{NAMESPACE} {self.vec.spec.id}")
         if self._window.closed:
             return
         early = self._next_frame - time.perf_counter()
         if 0 < early < 1:
             time.sleep(early)  # in real time
-        self._window.show(self._picture())
+        self._window.show(self._pictures()[0])
         self._next_frame = time.perf_counter() + FRAME_SECONDS
 
     def close(self) -> None:

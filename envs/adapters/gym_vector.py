@@ -10,15 +10,15 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from warpvox.envs.gym import FPS, NAMESPACE, spaces_of
+from warpvox.envs.adapters.base import Adapter, check_mode, spaces_of
+from warpvox.envs.adapters.gym import FPS, NAMESPACE
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ConfigError, SimulationError, did_you_mean, known_arguments, listing
-from warpvox.types import Physics
+from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
 
 __all__ = ["VoxelGymVectorEnv"]
 
 
-class VoxelGymVectorEnv(VectorEnv):
+class VoxelGymVectorEnv(Adapter, VectorEnv):
     """A :class:`warpvox.envs.vec_env.VoxelVecEnv` behind gymnasium's vector interface: one batch, no processes.
 
     Observations ``[num_envs, num_obs]``, rewards float64 and flags ``[num_envs]`` are numpy arrays; ``infos`` holds
@@ -37,13 +37,12 @@ class VoxelGymVectorEnv(VectorEnv):
         designs: several bodies, in equal blocks; smaller ones are padded on the right, see ``vec.obs_mask`` and
             ``vec.action_mask``.
         connections: of ``body``, or one entry for each of ``designs``.
-        max_episode_steps: time limit; None: the task's.
         render_mode: None or ``rgb_array``: :meth:`render` gives a picture of every environment.
         render_size: width and height of a picture in pixels.
-        seed: of the first episodes, until :meth:`reset` gets another.
         autoreset_mode: a ``gymnasium.vector.AutoresetMode`` or its name; also in ``metadata``.
-        rules, physics, dtype, arithmetic, device, threads, obs: as in :func:`warpvox.make_vec`.
-        grid: rows and columns up to which :meth:`set_designs` may bring other bodies; needs ``arithmetic="fast"``.
+        options: ``seed`` (of the first episodes, until :meth:`reset` gets another), ``rules``, ``obs``,
+            ``max_episode_steps``, ``sim`` and its fields as in :func:`warpvox.make_vec`; here ``device="cpu"`` and
+            ``dtype="float64"`` unless ``sim`` is given. With ``grid`` :meth:`set_designs` may bring other bodies.
 
     Attributes:
         vec: the environments themselves, with torch tensors.
@@ -59,7 +58,6 @@ class VoxelGymVectorEnv(VectorEnv):
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
 
-    @known_arguments
     def __init__(
         self,
         task: str | TaskSpec,
@@ -67,54 +65,24 @@ class VoxelGymVectorEnv(VectorEnv):
         body: object = None,
         designs: Sequence[object] | None = None,
         connections: object = None,
-        max_episode_steps: int | None = None,
         render_mode: str | None = None,
-        rules: str = "evogym",
-        physics: str | Physics | None = None,
-        dtype: str = "float64",
-        device: str = "cpu",
-        threads: int | None = None,
-        obs: str = "task",
-        seed: int = 0,
         render_size: tuple[int, int] = (640, 360),
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
-        arithmetic: str | None = None,
-        grid: tuple[int, int] | None = None,
+        **options: Any,
     ) -> None:
-        from warpvox.envs.vec_env import make_vec  # brings torch
-
-        modes = self.metadata["render_modes"]
-        if render_mode is not None and render_mode not in modes:
-            raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {render_mode!r}.")
+        check_mode(render_mode, self.metadata["render_modes"])
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
-        if designs is None and connections is not None:
-            connections = [connections] if body is None else connections
-        self.vec = make_vec(
-            task,
-            designs=designs,
-            body=body,
-            num_envs=num_envs,
-            connections=connections,
-            max_episode_steps=max_episode_steps,
-            rules=rules,
-            physics=physics,
-            dtype=dtype,
-            arithmetic=arithmetic,
-            device=device,
-            threads=threads,
-            obs=obs,
-            grid=grid,
-            seed=seed,
-            auto_reset=self.autoreset_mode is AutoresetMode.SAME_STEP,
-        )
+        if designs is None and body is None and connections is not None:
+            connections = [connections]
+        given = {"body": body, "connections": connections, "auto_reset": self.autoreset_mode is AutoresetMode.SAME_STEP}
+        self._make(task, designs, num_envs, options, {"device": "cpu", "dtype": "float64"}, **given)
         self.num_envs, self.render_mode, self.render_size = self.vec.num_envs, render_mode, render_size
         self.single_observation_space, self.single_action_space = spaces_of(self.vec)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._obs = np.zeros(self.observation_space.shape, self.observation_space.dtype)
         self._ended = np.zeros(self.num_envs, dtype=bool)  # by the last step, and not reset since
-        self._view: Any = None
 
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
@@ -218,11 +186,7 @@ class VoxelGymVectorEnv(VectorEnv):
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without render_mode='rgb_array'.")
             return None
-        if self._view is None:
-            from warpvox.view.live import LiveView
-
-            self._view = LiveView(self.vec.sim, self.render_size)
-        return tuple(self._view.pictures())
+        return tuple(self._pictures())
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({NAMESPACE} {self.vec.spec.id}, num_envs={self.num_envs})"

@@ -9,9 +9,8 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box
 
-from warpvox.envs.gym import spaces_of
+from warpvox.envs.adapters.base import Adapter, check_mode, spaces_of
 from warpvox.envs.spec import TaskSpec
-from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ConfigError, listing
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
@@ -26,7 +25,7 @@ __all__ = ["VoxelSB3VecEnv"]
 CENTER, HALF = (ACTION_LOW + ACTION_HIGH) / 2, (ACTION_HIGH - ACTION_LOW) / 2
 
 
-class VoxelSB3VecEnv(VecEnv):
+class VoxelSB3VecEnv(Adapter, VecEnv):
     """A :class:`warpvox.envs.vec_env.VoxelVecEnv` behind Stable-Baselines3's ``VecEnv``: one batch, no processes.
 
     Observations ``[num_envs, num_obs]`` and rewards ``[num_envs]`` are float32. Environments that end are reset in the
@@ -63,13 +62,10 @@ class VoxelSB3VecEnv(VecEnv):
         render_size: tuple[int, int] = (640, 360),
         **options: Any,
     ) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise ConfigError(f"render_mode must be None or rgb_array, got {render_mode!r:.80}.")
-        if "auto_reset" in options:
-            raise ConfigError("Stable-Baselines3 needs environments that reset themselves: auto_reset cannot be given.")
-        self.vec = make_vec(task, designs, num_envs, body=body, **({"device": "cpu"} | options))
+        check_mode(render_mode, ["rgb_array"])
+        self._make(task, designs, num_envs, options, {"device": "cpu"}, body=body, auto_reset=True)
         self.normalize_actions, self.render_size = normalize_actions, render_size
-        self._mode, self._view = render_mode, None
+        self._mode = render_mode
         self._actions: np.ndarray | None = None
         observations, actions = spaces_of(self.vec)
         observations = Box(observations.low, observations.high, dtype=np.float32)
@@ -117,11 +113,7 @@ class VoxelSB3VecEnv(VecEnv):
         """A picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
         if self._mode is None:
             return [None] * self.num_envs
-        if self._view is None:
-            from warpvox.view.live import LiveView
-
-            self._view = LiveView(self.vec.sim, self.render_size)
-        return list(self._view.pictures())
+        return list(self._pictures())
 
     def close(self) -> None:
         """There is nothing to close."""

@@ -10,8 +10,8 @@ import torch
 from tensordict import TensorDict
 
 from warpvox.design import check_design
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.design_episodes import NUM_TYPES, DesignVecEnv
-from warpvox.envs.rsl_rl import RslRlVecEnv
 from warpvox.errors import DesignError
 
 __all__ = ["RslRlDesignEnv"]

@@ -1,0 +1,1 @@
+"""Environments behind the interfaces of other libraries: gymnasium, rsl-rl, Stable-Baselines3."""

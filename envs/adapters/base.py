@@ -1,0 +1,78 @@
+"""What adapters share: environments made from their arguments, bounds of observations and actions, pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from warpvox.errors import ConfigError, listing
+from warpvox.types import ACTION_HIGH, ACTION_LOW
+
+__all__ = ["Adapter", "spaces_of"]
+
+
+class Adapter:
+    """Environments of :func:`warpvox.make_vec` behind another interface.
+
+    Attributes:
+        vec: the environments themselves, with torch tensors.
+        render_size: width and height of a picture in pixels.
+    """
+
+    vec: Any
+    render_size: tuple[int, int]
+    _view: Any = None
+
+    def _make(
+        self, task: Any, designs: Any, num_envs: int, options: dict[str, Any], defaults: dict[str, Any], **fixed: Any
+    ) -> None:
+        """Make the environments.
+
+        Args:
+            options: what the adapter was given besides its own arguments.
+            defaults: of the adapter, unless ``sim`` is given; ``fixed``: what it does not leave to others.
+
+        Raises:
+            ConfigError: an option that there is not. And what ``make_vec`` raises.
+        """
+        from warpvox.batch.options import check_known
+        from warpvox.envs.vec_env import make_vec  # brings torch, which registering must not
+
+        check_known(options, type(self).__init__, make_vec, without=fixed)
+        if options.get("sim") is None:
+            options = defaults | options
+        self.vec = make_vec(task, designs, num_envs, **options, **fixed)
+
+    def _pictures(self) -> Sequence[np.ndarray]:
+        """A picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
+        if self._view is None:
+            from warpvox.view.live import LiveView
+
+            self._view = LiveView(self.vec.sim, self.render_size)
+        return self._view.pictures()
+
+
+def check_mode(mode: object, modes: Sequence[str]) -> None:
+    """Raise ConfigError for a render mode that there is not."""
+    if mode is not None and mode not in modes:
+        raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {mode!r:.80}.")
+
+
+def spaces_of(env: Any) -> tuple[Box, Box]:
+    """The spaces of observations and actions of a single environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv`.
+
+    An entry's bounds are those of the terms (:mod:`warpvox.envs.about`) that it belongs to in some design, or with
+    ``grid`` in any that may be put in; what has none, such as places and velocities, may become as large as it likes.
+    Both have the precision of the environment.
+    """
+    dtype = np.dtype(str(env.dtype).removeprefix("torch."))
+    padding = np.arange(env.num_obs) >= env.layout.always  # is 0
+    low, high = np.where(padding, 0.0, np.inf), np.where(padding, 0.0, -np.inf)
+    for term in env.spec.observations:
+        at = env.layout.places[term.name]
+        low[at], high[at] = np.minimum(low[at], term.about.low), np.maximum(high[at], term.about.high)
+    actions = Box(ACTION_LOW, ACTION_HIGH, (env.num_actions,), dtype)
+    return Box(low.astype(dtype), high.astype(dtype), dtype=dtype), actions

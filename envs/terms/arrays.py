@@ -1,0 +1,63 @@
+"""What torch's tensors and numpy's arrays have under different names, so that every term is written once for both.
+
+A batch of environments has tensors ``[num_envs, ...]``; a single one on the CPU has arrays ``[1, ...]``, because
+starting an operation of torch takes longer than what it has to compute. What both have (operators, slices, ``abs``)
+terms use as it is.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+
+__all__ = ["double", "extremes_at", "filled", "library", "long", "replaced", "taken"]
+
+
+def library(array: Any) -> Any:
+    """The module with ``where``, ``floor``, ``amin``, ... for an array: numpy or torch."""
+    return np if isinstance(array, np.ndarray) else sys.modules["torch"]
+
+
+def double(array: Any) -> Any:
+    """The same in float64."""
+    return array.astype(np.float64) if isinstance(array, np.ndarray) else array.double()
+
+
+def long(array: Any) -> Any:
+    """The same in int64, cut towards 0."""
+    return array.astype(np.int64) if isinstance(array, np.ndarray) else array.long()
+
+
+def filled(like: Any, shape: tuple[int, ...], value: float) -> Any:
+    """An array of one value, with the type and device of ``like``."""
+    return np.full(shape, value, like.dtype) if isinstance(like, np.ndarray) else like.new_full(shape, value)
+
+
+def replaced(array: Any, where: Any, value: float) -> Any:
+    """The same with ``value`` where a mask is True; the two are broadcast."""
+    if isinstance(array, np.ndarray):
+        return np.where(where, array.dtype.type(value), array)
+    return array.masked_fill(where, value)  # a number for `where` would have to be brought to the device
+
+
+def taken(array: Any, index: Any) -> Any:
+    """Entries of every row ``[rows, n]`` by their places, integers ``[rows, k]``."""
+    if isinstance(array, np.ndarray):
+        return array[np.arange(len(array))[:, None], index]
+    return array.gather(1, index)
+
+
+def extremes_at(array: Any, index: Any, values: Any, which: str) -> None:
+    """Replace entries by the least (``amin``) or largest (``amax``) of themselves and ``values`` that go there.
+
+    Args:
+        array: ``[rows, n]``, written to.
+        index: integers ``[rows, k]``, the places of ``values`` ``[rows, k]``.
+    """
+    if isinstance(array, np.ndarray):
+        rows = np.arange(len(array))[:, None]
+        {"amin": np.minimum, "amax": np.maximum}[which].at(array, (rows, index), values)
+    else:
+        array.scatter_reduce_(1, index, values, which)

@@ -1,0 +1,67 @@
+"""Trainings, searches and plays that do not fit into memory are refused, with the key and the value that would."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+GIB = 2**30
+SMALL = "device=cpu threads=1 ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 max_iterations=1".split()
+
+
+@pytest.fixture
+def free(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """``free(gibibytes)``: what the machine has left."""
+    return lambda size: monkeypatch.setattr("warpvox.envs.memory.free_memory", lambda device: int(size * GIB))
+
+
+@pytest.mark.parametrize(
+    ("size", "key", "words"),
+    [
+        (20, "num_envs", "train num_envs=10000000"),
+        (1, "num_envs", "train designs=random:64 policy=transformer num_envs=200000"),
+        (1, "num_envs", "train designs=[mini] designs.grid=[100,100] num_envs=1024"),
+        (1, "batch", "codesign training.envs=4096 training.ppo.steps=64"),
+        (0.1, "training.envs", "codesign training.envs=4096 training.method=sequential training.ppo.steps=64"),
+        (2, "search.population", "codesign evaluation=shared screening.envs=4096"),
+        (8, "screening.beam", "codesign evaluation=gaits screening.beam=10000000 screening.passes=1"),
+        (8, "screening.final_beam", "codesign evaluation=gaits screening.final_beam=10000000"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_what_does(
+    warpvox: Callable, tmp_path: Path, free: Callable, size: float, key: str, words: str
+) -> None:
+    free(size)
+    outcome = warpvox(*words.split(), "device=cpu")
+    assert outcome.code == 2, outcome
+    assert outcome.err.count("\n") == 1, outcome.err
+    assert "memory_check=false" in outcome.err
+    fits = re.search(rf"[\d,]+ fit: {key}=(\d+)\.", outcome.err)
+    assert fits, outcome.err
+    asked = re.search(rf" {key}=(\d+)", words)
+    assert 0 < int(fits[1]) < (int(asked[1]) if asked else 25)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_training_takes_the_advice_or_goes_without(warpvox: Callable, free: Callable) -> None:
+    free(0.004)
+    words = ["train", *SMALL, "design=[mini,worm,walker]"]
+    refused = warpvox(*words, "num_envs=3000")
+    fits = int(re.search(r"num_envs=(\d+)", refused.err)[1])
+    assert fits % 3 == 0
+    assert warpvox(*words, f"num_envs={fits}").code == 0
+    assert warpvox(*words, "num_envs=600", "memory_check=false").code == 0
+    assert warpvox("train", "resume=latest", "max_iterations=2", "memory_check=true").code == 2
+    assert warpvox("train", "resume=latest", "max_iterations=2").code == 0  # as the run was begun
+
+
+def test_playing_many_is_refused_and_can_be_tried(warpvox: Callable, free: Callable) -> None:
+    free(0.0001)
+    words = "play agent=zero num_envs=64 steps=1 window=off export=[] record=false device=cpu threads=1".split()
+    outcome = warpvox(*words)
+    assert outcome.code == 2
+    assert "memory_check=false" in outcome.err
+    assert warpvox(*words, "memory_check=false").code == 0
