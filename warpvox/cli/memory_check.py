@@ -65,6 +65,7 @@ def check_search(config: Any, together: int, key: str = "batch") -> None:
         together: designs that are trained at once.
         key: that says how many these are.
     """
+    config.training.ppo.check(config.training.envs, "training.ppo")
     device = resolve_device(config.device, together * config.training.envs)
     free = free_memory(device) if config.memory_check else None
     training, body = config.training, np.full(config.shape, Cell.H_ACT, np.int8)
