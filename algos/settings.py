@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from warpvox.errors import ConfigError
 from warpvox.keys import MISSING, key
 
 __all__ = ["ACTIVATIONS", "LOGGERS", "REFRESH", "PpoConfig", "ScreeningConfig", "TrainingConfig"]
@@ -48,6 +49,15 @@ class PpoConfig:
     normalize_reward: bool = key(MISSING, "divide rewards by the running standard deviation of the discounted return")
     bootstrap_time_limit: bool = key(MISSING, "bootstrap from the value function where the time limit ends an episode")
     random_start: bool = key(MISSING, "give the first episodes random lengths, so that they do not all end together")
+
+    def check(self, num_envs: int, prefix: str = "ppo") -> None:
+        """Raise ConfigError if an iteration of so many environments is too small for its minibatches."""
+        samples = self.steps * num_envs
+        if samples < self.minibatches:
+            raise ConfigError(
+                f"{prefix}.minibatches={self.minibatches} is more than the samples of an iteration: {num_envs}"
+                f" environments make {samples} in {self.steps} steps."
+            )
 
 
 @dataclass

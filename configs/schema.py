@@ -98,7 +98,8 @@ class DesignsConfig:
     )
     held_out: Any = key(
         None,
-        "bodies for evaluation only, never trained on, given as designs; null: 32 random ones of the same size",
+        "bodies for evaluation only, never trained on, given as designs; null: 32 random ones of the same size, or the"
+        " bodies themselves where these are named",
         path="read",
     )
     grid: list[int] | None = key(

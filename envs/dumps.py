@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from torch.nn.functional import pad
 
 from warpvox.errors import RolloutError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
@@ -49,20 +50,20 @@ class DivergenceDump:
         self.pause = 1 if torch.device(env.sim.device).type == "cpu" else STEPS
         self._scenes, self._points = points_of(env.sim)
         self._room = STEPS + self.pause
-        self._open = True
-        self.clear()
+        self._open, self._count = True, 0
+        self._rings: dict[str, torch.Tensor] = {}
+        self._at = torch.full((env.num_envs,), -1, dtype=torch.long, device=env.device)
+        self._length, self._begun = torch.zeros_like(self._at), torch.zeros_like(self._at)
 
     def refresh(self) -> None:
-        """Drop all steps and read the bodies of the environments again."""
+        """Read the bodies of the environments again; :meth:`clear` is to follow for those that have another one."""
         self._scenes, self._points = points_of(self.env.sim)
-        self.clear()
 
-    def clear(self) -> None:
-        """Drop all steps: the next one does not follow them."""
-        self._count = 0
-        self._rings: dict[str, torch.Tensor] = {}
-        self._at = torch.full((self.env.num_envs,), -1, dtype=torch.long, device=self.env.device)
-        self._length = torch.zeros_like(self._at)
+    def clear(self, mask: torch.Tensor | None = None) -> None:
+        """Drop the steps of environments (bool ``[num_envs]``; None: all): their next one does not follow them."""
+        mask = torch.ones_like(self._at, dtype=torch.bool) if mask is None else mask
+        self._at = self._at.masked_fill(mask, -1)
+        self._begun = self._begun.masked_fill(mask, self._count)
 
     def before(self, actions: torch.Tensor) -> None:
         """Record the state before a step, and its actions ``[num_envs, num_actions]``."""
@@ -72,7 +73,11 @@ class DivergenceDump:
     def _note(self, name: str, values: torch.Tensor) -> None:
         if name not in self._rings:
             self._rings[name] = values.new_zeros((self._room, *values.shape))
-        self._rings[name][self._count % self._room] = values
+        ring = self._rings[name]
+        if name == "positions" and (more := values.shape[1] - ring.shape[2]):  # widest body has come or gone
+            ring = self._rings[name] = pad(ring, (0, 0, 0, more)) if more > 0 else ring
+            values = pad(values, (0, 0, 0, max(-more, 0)))
+        ring[self._count % self._room] = values
 
     def after(self, reward: torch.Tensor, info: dict[str, Any]) -> list[Path]:
         """Record the result of the step; returns the files that were written."""
@@ -104,18 +109,19 @@ class DivergenceDump:
     def rollout(self, env: int) -> Rollout:
         """The last steps of an environment before its divergence."""
         at = int(self._at[env])
-        steps = min(int(self._length[env]), STEPS, at + 1)
+        steps = min(int(self._length[env]), STEPS, at + 1 - int(self._begun[env]))
         places = [step % self._room for step in range(at + 1 - steps, at + 1)]
         positions, actions, rewards = (
             self._rings[name][places, env].double().cpu().numpy() for name in ("positions", "actions", "rewards")
         )
-        shown = _finite_frames(positions)
+        scene = self._scenes[int(self.env.sim.design_index[env])]
+        shown = _finite_frames(positions[:, : scene.num_points])
         spec, over = self.env.spec, np.zeros((steps, 1), bool)
         over[-1] = True
         return Rollout(
             positions=np.concatenate([shown, shown[-1:]])[:, None],
             design_index=np.zeros(1, np.int32),
-            scenes=(self._scenes[int(self.env.sim.design_index[env])],),
+            scenes=(scene,),
             actions=np.where(np.isfinite(actions), actions, 1.0).clip(ACTION_LOW, ACTION_HIGH)[:, None],
             rewards=rewards[:, None],
             terminated=over,

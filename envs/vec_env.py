@@ -268,7 +268,7 @@ class VoxelVecEnv:
         now = self._snapshot()
         self.episodes.set_before(now)
         if self.dump is not None:
-            self.dump.clear()
+            self.dump.clear(mask)
         return self._finite.first(self.observe(now), mask, self._on_cpu), {}
 
     def set_designs(

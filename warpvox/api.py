@@ -48,7 +48,7 @@ class TrainedRun:
         return {name: np.array([row.get(name, np.nan) for row in rows]) for name in (rows[0] if rows else {})}
 
 
-def train(overrides: Mapping[str, Any] | None = None, /, *, progress: bool = True, **keys: Any) -> TrainedRun:
+def train(overrides: str | Mapping[str, Any] | None = None, /, *, progress: bool = True, **keys: Any) -> TrainedRun:
     """Train a policy as ``warpvox train KEY=VALUE ...`` does, and wait for it.
 
     Keys, defaults, files and results are those of the command (``warpvox train --help``): the same seed gives the same
@@ -58,7 +58,7 @@ def train(overrides: Mapping[str, Any] | None = None, /, *, progress: bool = Tru
     ``resume="latest"`` goes on.
 
     Args:
-        overrides: values by key.
+        overrides: values by key, or the id of a task.
         progress: show the command's messages and live line.
         keys: further values.
 
@@ -72,6 +72,7 @@ def train(overrides: Mapping[str, Any] | None = None, /, *, progress: bool = Tru
     from warpvox.cli.commands.train import train as run
     from warpvox.cli.runs import SUMMARY
 
+    overrides = {"task": overrides} if isinstance(overrides, str) else overrides
     words = [word for key, value in {**(overrides or {}), **keys}.items() for word in _words(key, value)]
     twice = sorted(set(overrides or {}) & set(keys))
     if twice:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Sequence
 from typing import Any
@@ -22,24 +23,36 @@ RECENT = 0.3
 def draw_bodies(
     count: int, shape: tuple[int, int], rng: np.random.Generator, without: Sequence[Design] = ()
 ) -> list[Design]:
-    """Different random bodies, none of ``without``.
+    """Different random bodies, none of ``without``; one that lies elsewhere in the grid is not different.
 
     Raises:
         ConfigError: there are not so many different ones of this shape to be found.
     """
-    seen, found = {_name(body) for body in without}, []
+    found: list[Design] = []
+    _draw(found, count, shape, rng, {_digest(body) for body in without})
+    if len(found) < count:
+        raise ConfigError(f"There are no {count} different bodies of {shape[0]}x{shape[1]} to be found; ask for fewer.")
+    return found
+
+
+def _draw(found: list[Design], count: int, shape: tuple[int, int], rng: np.random.Generator, seen: set[int]) -> None:
+    """Add random bodies that are not ``seen`` to ``found`` until it has ``count``, or no more are to be found."""
     for _ in range(100 * count + 1000):
         if len(found) == count:
-            return found
+            return
         body = sample_design(shape, rng)
-        if _name(body) not in seen:
-            seen.add(_name(body))
+        digest = _digest(body)
+        if digest not in seen:
+            seen.add(digest)
             found.append(body)
-    raise ConfigError(f"There are no {count} different bodies of {shape[0]}x{shape[1]} to be found; ask for fewer.")
 
 
-def _name(body: Design) -> tuple[Any, ...]:
-    return (*body.shape, body.tobytes())
+def _digest(body: Design) -> int:
+    """64 bits that are the same for bodies that differ by their place in the grid alone."""
+    rows, columns = (np.flatnonzero(body.any(axis)) for axis in (1, 0))
+    cells = np.ascontiguousarray(body[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], np.int8)
+    text = bytes(cells.shape) + cells.tobytes()
+    return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "little", signed=True)
 
 
 class Bodies:
@@ -50,9 +63,10 @@ class Bodies:
 
     Args:
         bodies: of the training.
-        refresh: of :data:`warpvox.algos.settings.REFRESH`. ``new``: random bodies that were never there; ``random``:
-            any of ``bodies``; ``performance``: any of ``bodies``, those on which the mean return is one deviation lower
-            e times as often, and first of all those that have had no episode yet; ``none``: bodies stay.
+        refresh: of :data:`warpvox.algos.settings.REFRESH`. ``new``: random bodies that were never there, until there
+            are no others; ``random``: any of ``bodies``; ``performance``: any of ``bodies``, those on which the mean
+            return is one deviation lower e times as often, and first of all those that have had no episode yet;
+            ``none``: bodies stay.
         rng: draws bodies.
         without: bodies that ``new`` does not draw.
     """
@@ -64,6 +78,7 @@ class Bodies:
         self._rng = rng
         self._returns = np.full(len(self.bodies), np.nan)
         self._seen = 0
+        self._digests = {_digest(body) for body in [*self.bodies, *self.without]}
         self._which = np.zeros(0, np.int64)
         self.shape = tuple(max(body.shape[axis] for body in self.bodies) for axis in (0, 1))
 
@@ -81,7 +96,7 @@ class Bodies:
         return self._seen
 
     def record(self, ended: torch.Tensor, returns: torch.Tensor) -> None:
-        """Record the returns ``[num_envs]`` of episodes that have ended (bool)."""
+        """Record the returns ``[num_envs]`` of whole episodes that have ended (bool)."""
         for env in ended.nonzero()[:, 0].tolist():
             body, value = self._which[env], float(returns[env])
             if body >= 0:
@@ -94,13 +109,24 @@ class Bodies:
         if self.refresh == "none" or not count:
             return
         if self.refresh == "new":
-            bodies, which = draw_bodies(count, self.shape, self._rng, self.without), np.full(count, -1)
+            bodies, which = self._new(count), np.full(count, -1)
         else:
             which = self._rng.choice(len(self.bodies), count, p=self._shares())
             bodies = [self.bodies[k] for k in which]
         self._which[ended.cpu().numpy()] = which
         self._seen += count
         env.set_designs(bodies, ended)
+
+    def _new(self, count: int) -> list[Design]:
+        """Random bodies that were not there, as long as there are any; then they come again."""
+        found: list[Design] = []
+        _draw(found, count, self.shape, self._rng, self._digests)
+        while len(found) < count:
+            before, self._digests = len(found), {_digest(body) for body in self.without}
+            _draw(found, count, self.shape, self._rng, self._digests)
+            if len(found) == before:
+                raise ConfigError("designs.refresh=new: there are no bodies of this shape beside those held out.")
+        return found
 
     def _shares(self) -> np.ndarray | None:
         """How often each body is drawn; None: equally often."""
@@ -126,6 +152,7 @@ class Bodies:
             "which": torch.from_numpy(self._which.copy()),
             "returns": torch.from_numpy(self._returns.copy()),
             "seen": self._seen,
+            "digests": torch.tensor(sorted(self._digests)),
             "random": json.dumps(self._rng.bit_generator.state),
         }
 
@@ -136,4 +163,5 @@ class Bodies:
         env.set_designs(bodies, torch.ones(env.num_envs, dtype=torch.bool, device=env.device))
         self._which, self._seen = state["which"].cpu().numpy().copy(), state["seen"]
         self._returns = state["returns"].cpu().numpy().copy()
+        self._digests |= set(state["digests"].tolist()) if "digests" in state else set()
         self._rng.bit_generator.state = json.loads(state["random"])

@@ -95,6 +95,8 @@ class Metrics:
     def write(self, row: Mapping[str, float], log: Mapping[str, float] | None = None) -> None:
         """Append a row (keys of :data:`COLUMNS`); ``log`` goes to the logger only, under its own tags."""
         with writing(self.path), self.path.open("a", encoding="utf-8", newline="") as file:
+            if not file.tell():  # somebody has moved it away
+                file.write(_line(COLUMNS))
             file.write(_line(_cells(row)))
         known = {tag: row[name] for name, tag in TAGS.items() if _known(row.get(name))}
         scalars, step = known | dict(log or {}), int(row["iteration"])

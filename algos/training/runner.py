@@ -108,6 +108,7 @@ class Runner:
         bodies: Bodies | None = None,
         trained_on: Mapping[str, Any] | None = None,
     ) -> None:
+        ppo.check(env.num_envs)
         self.env, self.ppo, self.schedule, self.folder = env, ppo, schedule, folder
         self.evaluator, self.report, self.group, self.on_save = evaluator, report, group, on_save
         self.bodies, self.trained_on = bodies, dict(trained_on or {})
@@ -236,7 +237,7 @@ class Runner:
             logs.append(extras["log"])
             ended |= dones
             if self.bodies is not None:
-                self.bodies.record(dones, extras["returns"])
+                self.bodies.record(extras["whole"], extras["returns"])
         self.alg.compute_returns(obs)
         return logs, ended
 

@@ -33,9 +33,10 @@ class RslRlVecEnv(VecEnv):
     """Adapter: scales outputs of the policy to actions, scales rewards, and separates time limits from terminations.
 
     ``extras`` of a step hold ``log`` (means of this step for TensorBoard), ``returns`` (of the episodes so far,
-    ``[num_envs]``) and, if time limits are to be bootstrapped, ``time_outs`` (bool ``[num_envs]``: ended by the time
-    limit alone) with ``final_obs`` (TensorDict: the last observations of what ended). Episodes that the task stopped,
-    self-folding and divergence included, have been reset by the environment. All tensors are fresh.
+    ``[num_envs]``), ``whole`` (bool ``[num_envs]``: episodes that have ended and had no random start) and, if time
+    limits are to be bootstrapped, ``time_outs`` (bool ``[num_envs]``: ended by the time limit alone) with ``final_obs``
+    (TensorDict: the last observations of what ended). Episodes that the task stopped, self-folding and divergence
+    included, have been reset by the environment. All tensors are fresh.
 
     Args:
         env: made with ``auto_reset=True``.
@@ -110,8 +111,10 @@ class RslRlVecEnv(VecEnv):
         obs, reward, terminated, truncated, info = self.env.step(self._goals(actions))
         self._obs = obs
         done = terminated | truncated
-        self._count(info, done)
-        extras: dict[str, Any] = {"log": self._log(info), "returns": info["episode"]["return"]}
+        whole = done & ~self._shortened
+        self._count(info, whole)
+        self._shortened = self._shortened & ~done
+        extras: dict[str, Any] = {"log": self._log(info), "returns": info["episode"]["return"], "whole": whole}
         if self.bootstrap_time_limit:
             extras["time_outs"] = truncated & ~terminated
             extras["final_obs"] = self._group(info["final_obs"])
@@ -137,11 +140,10 @@ class RslRlVecEnv(VecEnv):
     def _clear_episodes(self) -> None:
         self._sums = torch.zeros(3 + len(STOP_CAUSES), dtype=torch.float64, device=self.device)
 
-    def _count(self, info: dict[str, Any], done: torch.Tensor) -> None:
-        episode, whole = info["episode"], done & ~self._shortened
+    def _count(self, info: dict[str, Any], whole: torch.Tensor) -> None:
+        episode = info["episode"]
         parts = (whole, episode["return"] * whole, episode["length"] * whole, *(info[name] for name in STOP_CAUSES))
         self._sums = self._sums + torch.stack([part.sum(dtype=torch.float64) for part in parts])
-        self._shortened = self._shortened & ~done
 
     def pop_episodes(self) -> dict[str, float]:
         """How many ``episodes`` ended since the last call, their mean ``return`` and ``length`` (NaN: none).

@@ -75,6 +75,8 @@ def test_mistakes_are_named_and_nothing_is_written(
         wv.train(**keys, progress=False)
     with pytest.raises(wv.ConfigError, match="given twice"):
         wv.train({"seed": 1}, seed=2)
+    with pytest.raises(wv.TaskError, match="Did you mean 'Walker-v0'"):
+        wv.train("Waker-v0", progress=False)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,8 @@ from warpvox.cli.commands.evaluate import evaluate_runs
 from warpvox.cli.commands.play import play
 from warpvox.cli.config import load
 from warpvox.cli.console import Console
-from warpvox.cli.designs import bodies_of, held_out_of, read_bodies
-from warpvox.design import save_design
+from warpvox.cli.designs import bodies_of, held_out_of, read_bodies, shades
+from warpvox.design import load_design, save_design
 from warpvox.errors import ConfigError, DesignError
 from warpvox.view.rollout import Rollout
 
@@ -73,6 +74,26 @@ def test_training_never_meets_what_is_held_out() -> None:
     # the same whatever the seed of the training
     assert held_out == {body.tobytes() for body in held_out_of(config("designs=random:40:2x2", "seed=7",
         "designs.held_out=random:20:2x2"))}  # fmt: skip
+
+
+def test_bodies_that_one_names_are_what_the_policy_is_judged_on(train: Callable[..., Path], warpvox: Callable) -> None:
+    run = train("designs=[mini,worm]", "max_iterations=2", "eval_interval=1", "eval_envs=1")
+    summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
+    cells = [load_design(name).tolist() for name in ("mini", "worm")]
+    assert summary["designs"] == {"bodies": cells, "refresh": "none"}
+    assert summary["evaluated_on"] == "the 2 bodies trained on"
+    assert "design" not in summary
+    rows = list(csv.DictReader((run / "bodies.csv").read_text(encoding="utf-8").splitlines()))
+    assert [row["cells"] for row in rows] == ["/".join("".join(map(str, row)) for row in body) for body in cells]
+    alone = warpvox("play", f"run={run}", "designs=worm", "num_envs=1", "window=off", "device=cpu", "threads=1")
+    assert alone.code == 0, alone.err
+    for words, count in ((["designs.refresh=new"], 32), (["designs.held_out=[mini]"], 1)):
+        assert len(held_out_of(config("designs=[mini,worm]", *words))) == count
+
+
+def test_the_picture_of_bodies_is_white_for_what_random_actions_reach() -> None:
+    assert shades("Walker-v0", np.array([-1.0, -0.19, 10.598, 12.0])) == pytest.approx([0, 0, 1, 1])
+    assert shades("mine", np.array([-2.0, 0.0, 1.0])) == [0, 0, 0.5]
 
 
 def test_more_bodies_than_environments_have_to_be_exchanged() -> None:

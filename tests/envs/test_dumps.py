@@ -75,6 +75,22 @@ def test_every_environment_of_a_step_is_written_with_its_own_world(tmp_path: Pat
         np.testing.assert_array_equal(robot.grid, STIFF)
 
 
+def test_an_exchange_of_bodies_drops_the_steps_of_these_environments_alone(tmp_path: Path) -> None:
+    env = make(tmp_path, [STIFF - STIFF + 3], grid=(3, 2), auto_reset=True)
+    env.reset()
+    for step, action in enumerate(actions_of(env, 9)):
+        if step == 6:  # wider bodies than those before, in two of four environments
+            env.set_designs([SOUND], np.array([False, True, False, True]))
+            action = 0.5 + torch.rand(4, env.num_actions)
+        if step == 8:
+            throw(env, 0)
+            throw(env, 1)
+        env.step(action[:, : env.num_actions])
+    kept, fresh = (Rollout.load(path) for path in sorted(tmp_path.iterdir()))
+    assert (kept.num_steps, fresh.num_steps) == (9, 3)
+    assert (kept.positions.shape[2], fresh.positions.shape[2]) == (9, 12)
+
+
 def test_the_number_of_files_is_bounded_also_for_those_who_come_later(tmp_path: Path) -> None:
     for _ in range(2):
         env = make(tmp_path, [SOUND], envs=4)

@@ -50,6 +50,16 @@ TYPES = {
 }
 
 
+ALIASES = {
+    "env": "task",
+    "lr": "learning_rate",
+    "steps": "max_iterations",
+    "timesteps": "max_iterations",
+    "total_timesteps": "max_iterations",
+    "n_envs": "num_envs",
+    "batch_size": "minibatches",
+}
+"""Names that other libraries have for a key, by the last part of ours: for hints."""
 FLAGS = {"-h": "help", "-m": "multirun", "-c": "cfg", "-i": "info", "-cd": "config_dir"}
 FLAGS |= {f"--{name.replace('_', '-')}": name for name in FLAGS.values()}
 CHOICES = {"cfg": CFG, "info": INFO}
@@ -96,6 +106,11 @@ def read_arguments(words: list[str]) -> Arguments:
             setattr(arguments, name, True)
         else:
             raise ConfigError(f"Unknown option '{word}'; there are {listing(FLAGS)}.{did_you_mean(word, FLAGS)}")
+    for word in arguments.plugins:
+        if "_target_" in word.partition("=")[0]:
+            raise ConfigError(
+                f"'{word:.200}': launchers and sweepers are chosen by name, such as hydra/launcher=joblib."
+            )
     if arguments.plugins and not (arguments.multirun or arguments.cfg):
         raise ConfigError(f"'{arguments.plugins[0]}' is about sweeps: add --multirun.")
     return arguments
@@ -311,6 +326,8 @@ def parse_overrides(arguments: Arguments, command: str) -> list[Override]:
         name, given, _ = word.partition("=")
         if name == "designs" and "designs.bodies" in keys:  # short for the bodies
             name, word = "designs.bodies", f"designs.bodies{word[len(name) :]}"
+        elif name == "designs" and name not in keys and "design" in keys:
+            name, word = "design", f"design{word[len(name) :]}"
         text = readable(word, keys[name], arguments.multirun) if given and name in keys else word
         override = parse(text)
         if override is None:
@@ -319,7 +336,7 @@ def parse_overrides(arguments: Arguments, command: str) -> list[Override]:
         if override.is_delete() or override.is_add() or override.is_force_add():
             raise ConfigError(f"'{text}': keys cannot be added or removed; write {key}=VALUE.")
         if override.package is not None or key not in known:
-            hint = did_you_mean(key, known) or did_you_mean(key.split(".")[-1], known)
+            hint = _hint(key, known)
             given = override.get_key_element()
             raise ConfigError(f"Unknown key '{given}'.{hint} `warpvox {command} --help` lists all keys.")
         parsed.append(as_list(override, keys[key]))
@@ -328,6 +345,13 @@ def parse_overrides(arguments: Arguments, command: str) -> list[Override]:
     if twice:
         raise ConfigError(f"The key '{twice[0]}' is given more than once.")
     return parsed
+
+
+def _hint(key: str, known: list[str]) -> str:
+    """The key that an unknown one may mean."""
+    last = key.split(".")[-1]
+    meant = [name for name in known if name.split(".")[-1] == ALIASES.get(last)]
+    return did_you_mean(meant[0], meant) if meant else did_you_mean(key, known) or did_you_mean(last, known)
 
 
 def _check_override(override: Override, command: str, scratch: Any, config_dir: Path | None) -> None:

@@ -15,6 +15,7 @@ from warpvox.algos.training.bodies import Bodies, draw_bodies
 from warpvox.cli.build import load_bodies
 from warpvox.cli.runs import CONFIG
 from warpvox.design import Design, load_design
+from warpvox.envs.known_returns import known_returns
 from warpvox.errors import ConfigError, DesignError
 from warpvox.io.writing import write_table
 
@@ -28,8 +29,10 @@ __all__ = [
     "has_designs",
     "held_out_of",
     "is_many",
+    "judged_by_its_own",
     "read_bodies",
     "resolved",
+    "shades",
     "trained_on",
 ]
 
@@ -104,8 +107,17 @@ def _files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in FILES)
 
 
+def judged_by_its_own(config: Any) -> bool:
+    """Whether a policy over many bodies is judged on those that it is trained on: on bodies that the user has named."""
+    designs = config.designs
+    drawn = designs.refresh == "new" or (isinstance(designs.bodies, str) and designs.bodies.startswith("random:"))
+    return designs.held_out is None and not drawn
+
+
 def held_out_of(config: Any) -> list[Design]:
     """Bodies that a policy over many bodies is judged on."""
+    if judged_by_its_own(config):
+        return read_bodies(config.designs.bodies, config.seed, "designs")
     spec = config.designs.held_out
     if spec is None:
         rows, columns = _shape(read_bodies(config.designs.bodies, config.seed, "designs"))
@@ -167,20 +179,39 @@ def trained_on(config: Any) -> dict[str, Any]:
     return known
 
 
+def shades(task: str, returns: np.ndarray) -> list[float]:
+    """How good returns are: 0 for those of random actions and below, 1 for the best published one.
+
+    Of a task for which none is published 0 is a return of 0, and 1 the largest return by size.
+    """
+    known = known_returns().get(task)
+    if known is None or known.best is None:
+        return (returns.clip(min=0) / max(np.abs(returns).max(), 1e-9)).tolist()
+    return np.clip((returns - known.random) / (known.best - known.random), 0, 1).tolist()
+
+
 class HeldOut:
-    """An evaluator on held-out bodies, which writes the return of each to ``held_out.csv`` and ``held_out.png``.
+    """An evaluator on many bodies, which writes the return of each to a table and a picture.
 
     Args:
         judge: evaluates a policy on the bodies.
         bodies: those that it is evaluated on.
+        name: of the files, ``held_out.csv`` and ``held_out.png``.
+        task: its id, which says what returns are good.
 
     Attributes:
         folder: of the run; None: nothing is written.
     """
 
-    def __init__(self, judge: Evaluator, bodies: Sequence[Design]) -> None:
-        self.judge, self.bodies, self.folder = judge, list(bodies), None
+    def __init__(self, judge: Evaluator, bodies: Sequence[Design], name: str = "held_out", task: str = "") -> None:
+        self.judge, self.bodies, self.name, self.task, self.folder = judge, list(bodies), name, task, None
         self.best = np.full(len(self.bodies), -np.inf)
+
+    @property
+    def about(self) -> str:
+        """What the bodies are, in words."""
+        count = f"{len(self.bodies)} bod{'y' if len(self.bodies) == 1 else 'ies'}"
+        return f"the {count} trained on" if self.name == "bodies" else f"{count} held out from training"
 
     def __call__(self, policy: Any) -> Evaluation:
         """Evaluate ``policy``."""
@@ -201,26 +232,24 @@ class HeldOut:
         self.best = state["best"].cpu().numpy().copy()
 
     def _draw(self, last: np.ndarray) -> None:
-        """``held_out.png``: the bodies, the best first, on paper that is the greener the better they are."""
+        """The bodies, the best first, on paper that is the greener the better they are: see :func:`shades`."""
         from warpvox.view.body_picture import write_bodies
 
         order = np.argsort(-last, kind="stable")
-        spread = float(np.ptp(last)) or 1.0
         low, middle, high = np.quantile(last, (0.1, 0.5, 0.9))
-        title = f"held-out bodies: mean {last.mean():.2f}, quantiles 10, 50, 90 %: {low:.2f}, {middle:.2f}, {high:.2f}"
+        title = f"{self.about}: mean {last.mean():.2f}, quantiles 10, 50, 90 %: {low:.2f}, {middle:.2f}, {high:.2f}"
         write_bodies(
-            self.folder / "held_out.png",
+            self.folder / f"{self.name}.png",
             [self.bodies[number] for number in order],
             [(f"{last[number]:.2f}", f"body {number}") for number in order],
             title,
             cell=20,
-            shades=((last[order] - last.min()) / spread).tolist(),
+            shades=shades(self.task, last[order]),
             columns=8,
         )
 
     def _write(self, last: np.ndarray) -> None:
-        """``held_out.csv``."""
         cells = ["/".join("".join(map(str, row)) for row in body.tolist()) for body in self.bodies]
         figures = [[f"{value:.6g}" for value in values] for values in (last, self.best)]
         rows = zip(range(len(cells)), *figures, cells, strict=True)
-        write_table(self.folder / "held_out.csv", ("body", "last_return", "best_return", "cells"), rows)
+        write_table(self.folder / f"{self.name}.csv", ("body", "last_return", "best_return", "cells"), rows)

@@ -118,8 +118,7 @@ def _on_the_grid(config: TrainConfig, layout: dict[str, Any]) -> Any:
         bodies = load_bodies(config.design, config.seed)
         if any(isinstance(body, dict) for body in bodies):
             raise ConfigError("A policy that sees voxels controls one robot; this design has several.")
-        bodies = [body.tolist() for body in bodies]
-        designs = dataclasses.replace(designs, bodies=bodies, held_out=bodies)
+        designs = dataclasses.replace(designs, bodies=[body.tolist() for body in bodies])
     if designs.grid not in (None, grid):
         raise ConfigError(f"designs.grid={designs.grid}: the grid of the pretrained policy is {grid}.")
     return dataclasses.replace(designs, grid=grid)

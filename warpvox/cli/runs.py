@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import json
 import os
@@ -358,7 +359,8 @@ def make_folder(parent: Path, stamp: str, ending: str = "") -> Path:
                 raise RunError(f"{parent} cannot be made: a file is in the way.") from None
             continue
         except OSError as error:
-            raise StorageError(f"The folder {folder} cannot be made: {complaint(error)}.", error) from None
+            reason = "it cannot be created there" if error.errno == errno.ENOENT else complaint(error)
+            raise StorageError(f"The folder {folder} cannot be made: {reason}.", error) from None
         return folder
     raise RunError(f"{parent} has too many runs of this second.")
 

@@ -110,6 +110,32 @@ def test_bodies_on_which_the_policy_does_worse_come_more_often() -> None:
     assert shares.sum() == pytest.approx(1)
 
 
+def test_a_new_body_is_one_that_was_not_there_until_there_are_no_others() -> None:
+    pool = draw_bodies(4, (2, 2), np.random.default_rng(0))
+    held_out = draw_bodies(6, (2, 2), np.random.default_rng(1), pool)
+    bodies = Bodies(pool, "new", np.random.default_rng(0), held_out)
+    drawn = [cropped(body) for _ in range(12) for body in bodies._new(5)]
+    assert len(set(drawn)) == 60
+    assert not set(drawn) & {cropped(body) for body in [*pool, *held_out]}
+    every = {cropped(body) for body in bodies._new(2000)}  # many more than there are
+    assert {*drawn, *map(cropped, pool)} < every
+    assert not every & {cropped(body) for body in held_out}
+
+
+def cropped(body: np.ndarray) -> tuple:
+    """A body wherever it lies in its grid."""
+    rows, columns = (np.flatnonzero(body.any(axis)) for axis in (1, 0))
+    part = body[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    return part.shape, part.tobytes()
+
+
+def test_episodes_that_a_random_start_has_shortened_say_nothing_of_a_body() -> None:
+    runner = make_runner("performance", 1)
+    runner.run()  # 6 of 8 steps, from random steps on
+    assert runner.bodies.seen > ENVS  # episodes have ended
+    assert np.isnan(runner.bodies._returns).all()
+
+
 def test_random_bodies_differ_and_are_refused_where_there_are_too_few() -> None:
     rng = np.random.default_rng(0)
     bodies = draw_bodies(50, SHAPE, rng, HELD_OUT)

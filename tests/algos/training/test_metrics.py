@@ -41,6 +41,15 @@ def test_without_a_logger_there_is_the_table_alone(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["metrics.csv"]
 
 
+def test_a_table_that_was_moved_away_begins_again_with_its_heading(tmp_path: Path) -> None:
+    written = Metrics(tmp_path, 0, "none")
+    written.write(ROW)
+    (tmp_path / "metrics.csv").unlink()
+    for iteration in (2, 3):
+        written.write(ROW | {"iteration": iteration})
+    assert [row["iteration"] for row in read_metrics(tmp_path)] == [2, 3]
+
+
 def test_a_logger_that_is_not_installed_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(metrics, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match="logger=wandb needs the package wandb"):

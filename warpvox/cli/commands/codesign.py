@@ -125,6 +125,7 @@ def check(config: CodesignConfig, folder: Path | None = None) -> None:
     start = [robot.body for robot in read_start(config, folder)]
     make_search(settings_from(config.search), tuple(config.shape), config.seed, start)
     physics_of(config)
+    config.training.ppo.check(config.training.envs, "training.ppo")
     check_evaluation(config)
     config = resolve_evaluation(config, folder)
     if config.executor == "local":
@@ -151,7 +152,7 @@ def _batches(config: CodesignConfig) -> list[tuple[int, int, str, int, str, PpoC
     found = [(_together(config), training.envs, "training.envs", training.envs, obs, training.ppo)]
     if not is_screened(config):
         return found
-    most = settings_from(config.search).generation
+    most = config.search.population or 1
     if has_common_policy(config):
         ppo = dataclasses.replace(training.ppo, **(how.ppo or {}))
         return [*found, (most, how.envs, "screening.envs", how.envs, "voxel", ppo)]

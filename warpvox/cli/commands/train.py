@@ -198,7 +198,7 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
         from warpvox.algos.training.distributed import join_process_group
         from warpvox.algos.training.runner import Runner, Schedule, adapt
         from warpvox.cli.build import load_bodies, make_env, prepare, resolve, training_lanes, voxels_of
-        from warpvox.cli.designs import HeldOut, bodies_of, grid_of, held_out_of, is_many, trained_on
+        from warpvox.cli.designs import HeldOut, bodies_of, grid_of, held_out_of, is_many, judged_by_its_own, trained_on
         from warpvox.envs.dumps import DivergenceDump
 
         group = join_process_group(job.config.device)
@@ -229,7 +229,8 @@ def train(job: Job, console: Console, command: str = "train") -> Path:
             options = {"auto_reset": False, "device": "cpu", "lanes": lanes} | room
             made = make_env(config, config.eval_envs * len(designs), **options)
             judge = evaluator(made, config.seed)  # the same episodes every time, also after a resumption
-            judge = HeldOut(judge, designs) if many else judge
+            name = "bodies" if many and judged_by_its_own(config) else "held_out"
+            judge = HeldOut(judge, designs, name, config.task) if many else judge
         parts = {"voxels": voxels_of(config, env.env), "bodies": bodies, "trained_on": trained_on(config)}
         parts |= {"evaluator": judge, "group": group, "logger": config.logger}
         runner = (AscentRunner if ascends else Runner)(env, config.ppo, schedule, **parts)
@@ -304,6 +305,8 @@ def _announce(console: Console, config: TrainConfig, runner: Any, folder: Path) 
     verb = f"resuming after iteration {done}" if done else "training"
     where = config.device if runner.group.size == 1 else f"{runner.group.size} processes, {config.device}"
     text = f"{verb}: {config.task}, {config.num_envs} environments on {where}, rules {config.rules}"
+    if runner.bodies is not None and runner.group.is_main_process:
+        text += f"\nevaluated on {runner.evaluator.about}"
     pretrained = getattr(config, "pretrained", None)  # a demo has no such key
     if pretrained is not None and not done:
         text += f"\nbeginning with the policy {shown(Path(pretrained))}"
@@ -340,7 +343,7 @@ def _learn(runner: Any, console: Console, folder: Path, command: str, config: Tr
                 "task": runner.env.cfg["task"],
                 "status": status,
                 "seed": config.seed,
-                "design": config.design,
+                **_bodies(config, runner),
             }
             summary |= runner.summary()
             summary["steps_per_second"] = round((runner.steps - started_at) / seconds, 1)
@@ -348,6 +351,14 @@ def _learn(runner: Any, console: Console, folder: Path, command: str, config: Tr
             with suppress(StorageError) if status == "failed" else nullcontext():
                 write_summary(folder, summary)
             _conclude(console, runner, summary, seconds, folder, again(config))
+
+
+def _bodies(config: TrainConfig, runner: Any) -> dict[str, Any]:
+    """What a summary says of the bodies."""
+    if runner.bodies is None:
+        return {"design": config.design}
+    designs = {"bodies": config.designs.bodies, "refresh": config.designs.refresh}
+    return {"designs": designs, "evaluated_on": runner.evaluator.about}
 
 
 def _conclude(console: Console, runner: Any, summary: dict[str, Any], seconds: float, folder: Path, keys: str) -> None:
