@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from numbers import Integral
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 from warpvox.errors import ConfigError
 
 if TYPE_CHECKING:
     from torch import Tensor
+    from typing_extensions import TypeIs
 
 __all__ = ["check_integer", "check_mask", "check_shape", "is_integer", "is_number"]
 
 
-def is_integer(value: object) -> bool:
+def is_integer(value: object) -> TypeIs[int]:
     """Whether a value is an integer of Python or numpy; ``True`` is none."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """Whether a value is a finite int or float of Python."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def check_integer(
@@ -34,7 +35,7 @@ def check_integer(
     return int(value)
 
 
-def check_shape(name: str, value: object, error: type[Exception] = ConfigError) -> tuple[int, int]:
+def check_shape(name: str, value: Any, error: type[Exception] = ConfigError) -> tuple[int, int]:
     """``value`` as (rows, columns), or an ``error``."""
     try:
         sizes = list(value)

@@ -156,17 +156,19 @@ def _add_voxel(body: Body, links, cell, physics: Physics) -> None:
         "right": (row, column + 1),
     }
     linked = {side: (cell, other) in links for side, other in near.items()}
-    corners = {corner: _find_corner(body, links, cell, corner) for corner in CREATION}
+    corners = {}
     for corner in CREATION:
-        if corners[corner] is None:
-            corners[corner] = _new_point(body, row + (corner in (BL, BR)), column + (corner in (TR, BR)))
+        found = _find_corner(body, links, cell, corner)
+        if found is None:
+            found = _new_point(body, row + (corner in (BL, BR)), column + (corner in (TR, BR)))
+        corners[corner] = found
     body.corners[cell] = [corners[c] for c in range(4)]
     top = body.sides[near["top"]][2] if linked["top"] else None
     left = body.sides[near["left"]][1] if linked["left"] else None
-    made = [top, None, left, None]  # top, bottom, left, right
-    for k, (a, b) in enumerate(SIDE_ENDS):
-        if made[k] is None:
-            made[k] = len(body.springs)
+    made = []
+    for side, (a, b) in zip((top, None, left, None), SIDE_ENDS, strict=True):
+        made.append(len(body.springs) if side is None else side)
+        if side is None:
             body.springs.append([corners[a], corners[b], VOXEL, physics.rigid_main])
     body.sides[cell] = [made[0], made[3], made[1], made[2]]
     bits = sum(SIDE_BIT[side] for side in near if not linked[side])

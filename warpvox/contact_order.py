@@ -89,8 +89,8 @@ class Tree:
                 count[node] = count[pair[0]] + count[pair[1]]
         begin = [0] * len(self.cells)
         for node in reversed(range(len(self.cells))):
-            if self.children[node]:
-                first, second = self.children[node]
+            if pair := self.children[node]:
+                first, second = pair
                 begin[first], begin[second] = begin[node], begin[node] + count[first]
         middle = [b + count[pair[0]] if pair else b for b, pair in zip(begin, self.children, strict=True)]
         return begin, middle
@@ -212,8 +212,8 @@ def order_arrays(design) -> dict[str, np.ndarray]:
                 at = (source.y + source.height - 1 - row) * design.width + source.x + column
                 cell_leaf[at] = leaves[row, column]
     return dict(
-        objects=np.int32(len(ordered)),
-        nodes=np.int32(moving),
+        objects=np.array(len(ordered), np.int32),
+        nodes=np.array(moving, np.int32),
         node=np.array(rows, dtype=np.int32),
         node_area=np.array(areas),
         leaf=np.array(leaf, dtype=np.int32),

@@ -261,7 +261,10 @@ def sample_design(
 
 
 def draw_bodies(
-    rng: np.random.Generator, count: int, shape: tuple[int, int], weights: Sequence[float] = SAMPLING_WEIGHTS
+    rng: np.random.Generator,
+    count: int,
+    shape: tuple[int, int],
+    weights: Sequence[float] | np.ndarray = SAMPLING_WEIGHTS,
 ) -> np.ndarray:
     """``count`` bodies, valid or not: int8 ``[count, rows, columns]`` of independent cells with relative weights."""
     cumulative = np.cumsum(weights) / np.sum(weights)

@@ -31,8 +31,8 @@ class Sensing:
 
     def _begin_sensing(self) -> None:
         self._sensors: dict[tuple, tuple[Recorded, list[torch.Tensor]]] = {}
-        self._scans: dict[tuple, tuple] = {}
-        self._fixed: dict[tuple[str, bool], tuple[torch.Tensor, torch.Tensor]] = {}
+        self._scans: dict[tuple[str, ...] | None, tuple] = {}
+        self._fixed: dict[tuple[str, int], tuple[torch.Tensor, torch.Tensor]] = {}
         self._centres_are_new = False
 
     @contextmanager

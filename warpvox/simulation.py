@@ -93,8 +93,9 @@ class Simulation(Sensing):
         group_first = self.options.layout == "group"
         for self.layout in ("group", "lanes") if group_first else ("lanes",):
             self._batch = Batch(different, index, self.options, tuple(loose), self.layout)
-            self._state = allocate_buffers(self._batch, self.options.dtype)
-            if self._state is not None:
+            state = allocate_buffers(self._batch, self.options.dtype)
+            if state is not None:
+                self._state = state
                 break
         self.designs = CompiledWorlds(self._batch)
         self.num_envs = len(worlds)
@@ -422,8 +423,11 @@ class Simulation(Sensing):
         least = 2 * int(self._objects.total.max())
         for name in STATE_FIELDS:
             view, given = self._views[name], state.get(name) if isinstance(state, Mapping) else None
-            fits = isinstance(given, torch.Tensor) and given.dtype == view.dtype and given.ndim == view.ndim - 1
-            if not fits or len(given) != self.num_envs or (given.ndim == 2 and given.shape[1] < least):
+            if not (
+                isinstance(given, torch.Tensor)
+                and (given.dtype, given.ndim, *given.shape[:1]) == (view.dtype, view.ndim - 1, self.num_envs)
+                and (given.ndim != 2 or given.shape[1] >= least)
+            ):
                 kind = str(view.dtype).removeprefix("torch.")
                 expected = f"{kind} [{self.num_envs}{f', {least} or more' if view.ndim == 3 else ''}]"
                 got = f"{given.dtype} {list(given.shape)}" if isinstance(given, torch.Tensor) else f"{given!r:.60}"

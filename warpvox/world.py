@@ -335,9 +335,9 @@ def _is_writable(text: str) -> bool:
 def _check_position(name: str, x: object, y: object) -> tuple[int, int]:
     if not is_integer(x) or not is_integer(y):
         raise WorldError(f"The position of '{name}' must be two integers, in cells, got ({x!r}, {y!r}).")
-    if x < 0 or y < 0:  # type: ignore[operator]
+    if x < 0 or y < 0:
         raise WorldError(f"The position of '{name}' must not be negative, got ({x}, {y}).")
-    return int(x), int(y)  # type: ignore[call-overload]
+    return int(x), int(y)
 
 
 def _check_pairs(name: str, grid: np.ndarray, connections: object) -> np.ndarray:
@@ -378,11 +378,12 @@ def _parse_world(source: object) -> tuple[int, int, list[WorldObject]]:
     missing = [key for key in ("grid_width", "grid_height", "objects") if key not in data]
     if missing:
         raise WorldError(f"{origin} is not a world: it lacks {listing(missing)}.")
-    width, height, objects = data["grid_width"], data["grid_height"], data["objects"]
-    for name in ("grid_width", "grid_height"):
-        check_integer(f"{origin}: {name}", data[name], 1, error=WorldError)
+    width, height = (
+        check_integer(f"{origin}: {name}", data[name], 1, error=WorldError) for name in ("grid_width", "grid_height")
+    )
+    objects = data["objects"]
     try:
-        _check_size(int(width), int(height))
+        _check_size(width, height)
     except WorldError as error:
         raise WorldError(f"{origin}: {error}") from None
     if not isinstance(objects, Mapping):
@@ -392,13 +393,13 @@ def _parse_world(source: object) -> tuple[int, int, list[WorldObject]]:
     parsed, cells = [], 0
     for name, entry in objects.items():
         try:
-            parsed.append(_object_from_json(name, entry, int(width), int(height)))
+            parsed.append(_object_from_json(name, entry, width, height))
         except WorldError as error:
             raise WorldError(f"{origin}: {error}") from None
         cells += parsed[-1].grid.size
         if cells > 2 * LARGEST_GRID:
             raise WorldError(f"{origin}: the boxes of its objects have more than {2 * LARGEST_GRID:,} cells together.")
-    return int(width), int(height), parsed
+    return width, height, parsed
 
 
 def _load_json(source: object) -> tuple[Mapping[str, object], str]:
@@ -473,10 +474,11 @@ def _bounding_box(name: str, box: object, columns: list[int], rows: list[int]) -
     right, top = max(columns) + 1, max(rows) + 1
     if box is None:
         return x, y, right - x, top - y
-    fits = isinstance(box, list) and len(box) == 4 and all(is_integer(n) and n >= 0 for n in box)
-    if not fits or box[0] > x or box[1] > y or box[0] + box[2] < right or box[1] + box[3] < top:
-        raise WorldError(f"the box {box!r} of the object '{name}' is no [x, y, width, height] that holds its cells.")
-    return box[0], box[1], box[2], box[3]
+    if isinstance(box, list) and len(box) == 4 and all(is_integer(n) and n >= 0 for n in box):
+        left, bottom, width, height = box
+        if left <= x and bottom <= y and left + width >= right and bottom + height >= top:
+            return left, bottom, width, height
+    raise WorldError(f"the box {box!r} of the object '{name}' is no [x, y, width, height] that holds its cells.")
 
 
 def _object_to_json(obj: WorldObject, world_width: int) -> dict[str, object]:

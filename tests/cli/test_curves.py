@@ -29,7 +29,7 @@ def make_run(folder: Path, rows: list[tuple[int, float | None]]) -> Run:
     folder.mkdir(parents=True)
     lines = [f"{k},{steps},{'' if value is None else value},{k}" for k, (steps, value) in enumerate(rows)]
     (folder / "metrics.csv").write_text(HEAD + "\n".join(lines) + "\n")
-    (folder / "config.yaml").write_text("task: Walker-v0\ndesign: walker\nppo: {}\n")
+    (folder / "config.yaml").write_text("task: Walker-v0\ndesign: walker\nppo: {}\n...\n")
     return Run(folder, {"task": "Walker-v0"})
 
 
@@ -58,8 +58,8 @@ def test_runs_with_other_settings_have_a_curve_of_their_own(warpvox: Callable) -
     pytest.importorskip("matplotlib")
     for number, gamma in enumerate((0.9, 0.9, 0.99)):
         run = make_run(Path(f"runs/{number}"), [(10, 0.0), (20, 1.0 + number)])
-        text = f"task: Walker-v0\ndesign: walker\nseed: {number}\nppo:\n  gamma: {gamma}\n...\n"
-        (run.folder / "config.yaml").write_text(text)
+        text = f"task: Walker-v0\ndesign: walker\nseed: {number}\nppo:\n  gamma: {gamma}\n"
+        (run.folder / "config.yaml").write_text(f"{text}...\n")
     make_run(Path("runs/young"), [(10, None)])
     outcome = warpvox("curves", "runs=runs/*", "file=c.svg")
     assert outcome.code == 0, outcome.err

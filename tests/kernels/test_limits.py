@@ -100,7 +100,7 @@ def test_springs_that_only_fill_a_round_are_never_beyond_their_limit():
     """Else all sub-steps would make the pass over springs, besides that over rigid voxels."""
     body = sample_design((5, 5), seed=107)  # 100 springs of 104 that 8 threads take: the kernel of the walker
     env = make_vec("Walker-v0", [body], num_envs=1, device="cpu", dtype="float32", lanes=1, threads=1)
-    sim = Simulation([env.sim.worlds[0]] * 4, "cpu", env.sim.physics, threads=1, layout="group")
+    sim = Simulation([env.sim.worlds[0]] * 4, env.sim.options, layout="group", lanes=None)
     sizes = sim.buffers.sizes
     assert sizes["spring"] % 8
     sim.buffers.group = group.choose(sizes["point"], sizes["spring"], "float32", "cuda:0")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -51,8 +52,8 @@ class Buffers:
     num_envs: int
     dt: float
     sizes: dict[str, int]
-    model: object
-    data: object
+    model: Any
+    data: Any
     arrays: dict[str, wp.array]
     env_pack: wp.array
     env_lane: wp.array

@@ -131,7 +131,8 @@ class Frame:
         if not self.bodies or len(copies) == 1:
             return np.arange(len(copies))
         split = np.concatenate([bodies.split_nodes() for bodies in self.bodies], axis=1)
-        rank, left, room = np.zeros(len(copies), int), np.arange(len(copies)), 0
+        rank, left = np.zeros(len(copies), int), np.arange(len(copies))
+        union, room = np.zeros(split.shape[1], bool), 0
         for place in range(len(copies)):
             if room <= 0:  # a new pack begins with a body that doubles few points
                 union, room = np.zeros(split.shape[1], bool), lanes
@@ -234,7 +235,7 @@ class _PackTables:
         self.points, self.springs, self.voxels = [], [], []
         stops = [zero, zero, zero]
         for mesh in self.meshes:
-            present = mesh.point.any(-1), mesh.spring.any(-1), mesh.side.any((2, 3))
+            present = np.any(mesh.point, -1), np.any(mesh.spring, -1), np.any(mesh.side, (2, 3))
             for k, (kind, part) in enumerate(zip((self.points, self.springs, self.voxels), present, strict=True)):
                 kind.append(_Numbers(part, stops[k]))
                 stops[k] = kind[-1].stop
@@ -290,7 +291,7 @@ class _PackTables:
             self.arrays["twins"] = np.zeros(self.packs, np.int32)
         else:
             bits = np.concatenate(masks, axis=1)
-            numbers = _Numbers(bits.any(-1), np.zeros(self.packs, int))
+            numbers = _Numbers(np.any(bits, -1), np.zeros(self.packs, int))
             self.arrays["twins"] = numbers.stop.astype(np.int32)
         self.arrays["twin"], self.arrays["twin_lanes"] = self._table("twins", 2), self._table("twins")
         if self.meshes:

@@ -140,7 +140,7 @@ def _springs(rows: int, columns: int) -> _Springs:
             for c in range(columns)
         ]
     )  # fmt: skip
-    return _Springs(*fields, twin, at_node, end_at, of_cell)
+    return _Springs(*fields, twin=twin, at_node=at_node, end_at_node=end_at, of_cell=of_cell)
 
 
 class GridMesh:
@@ -175,7 +175,7 @@ class GridMesh:
         self._link_springs()
         self._mark_surface()
 
-    def _around(self, values: np.ndarray, empty: object) -> list[np.ndarray]:
+    def _around(self, values: np.ndarray, empty: int) -> list[np.ndarray]:
         """``[P, nodes, L]`` of the four cells around every node, from ``[P, rows, columns, L]``."""
         padded = np.pad(values, ((0, 0), (1, 1), (1, 1), (0, 0)), constant_values=empty)
         parts = padded[:, :-1, :-1], padded[:, :-1, 1:], padded[:, 1:, :-1], padded[:, 1:, 1:]
@@ -215,7 +215,7 @@ class GridMesh:
             fixed |= (fixed_cell[place][:, :, None] & (owner[place][:, :, None] == used)) & (used >= 0)
         shape = (packs, nodes * 4, lanes)
         self.leader = leader.reshape(shape)
-        self.point = (used >= 0).reshape(shape)
+        self.point: np.ndarray = (used >= 0).reshape(shape)
         self.fixed = fixed.reshape(shape)
         row, column = np.divmod(np.arange(nodes), self.columns + 1)
         x = robot.x * VOXEL + column * VOXEL
@@ -242,7 +242,7 @@ class GridMesh:
         order = np.argsort(keys, axis=-1, kind="stable")[..., :most]
         self.order = np.where(np.arange(most) < self.count[..., None], order, NOBODY)
 
-    def _of(self, values: np.ndarray, cells: np.ndarray, empty: object) -> np.ndarray:
+    def _of(self, values: np.ndarray, cells: np.ndarray, empty: int) -> np.ndarray:
         """Values [P, V, L] of the cells of springs; ``empty`` where there is none."""
         out = values[:, np.maximum(cells, 0)]
         return np.where((cells >= 0)[None, :, None], out, empty)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -163,7 +163,7 @@ def lanes_for(environments: int) -> int:
     return next((width for width in WIDTHS if width >= environments), MAX_WIDTH)
 
 
-def choose_lanes(index: Sequence[int], lanes: int | None, device: str) -> int:
+def choose_lanes(index: np.ndarray, lanes: int | None, device: str) -> int:
     """Lanes of a pack, from the number of what each environment can share a pack with."""
     if device != "cpu":
         if lanes is not None and (type(lanes) is not int or lanes != CUDA_LANES):

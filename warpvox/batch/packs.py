@@ -134,11 +134,11 @@ class Batch:
             chosen.append(key)
             if key not in seen:
                 group = known.get(frame_key(world))
-                if group != self.group_of[self.index[env]]:
+                if group is None or group != self.group_of[self.index[env]]:
                     raise SimulationError(
                         f"Environment {env} can be given worlds that differ from its own in the bodies of robots only."
                     )
-                self._check_bodies(world)
+                self._check_bodies(world, self.grid)
                 seen.add(key)
                 added.setdefault(group, []).append((key, world.copy()))
         for group, new in added.items():
@@ -150,8 +150,8 @@ class Batch:
         place = {key: k for k, key in enumerate(self.keys)}
         return self._assign(envs, [place[key] for key in chosen])
 
-    def _check_bodies(self, world: World) -> None:
-        rows, columns = self.grid
+    def _check_bodies(self, world: World, grid: tuple[int, int]) -> None:
+        rows, columns = grid
         for obj in world.objects.values():
             if obj.is_robot and (obj.height > rows or obj.width > columns):
                 raise SimulationError(

@@ -233,9 +233,12 @@ def _cells(
 
 def _owners(document: Mapping[str, Any], types: np.ndarray) -> np.ndarray:
     value, count = document.get("owners"), len(_names(document))
-    fits = isinstance(value, list) and len(value) == len(types)
-    fits = fits and all(isinstance(row, list) and len(row) == types.shape[1] for row in value)
-    if not fits or not all(type(entry) is int and 0 <= entry < count for row in value for entry in row):
+    if not (
+        isinstance(value, list)
+        and len(value) == len(types)
+        and all(isinstance(row, list) and len(row) == types.shape[1] for row in value)
+        and all(type(entry) is int and 0 <= entry < count for row in value for entry in row)
+    ):
         raise WorldError("owners must have an entry for every cell, the number of one of the names.")
     return np.array(value, np.int16).reshape(types.shape)
 

@@ -38,7 +38,7 @@ def editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) ->
         "colours": {int(cell): ramp[1] for cell, ramp in RAMPS.items()},
         "names": {0: "empty"} | {int(cell): name for cell, name in CELL_NAMES.items()},
     }
-    parts = files(__package__)
+    parts = files("warpvox.editor")
     return fill_template(
         parts.joinpath("editor.html").read_text(encoding="utf-8"),
         values={"setup": setup},

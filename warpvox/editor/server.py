@@ -120,7 +120,7 @@ class EditorServer(ThreadingHTTPServer):
         """A random valid body."""
         from warpvox.design import sample_design
 
-        rows, columns = ask.get("rows"), ask.get("columns")
+        rows, columns = ask.get("rows", 0), ask.get("columns", 0)
         if not all(type(n) is int and 1 <= n <= 10 for n in (rows, columns)):
             raise ConfigError("A random body has 1 to 10 rows and columns.")
         return document_of(sample_design((rows, columns)))
@@ -133,7 +133,7 @@ class EditorServer(ThreadingHTTPServer):
             raise ConfigError("Another rollout is being simulated: wait for its end.")
         try:
             settings = (ask.get(key) for key in ("agent", "seconds", "seed", "task"))
-            rollout = try_out(_document(ask), *settings, self.tasks)
+            rollout = try_out(_document(ask), *settings, tasks=self.tasks)
             title = rollout.title if rollout.metadata["task"] else "world"
             number = self._count = self._count + 1
             kept = [*self.rollouts.items(), (number, page_of(rollout, title=title).encode())]

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from warpvox.checks import check_integer
+from warpvox.checks import check_integer, is_number
 from warpvox.editor.documents import design_of, world_of
 from warpvox.errors import ConfigError, TaskError, WorldError, did_you_mean, listing
 from warpvox.view.rollout import AGENTS, FRAME_SECONDS, Rollout, record
@@ -50,9 +50,9 @@ def try_out(
     """
     if agent not in AGENTS:
         raise ConfigError(f"agent must be one of {listing(AGENTS)}, got {agent!r:.80}.")
-    if type(seconds) not in (int, float) or not FRAME_SECONDS <= seconds <= LONGEST:
+    if not is_number(seconds) or not FRAME_SECONDS <= seconds <= LONGEST:
         raise ConfigError(f"seconds must be a number from {FRAME_SECONDS} to {LONGEST:g}, got {seconds!r:.80}.")
-    check_integer("seed", seed, 0, 2**31 - 1)
+    seed = check_integer("seed", seed, 0, 2**31 - 1)
     env = _task(document, task, tasks, seed) if document.get("kind") == "body" else _world(document, seed)
     return record(_TimeLimited(env, time.monotonic() + TIME_LIMIT), agent, round(seconds / FRAME_SECONDS))
 

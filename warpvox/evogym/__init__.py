@@ -10,12 +10,10 @@ from warpvox.evogym import sim, simulator_cpp, utils, viewer, world
 from warpvox.evogym.sim import EvoSim
 from warpvox.evogym.switch import install as install
 from warpvox.evogym.utils import *  # noqa: F403
-from warpvox.evogym.utils import __all__ as _of_utils
 from warpvox.evogym.viewer import EvoViewer
 from warpvox.evogym.world import EvoWorld, WorldObject
 
-__all__ = [  # noqa: PLE0604, RUF100
-    *_of_utils,
+__all__ = [
     "EvoSim",
     "EvoViewer",
     "EvoWorld",
@@ -26,3 +24,4 @@ __all__ = [  # noqa: PLE0604, RUF100
     "viewer",
     "world",
 ]
+__all__ += utils.__all__

@@ -127,8 +127,8 @@ class Engine:
             for pos, vel in parts_at.values():
                 pos[name], vel[name] = static[name], np.zeros_like(static[name])
         self._past = {
-            time: tuple(np.concatenate([part[each] for each in moving]) for part in parts)
-            for time, parts in parts_at.items()
+            time: (np.concatenate([pos[each] for each in moving]), np.concatenate([vel[each] for each in moving]))
+            for time, (pos, vel) in parts_at.items()
         }
         self._set(*self._past[self.time])
 

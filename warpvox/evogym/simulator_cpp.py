@@ -244,7 +244,7 @@ class Camera:
 
     def get_image(self) -> memoryview:
         """The bytes of the last picture: rows from the top, red, green and blue."""
-        return memoryview(self._image.reshape(-1))
+        return self._image.reshape(-1).data
 
 
 class Viewer:

@@ -35,7 +35,7 @@ ANCHOR = 0.42  # height of the robot's centre in the picture, if the world's bot
 STEADY = (9.0, 22.0)  # frames over which the camera's motion is smoothed, along x and along y
 
 
-def font(size: int) -> ImageFont.FreeTypeFont:
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     """The font that comes with Pillow: no files, no surprises."""
     return ImageFont.load_default(size)
 
@@ -165,24 +165,27 @@ class Canvas:
     @cached_property
     def _pens(self) -> tuple[int, int]:
         """Widths of inner and outer sides in enlarged pixels, a constant share of a voxel."""
-        return tuple(max(1, round(SMOOTH * self.scale * share)) for share in (1 / 30, 1 / 16))
+        inner, outer = (max(1, round(SMOOTH * self.scale * share)) for share in (1 / 30, 1 / 16))
+        return inner, outer
 
     # ------------------------------------------------------------ what stands still
 
-    def cover(self, low: np.ndarray, high: np.ndarray) -> None:
+    def cover(self, low: np.ndarray, high: np.ndarray) -> Image.Image:
         """Paint beforehand what cameras with corners from ``low`` to ``high`` (pixels, ``[2]`` each) will see."""
         low = np.asarray(low) // self.scale
         high = -(-(np.asarray(high) + self.size) // self.scale)
         self._low, self._high = low, high
         self._sprite = self._terrain()
+        return self._sprite
 
     def _backdrop(self, left: int, bottom: int) -> Image.Image:
         corner = np.array([left, bottom])
         seen = self._low * self.scale <= corner, corner + self.size <= self._high * self.scale
-        if self._sprite is None or not np.all(seen):
-            self.cover(corner - np.array(self.size) // 2, corner + np.array(self.size) // 2)
+        sprite = self._sprite
+        if sprite is None or not np.all(seen):
+            sprite = self.cover(corner - np.array(self.size) // 2, corner + np.array(self.size) // 2)
         x, y = left - self._low[0] * self.scale, self._high[1] * self.scale - bottom - self.size[1]
-        return self._sprite.crop((x, y, x + self.size[0], y + self.size[1]))
+        return sprite.crop((x, y, x + self.size[0], y + self.size[1]))
 
     def _terrain(self) -> Image.Image:
         """All cells of the world from ``_low`` to ``_high`` that never move."""
@@ -191,7 +194,7 @@ class Canvas:
         terrain = _window(self.scene.terrain, rows, columns)
         inside_x = (columns >= 0) & (columns < self.scene.width)
         inside = (rows >= 0)[:, None] & inside_x[None, :]
-        colours = np.where(inside[..., None], np.uint8(SKY), np.uint8(BEYOND))
+        colours = np.where(inside[..., None], np.array(SKY, np.uint8), np.array(BEYOND, np.uint8))
         colours[terrain != Cell.EMPTY] = GROUND
         pixels = np.repeat(np.repeat(colours, scale, axis=0), scale, axis=1)
         _rule(pixels, terrain, inside, rows, columns, scale)

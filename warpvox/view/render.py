@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -180,7 +181,7 @@ def filmstrip(
         if not 1 <= frames <= 64:
             raise RolloutError(f"A strip shows 1 to 64 frames, got {frames!r}.")
         last = int(rollout.lengths[env])
-        frames = np.unique(np.rint(np.linspace(0, last, frames)).astype(int)).tolist()
+        frames = [int(frame) for frame in np.unique(np.rint(np.linspace(0, last, frames)))]
     chosen = [rollout.check_frame(frame) for frame in frames]
     if not chosen:
         raise RolloutError("A strip shows 1 to 64 frames, got none.")
@@ -302,10 +303,10 @@ def write_mp4(
         raise RolloutError(f"The width and the height of an MP4 must be even, got {width} x {height}.")
     frames = _frames(rollout, fps, start, stop, every, most=240)
     film = Film(rollout, envs, size, hud, voxels)
-    options = dict(codec="libx264", quality=None, output_params=["-crf", "15"], macro_block_size=2)
+    options: dict[str, Any] = dict(fps=float(fps), quality=None, output_params=["-crf", "15"], macro_block_size=2)
     with atomic_path(path) as temporary:
         encoder = imageio_ffmpeg.write_frames(
-            temporary, (width, height), fps=float(fps), ffmpeg_log_level="quiet", **options
+            temporary, (width, height), codec="libx264", ffmpeg_log_level="quiet", **options
         )
         try:
             with closing(encoder):

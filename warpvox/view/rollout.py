@@ -140,8 +140,9 @@ class Rollout:
     def names(self) -> list[str]:
         """What pictures call the environments: ``metadata["names"]`` where it has one for each, else their numbers."""
         names = self.metadata.get("names")
-        fits = isinstance(names, list) and len(names) == self.num_envs
-        return [str(name) for name in names] if fits else [str(env) for env in range(self.num_envs)]
+        if not isinstance(names, list) or len(names) != self.num_envs:
+            names = range(self.num_envs)
+        return [str(name) for name in names]
 
     def best_first(self) -> Rollout:
         """The environments in the order of their returns, the highest first; each keeps its name (:attr:`names`)."""

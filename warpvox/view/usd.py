@@ -14,6 +14,9 @@ Beside them: ``camera`` (follows the robot of the first environment), ``overview
 and ``sky``. Task, rules and returns are in the custom data of ``/World`` and of every environment.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# The stubs of pxr lack most of its classes.
+
 from __future__ import annotations
 
 import os

@@ -22,15 +22,13 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.evogym import sim, simulator_cpp, utils, viewer, world
 from warpvox.evogym.sim import EvoSim
 from warpvox.evogym.utils import *  # noqa: F403
-from warpvox.evogym.utils import __all__ as _of_utils
 from warpvox.evogym.viewer import EvoViewer
 from warpvox.evogym.world import EvoWorld, WorldObject
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 from warpvox.view.window import why_no_window
 
 # As in the release, `from evogym.envs import *` also gives what the modules import.
-__all__ = [  # noqa: PLE0604, RUF100
-    *_of_utils,
+__all__ = [
     "Any",
     "BenchmarkBase",
     "Dict",
@@ -56,6 +54,7 @@ __all__ = [  # noqa: PLE0604, RUF100
     "viewer",
     "world",
 ]
+__all__ += utils.__all__
 
 _WINDOWED = ("human", "screen")
 _RENDER_OPTIONS = ("verbose", "hide_background", "hide_grid", "hide_edges", "hide_voxels")
@@ -200,7 +199,7 @@ class EvoGymBase(gym.Env):
 
     def get_floor_obs(
         self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
-    ) -> np.ndarray | None:
+    ) -> np.ndarray | Any:
         """Depth of the terrain below an object's centre of mass.
 
         Args:
@@ -217,11 +216,11 @@ class EvoGymBase(gym.Env):
 
     def get_ceil_obs(
         self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
-    ) -> np.ndarray | None:
+    ) -> np.ndarray | Any:
         """Height of the terrain above; as :meth:`get_floor_obs`, upward to the lowest point."""
         return self._scan(object_name, terrain_list, sight_dist, sight_range, 1)
 
-    def _scan(self, name: str, terrain: list[str], reach: int, sight: float, up: int) -> np.ndarray | None:
+    def _scan(self, name: str, terrain: list[str], reach: int, sight: float, up: int) -> np.ndarray | Any:
         if len(terrain) == 0:
             return None
         # By name and in voxels even where a subclass measures otherwise.

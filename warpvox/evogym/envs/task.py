@@ -62,8 +62,8 @@ class TaskEnv(BenchmarkBase):
                 self.sight_dist, self.terrain_list = params["reach"], list(params["objects"])
         self._terms, self._compared, self._seen = RowTerms(self._spec), (), None
         self._compared = self._terms.compared(self._state())
-        self.action_space = spaces.Box(ACTION_LOW, ACTION_HIGH, (count,), float)
-        self.observation_space = spaces.Box(-_BOUND, _BOUND, self._observe(self._state()).shape, float)
+        self.action_space = spaces.Box(ACTION_LOW, ACTION_HIGH, (count,), np.float64)
+        self.observation_space = spaces.Box(-_BOUND, _BOUND, self._observe(self._state()).shape, np.float64)
 
     def _rules(self) -> TaskSpec:
         return get_task(self.task)

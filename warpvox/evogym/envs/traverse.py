@@ -25,6 +25,8 @@ __all__ = [
 class StairsBase(BenchmarkBase):
     """Base of tasks on terrain named ``ground``; a subclass sets ``sight_dist``, how far to the sides it is seen."""
 
+    sight_dist: int
+
     def get_reward(self, robot_pos_init: np.ndarray, robot_pos_final: np.ndarray) -> float:
         """How far the centre of mass of points ``[2, n]`` has moved along x."""
         return np.mean(robot_pos_final[0]) - np.mean(robot_pos_init[0])
