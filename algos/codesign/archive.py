@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome, candidate_seed
-from warpvox.algos.codesign.archive_check import check_row
+from warpvox.algos.codesign.archive_check import BACKUP, check_row, repair_hint
 from warpvox.design import as_grid
 from warpvox.errors import RunError, StorageError
 from warpvox.io.reading import parse_json
@@ -38,8 +38,6 @@ __all__ = ["BACKUP", "FILE", "Archive", "Finished", "Record", "repair_hint"]
 
 FILE = "archive.sqlite"
 """The name of the archive in a run's folder."""
-BACKUP = "archive.backup.sqlite"
-"""The archive as it was after the last whole generation."""
 
 APPLICATION = 0x77766F78
 """SQLite's application id of our files: "wvox"."""
@@ -575,17 +573,6 @@ def _access_problem(error: Exception) -> str | None:
     ):
         return f"cannot be read ({text}): its disk must have some room and be writable, then it is as it was"
     return None
-
-
-def repair_hint(path: Path) -> str:
-    """How to restore an archive that is damaged or gone from its backup, as a sentence; empty if there is none."""
-    backup = path.with_name(BACKUP)
-    if path == backup or not backup.is_file():
-        return ""
-    return (
-        f" {backup.name} beside it holds all generations that were whole: copy it over {path.name} (and remove"
-        f" {path.name}-journal, if there is one), then resume; the result is the same."
-    )
 
 
 def _format_problem(db: sqlite3.Connection, application: int, version: int) -> str | None:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import PurePath
+from pathlib import Path, PurePath
 
-__all__ = ["check_row"]
+__all__ = ["BACKUP", "check_row", "repair_hint"]
+
+BACKUP = "archive.backup.sqlite"
+"""The archive as it was after the last whole generation."""
 
 KINDS: dict[str, type | tuple[type, ...]] = {
     **dict.fromkeys(("id", "generation"), int),
@@ -37,3 +40,14 @@ def check_row(row: Sequence[object], parents: Sequence[object], curve: Sequence[
     policy = PurePath(row[9] or "")
     if policy.is_absolute() or ".." in policy.parts:
         raise ValueError(f"the policy of candidate {row[0]} lies outside of the experiment: {row[9]!r:.80}")
+
+
+def repair_hint(path: Path) -> str:
+    """How to restore an archive that is damaged or gone from its backup, as a sentence; empty if there is none."""
+    backup = path.with_name(BACKUP)
+    if path == backup or not backup.is_file():
+        return ""
+    return (
+        f" {backup.name} beside it holds all generations that were whole: copy it over {path.name} (and remove"
+        f" {path.name}-journal, if there is one), then resume; the result is the same."
+    )
