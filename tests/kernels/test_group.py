@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import warp as wp
 
 from warpvox.batch import arrays, options
 from warpvox.bench.cuda import SETTLING, visits
@@ -13,6 +14,7 @@ from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import SimulationError
 from warpvox.kernels import group
+from warpvox.kernels.device import zeros
 from warpvox.simulation import Simulation
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 from warpvox.world import World
@@ -68,7 +70,9 @@ def test_every_task_takes_the_same_way_in_both_layouts(task):
 def test_double_precision_and_other_groups(task, parts):
     for dtype in ("float32", "float64"):
         sims = pair_of_task(task, dtype=dtype)
-        sims[1]._state.group = replace(sims[1]._state.group, parts=parts)
+        state = sims[1]._state
+        state.group = replace(state.group, parts=parts)
+        state.scratch = zeros((state.packs, state.group.row), wp.float64, "cpu")
         run(sims, 12)
 
 
