@@ -2,6 +2,7 @@
 #   make demo        train a walker and write its rollout as USD, GIF and a page
 #   make test        run the default test suite (make fast: without parity; make parity: these alone)
 #   make lint        check style (make format: repair it)
+#   make types       check types (pyright)
 #   make licences    check the licences of everything that is installed with warpvox
 #   make packaging   install the wheel into clean environments of all Pythons that are found
 #   make audit       ask the advisory database about the pinned versions (pip-audit)
@@ -32,11 +33,11 @@ COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test ptxas fast parity lint format licences packaging audit lock docs tables pictures results zoo_picture clean distclean
+.PHONY: help install demo test ptxas fast parity lint types format licences packaging audit lock docs tables pictures results zoo_picture clean distclean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,14s/^# *//p' Makefile
+	@sed -n '2,15s/^# *//p' Makefile
 
 install: $(STAMP)
 
@@ -68,6 +69,9 @@ parity: $(STAMP)
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(STAMP)
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 format: $(STAMP)
 	$(BIN)/ruff check --fix .

@@ -7,6 +7,7 @@ Leading dimensions are those of bootstrap samples.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -98,7 +99,7 @@ def bootstrap(
     return statistic(*algorithms), low, high
 
 
-def interval(statistic: Callable[..., np.ndarray], *algorithms: Scores, **options: float) -> Interval:
+def interval(statistic: Callable[..., np.ndarray], *algorithms: Scores, **options: Any) -> Interval:
     """What :func:`bootstrap` gives for a statistic that is one number; NaN as ends where every task has one run."""
     runs = [len(values) for scores in algorithms for values in scores.values()]
     value, low, high = (float(number) for number in bootstrap(statistic, *algorithms, **options))

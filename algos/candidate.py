@@ -100,6 +100,7 @@ class Search(Protocol):
 
     def ask(self) -> list[Candidate]:
         """The next generation; empty when the search has spent its evaluations. To be followed by :meth:`tell`."""
+        ...
 
     def tell(self, fitness: Sequence[float]) -> None:
         """The fitness of the candidates asked for last, in their order."""
@@ -137,3 +138,4 @@ class DesignEvaluator(Protocol):
         Raises:
             RunError: the checkpoint is that of other candidates or settings.
         """
+        ...

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from warpvox.system import HANGUP, stop_signals
 
@@ -93,7 +93,7 @@ def terminable() -> Iterator[None]:
 
 
 @contextmanager
-def _handling(numbers: tuple[int, ...], handler: object) -> Iterator[None]:
+def _handling(numbers: tuple[int, ...], handler: Callable[[int, Any], object]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -8,8 +8,8 @@ work on that stream is pending. Warp's own streams, allocator and copies are not
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 import numpy as np
 import warp as wp
@@ -27,7 +27,9 @@ __all__ = [
     "zeros",
 ]
 
-kernel = wp.kernel(enable_backward=False, module="unique", module_options={"fuse_fp": False})
+kernel: Callable[[Callable[..., None]], wp.Kernel] = wp.kernel(
+    enable_backward=False, module="unique", module_options={"fuse_fp": False}
+)
 """Decorator: a kernel in a module of its own. Contacts at time 0 and thresholds of tasks hang on the last bit of a
 double: round as the formulas are written, with fused multiply-add where they say so alone (`fused`), because the places
 that a compiler chooses differ between devices."""
@@ -94,11 +96,13 @@ def record(
         together: the threads of a block wait for each other; on the CPU they run in turns from barrier to barrier.
     """
     if on_cuda(device):
-        return Command(wp.launch(kernel, dim, inputs, device=device, record_cmd=True, block_dim=block), device)
+        command = wp.launch(kernel, dim, inputs, device=device, record_cmd=True, block_dim=block)
+        return Command(cast("wp.Launch", command), device)
     before = wp.config.enable_cpu_blocks
     wp.config.enable_cpu_blocks = together
     try:
-        return wp.launch(kernel, dim, inputs, device=device, record_cmd=True, block_dim=block if together else 1)
+        command = wp.launch(kernel, dim, inputs, device=device, record_cmd=True, block_dim=block if together else 1)
+        return cast("wp.Launch", command)
     finally:
         wp.config.enable_cpu_blocks = before
 

@@ -25,7 +25,8 @@ class Kit:
 
     def __init__(self, precision: str, width: int):
         self.precision, self.width, self.real = precision, width, REALS[precision]
-        vars(self).update(vars(structs(precision)))
+        types = structs(precision)
+        self.Model, self.Data, self.Tape, self.Contact = types.Model, types.Data, types.Tape, types.Contact
         self._types = dict(model=self.Model, data=self.Data, tape=self.Tape, dt=wp.float64, margin=wp.float64)
 
     def func(self, source):
@@ -50,7 +51,7 @@ class Kit:
         def stage(model, data, mesh, pack, lane, unit, dt): ...
 
         stage.__qualname__ = "_".join([Path(files[-1]).stem, *map(str, values.values())])  # Warp's name for it
-        return self.func_native(*files, precision=precision, **values)(stage)
+        return self.func_native(*files, precision=precision, code="", **values)(stage)
 
     def _typed(self, source):
         given = source.__annotations__

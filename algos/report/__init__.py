@@ -63,24 +63,24 @@ def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
         "best fitness": f"{best[0].fitness:.3f}" if best else "-",
         "evaluations": f"{len(trained)}"
         + (f" (+{len(done) - len(trained)} reused)" if len(trained) < len(done) else ""),
-        "control steps": f"{sum(record.steps for record in done):,}",
+        "control steps": f"{sum(record.steps or 0 for record in done):,}",
     } | ({"diverged": str(diverged)} if diverged else {})
 
 
 def _progress(archive: Archive, done: Sequence[Record]) -> str:
     """Fitness over evaluations: every design, the best so far, the mean of each generation; finalists by themselves."""
-    trained = [record for record in done if record.reused is None]
+    trained = [(record, record.fitness) for record in done if record.reused is None and record.fitness is not None]
     dots, best, notes, finals = [], [], [], []
-    for number, record in enumerate(trained, start=1):
+    for number, (record, fitness) in enumerate(trained, start=1):
         if record.candidate.origin == FINALIST:
-            finals.append((number, record.fitness))
+            finals.append((number, fitness))
             continue
-        dots.append((number, record.fitness))
-        best.append((number, max(record.fitness, best[-1][1] if best else record.fitness)))
+        dots.append((number, fitness))
+        best.append((number, max(fitness, best[-1][1] if best else fitness)))
         fate = "diverged, counts as " if record.diverged else ""
-        notes.append(f"design {record.id}, generation {record.candidate.generation}: {fate}{record.fitness:.3f}")
+        notes.append(f"design {record.id}, generation {record.candidate.generation}: {fate}{fitness:.3f}")
     ends: dict[int, int] = {}
-    for number, record in enumerate(trained[: len(dots)], start=1):
+    for number, (record, _) in enumerate(trained[: len(dots)], start=1):
         ends[record.candidate.generation] = number
     means = [(ends[row["generation"]], row["mean"]) for row in archive.generations() if row["generation"] in ends]
     series = [

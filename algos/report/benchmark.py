@@ -9,6 +9,7 @@ import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from warpvox.algos.codesign.archive import Record
 from warpvox.algos.report.charts import COLOURS, PANEL, Series, chart, legend, sheet
 from warpvox.algos.report.comparison import compare, comparison_html, comparison_sheet
 from warpvox.algos.report.gallery import write_gallery
-from warpvox.algos.report.members import Member, progress, read_members
+from warpvox.algos.report.members import Member, fitness_of, progress, read_members
 from warpvox.algos.report.page import fact_list, page, row
 from warpvox.algos.statistics import Interval
 from warpvox.envs.known_returns import known_returns
@@ -59,7 +60,7 @@ def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, 
     slots = {
         "facts": fact_list(_figures(members, groups) | dict(facts or {})),
         "rows": "".join(_row(task, name, runs) for task, named in groups.items() for name, runs in named.items()),
-        "winners": "".join(_card(task, winner) for task, winner in _winners(groups).items()) or NOTHING,
+        "winners": "".join(_card(task, one, one.winner) for task, one in _winners(groups).items() if one.winner) or NOTHING,
         "gallery": _gallery(folder / "winners.png", groups),
         "names": legend([*series.values(), KNOWN]),
         "comparison": comparison_html(comparison, series),
@@ -103,16 +104,16 @@ def _names(groups: Groups) -> dict[str, Series]:
 def _winners(groups: Groups) -> dict[str, Member]:
     """The best search of each task."""
     return {
-        task: max((one for runs in named.values() for one in runs), key=lambda one: one.winner.fitness)
+        task: max((one for runs in named.values() for one in runs), key=lambda one: fitness_of(one.winner))
         for task, named in groups.items()
     }
 
 
 def _figures(members: Sequence[Member], groups: Groups) -> dict[str, str]:
     known = known_returns()
-    best = {task: winner.winner.fitness for task, winner in _winners(groups).items()}
-    published = [task for task in best if task in known and known[task].best is not None]
-    reached = sum(best[task] >= known[task].best for task in published)
+    best = {task: fitness_of(one.winner) for task, one in _winners(groups).items()}
+    published = {task: value for task in best if task in known and (value := known[task].best) is not None}
+    reached = sum(best[task] >= value for task, value in published.items())
     return {
         "tasks": f"{len(groups)}",
         "runs": f"{len(members)}",
@@ -126,7 +127,7 @@ def _figures(members: Sequence[Member], groups: Groups) -> dict[str, str]:
 
 
 def _row(task: str, name: str, runs: Sequence[Member]) -> str:
-    best = np.array([one.winner.fitness for one in runs])
+    best = np.array([fitness_of(one.winner) for one in runs])
     known = known_returns().get(task)
     published = known.best if known else None
     fresh = runs[int(best.argmax())].fresh
@@ -144,7 +145,7 @@ def _row(task: str, name: str, runs: Sequence[Member]) -> str:
     return row([(None, escape(task)), (None, escape(name)), *numbers])
 
 
-def _fresh(facts: Mapping[str, float]) -> str:
+def _fresh(facts: Mapping[str, Any]) -> str:
     return str(Interval(facts["mean"], facts["low"], facts["high"], facts["episodes"]))
 
 
@@ -153,8 +154,7 @@ def _duration(seconds: float) -> str:
     return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
 
 
-def _card(task: str, member: Member) -> str:
-    record = member.winner
+def _card(task: str, member: Member, record: Record) -> str:
     known = known_returns().get(task)
     lines = [task, f"{member.search}, seed {member.seed}, #{record.id}"]
     if member.fresh:
@@ -178,7 +178,7 @@ def _gallery(path: Path, groups: Groups) -> str:
     shown = [
         (task, one.winner.candidate.body, f"{task}  {one.winner.fitness:.2f}")
         for task, one in _winners(groups).items()
-        if task in ours
+        if task in ours and one.winner
     ]
     if not shown:
         return ""

@@ -100,7 +100,7 @@ def _charts(comparison: Comparison, looks: Mapping[str, Series]) -> list[str]:
     thresholds = np.linspace(min(0.0, values.min()), max(1.0, values.max()), THRESHOLDS)
     series = []
     for name, scores in comparison.scores.items():
-        share, low, high = bootstrap(lambda *drawn: profile(*drawn, thresholds), scores)
+        share, low, high = bootstrap(lambda drawn: profile(drawn, thresholds), scores)
         upper, lower = (list(zip(thresholds, ends, strict=True)) for ends in (high, low))
         points = list(zip(thresholds, share, strict=True))
         look = looks[name]

@@ -16,7 +16,7 @@ from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.algos.search.bodies import diversity
 from warpvox.io.reading import read_facts
 
-__all__ = ["Member", "archives_in", "progress", "read_members"]
+__all__ = ["Member", "archives_in", "fitness_of", "progress", "read_members"]
 
 SUMMARY = "summary.json"
 PLACES = 200
@@ -115,10 +115,15 @@ class Member:
         """The evaluated designs of a generation, best first, equal bodies once."""
         found = [record for record in self.records if record.candidate.generation == generation]
         unique: dict[bytes, Record] = {}
-        for record in sorted(found, key=lambda r: (-np.inf if r.fitness is None else r.fitness, -r.id), reverse=True):
+        for record in sorted(found, key=lambda one: (fitness_of(one), -one.id), reverse=True):
             if record.fitness is not None and not record.diverged:
                 unique.setdefault(record.candidate.body.tobytes(), record)
         return list(unique.values())
+
+
+def fitness_of(record: Record | None) -> float:
+    """The fitness of a design; -inf before there is one."""
+    return -np.inf if record is None or record.fitness is None else record.fitness
 
 
 def archives_in(folder: Path) -> list[Path]:

@@ -122,7 +122,7 @@ class BayesianSearch(BaseSearch):
             return []
         model = fit_model(np.stack(self.bodies), self.fitness, self.settings)
         climb = climb_posterior(model, pool.bodies, count)
-        proposals = []
+        proposals: list[Proposal] = []
         for path, start in enumerate(climb.start):
             parents = pool.parents_of(start)
             if self.claim(climb.summit[path]):

@@ -1,5 +1,8 @@
 """Which designs Bayesian optimisation tries next: expected improvement as in the paper, or posterior samples."""
 
+# BoTorch and torch.special leave parts without types.
+# pyright: reportUnknownArgumentType=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+
 from __future__ import annotations
 
 import math

@@ -1,9 +1,13 @@
 """The surrogate of Bayesian optimisation: a Gaussian process from one-hot voxels to fitness (paper Table 4)."""
 
+# GPyTorch has no types.
+# pyright: reportMissingTypeStubs=false, reportUnknownLambdaType=false
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -25,7 +29,7 @@ __all__ = ["fit_model", "from_one_hot", "make_model", "one_hot", "own_torch"]
 
 
 @contextmanager
-def own_torch(seed: int) -> Iterator[None]:
+def own_torch(seed: int) -> Generator[None]:
     """Inside, torch draws from ``seed`` on one thread; afterwards it is as before.
 
     Sums of several threads depend on their number, and a search must not depend on the machine's load.

@@ -41,7 +41,7 @@ def neighbours(bodies: np.ndarray) -> np.ndarray:
     n, rows, columns = bodies.shape
     cells = rows * columns
     near = np.repeat(bodies.reshape(n, 1, cells), cells * (CELL_TYPES - 1), axis=1)
-    place = np.arange(cells * (CELL_TYPES - 1))
+    place = np.arange(cells * (CELL_TYPES - 1), dtype=np.int64)
     near[:, place, place % cells] = (near[:, place, place % cells] + 1 + place // cells) % CELL_TYPES
     return near.reshape(n, -1, rows, columns)
 
@@ -63,5 +63,5 @@ def first_valid(
 def count_valid(shape: tuple[int, int]) -> int:
     """How many valid bodies of a small ``shape`` there are, by trying all (5 to the power of the cells)."""
     cells = shape[0] * shape[1]
-    codes = np.arange(CELL_TYPES**cells)[:, None] // CELL_TYPES ** np.arange(cells) % CELL_TYPES
+    codes = np.arange(CELL_TYPES**cells, dtype=np.int64)[:, None] // CELL_TYPES ** np.arange(cells) % CELL_TYPES
     return int(are_valid(codes.reshape(-1, *shape)).sum())

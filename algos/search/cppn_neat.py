@@ -1,9 +1,13 @@
 """CPPN-NEAT (paper section C.3, Table 5) with neat-python: bodies are patterns that evolving networks paint."""
 
+# neat-python has no types.
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false
+# pyright: reportUnknownArgumentType=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -28,7 +32,7 @@ ROUNDS = 2000
 
 
 @contextmanager
-def own_random(seed: int) -> Iterator[None]:
+def own_random(seed: int) -> Generator[None]:
     """neat-python draws from Python's global generator: lend it one of our own, and give the global one back."""
     state = random.getstate()
     random.seed(seed)

@@ -53,7 +53,7 @@ def learn(config: Any, body: np.ndarray, name: str, seed: int) -> dict[str, Any]
     Runner(adapt(env, settings.ppo), settings.ppo, schedule, evaluator=judge).learn(WARM_UP)
     torch.manual_seed(seed)
     runner = Runner(adapt(env, settings.ppo), settings.ppo, schedule, evaluator=judge)
-    curve: list[dict[str, float]] = []
+    curve: list[dict[str, Any]] = []
     began, cpu = time.perf_counter(), time.process_time()
     goal, reached = config.learning.stop_return, None
     first = settings.ppo.random_start

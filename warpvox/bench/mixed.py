@@ -47,7 +47,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         found = {name: values["step"] for name, values in rates.items()}
         open_to_change = replace(mixed, options=fast | {"grid": (SIDE, SIDE)})
         changed = _exchange(Runner(config, open_to_change, checked=False).env, config.repeats, config.seed)
-    worst = max(runner.error for runner in runners.values())
+    worst = max(runner.error or 0.0 for runner in runners.values())
     report.note(f"Checked: each within {worst:.1e} of one environment alone in float64.")
     title = f"{config.task}, {count} environments, random {SIDE}x{SIDE} bodies, control steps per"
     rows = [[name, spread(rates)] for name, rates in found.items()]

@@ -11,7 +11,7 @@ import numpy as np
 
 from warpvox.bench.case import Case, one_body
 from warpvox.bench.check import STEPS, against_reference
-from warpvox.bench.reference import open_reference
+from warpvox.bench.reference import Reference, reference_python
 from warpvox.bench.report import Report, middle, number, spread
 from warpvox.bench.runner import HEADINGS, Runner, measure, unit
 from warpvox.envs.registry import released_id
@@ -31,7 +31,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
 
     body = one_body(config)
     batch = Case(f"warpvox, {config.num_envs} environments", config.task, [body], config.num_envs)
-    with open_reference(config, report) as reference:
+    with Reference(reference_python(config, report)) as reference:
         with report.status("checking the physics"):
             reference.start(config.task, body)
             error = against_reference(config, config.task, body, reference)
@@ -80,7 +80,7 @@ def _timer(config: Any, env: gymnasium.Env) -> Callable[[], float]:
 
     def rate() -> float:
         seconds, began = 0.0, time.process_time()
-        for action in rng.uniform(ACTION_LOW, ACTION_HIGH, (config.steps, *env.action_space.shape)):
+        for action in rng.uniform(ACTION_LOW, ACTION_HIGH, (config.steps, *(env.action_space.shape or ()))):
             _, _, terminated, truncated, _ = env.step(action)
             if terminated or truncated:
                 seconds += time.process_time() - began

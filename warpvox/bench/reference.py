@@ -20,7 +20,7 @@ from warpvox.errors import ConfigError
 from warpvox.system import python_of
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["Reference", "find_python310", "make_reference", "open_reference", "reference_folder"]
+__all__ = ["Reference", "find_python310", "make_reference", "open_reference", "reference_folder", "reference_python"]
 
 PACKAGE = "evogym==2.0.0"
 WORKS_WITH = "numpy<2"
@@ -31,11 +31,21 @@ HOW_TO_GET_IT = (
 )
 
 
-def open_reference(config: Any, report: Any, needed: bool = True) -> AbstractContextManager[Reference | None]:
-    """The reference that ``peer.*`` names, made first if so asked; None where there is none and none is needed.
+def open_reference(config: Any, report: Any) -> AbstractContextManager[Reference | None]:
+    """The reference that ``peer.*`` names, made first if so asked; None where there is none.
 
     Raises:
-        ConfigError: it is needed and missing, or cannot be made.
+        ConfigError: it cannot be made or run.
+    """
+    python = reference_python(config, report)
+    return nullcontext() if python is None else Reference(python)
+
+
+def reference_python(config: Any, report: Any) -> str | None:
+    """The interpreter of the reference, whose environment is made first if so asked; None where there is none.
+
+    Raises:
+        ConfigError: it cannot be made.
     """
     python = config.peer.python
     if config.peer.make and python is None:
@@ -43,11 +53,7 @@ def open_reference(config: Any, report: Any, needed: bool = True) -> AbstractCon
             python = str(make_reference(reference_folder()))
         echo(report.console, f"the reference: {python}")
     made = python_of(reference_folder())
-    if python is None and made.is_file():
-        python = str(made)
-    if python is None and not needed:
-        return nullcontext()
-    return Reference(python)
+    return str(made) if python is None and made.is_file() else python
 
 
 def reference_folder() -> Path:
@@ -128,7 +134,7 @@ class Reference:
         self.versions: dict[str, str] = {}
         try:
             # isolated, so that neither this folder nor PYTHONPATH can shadow what the reference imports
-            self._process = subprocess.Popen(
+            self._process: Any = subprocess.Popen(
                 [str(path), "-I", str(WORKER)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,

@@ -58,6 +58,8 @@ class Runner:
         SimulationError: the batch differs from one environment alone.
     """
 
+    steps: int
+
     def __init__(self, config: Any, case: Case, checked: bool = True, now: Callable[[], float] | None = None) -> None:
         common = dict(device=config.device, dtype=config.dtype, arithmetic=config.arithmetic, threads=config.threads)
         began = clock(config.device)
@@ -88,22 +90,24 @@ class Runner:
 
         That of training is one iteration, whatever ``steps``.
         """
-        steps = steps or self.steps
-        actions = [self.actions() for _ in range(steps)] if column in ("bare", "step") else []
-        training = None if actions else self._trainer()
-        policy = training.controller if column == "inference" else None
-        began = self.now()
+        count = steps or self.steps
         if column == "training":
+            training = self._trainer()
+            count = training.ppo.steps
+            began = self.now()
             training.learn(1)
-            steps = training.ppo.steps
         elif column == "inference":
-            for _ in range(steps):
+            policy = self._trainer().controller
+            began = self.now()
+            for _ in range(count):
                 self._obs = self.env.step(policy(self._obs))[0]
         else:
             step = self.env.sim.step if column == "bare" else self.env.step
+            actions = [self.actions() for _ in range(count)]
+            began = self.now()
             for action in actions:
                 step(action)
-        return steps * self.num_envs / (self.now() - began)
+        return count * self.num_envs / (self.now() - began)
 
     def repeats(self, column: str, repeats: int) -> int:
         """How often a column is measured: fewer times where an iteration of training is longer than the limit."""

@@ -40,7 +40,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     Raises:
         SimulationError: a result is wrong.
     """
-    with open_reference(config, report, needed=False) as reference:
+    with open_reference(config, report) as reference:
         bodies = scale_bodies(config, report, reference)
     figures = {"task": config.task, "bodies": bodies, "envs": scale_envs(config, report)}
     if config.device == "cpu":

@@ -25,7 +25,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         Case(task, task, [body], config.num_envs)
         for task in ([get_task(task).id for task in config.tasks] or task_ids())
     ]
-    with open_reference(config, report, needed=False) as reference:
+    with open_reference(config, report) as reference:
         figures = {}
         for place, case in enumerate(cases):
             with report.status(f"{case.name} ({place + 1} of {len(cases)})"):

@@ -122,7 +122,7 @@ def writing(path: str | os.PathLike[str]) -> Iterator[None]:
 
 def complaint(error: OSError) -> str:
     """What the system complains of, and what to do about it, as the end of a sentence."""
-    return ADVICE.get(error.errno) or error.strerror or str(error) or type(error).__name__
+    return ADVICE.get(error.errno or 0) or error.strerror or str(error) or type(error).__name__
 
 
 def check_folder(folder: Path) -> None:
