@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ __all__ = ["load_connections", "load_designs", "one_body"]
 DEFAULT_DESIGN = "walker"
 
 
-def one_body(body: object, designs: object, connections: object) -> tuple[object, object]:
+def one_body(body: object, designs: Any, connections: Any) -> tuple[Any, Any]:
     """``designs`` and ``connections`` of several bodies from those of one; raises ConfigError if both are given."""
     if body is None:
         return designs, connections
@@ -25,7 +26,7 @@ def one_body(body: object, designs: object, connections: object) -> tuple[object
     return [body], None if connections is None else [connections]
 
 
-def load_designs(spec: TaskSpec, designs: object) -> list[Design | dict[str, Design]]:
+def load_designs(spec: TaskSpec, designs: Any) -> list[Design | dict[str, Design]]:
     """Valid bodies; for a task with several robots those of all, by name."""
     if designs is None:
         designs = [DEFAULT_DESIGN]
@@ -45,7 +46,7 @@ def load_designs(spec: TaskSpec, designs: object) -> list[Design | dict[str, Des
     return loaded
 
 
-def load_connections(connections: Sequence[object] | None, count: int) -> Sequence[object]:
+def load_connections(connections: Sequence[object] | np.ndarray | None, count: int) -> Sequence[Any] | np.ndarray:
     if connections is None:
         return [None] * count
     if not isinstance(connections, Sequence | np.ndarray):

@@ -174,8 +174,8 @@ def design_episodes(
         raise ConfigError(f"penalty must be a number, got {penalty!r:.80}.")
     prices, beginning = _prices(cost), _start(start, shape)
     body = [np.full(shape, int(Cell.H_ACT), np.int8)]
-    given = {"obs": "voxel"} | ({} if options.get("sim") else {"arithmetic": "fast"}) | options | {"grid": shape}
-    env = make_vec(task, body, num_envs, auto_reset=False, **given)
+    settings: dict[str, Any] = ({} if options.get("sim") else {"arithmetic": "fast"}) | options | {"grid": shape}
+    env = make_vec(task, body, num_envs, auto_reset=False, **({"obs": "voxel"} | settings))
     layout = DesignLayout(*shape, env.num_obs, env.num_actions, revise, actions)
     return DesignVecEnv(env, layout, design_steps, beginning, invalid, float(penalty), prices, auto_reset)
 
@@ -188,7 +188,7 @@ def _prices(cost: object) -> list[float]:
     return [0.0, *map(float, prices)]
 
 
-def _start(start: object, shape: tuple[int, int]) -> np.ndarray | None:
+def _start(start: Any, shape: tuple[int, int]) -> np.ndarray | None:
     """The cells that a design begins with; None: those of a random body."""
     if isinstance(start, str):
         if start not in ("empty", "random"):
@@ -233,7 +233,7 @@ class DesignVecEnv:
         self._prices = torch.tensor(prices, dtype=torch.float64, device=self.device)
         self._starts = RandomStream(env.seed, self.num_envs, "cpu")
         self._skipped = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
-        flags = dict(dtype=torch.bool, device=self.device)
+        flags: dict[str, Any] = dict(dtype=torch.bool, device=self.device)
         self.designing = torch.ones(self.num_envs, **flags)
         self.terminated, self.truncated = (torch.zeros(self.num_envs, **flags) for _ in range(2))
         self.cells = torch.zeros(self.num_envs, layout.rows, layout.columns, dtype=torch.int8, device=self.device)

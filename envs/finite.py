@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from typing import Any
 
 import torch
 
@@ -118,4 +119,5 @@ class FiniteGuard:
 
 def all_finite(*values: torch.Tensor) -> bool:
     """Whether the sum of all values is finite; False also if it overflows."""
-    return math.isfinite(sum(value.sum() for value in values).item())
+    total: Any = sum(value.sum() for value in values)
+    return math.isfinite(total.item())

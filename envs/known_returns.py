@@ -6,6 +6,7 @@ import csv
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 __all__ = ["FILE", "KnownReturn", "known_returns"]
 
@@ -48,8 +49,8 @@ class KnownReturn:
 @cache
 def known_returns() -> dict[str, KnownReturn]:
     """By the id of the task; tasks of the benchmark only."""
-    with files("warpvox.envs").joinpath(FILE).open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    text = files("warpvox.envs").joinpath(FILE).read_text(encoding="utf-8")
+    rows: list[dict[str, Any]] = list(csv.DictReader(text.splitlines()))
     return {
         row["task"]: KnownReturn(
             **row | {"random": float(row["random"]), "best": float(row["best"]) if row["best"] else None}

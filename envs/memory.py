@@ -16,7 +16,7 @@ import numpy as np
 
 from warpvox.batch.arrays import array_sizes
 from warpvox.batch.frames import capacities, is_cut
-from warpvox.batch.options import SimOptions, lanes_for
+from warpvox.batch.options import ResolvedOptions, lanes_for
 from warpvox.batch.packs import Batch
 from warpvox.devices.out_of_memory import free_memory
 from warpvox.envs.about import about_of
@@ -38,13 +38,12 @@ SCALARS = 6
 
 
 def environment_bytes(
-    spec: TaskSpec, worlds: Sequence[World], count: int, sim: SimOptions, *, obs: str = "task", ppo: Any = None
+    spec: TaskSpec, worlds: Sequence[World], count: int, sim: ResolvedOptions, *, obs: str = "task", ppo: Any = None
 ) -> float:
     """Bytes of each of ``count`` environments; nothing of their size is made.
 
     Args:
         worlds: one for each design. In fast arithmetic there is room for all bodies of their common box or of the grid.
-        sim: resolved.
         obs: as in :func:`warpvox.make_vec`.
         ppo: settings of the learning that goes on besides (``steps``, ``hidden``, ``minibatches``); None: none.
     """
@@ -95,9 +94,10 @@ def ask(
         device: resolved.
         key: sets how many they are; ``step``: in multiples of this.
     """
-    if count <= fitting(each, device):
+    free = free_memory(device)
+    if free is None or count <= SHARE * free / each:
         return
-    free, fits = free_memory(device), int(fitting(each, device))
+    fits = int(SHARE * free / each)
     whole = step * MAX_WIDTH if fits >= step * MAX_WIDTH else step  # packs that are full
     fits = fits // whole * whole
     remedy = f"{fits:,} fit: {key}={fits}" if fits else "not even the least number fits: free some memory"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from warpvox.errors import TaskError, did_you_mean, listing
 
@@ -11,11 +11,10 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from warpvox.envs.spec import Memory
-    from warpvox.simulation import Simulation
 
 __all__ = ["Quantity", "Snapshot"]
 
-Quantity = tuple[object, ...]
+Quantity = tuple[Any, ...]
 """A method of the simulation and its arguments."""
 
 
@@ -37,8 +36,8 @@ class Snapshot:
 
     def __init__(
         self,
-        sim: Simulation,
-        memory: Mapping[str, Tensor] | None = None,
+        sim: Any,
+        memory: Mapping[str, Any] | None = None,
         values: Mapping[Quantity, Tensor] | None = None,
         copies: bool = False,
     ) -> None:
@@ -71,8 +70,7 @@ class Snapshot:
         """Update the episode state, one memory after the other; return all of it."""
         self._memory = dict(self._memory)
         for memory in memories:
-            if memory.update is not None:
-                self._memory[memory.name] = memory.advance(self)
+            self._memory[memory.name] = memory.advance(self)
         return self._memory
 
     def com(self, name: str) -> Tensor:

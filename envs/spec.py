@@ -140,7 +140,9 @@ class Memory:
             raise TaskError(f"The start of the memory '{self.name}' has failed: {_told(error)}") from error
 
     def advance(self, state: Snapshot) -> Tensor:
-        """What ``update`` gives."""
+        """What ``update`` gives; without one the value stays what it was."""
+        if self.update is None:
+            return state.memory_values[self.name]
         try:
             return self.update(state)
         except Exception as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -49,7 +49,7 @@ def make_vec(
     seed: int | Sequence[int] = 0,
     auto_reset: bool = True,
     body: object = None,
-    connections: Sequence[object] | None = None,
+    connections: Sequence[object] | np.ndarray | None = None,
     max_episode_steps: int | None = None,
     sim: SimOptions | None = None,
     **options: Any,
@@ -158,9 +158,9 @@ class VoxelVecEnv:
         self._blocks = len(designs)  # of environments that may have seeds of their own
         self.design_index = torch.arange(len(designs), device=sim.device).repeat_interleave(block)
         self._draws = RandomStream(seed, self.num_envs, sim.device) if spec.memory else None
-        if spec.memory:
+        if self._draws is not None:
             check_memory(spec, sim, self._draws)
-            self._start_memory(None, {})
+            self._start_memory(self._draws, None, {})
         check_terms(spec, sim, self._snapshot())
         # Rewards compare with the state before a step: find out once which quantities they need.
         before, probe = self._snapshot(), self._snapshot()
@@ -263,7 +263,7 @@ class VoxelVecEnv:
             elif not self.episodes.drawn:
                 self._draws.episode.add_(1)
             self.episodes.drawn = False
-            self._start_memory(mask, given)
+            self._start_memory(self._draws, mask, given)
         self.episodes.clear(mask)
         now = self._snapshot()
         self.episodes.set_before(now)
@@ -316,10 +316,10 @@ class VoxelVecEnv:
             self.dump.refresh()
         return self.reset(mask=mask)[0]
 
-    def _start_memory(self, mask: torch.Tensor | None, given: Mapping[str, torch.Tensor]) -> None:
+    def _start_memory(self, stream: RandomStream, mask: torch.Tensor | None, given: Mapping[str, torch.Tensor]) -> None:
         """Set the memory of episodes that begin where ``mask`` (None: everywhere), and move the randomized objects."""
-        draws = self._draws.rewind()
-        fresh = {memory.name: memory.begin(draws) for memory in self.spec.memory} | given
+        draws = stream.rewind()
+        fresh = {memory.name: memory.begin(draws) for memory in self.spec.memory} | dict(given)
         self.episodes.set_memory(fresh, mask)
         if self.spec.randomized:
             self.sim.shift(fresh["offset"], mask)
@@ -431,7 +431,7 @@ class VoxelVecEnv:
         Args:
             terms: parts of the reward; changed where the step diverged, and where nothing is going on.
         """
-        diverged, reward = self.sim.diverged & unstable, sum(terms.values())
+        diverged, reward = self.sim.diverged & unstable, cast(torch.Tensor, sum(terms.values()))
         idle = diverged if going is None else diverged | ~going
         if self._on_cpu and all_finite(obs, reward) and not idle.any():
             return obs, reward, unstable, diverged
@@ -440,7 +440,7 @@ class VoxelVecEnv:
         terms["unstable"] = unstable.double() * self.spec.unstable_penalty
         for term in self.spec.rewards:  # the state before the step may be non-finite: no reward follows from it
             terms[term.name] = terms[term.name].masked_fill(idle, 0.0)
-        return obs, sum(terms.values()), unstable, diverged | odd
+        return obs, cast(torch.Tensor, sum(terms.values())), unstable, diverged | odd
 
     def _advance(self, going: torch.Tensor | None):
         """The step without what follows at the end of an episode."""
@@ -464,8 +464,9 @@ class VoxelVecEnv:
         obs, after, memory_values, unstable, terms, terminated = self._advance(None)
         self.episodes.set_before(after)
         self.episodes.set_memory(memory_values)
-        stopped, ended, values = unstable.item(), terminated.item(), {name: v.item() for name, v in terms.items()}
-        diverged = stopped and self.sim.diverged.item()
+        stopped, ended = bool(unstable.item()), bool(terminated.item())
+        values: dict[str, float] = {name: value.item() for name, value in terms.items()}
+        diverged = stopped and bool(self.sim.diverged.item())
         if not (math.isfinite(sum(values.values())) and all_finite(obs)):
             obs, odd = self._finite.step(obs, terms, ~(unstable & diverged), self._on_cpu)
             if odd.item():
@@ -520,7 +521,7 @@ class VoxelVecEnv:
         self.sim.reset(done)
         if self._draws is not None:
             self._draws.episode.add_(done)
-            self._start_memory(done, {})
+            self._start_memory(self._draws, done, {})
         self.episodes.clear(done)
         now = self._snapshot()
         self.episodes.set_before(now)
@@ -563,11 +564,11 @@ class VoxelVecEnv:
 
 
 def _check_seeds(seed: int | Sequence[int], designs: int, num_envs: int) -> None:
-    several = isinstance(seed, Sequence) and not isinstance(seed, str | bytes)
-    if several and len(seed) not in (designs, num_envs):
+    seeds = seed if isinstance(seed, Sequence) and not isinstance(seed, str | bytes) else None
+    if seeds is not None and len(seeds) not in (designs, num_envs):
         raise ConfigError(
             f"seed must be one number, or one for each of the {designs} designs or {num_envs} environments;"
-            f" got {len(seed)}."
+            f" got {len(seeds)}."
         )
-    for one in seed if several else [seed]:
+    for one in [seed] if seeds is None else seeds:
         check_integer("seed", one, 0)

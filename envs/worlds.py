@@ -93,7 +93,7 @@ def task_world(task: TaskSpec, body: object, connections: object = None) -> Worl
         try:
             world.add_from_array(name, cells, *task.robots[name], connections=links.get(name))
         except WorldError as error:
-            shape = "x".join(str(n) for n in np.shape(cells))
+            shape = "x".join(str(n) for n in np.asarray(cells).shape)
             raise WorldError(f"The {shape} body does not fit the world of {task.id}: {error}") from None
     return world
 

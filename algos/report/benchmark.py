@@ -49,7 +49,7 @@ def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, 
     """
     members = read_members(archives)
     groups = _groups(members)
-    comparison = compare(groups)
+    comparison, best = compare(groups), _winners(groups)
     series = _names(groups)
     panels = {x: [_panel(task, runs, x, series) for task, runs in groups.items()] for x in ("evaluations", "steps")}
     if groups:
@@ -60,11 +60,11 @@ def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, 
     slots = {
         "facts": fact_list(_figures(members, groups) | dict(facts or {})),
         "rows": "".join(_row(task, name, runs) for task, named in groups.items() for name, runs in named.items()),
-        "winners": "".join(_card(task, one, one.winner) for task, one in _winners(groups).items() if one.winner) or NOTHING,
+        "winners": "".join(_card(task, one, one.winner) for task, one in best.items() if one.winner) or NOTHING,
         "gallery": _gallery(folder / "winners.png", groups),
         "names": legend([*series.values(), KNOWN]),
         "comparison": comparison_html(comparison, series),
-        "generations": "".join(_generations(task, _winners(groups)[task]) for task in groups) or NOTHING,
+        "generations": "".join(_generations(task, best[task]) for task in groups) or NOTHING,
     } | {x: "".join(f"<div>{one}</div>" for one in charts) or NOTHING for x, charts in panels.items()}
     _write_table(folder / "results.csv", members)
     names = f"{len(series)} searches" if len(series) != 1 else "1 search"

@@ -167,8 +167,8 @@ class VoxelEnv(Adapter, gymnasium.Env):
         except Exception as error:  # conversion of an arbitrary object may raise anything
             raise ActionError(f"An action must be an array of numbers: {str(error)[:200]}.") from None
         if action.shape != self.action_space.shape:
-            expected = list(self.action_space.shape)
-            raise ActionError(f"An action must have the shape {expected}, got {list(action.shape)}.")
+            expected = self.action_space.shape
+            raise ActionError(f"An action must have the shape {list(expected or ())}, got {list(action.shape)}.")
         if self._ended is not None:
             return self._ended.copy(), 0.0, True, False, {"unstable": False, "diverged": False, "reward_terms": {}}
         if self._fast is not None:

@@ -81,7 +81,7 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
         self.single_observation_space, self.single_action_space = spaces_of(self.vec)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._obs = np.zeros(self.observation_space.shape, self.observation_space.dtype)
+        self._obs = np.zeros((self.num_envs, self.vec.num_obs), self.observation_space.dtype)
         self._ended = np.zeros(self.num_envs, dtype=bool)  # by the last step, and not reset since
 
     def reset(

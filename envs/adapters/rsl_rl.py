@@ -154,7 +154,7 @@ class RslRlVecEnv(VecEnv):
         self.env.not_finite()  # warns of non-finite terms; the device is read below anyway
         count, total, length, *ends = self._sums.tolist()
         self._clear_episodes()
-        stopped = {name: int(number) for name, number in zip(STOP_CAUSES, ends, strict=True)}
+        stopped: dict[str, float] = {name: int(number) for name, number in zip(STOP_CAUSES, ends, strict=True)}
         if not count:
             return {"episodes": 0, "return": float("nan"), "length": float("nan")} | stopped
         return {"episodes": int(count), "return": total / count, "length": length / count} | stopped

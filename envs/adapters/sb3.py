@@ -66,7 +66,7 @@ class VoxelSB3VecEnv(Adapter, VecEnv):
         self._make(task, designs, num_envs, options, {"device": "cpu"}, body=body, auto_reset=True)
         self.normalize_actions, self.render_size = normalize_actions, render_size
         self._mode = render_mode
-        self._actions: np.ndarray | None = None
+        self._actions: Any = None
         observations, actions = spaces_of(self.vec)
         observations = Box(observations.low, observations.high, dtype=np.float32)
         low, high = (-1.0, 1.0) if normalize_actions else (ACTION_LOW, ACTION_HIGH)
@@ -74,7 +74,8 @@ class VoxelSB3VecEnv(Adapter, VecEnv):
 
     def reset(self) -> np.ndarray:
         """Begin an episode everywhere; seeds that :meth:`seed` has set apply."""
-        seeds = None if any(seed is None for seed in self._seeds) else [int(seed) for seed in self._seeds]
+        given = [int(seed) for seed in self._seeds if seed is not None]
+        seeds = given if len(given) == self.num_envs else None
         self._reset_seeds()
         self._reset_options()
         return self._numbers(self.vec.reset(seeds)[0])

@@ -42,7 +42,7 @@ class Sensors:
         self._sim = sim
         self._senses: dict[tuple, Callable[[], np.ndarray]] = {}
         self._points: dict[str, np.ndarray | None] = {}
-        self._centres: tuple[Any, dict[str, np.ndarray], dict[str, np.ndarray]] | None = None
+        self._centres: Any = None  # launch, positions and velocities by name
         self.moved = True
         """Whether something has moved since the centres were sensed."""
 
@@ -133,7 +133,7 @@ class RowTerms:
         dtype: of observations.
     """
 
-    def __init__(self, spec: TaskSpec, dtype: np.dtype | type = np.float64) -> None:
+    def __init__(self, spec: TaskSpec, dtype: np.typing.DTypeLike = np.float64) -> None:
         self._dtype, self._penalty = np.dtype(dtype), spec.unstable_penalty
         self._observations = [(term.function, dict(term.params)) for term in spec.observations]
         self._rewards = [(term.name, term.function, dict(term.params), term.weight) for term in spec.rewards]
@@ -161,7 +161,7 @@ class RowTerms:
         terms["unstable"] = float(stopped) * self._penalty
         ended = stopped
         for name, test, params, bonus in self._terminations:
-            hit = test(after, **params).item()
+            hit: Any = test(after, **params).item()
             terms[name] = float(hit) * bonus
             ended = ended or hit
         return terms, ended

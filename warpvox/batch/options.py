@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,15 @@ from warpvox.kernels.step import STAGES
 from warpvox.system import usable_cores
 from warpvox.types import Physics
 
-__all__ = ["CUDA_LANES", "SimOptions", "check_known", "choose_lanes", "lanes_for", "resolve_arithmetic"]
+__all__ = [
+    "CUDA_LANES",
+    "ResolvedOptions",
+    "SimOptions",
+    "check_known",
+    "choose_lanes",
+    "lanes_for",
+    "resolve_arithmetic",
+]
 
 # Lane widths offered on the CPU; the narrowest that holds the environments that can share a pack is taken.
 WIDTHS = (1, 8, 16, 32)
@@ -73,7 +81,7 @@ class SimOptions:
             raise ConfigError(f"sim must be SimOptions(device=..., ...), got {sim!r:.80}.")
         return replace(sim or cls(), **given)
 
-    def resolved(self, num_envs: int, preset: str = "evogym") -> SimOptions:
+    def resolved(self, num_envs: int, preset: str = "evogym") -> ResolvedOptions:
         """These options with everything chosen but the lanes, for so many environments.
 
         Args:
@@ -91,8 +99,7 @@ class SimOptions:
             raise SimulationError(f"threads must be an integer >= 1 or None, got {self.threads!r:.80}.")
         if self.grid is not None and arithmetic == "exact":
             raise SimulationError("Packs of exact arithmetic hold one world each: grid needs arithmetic='fast'.")
-        return replace(
-            self,
+        chosen: dict[str, Any] = dict(
             device=device,
             arithmetic=arithmetic,
             physics=physics if isinstance(physics, Physics) else Physics.preset(physics),
@@ -100,6 +107,17 @@ class SimOptions:
             layout=resolve_layout(self.layout, arithmetic, device, self.lanes),
             grid=None if self.grid is None else check_shape("grid", self.grid),
         )
+        return ResolvedOptions(**(vars(self) | chosen))
+
+
+@dataclass(frozen=True)
+class ResolvedOptions(SimOptions):
+    """Options with everything chosen but the lanes, see :meth:`SimOptions.resolved`."""
+
+    arithmetic: str = "fast"
+    physics: Physics = field(default_factory=Physics)
+    threads: int = 1
+    layout: str = "lanes"
 
 
 def check_known(given: Mapping[str, Any], *functions: Callable[..., Any], without: Collection[str] = ()) -> None:

@@ -8,7 +8,7 @@ from dataclasses import InitVar, dataclass, field
 import numpy as np
 
 from warpvox.batch.frames import Frame, capacities, frame_key, is_cut, join
-from warpvox.batch.options import SimOptions, choose_lanes
+from warpvox.batch.options import ResolvedOptions, choose_lanes
 from warpvox.compile import compile_world, exact_tables, pad, world_arrays
 from warpvox.contact_order import no_order
 from warpvox.errors import SimulationError
@@ -43,7 +43,7 @@ class Batch:
 
     Args:
         different: the worlds, by their keys. index: the number of each environment's world.
-        options: resolved. In ``exact`` arithmetic packs hold one world each; in ``fast`` any worlds of one frame (see
+        options: in ``exact`` arithmetic packs hold one world each; in ``fast`` any worlds of one frame (see
             :mod:`warpvox.batch.frames`).
         layout: 'lanes', or 'group', whose packs have one lane each.
 
@@ -57,7 +57,7 @@ class Batch:
 
     different: InitVar[Mapping[bytes, World]]
     index: list[int]
-    options: SimOptions
+    options: ResolvedOptions
     loose: tuple[str, ...] = ()
     layout: str = "lanes"
     pack_group: list[int] = field(default_factory=list)
