@@ -51,6 +51,7 @@ class Evaluator(Protocol):
 
     def __call__(self, policy: Policy) -> Evaluation:
         """Evaluate ``policy``; must not touch the environments that it is trained in."""
+        ...
 
 
 @runtime_checkable
@@ -59,6 +60,7 @@ class StatefulEvaluator(Evaluator, Protocol):
 
     def state(self) -> dict[str, Any]:
         """The state, as tensors, numbers and strings."""
+        ...
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on from :meth:`state`."""

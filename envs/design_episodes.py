@@ -174,8 +174,9 @@ def design_episodes(
         raise ConfigError(f"penalty must be a number, got {penalty!r:.80}.")
     prices, beginning = _prices(cost), _start(start, shape)
     body = [np.full(shape, int(Cell.H_ACT), np.int8)]
-    settings: dict[str, Any] = ({} if options.get("sim") else {"arithmetic": "fast"}) | options | {"grid": shape}
-    env = make_vec(task, body, num_envs, auto_reset=False, **({"obs": "voxel"} | settings))
+    settings: dict[str, Any] = {} if options.get("sim") else {"arithmetic": "fast"}
+    settings = {"obs": "voxel"} | settings | options | {"grid": shape}
+    env = make_vec(task, body, num_envs, auto_reset=False, **settings)
     layout = DesignLayout(*shape, env.num_obs, env.num_actions, revise, actions)
     return DesignVecEnv(env, layout, design_steps, beginning, invalid, float(penalty), prices, auto_reset)
 

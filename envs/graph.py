@@ -44,7 +44,7 @@ def capture_on_cuda(device: str) -> Capture:
         def replay() -> None:
             graph.replay()
 
-        replay.keeps = (graph, kept, stream)  # type: ignore[attr-defined]
+        replay.keeps = (graph, kept, stream)
         return replay, results
 
     return capture

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
 
-from warpvox.batch.options import SimOptions
+from warpvox.batch.options import SimKeywords, SimOptions
 from warpvox.checks import check_integer, check_mask
 from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
@@ -32,6 +32,9 @@ from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, DesignError, SimulationError, did_you_mean, listing
 from warpvox.simulation import Simulation
 
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
 __all__ = ["VoxelVecEnv", "make_vec", "one_body"]
 
 OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
@@ -52,7 +55,7 @@ def make_vec(
     connections: Sequence[object] | np.ndarray | None = None,
     max_episode_steps: int | None = None,
     sim: SimOptions | None = None,
-    **options: Any,
+    **options: Unpack[SimKeywords],
 ) -> VoxelVecEnv:
     """Make ``num_envs`` environments of a task, ready to be stepped.
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterable, Iterator
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 LINKED = ("kernels", "envs", "algos", "configs")
 MAX_LINES = 600
+MAX_CLI_LINES = 7625
 
 CORE = ("errors", "system", "types", "examples", "io", "design", "world", "contact_order", "compile")
 HEAVY = {"torch", "warp", "hydra", "omegaconf", "rsl_rl", "gymnasium", "matplotlib", "pxr"}
@@ -93,6 +95,14 @@ def test_no_layer_imports_a_later_one() -> None:
     assert not wrong, "\n".join(wrong)
 
 
+def test_no_file_imports_itself_by_way_of_others() -> None:
+    graph = {name: {target for _, target in imports(parse(path))} & set(SOURCES) for name, path in SOURCES.items()}
+    # The package itself loads its names on demand, and a package's own file may name what is in its folder.
+    graph = {name: {t for t in targets if not f"{name}.".startswith(f"{t}.")} for name, targets in graph.items()}
+    graph = {name: targets for name, targets in graph.items() if not name.startswith("warpvox.cli.")}  # has two cycles
+    TopologicalSorter(graph).prepare()  # raises CycleError, which names the files
+
+
 def test_linked_folders_are_imported_by_their_full_name() -> None:
     # `import kernels.x` works when the root is on sys.path and registers every Warp module twice
     wrong = [
@@ -108,6 +118,12 @@ def test_files_stay_readable() -> None:
     lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in ALL_FILES}
     long = [f"{place(path, lines)}: split it" for path, lines in lengths.items() if lines > MAX_LINES]
     assert not long, "\n".join(long)
+
+
+def test_the_command_line_is_no_second_house() -> None:
+    files = [path for name, path in SOURCES.items() if name.startswith("warpvox.cli")]
+    lines = sum(len(path.read_text(encoding="utf-8").splitlines()) for path in files)
+    assert lines <= MAX_CLI_LINES, f"warpvox/cli has {lines} lines: what a command does belongs to the library"
 
 
 def users(library: set[str], modules: Iterable[str], **options: bool) -> list[str]:

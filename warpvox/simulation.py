@@ -7,7 +7,7 @@ import os
 import weakref
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ import warp as wp
 
 from warpvox.batch.arrays import Buffers, allocate_buffers, put_tables
 from warpvox.batch.objects import CompiledWorlds, Objects
-from warpvox.batch.options import SimOptions
+from warpvox.batch.options import SimKeywords, SimOptions
 from warpvox.batch.packs import Batch, group
 from warpvox.checks import check_mask
 from warpvox.compile import Body, mesh
@@ -26,6 +26,9 @@ from warpvox.kernels.state import DIVERGED, OVERFLOW, STALE, UNSTABLE
 from warpvox.sensors import Recorded, Sensing
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 from warpvox.world import World
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["STATE_FIELDS", "Simulation"]
 
@@ -79,7 +82,7 @@ class Simulation(Sensing):
         *,
         loose: Sequence[str] = (),
         action_range: tuple[float, float] = (ACTION_LOW, ACTION_HIGH),
-        **options: Any,
+        **options: Unpack[SimKeywords],
     ):
         if not isinstance(worlds, Sequence) or not worlds or not all(isinstance(world, World) for world in worlds):
             raise SimulationError(f"Simulation needs a list of one World or more, got {worlds!r:.80}.")

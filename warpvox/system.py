@@ -41,7 +41,7 @@ def stop_signals() -> tuple[int, ...]:
 
     SIGTERM, and SIGHUP where there is one, unless this process ignores it (``nohup``).
     """
-    found = [signal.SIGTERM]
+    found: list[int] = [signal.SIGTERM]
     if HANGUP is not None and signal.getsignal(HANGUP) is not signal.SIG_IGN:
         found.append(HANGUP)
     return tuple(found)

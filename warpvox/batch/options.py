@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from warpvox.types import Physics
 __all__ = [
     "CUDA_LANES",
     "ResolvedOptions",
+    "SimKeywords",
     "SimOptions",
     "check_known",
     "choose_lanes",
@@ -108,6 +109,21 @@ class SimOptions:
             grid=None if self.grid is None else check_shape("grid", self.grid),
         )
         return ResolvedOptions(**(vars(self) | chosen))
+
+
+class SimKeywords(TypedDict, total=False):
+    """The fields of :class:`SimOptions` as keywords, for editors and type checkers."""
+
+    device: str
+    dtype: str
+    arithmetic: str | None
+    physics: str | Physics | None
+    lanes: int | None
+    threads: int | None
+    layout: str | None
+    grid: tuple[int, int] | None
+    cuda_graph: bool
+    memory_check: bool
 
 
 @dataclass(frozen=True)

@@ -124,7 +124,8 @@ def save_robot(path: str | os.PathLike[str], robot: Robot) -> Path:
     header |= {"about": dict(robot.about), "sha256": robot.sha256}
     text = json.dumps(header, allow_nan=False).encode()
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, header=np.frombuffer(text, np.uint8), **_arrays(robot))
+        arrays: dict[str, Any] = _arrays(robot)
+        np.savez_compressed(file, header=np.frombuffer(text, np.uint8), **arrays)
     return Path(path)
 
 

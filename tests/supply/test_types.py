@@ -1,0 +1,70 @@
+"""What a type checker tells a user: an editable installation is followed, and a wrong keyword is found."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import site
+import subprocess
+import sys
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from warpvox.batch.options import SimKeywords, SimOptions
+
+SCRIPT = """
+import torch
+
+import warpvox as wv
+import warpvox.algos.search
+import warpvox.envs
+import warpvox.kernels
+from warpvox.envs.spec import TaskSpec
+
+env = wv.make_vec("Walker-v0", wv.example_design("walker"), num_envs=4, device="cpu", threads=1)
+obs, _ = env.reset()
+for _ in range(2):
+    obs, reward, terminated, truncated, info = env.step(torch.rand(env.num_envs, env.num_actions))
+spec: TaskSpec = env.spec
+world = wv.World(9, 1)
+world.add_from_array("robot", wv.sample_design((5, 5), seed=0), 0, 0)
+sim = wv.Simulation([world], wv.SimOptions(device="cpu"))
+"""
+WRONG = """
+import warpvox as wv
+
+wv.make_vec("Walker-v0", num_env=4)
+"""
+
+
+def test_keywords_are_the_fields_of_the_options() -> None:
+    assert SimKeywords.__annotations__.keys() == {field.name for field in dataclasses.fields(SimOptions)}
+
+
+@pytest.fixture
+def python(repository: Path, tmp_path: Path) -> Path:
+    """An environment with an editable installation, and what else is installed here."""
+    venv.create(tmp_path / "venv", with_pip=False)
+    (packages,) = (tmp_path / "venv").glob("lib/python*/site-packages")
+    code = "import sys; from setuptools import build_meta; build_meta.build_editable(sys.argv[1])"
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], cwd=repository, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    zipfile.ZipFile(wheel).extractall(packages)
+    others = [path for path in sys.path if "site-packages" in path]
+    (packages / "others.pth").write_text("\n".join([*others, *site.getsitepackages()]))
+    return tmp_path / "venv" / "bin" / "python"
+
+
+@pytest.mark.packaging
+@pytest.mark.parametrize(("script", "rules"), [(SCRIPT, []), (WRONG, ["reportCallIssue"])], ids=["right", "wrong"])
+def test_a_script_of_a_user(python: Path, tmp_path: Path, script: str, rules: list[str]) -> None:
+    folder = tmp_path / "project"
+    folder.mkdir()
+    (folder / "script.py").write_text(script)
+    command = [sys.executable, "-m", "pyright", "--pythonpath", str(python), "--outputjson", "script.py"]
+    run = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    found = json.loads(run.stdout)["generalDiagnostics"]
+    assert [one.get("rule") for one in found] == rules, found
