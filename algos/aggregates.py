@@ -47,7 +47,7 @@ def interquartile_mean(scores: Scores) -> np.ndarray:
 
 
 def optimality_gap(scores: Scores, goal: float = 1.0) -> np.ndarray:
-    """By how much runs fall short of ``goal`` on average; what is above it does not make up for others."""
+    """The mean shortfall of runs from ``goal``; what is above it does not make up for others."""
     return np.maximum(goal - pool(scores), 0.0).mean(-1)
 
 
@@ -57,7 +57,7 @@ def profile(scores: Scores, thresholds: np.ndarray) -> np.ndarray:
 
 
 def improvement(first: Scores, second: Scores) -> np.ndarray:
-    """How probable it is that a run of ``first`` is better than one of ``second`` on the same task; ties count half.
+    """The probability that a run of ``first`` is better than one of ``second`` on the same task; ties count half.
 
     The mean over the tasks of both of the Mann-Whitney statistic, divided by the number of pairs.
 
@@ -100,7 +100,7 @@ def bootstrap(
 
 
 def interval(statistic: Callable[..., np.ndarray], *algorithms: Scores, **options: Any) -> Interval:
-    """What :func:`bootstrap` gives for a statistic that is one number; NaN as ends where every task has one run."""
+    """The :func:`bootstrap` interval of a statistic that is one number; NaN as ends where every task has one run."""
     runs = [len(values) for scores in algorithms for values in scores.values()]
     value, low, high = (float(number) for number in bootstrap(statistic, *algorithms, **options))
     return Interval(value, low, high, sum(runs)) if max(runs) > 1 else Interval(value, np.nan, np.nan, sum(runs))

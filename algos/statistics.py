@@ -75,7 +75,7 @@ def _data(values: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def _quantile(freedom: float, level: float) -> float:
-    """How many standard errors the interval reaches to each side."""
+    """Standard errors that the interval reaches to each side."""
     from scipy.special import stdtrit
 
     return float(stdtrit(freedom, 0.5 + level / 2))

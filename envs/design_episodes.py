@@ -38,7 +38,7 @@ AT_REST = 1.0
 
 @dataclass(frozen=True)
 class DesignLayout:
-    """How observations and actions are made up.
+    """Composition of observations and actions.
 
     An observation is the task's (``task`` entries, 0 in the design stage), the types of the cells as one-hot vectors
     (``cells * 5``, row-major), with ``revise="one"`` the cell that the next design step sets as a one-hot vector

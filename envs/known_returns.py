@@ -15,7 +15,7 @@ FILE = "known_returns.csv"
 
 @dataclass(frozen=True)
 class KnownReturn:
-    """What is known of a task.
+    """Known returns of a task.
 
     Attributes:
         task: its id.

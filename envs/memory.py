@@ -2,7 +2,7 @@
 
 What is counted stays as long as there are environments: the arrays of the kernels, with room for the largest bodies
 that may come, where the environments lie in them, observations, and what PPO keeps of a rollout. Intermediate results
-come on top; :data:`SHARE` leaves room for them.
+come on top; :data:`MEMORY_SHARE` leaves room for them.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from warpvox.world import World
 
 __all__ = ["ask", "environment_bytes", "fitting"]
 
-SHARE = 0.8
-"""Of the memory that is free, what may be asked for."""
+MEMORY_SHARE = 0.8
+"""Share of the free memory that may be asked for."""
 FLOAT, LONG = 4, 8
 SCALARS = 6
 """Numbers of a transition besides observation, action, mean and deviation: reward, end, value, ..."""
@@ -80,9 +80,9 @@ def _learning(num_obs: int, num_actions: int, ppo: Any) -> float:
 
 
 def fitting(each: float, device: str) -> float:
-    """How many things of ``each`` bytes may be asked for; infinite where it is not known what is free."""
+    """The number of things of ``each`` bytes that may be asked for; infinite where it is not known what is free."""
     free = free_memory(device)
-    return inf if free is None else SHARE * free / each
+    return inf if free is None else MEMORY_SHARE * free / each
 
 
 def ask(
@@ -95,9 +95,9 @@ def ask(
         key: sets how many they are; ``step``: in multiples of this.
     """
     free = free_memory(device)
-    if free is None or count <= SHARE * free / each:
+    if free is None or count <= MEMORY_SHARE * free / each:
         return
-    fits = int(SHARE * free / each)
+    fits = int(MEMORY_SHARE * free / each)
     whole = step * MAX_WIDTH if fits >= step * MAX_WIDTH else step  # packs that are full
     fits = fits // whole * whole
     remedy = f"{fits:,} fit: {key}={fits}" if fits else "not even the least number fits: free some memory"

@@ -11,7 +11,7 @@ from warpvox.simulation import Simulation
 __all__ = ["ObservationLayout"]
 
 LEAST_POINTS = 4
-"""Of a body: those of a single voxel."""
+"""Points of the smallest body, a single voxel."""
 
 
 class ObservationLayout:

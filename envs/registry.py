@@ -51,5 +51,5 @@ def get_task(task: str | TaskSpec) -> TaskSpec:
 
 
 def released_id(task_id: str) -> str:
-    """How the release spells the id of a task."""
+    """The id of a task as the release spells it."""
     return _RELEASED.get(task_id, task_id)

@@ -131,7 +131,7 @@ class Memory:
     update: Callable[[Snapshot], Tensor] | None = None
 
     def begin(self, draws: RandomStream) -> Tensor:
-        """What ``start`` gives."""
+        """The value of ``start``."""
         try:
             return self.start(draws)
         except Exception as error:
@@ -140,7 +140,7 @@ class Memory:
             raise TaskError(f"The start of the memory '{self.name}' has failed: {_told(error)}") from error
 
     def advance(self, state: Snapshot) -> Tensor:
-        """What ``update`` gives; without one the value stays what it was."""
+        """The value of ``update``; without one, the present value."""
         if self.update is None:
             return state.memory_values[self.name]
         try:

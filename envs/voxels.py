@@ -30,7 +30,7 @@ FEATURES = {
     "type": slice(16, 21),
     "neighbours": slice(21, 25),
 }
-"""Where the features of a cell lie.
+"""Columns of the features of a cell.
 
 ``positions``: x and y of the corners (top left, top right, bottom right, bottom left, as the body was designed) about
 the robot's centre of mass; ``velocities``: of the same corners, absolute; ``type``: one of (empty, rigid, soft,
@@ -42,7 +42,7 @@ _SIDES = ((-1, 0), (0, 1), (1, 0), (0, -1))  # rows and columns to the neighbour
 
 @dataclass(frozen=True)
 class VoxelLayout:
-    """How the voxels of one robot lie in observations and actions.
+    """Places of the voxels of one robot in observations and actions.
 
     Attributes:
         rows, columns: of the grid.

@@ -32,7 +32,7 @@ def inside_quad(x: real, y: real, r: quad) -> bool:
     constants(PARALLEL=PARALLEL, DEGENERATE=DEGENERATE) + text("native/crossing.h", "native/nearest_side.h")
 )
 def nearest_side(m: quad, m_sides: int, c: int, r: quad, r_sides: int) -> wp.vec4d:
-    """Of the surface sides of quad r that an edge at corner c of quad m crosses the nearest, or -1; vector, depth."""
+    """The nearest surface side of quad r that an edge at corner c of quad m crosses, or -1; vector, depth."""
     ...
 
 

@@ -1,4 +1,4 @@
-"""What stages are written with: types for one precision and lane width, and decorators.
+"""The tools that stages are written with: types for one precision and lane width, and decorators.
 
 A stage is made by a *builder*, a function of a :class:`Kit` that returns a Warp function. In Warp functions an argument
 without a type gets it by its name: ``model``, ``data``, ``tape`` are the structs, ``dt`` and ``margin`` float64, all

@@ -1,4 +1,4 @@
-"""How stages run: alone, a kernel each (tests, per-stage times), or fused into a control step (``step.py``).
+"""Launches of stages: alone, a kernel each (tests, per-stage times), or fused into a control step (``step.py``).
 
 A stage is a Warp function ``(model, data, mesh, pack, lane, unit, dt)`` that serves the ``width`` environments
 at ``lane`` of a pack. A *unit* is the thread that does so.

@@ -90,7 +90,7 @@ def ground(kit: Kit):
 
     @kit.func
     def nearest(model, frame, cell, bits, x: real, y: real):
-        """Of the surface sides of the cell that a point is in the one that it is least deep under."""
+        """The surface side that a point in the cell is least deep under."""
         found, highest = int(0), real(-VOXEL)
         for n in range(int(4)):
             height = above(model, frame, cell, n, x, y)

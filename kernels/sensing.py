@@ -1,4 +1,4 @@
-"""What tasks sense: centre of mass, velocity, orientation, relative positions, extent, hull, floor and ceiling (B.1).
+"""Sensing for tasks: centre of mass, velocity, orientation, relative positions, extent, hull, floor and ceiling (B.1).
 
 One thread an environment, results in the order of the environments. Sums run in float64 in the order of the points.
 """
@@ -16,7 +16,7 @@ VOXEL = wp.constant(wp.float64(SIDE))
 
 
 @wp.struct
-class Batch:
+class SensingArrays:
     """The arrays that all sensing kernels read; fields as in :mod:`warpvox.kernels.state`."""
 
     pos: wp.array3d(dtype=wp.float64)
@@ -31,67 +31,67 @@ class Batch:
 
 
 @wp.func
-def span_of(batch: Batch, pack: int, o: int, k: int):
-    """Where the points of an object lie in the order of observations: from, to."""
-    return batch.object_range[batch.pack_mesh[pack], o, k]
+def span_of(arrays: SensingArrays, pack: int, o: int, k: int):
+    """The range of an object's points in the order of observations: from, to."""
+    return arrays.object_range[arrays.pack_mesh[pack], o, k]
 
 
 @wp.func
-def points_of(batch: Batch, env: int, o: int):
+def points_of(arrays: SensingArrays, env: int, o: int):
     """Pack and lane of an environment, and where the points of an object lie in the order of observations: from, to."""
-    pack, k = batch.env_pack[env], batch.env_lane[env]
-    span = span_of(batch, pack, o, k)
+    pack, k = arrays.env_pack[env], arrays.env_lane[env]
+    span = span_of(arrays, pack, o, k)
     return pack, k, span[0], span[1]
 
 
 @wp.func
-def row(batch: Batch, pack: int, i: int, k: int):
+def row(arrays: SensingArrays, pack: int, i: int, k: int):
     """The row of the i-th point in the order of observations."""
-    return batch.order[batch.pack_mesh[pack], i, k]
+    return arrays.order[arrays.pack_mesh[pack], i, k]
 
 
 @wp.func
-def centre(batch: Batch, pack: int, k: int, begin: int, end: int):
+def centre(arrays: SensingArrays, pack: int, k: int, begin: int, end: int):
     """Centre of mass of the points of an object."""
     x, y = wp.float64(0.0), wp.float64(0.0)
     for i in range(begin, end):
-        p = row(batch, pack, i, k)
-        x += batch.pos[pack, 2 * p, k]
-        y += batch.pos[pack, 2 * p + 1, k]
+        p = row(arrays, pack, i, k)
+        x += arrays.pos[pack, 2 * p, k]
+        y += arrays.pos[pack, 2 * p + 1, k]
     n = wp.float64(end - begin)
     return x / n, y / n
 
 
 @kernel
-def centres(batch: Batch, com: wp.array2d(dtype=wp.vec2d), velocity: wp.array2d(dtype=wp.vec2d)):
+def centres(arrays: SensingArrays, com: wp.array2d(dtype=wp.vec2d), velocity: wp.array2d(dtype=wp.vec2d)):
     """Centre of mass and its velocity of every object [environment, object]."""
     env, o = wp.tid()
-    pack, k, begin, end = points_of(batch, env, o)
+    pack, k, begin, end = points_of(arrays, env, o)
     if end <= begin:
         return
-    x, y = centre(batch, pack, k, begin, end)
+    x, y = centre(arrays, pack, k, begin, end)
     vx, vy = wp.float64(0.0), wp.float64(0.0)
     for i in range(begin, end):
-        p = row(batch, pack, i, k)
-        vx += batch.vel[pack, 2 * p, k]
-        vy += batch.vel[pack, 2 * p + 1, k]
+        p = row(arrays, pack, i, k)
+        vx += arrays.vel[pack, 2 * p, k]
+        vy += arrays.vel[pack, 2 * p + 1, k]
     n = wp.float64(end - begin)
     com[env, o] = wp.vec2d(x, y)
     velocity[env, o] = wp.vec2d(vx / n, vy / n)
 
 
 @wp.func
-def place(batch: Batch, pack: int, i: int, k: int):
+def place(arrays: SensingArrays, pack: int, i: int, k: int):
     """Position of the i-th point."""
-    p = row(batch, pack, i, k)
-    return wp.vec2d(batch.pos[pack, 2 * p, k], batch.pos[pack, 2 * p + 1, k])
+    p = row(arrays, pack, i, k)
+    return wp.vec2d(arrays.pos[pack, 2 * p, k], arrays.pos[pack, 2 * p + 1, k])
 
 
 @wp.func
-def rest(batch: Batch, pack: int, i: int, k: int):
+def rest(arrays: SensingArrays, pack: int, i: int, k: int):
     """Position of the i-th point at time 0."""
-    p, mesh = row(batch, pack, i, k), batch.pack_mesh[pack]
-    return wp.vec2d(batch.rest_pos[mesh, 2 * p, k], batch.rest_pos[mesh, 2 * p + 1, k])
+    p, mesh = row(arrays, pack, i, k), arrays.pack_mesh[pack]
+    return wp.vec2d(arrays.rest_pos[mesh, 2 * p, k], arrays.rest_pos[mesh, 2 * p + 1, k])
 
 
 @wp.func
@@ -109,33 +109,33 @@ def turn(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64):
 
 
 @kernel
-def orientations(batch: Batch, o: int, out: wp.array(dtype=wp.float64)):
+def orientations(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.float64)):
     """Orientation of one object [environment], counter-clockwise in [0, 2 pi)."""
     env = wp.tid()
-    pack, k, begin, end = points_of(batch, env, o)
+    pack, k, begin, end = points_of(arrays, env, o)
     if end <= begin:
         return
     # The released simulator sums the first point, then four at a time in two pairs, then the rest. At time 0, where
     # rounding decides what the guard does, only this order gives its value.
-    pos_sum, rest_sum = place(batch, pack, begin, k), rest(batch, pack, begin, k)
+    pos_sum, rest_sum = place(arrays, pack, begin, k), rest(arrays, pack, begin, k)
     q = begin + 1
     while q + 3 < end:
-        pos_sum += (place(batch, pack, q, k) + place(batch, pack, q + 1, k)) + (
-            place(batch, pack, q + 2, k) + place(batch, pack, q + 3, k)
+        pos_sum += (place(arrays, pack, q, k) + place(arrays, pack, q + 1, k)) + (
+            place(arrays, pack, q + 2, k) + place(arrays, pack, q + 3, k)
         )
-        rest_sum += (rest(batch, pack, q, k) + rest(batch, pack, q + 1, k)) + (
-            rest(batch, pack, q + 2, k) + rest(batch, pack, q + 3, k)
+        rest_sum += (rest(arrays, pack, q, k) + rest(arrays, pack, q + 1, k)) + (
+            rest(arrays, pack, q + 2, k) + rest(arrays, pack, q + 3, k)
         )
         q += 4
     while q < end:
-        pos_sum += place(batch, pack, q, k)
-        rest_sum += rest(batch, pack, q, k)
+        pos_sum += place(arrays, pack, q, k)
+        rest_sum += rest(arrays, pack, q, k)
         q += 1
     n = wp.float64(end - begin)
     x, y, hx, hy = pos_sum[0] / n, pos_sum[1] / n, rest_sum[0] / n, rest_sum[1] / n
     angle, weight, crosses = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
     for i in range(begin, end):
-        point, origin = place(batch, pack, i, k), rest(batch, pack, i, k)
+        point, origin = place(arrays, pack, i, k), rest(arrays, pack, i, k)
         a, c, w = turn(point[0] - x, point[1] - y, origin[0] - hx, origin[1] - hy)
         angle += a * w
         weight += w
@@ -147,21 +147,21 @@ def orientations(batch: Batch, o: int, out: wp.array(dtype=wp.float64)):
 
 
 @kernel
-def points(batch: Batch, o: int, what: int, out: wp.array3d(dtype=wp.float64)):
+def points(arrays: SensingArrays, o: int, what: int, out: wp.array3d(dtype=wp.float64)):
     """Positions (what 0), velocities (1) or positions about the centre of mass (2): [environment, point, axis]."""
     env = wp.tid()
-    pack, k, begin, end = points_of(batch, env, o)
+    pack, k, begin, end = points_of(arrays, env, o)
     x, y = wp.float64(0.0), wp.float64(0.0)
     if what == 2:
-        x, y = centre(batch, pack, k, begin, end)
+        x, y = centre(arrays, pack, k, begin, end)
     for i in range(begin, end):
-        n, p = i - begin, row(batch, pack, i, k)
+        n, p = i - begin, row(arrays, pack, i, k)
         if what == 1:
-            out[env, n, 0] = batch.vel[pack, 2 * p, k]
-            out[env, n, 1] = batch.vel[pack, 2 * p + 1, k]
+            out[env, n, 0] = arrays.vel[pack, 2 * p, k]
+            out[env, n, 1] = arrays.vel[pack, 2 * p + 1, k]
         else:
-            out[env, n, 0] = batch.pos[pack, 2 * p, k] - x
-            out[env, n, 1] = batch.pos[pack, 2 * p + 1, k] - y
+            out[env, n, 0] = arrays.pos[pack, 2 * p, k] - x
+            out[env, n, 1] = arrays.pos[pack, 2 * p + 1, k] - y
 
 
 @wp.func
@@ -177,34 +177,34 @@ def cross(a: wp.vec2d, b: wp.vec2d):
 
 
 @kernel
-def extents(batch: Batch, o: int, out: wp.array(dtype=wp.vec2d)):
+def extents(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.vec2d)):
     """Width and height of the bounding box of one object [environment]."""
     env = wp.tid()
-    pack, k, begin, end = points_of(batch, env, o)
+    pack, k, begin, end = points_of(arrays, env, o)
     if end <= begin:
         return
-    low = place(batch, pack, begin, k)
+    low = place(arrays, pack, begin, k)
     high = low
     for p in range(begin + 1, end):
-        point = place(batch, pack, p, k)
+        point = place(arrays, pack, p, k)
         low, high = wp.min(low, point), wp.max(high, point)
     out[env] = high - low
 
 
 @kernel
-def hulls(batch: Batch, o: int, out: wp.array(dtype=wp.float64)):
+def hulls(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.float64)):
     """Area of the convex hull of one object [environment].
 
     Wraps the hull in two chains, up from the lowest point along its right side and down along its left: each
     step goes strictly on in one order of the points, so that rounding cannot send it round in circles.
     """
     env = wp.tid()
-    pack, k, begin, end = points_of(batch, env, o)
+    pack, k, begin, end = points_of(arrays, env, o)
     if end <= begin:
         return
-    low = place(batch, pack, begin, k)
+    low = place(arrays, pack, begin, k)
     for p in range(begin + 1, end):
-        point = place(batch, pack, p, k)
+        point = place(arrays, pack, p, k)
         if later(point, low):
             low = point
     here = low  # the area is a fan of triangles about the lowest point
@@ -214,7 +214,7 @@ def hulls(batch: Batch, o: int, out: wp.array(dtype=wp.float64)):
         found = int(0)
         best = here
         for p in range(begin, end):
-            point = place(batch, pack, p, k)
+            point = place(arrays, pack, p, k)
             ahead = later(here, point)
             if up == -1:
                 ahead = later(point, here)
@@ -242,13 +242,13 @@ def seen(y: wp.float64, at: wp.float64, best: wp.float64, up: int):
 
 @wp.func
 def edge(window: int, reach: int, side: int):
-    """Where a window begins (side -1) or ends (1), from the centre of mass, in voxels."""
+    """The beginning (side -1) or end (1) of a window, from the centre of mass, in voxels."""
     return wp.float64(window - reach) + wp.float64(side) * wp.float64(0.5)
 
 
 @kernel
 def scans(
-    batch: Batch, o: int, reach: int, sight: wp.float64, up: int,
+    arrays: SensingArrays, o: int, reach: int, sight: wp.float64, up: int,
     column: wp.array2d(dtype=int), static_points: wp.array2d(dtype=wp.vec2d), moving: wp.array(dtype=int),
     out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
@@ -258,13 +258,13 @@ def scans(
     ``moving`` lists objects that can move (-1: none). In voxels until the last line, as released.
     """
     env = wp.tid()
-    pack, k, begin, end = points_of(batch, env, o)
-    frame = batch.frame[batch.pack_mesh[pack]]
+    pack, k, begin, end = points_of(arrays, env, o)
+    frame = arrays.frame[arrays.pack_mesh[pack]]
     x, y = wp.float64(0.0), wp.float64(0.0)
     for i in range(begin, end):
-        p = row(batch, pack, i, k)
-        x += batch.pos[pack, 2 * p, k] / VOXEL
-        y += batch.pos[pack, 2 * p + 1, k] / VOXEL
+        p = row(arrays, pack, i, k)
+        x += arrays.pos[pack, 2 * p, k] / VOXEL
+        y += arrays.pos[pack, 2 * p + 1, k] / VOXEL
     n = wp.float64(end - begin)
     x, y = x / n, y / n
     last = column.shape[1] - 2
@@ -281,16 +281,16 @@ def scans(
     for m in range(moving.shape[0]):
         listed = wp.vec2i(0, 0)
         if moving[m] >= 0:
-            listed = span_of(batch, pack, moving[m], k)
+            listed = span_of(arrays, pack, moving[m], k)
         for i in range(listed[0], listed[1]):
-            p = row(batch, pack, i, k)
-            px = batch.pos[pack, 2 * p, k] / VOXEL
+            p = row(arrays, pack, i, k)
+            px = arrays.pos[pack, 2 * p, k] / VOXEL
             if wp.abs(px - x) < wp.float64(reach + 1):
                 # Rounding may put it into a neighbour of the window that its distance says.
                 about = int(wp.floor(px - x + wp.float64(0.5))) + reach
                 for window in range(wp.max(about - 1, 0), wp.min(about + 1, 2 * reach) + 1):
                     if px > x + edge(window, reach, -1) and px < x + edge(window, reach, 1):
-                        out[env, window] = seen(batch.pos[pack, 2 * p + 1, k] / VOXEL, y, out[env, window], up)
+                        out[env, window] = seen(arrays.pos[pack, 2 * p + 1, k] / VOXEL, y, out[env, window], up)
     for window in range(2 * reach + 1):
         out[env, window] = out[env, window] * VOXEL
 
@@ -299,10 +299,10 @@ KERNELS = {k.func.__name__: k for k in (centres, orientations, points, extents, 
 
 
 def record(state, name: str, dim, *inputs) -> wp.Launch | device.Command:
-    """A command that runs one sensing kernel; ``inputs`` follow the batch, which all of them take."""
-    batch = Batch()
+    """A command that runs one sensing kernel; ``inputs`` follow the arrays, which all of them take."""
+    arrays = SensingArrays()
     for field in ("pos", "vel", "rest_pos", "order", "object_range", "frame", "pack_mesh"):
-        setattr(batch, field, state.arrays[field])
+        setattr(arrays, field, state.arrays[field])
     for field in ("env_pack", "env_lane"):
-        setattr(batch, field, getattr(state, field))
-    return device.record(KERNELS[name], dim, [batch, *inputs], state.device)
+        setattr(arrays, field, getattr(state, field))
+    return device.record(KERNELS[name], dim, [arrays, *inputs], state.device)

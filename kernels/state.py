@@ -1,4 +1,4 @@
-"""What the kernels read and write: Model (what bodies and worlds are), Data (state, per environment) and Tape
+"""The arrays of the kernels: Model (bodies and worlds), Data (state, per environment) and Tape
 (derivatives, and what they are computed from).
 
 The tables below say every array's type, shape and meaning once; structs and allocations follow from them. Shape
@@ -215,7 +215,7 @@ TAPE = {
         "unit vector halfway, stiffness or share of a correction, force density, unit vector at the start",
     ),
 }
-"""Of one control step at a time (see :mod:`warpvox.kernels.reverse`); ``trail`` are points times sub-steps plus 1."""
+"""Arrays of one control step (see :mod:`warpvox.kernels.reverse`); ``trail`` are points times sub-steps plus 1."""
 
 
 def rows(shape: str, sizes: dict[str, int]) -> tuple[int, ...]:

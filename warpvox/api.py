@@ -1,4 +1,4 @@
-"""What the command line does, from Python: train a policy, load one."""
+"""The command line's work from Python: train a policy, load one."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ SIDE_ENDS = (
     (TR, BR),
 )  # top, bottom, left, right: the order in which sides are made
 FILL = {"pushed": -1, "fixed_at": -1, "order": -1}
-"""What pads tables, if not 0."""
+"""Padding of tables, if not 0."""
 NOTHING_MOVES = "The world has nothing that can move: add a robot or an object with a cell that is not fixed."
 SIDE_BIT = {"top": 1, "right": 2, "bottom": 4, "left": 8}
 

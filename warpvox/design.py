@@ -53,7 +53,7 @@ ZOO = Path(__file__).parent / "robots" / "data"
 """The stored robots that come with the package, ``TASK.npz``."""
 
 LEAST_CHANCE = 1e-6
-"""Of a cell to be an actuator; below it hardly any body has one."""
+"""Least probability of a cell to be an actuator; below it hardly any body has one."""
 
 _MAX_DRAWS = 2_000_000
 _FILE_SUFFIXES = (".json", ".npz", ".npy")

@@ -18,9 +18,9 @@ from warpvox.types import AXES
 __all__ = ["SMOOTHING", "Gradients"]
 
 SMOOTHING = 8e-4
-"""Of contacts with terrain, simulator units: 0.8 % of a voxel. ``warpvox bench suite=gradients`` compares others."""
+"""Smoothing of contacts with terrain in simulator units, 0.8 % of a voxel; ``bench suite=gradients`` has others."""
 PARTS = ("pos", "vel", "true_vel")
-"""What a control step changes, in the order of a state."""
+"""Fields that a control step changes, in the order of a state."""
 
 
 class Gradients:
@@ -64,7 +64,7 @@ class Gradients:
         self._env = tuple(wp.to_torch(array).long() for array in (buffers.env_pack, buffers.env_lane))
         count = min(sim.threads, buffers.packs) if sim.device == "cpu" else 1
         cuts = [buffers.packs * k // count for k in range(count + 1)]
-        self._shares = [
+        self._launches = [
             record_reverse(buffers, tape, substeps, begin, end - begin) for begin, end in itertools.pairwise(cuts)
         ]
 
@@ -143,7 +143,7 @@ class Gradients:
         sim.set_state(before | _parts(state) | {"frozen": torch.zeros_like(before["frozen"])})
         sim.take(actions)
         sim.place_actions()
-        sim.run(self._shares)
+        sim.run(self._launches)
         by_start = torch.stack([part[place] * real for part in self._by], dim=1)
         low, high = sim.action_range
         by_actions = self._by_action[pack, :, lane] * ((actions >= low) & (actions <= high))

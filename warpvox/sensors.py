@@ -1,4 +1,4 @@
-"""What a simulation senses: positions of points, centres of mass, orientations, hulls, scans of the terrain."""
+"""Sensing in a simulation: positions of points, centres of mass, orientations, hulls, scans of the terrain."""
 
 from __future__ import annotations
 

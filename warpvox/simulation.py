@@ -110,7 +110,7 @@ class Simulation(Sensing):
         self._loose = self._objects.loose_points(self.loose)
         self.begin_threads()
         _living.add(self)
-        self._shares: list[Recorded] = []
+        self._launches: list[Recorded] = []
         self._take: Recorded | None = None
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
         self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
@@ -169,10 +169,10 @@ class Simulation(Sensing):
 
     def advance(self) -> None:
         """The second half of :meth:`step`; on CUDA it goes to torch's current stream, and a graph may capture it."""
-        if not self._shares:
-            self._shares = self._record_shares()
+        if not self._launches:
+            self._launches = self._record_launches()
         self.place_actions()
-        self.run(self._shares)
+        self.run(self._launches)
 
     def place_actions(self) -> None:
         """Clip the actions taken and sort them into the buffers, as :meth:`advance` does first."""
@@ -181,10 +181,10 @@ class Simulation(Sensing):
         if self.num_actions:
             self._take.launch()
 
-    def run(self, shares: Sequence[Recorded]) -> None:
+    def run(self, launches: Sequence[Recorded]) -> None:
         """Launch commands that change the points, each for some of the packs: side by side, if there are several."""
-        jobs = [self._pool.submit(share.launch) for share in shares[1:]]
-        shares[0].launch()
+        jobs = [self._pool.submit(launch.launch) for launch in launches[1:]]
+        launches[0].launch()
         for job in jobs:
             job.result()
         self._centres_are_new = False
@@ -193,7 +193,7 @@ class Simulation(Sensing):
         """Begin the threads that :meth:`run` hands work to; a forked process does so by itself."""
         self._pool = ThreadPoolExecutor(self.threads)
 
-    def _record_shares(self) -> list[Recorded]:
+    def _record_launches(self) -> list[Recorded]:
         """On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs."""
         packs = self._state.packs
         count = min(self.threads, packs) if self.device == "cpu" else 1
@@ -326,7 +326,7 @@ class Simulation(Sensing):
 
     @property
     def num_designs(self) -> int:
-        """How many different worlds there are."""
+        """Number of different worlds."""
         return len(self._batch.worlds)
 
     @property

@@ -109,7 +109,7 @@ def usable_cores() -> int:
 
 
 def processor_name() -> str:
-    """What the processor calls itself."""
+    """The name that the processor gives itself."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
@@ -146,7 +146,7 @@ def _linux_memory(root: Path = Path("/")) -> int | None:
 
 
 def _left_of_groups(root: Path = Path("/")) -> int | None:
-    """What is left below the limits of the control groups that the process is in, of either version."""
+    """Bytes that are left below the limits of the control groups that the process is in, of either version."""
     try:
         lines = (root / "proc/self/cgroup").read_text().splitlines()
     except OSError:

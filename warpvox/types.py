@@ -27,7 +27,7 @@ ACTION_LOW, ACTION_HIGH = 0.6, 1.6
 
 
 class Cell(IntEnum):
-    """What a cell of a body or world holds (paper section A.1)."""
+    """Types of cells of bodies and worlds (paper section A.1)."""
 
     EMPTY = 0
     RIGID = 1

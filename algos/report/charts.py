@@ -17,7 +17,7 @@ SIZE, PANEL = (920, 340), (440, 250)
 """Pixels of a chart that has a row for itself, and of one of several."""
 LEFT, RIGHT, TOP, BOTTOM = 56, 16, 28, 40
 COLOURS = (1, 2, 4, 5, 6, 7)
-"""Of things that are compared; colour 3 is for what is less important."""
+"""Colours of things that are compared; colour 3 is for what is less important."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ __all__ = ["Comparison", "compare", "comparison_html", "comparison_sheet"]
 
 MEASURES = {"interquartile mean": interquartile_mean, "mean": mean, "optimality gap": optimality_gap}
 THRESHOLDS = 61
-"""Of a performance profile."""
+"""Points of a performance profile."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Comparison:
         }
 
     def improvements(self) -> dict[tuple[str, str], Interval]:
-        """How probable it is that a run of the first is better than one of the second, for all ordered pairs."""
+        """The probability that a run of the first is better than one of the second, for all ordered pairs."""
         return {
             (first, second): interval(improvement, self.scores[first], self.scores[second])
             for first, second in permutations(self.scores, 2)

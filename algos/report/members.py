@@ -20,7 +20,7 @@ __all__ = ["Member", "archives_in", "fitness_of", "progress", "read_members"]
 
 SUMMARY = "summary.json"
 PLACES = 200
-"""Of a curve at most."""
+"""Points of a curve, at most."""
 OWN = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
 """Settings in which runs of one algorithm may differ."""
 
@@ -52,7 +52,7 @@ class Member:
 
     @property
     def seed(self) -> int | None:
-        """Of the search."""
+        """The seed of the search."""
         return self.settings.get("seed")
 
     @cached_property
@@ -91,7 +91,7 @@ class Member:
 
     @property
     def diversity(self) -> tuple[float, float]:
-        """Of the bodies that were proposed in the first and in the last generation, see :func:`diversity`."""
+        """The :func:`diversity` of the bodies proposed in the first and in the last generation."""
         searched = [record.candidate for record in self.records if record.candidate.origin != FINALIST]
         last = max((candidate.generation for candidate in searched), default=0)
         first, end = (

@@ -1,4 +1,4 @@
-"""What the pages of this package have in common: a frame with style and script, lists of facts, rows of tables."""
+"""Common parts of the pages of this package: a frame with style and script, lists of facts, rows of tables."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ NOTHING = 1e-9
 
 @dataclass
 class Climb:
-    """Where climbing has ended, for each of n functions.
+    """Results of climbing each of n functions.
 
     Attributes:
         start: int ``[n]``, place in the pool where each began.

@@ -61,7 +61,7 @@ def first_valid(
 
 
 def count_valid(shape: tuple[int, int]) -> int:
-    """How many valid bodies of a small ``shape`` there are, by trying all (5 to the power of the cells)."""
+    """The number of valid bodies of a small ``shape``, by trying all (5 to the power of the cells)."""
     cells = shape[0] * shape[1]
     codes = np.arange(CELL_TYPES**cells, dtype=np.int64)[:, None] // CELL_TYPES ** np.arange(cells) % CELL_TYPES
     return int(are_valid(codes.reshape(-1, *shape)).sum())

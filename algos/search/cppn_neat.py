@@ -25,7 +25,7 @@ from warpvox.errors import ConfigError, SearchError
 __all__ = ["CppnNeatSearch", "inputs", "neat_config", "paint"]
 
 INPUTS = 3
-"""Of a network: x, y and the distance from the middle."""
+"""Inputs of a network: x, y and the distance from the middle."""
 
 ROUNDS = 2000
 """Rounds of fresh networks in place of those that paint nothing new, before there is nothing new to paint."""
@@ -71,7 +71,7 @@ def neat_config(settings: CppnNeatSettings) -> neat.Config:
 
 
 def inputs(shape: tuple[int, int]) -> np.ndarray:
-    """What a network sees of each voxel, row by row: ``[cells, 3]``, x to the right and y down from the middle."""
+    """Inputs of a network for each voxel, row by row: ``[cells, 3]``, x to the right and y down from the middle."""
     rows, columns = shape
     y, x = np.mgrid[:rows, :columns].reshape(2, -1) - np.array([[(rows - 1) / 2], [(columns - 1) / 2]])
     return np.stack([x, y, np.hypot(x, y)], 1)
@@ -106,7 +106,7 @@ class CppnNeatSearch(BaseSearch):
         self.ids: dict[int, int] = {}
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """What the children of the last generation paint, and fresh networks in place of the useless ones."""
+        """Bodies that the children of the last generation paint; fresh networks replace the useless ones."""
         with own_random(int(rng.integers(2**63))):
             bred = self._breed()
             elites = {key: genome for key, genome in bred.items() if key in self.ids}

@@ -1,4 +1,4 @@
-"""What kind of body it is, in numbers from 0 to 1: the axes along which MAP-Elites keeps designs apart."""
+"""Descriptors of bodies, numbers from 0 to 1: the axes along which MAP-Elites keeps designs apart."""
 
 from __future__ import annotations
 

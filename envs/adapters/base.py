@@ -1,4 +1,4 @@
-"""What adapters share: environments made from their arguments, bounds of observations and actions, pictures."""
+"""Common parts of the adapters: environments from their arguments, bounds of observations and actions, pictures."""
 
 from __future__ import annotations
 

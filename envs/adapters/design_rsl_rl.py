@@ -39,7 +39,7 @@ class RslRlDesignEnv(RslRlVecEnv):
     def controller(
         self, policy: Callable[[TensorDict], torch.Tensor], bodies: Sequence[object]
     ) -> Callable[[torch.Tensor], torch.Tensor]:
-        """What the policy does in the control stage, for environments whose bodies are given.
+        """The policy of the control stage, for environments whose bodies are given.
 
         Args:
             policy: TensorDict of observations to outputs, as ``runner.get_inference_policy()`` gives.

@@ -146,7 +146,7 @@ class RslRlVecEnv(VecEnv):
         self._sums = self._sums + torch.stack([part.sum(dtype=torch.float64) for part in parts])
 
     def pop_episodes(self) -> dict[str, float]:
-        """How many ``episodes`` ended since the last call, their mean ``return`` and ``length`` (NaN: none).
+        """The number of ``episodes`` that ended since the last call, their mean ``return`` and ``length`` (NaN: none).
 
         Returns are the task's own, not scaled. Episodes that were shortened for a random start do not count, except
         in ``unstable`` and ``diverged``: how many ended by a step that was stopped, and by divergence among them.

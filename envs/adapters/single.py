@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["RowTerms", "Sensors", "SingleStepper", "fast_stepper"]
 
 OURS = "warpvox.envs.terms."
-"""Where terms live that follow the rules: functions of states alone, without branches on values."""
+"""Package of the terms that follow the rules: functions of states alone, without branches on values."""
 _STOPPED, _DIVERGED = int(UNSTABLE | DIVERGED), int(DIVERGED)
 
 Result = tuple[np.ndarray, dict[str, float], bool, bool, bool]

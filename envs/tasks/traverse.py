@@ -12,7 +12,7 @@ __all__ = ["TASKS"]
 
 
 def _sees(terrain, *objects):
-    """What all robots of this family sense: velocity, orientation, shape and the terrain below."""
+    """Observations of all robots of this family: velocity, orientation, shape and the terrain below."""
     below = observes(terrain, reach=5, objects=objects)
     return (observes(velocity), observes(orientation), observes(shape), below)
 

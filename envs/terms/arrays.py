@@ -1,4 +1,4 @@
-"""What torch's tensors and numpy's arrays have under different names, so that every term is written once for both.
+"""Operations that torch and numpy name differently, so that every term is written once for both.
 
 A batch of environments has tensors ``[num_envs, ...]``; a single one on the CPU has arrays ``[1, ...]``, because
 starting an operation of torch takes longer than what it has to compute. What both have (operators, slices, ``abs``)

@@ -37,7 +37,7 @@ class ElapsedSteps:
 
 
 def timed_observations(terms: tuple[Observation, ...], episodes: Episodes) -> tuple[Observation, ...]:
-    """What the task observes, then the time."""
+    """The observations of the task, then the time."""
     return (*terms, Observation(ElapsedSteps(episodes)))
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpvox.batch.frames import Bodies
+from warpvox.batch.frames import RobotBodies
 from warpvox.batch.grid_mesh import GridMesh, most_points, pack_bits
 from warpvox.compile import Body, mesh
 from warpvox.design import full_connections
@@ -77,7 +77,7 @@ def own_rigid(body: Body) -> list[tuple[int, ...]]:
 def test_every_lane_has_the_mesh_of_its_body(seed: int, lanes: int, cut: bool, fixed: bool, preset: str) -> None:
     physics = Physics.preset(preset)
     objects = robots(np.random.default_rng(seed), lanes, cut, fixed)
-    bodies = Bodies.of(objects)
+    bodies = RobotBodies.of(objects)
     meshes = GridMesh(bodies.in_lanes(np.arange(lanes)[None], objects[0].x, objects[0].y), physics)
     for k, obj in enumerate(objects):
         lane, body = Lane(meshes, k), mesh(obj, physics)
@@ -100,7 +100,7 @@ def test_every_lane_has_the_mesh_of_its_body(seed: int, lanes: int, cut: bool, f
 @settings(max_examples=20, deadline=None)
 def test_twins_are_pulled_by_the_springs_of_their_leaders(seed: int, cut: bool) -> None:
     objects = robots(np.random.default_rng(seed), 8, cut, False)
-    meshes = GridMesh(Bodies.of(objects).in_lanes(np.arange(8)[None], 2, 1), Physics())
+    meshes = GridMesh(RobotBodies.of(objects).in_lanes(np.arange(8)[None], 2, 1), Physics())
     for k in range(8):
         lane = Lane(meshes, k)
         springs = np.flatnonzero(meshes.spring[0, :, k])

@@ -265,7 +265,7 @@ def test_what_a_gpu_does_not_allow_is_refused(cuda: SimulatedCuda) -> None:
         there.numpy()
     with pytest.raises(RuntimeError, match="generator"):
         torch.rand(3, device="cuda", generator=torch.Generator())
-    kernel = make_vec("Walker-v0", [BODY], 1, device="cuda").sim._record_shares()[0]
+    kernel = make_vec("Walker-v0", [BODY], 1, device="cuda").sim._record_launches()[0]
     with pytest.raises(AssertionError, match="current stream"):
         kernel._command.launch(stream=("warp", 5))
     graph = torch.cuda.CUDAGraph()

@@ -96,7 +96,7 @@ def test_threads_may_run_in_any_order(order):
     state, steps = sims[1]._state, sims[1].physics.substeps
     sims[1].step(torch.ones(1, sims[1].num_actions))
     sims[0].step(torch.ones(1, sims[0].num_actions))
-    sims[1]._shares = [group.record_group(state, steps, 0, 1, order)]
+    sims[1]._launches = [group.record_group(state, steps, 0, 1, order)]
     run(sims, 6)
 
 

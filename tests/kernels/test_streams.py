@@ -227,4 +227,4 @@ def test_on_the_cpu_a_recorded_launch_is_warps_own() -> None:
     env = make_vec("Walker-v0", num_envs=1, device="cpu", threads=1, lanes=1)
     env.reset()
     env.step(torch.ones((1, env.num_actions)))
-    assert all(type(share) is wp.Launch for share in env.sim._shares)
+    assert all(type(launch) is wp.Launch for launch in env.sim._launches)

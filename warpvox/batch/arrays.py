@@ -36,7 +36,7 @@ SIZES = {
 
 @dataclass
 class Buffers:
-    """What kernels need to run: the structs, their arrays and how environments lie in them.
+    """The arguments of all kernels: the structs, their arrays and the places of environments in them.
 
     ``group`` says what the group kernel is compiled for (see :mod:`warpvox.kernels.group`), None in the lanes layout;
     ``scratch`` takes the place of its shared memory on the CPU.

@@ -19,7 +19,7 @@ from warpvox.errors import SimulationError
 from warpvox.types import Physics
 from warpvox.world import World, WorldObject
 
-__all__ = ["Bodies", "Frame", "capacities", "frame_key", "is_cut", "join"]
+__all__ = ["Frame", "RobotBodies", "capacities", "frame_key", "is_cut", "join"]
 
 CHUNK = 1_000_000  # entries of the largest array that is made at once: it stays in the cache
 
@@ -39,7 +39,7 @@ def is_cut(obj: WorldObject) -> bool:
 
 
 @dataclass
-class Bodies:
+class RobotBodies:
     """The bodies of one robot, an entry each, on the smallest common grid (lower left corners together).
 
     Attributes:
@@ -53,7 +53,7 @@ class Bodies:
     height: np.ndarray
 
     @classmethod
-    def of(cls, robots: Sequence[WorldObject], grid: tuple[int, int] = (1, 1)) -> Bodies:
+    def of(cls, robots: Sequence[WorldObject], grid: tuple[int, int] = (1, 1)) -> RobotBodies:
         """Bodies of objects, on a grid of at least ``(rows, columns)``."""
         rows = max(grid[0], *(robot.height for robot in robots))
         columns = max(grid[1], *(robot.width for robot in robots))
@@ -78,14 +78,14 @@ class Bodies:
         cut |= (a & c & ~self.down[:, :-1, :-1]) | (b & d & ~self.down[:, :-1, 1:])
         return (split | cut).reshape(len(filled), -1)
 
-    def join(self, other: Bodies) -> Bodies:
+    def join(self, other: RobotBodies) -> RobotBodies:
         """These bodies and others on a grid of the same size."""
         pairs = [(getattr(self, name), getattr(other, name)) for name in ("cells", "right", "down", "height")]
-        return Bodies(*(np.concatenate(pair) for pair in pairs))
+        return RobotBodies(*(np.concatenate(pair) for pair in pairs))
 
-    def take(self, numbers: np.ndarray) -> Bodies:
+    def take(self, numbers: np.ndarray) -> RobotBodies:
         """Some of them."""
-        return Bodies(self.cells[numbers], self.right[numbers], self.down[numbers], self.height[numbers])
+        return RobotBodies(self.cells[numbers], self.right[numbers], self.down[numbers], self.height[numbers])
 
     def in_lanes(self, index: np.ndarray, x: int, y: int) -> RobotCells:
         """The bodies that packs hold, from their numbers ``[packs, lanes]``."""
@@ -97,7 +97,7 @@ class Bodies:
 
 
 class Frame:
-    """What the worlds of a batch of packs have in common, and the tables of such packs.
+    """The common part of the worlds of a batch of packs, and the tables of such packs.
 
     Args:
         worlds: all of one frame.
@@ -113,7 +113,7 @@ class Frame:
         self.physics = physics
         self.names = sorted(name for name, obj in first.objects.items() if obj.is_robot)
         self.places = [(first.objects[name].x, first.objects[name].y) for name in self.names]
-        self.bodies = [Bodies.of([world.objects[name] for world in worlds], grid) for name in self.names]
+        self.bodies = [RobotBodies.of([world.objects[name] for world in worlds], grid) for name in self.names]
         size = max(world.width for world in worlds), max(world.height for world in worlds)
         self.others: CompiledWorld = compile_others(first, size, physics, loose)
         if not self.names and not self.others.bodies:
@@ -148,7 +148,9 @@ class Frame:
         """Add the bodies of more worlds, which fit the grid; return their numbers."""
         count = len(self.bodies[0].height)
         for k, (name, bodies) in enumerate(zip(self.names, self.bodies, strict=True)):
-            self.bodies[k] = bodies.join(Bodies.of([world.objects[name] for world in worlds], bodies.cells.shape[1:]))
+            self.bodies[k] = bodies.join(
+                RobotBodies.of([world.objects[name] for world in worlds], bodies.cells.shape[1:])
+            )
         return count + np.arange(len(worlds))
 
     def keep(self, numbers: np.ndarray) -> None:

@@ -138,7 +138,7 @@ class Objects:
         return fixed[frame].to(self.device, dtype), is_fixed[frame].to(self.device)
 
     def loose_points(self, names: Sequence[str]) -> tuple[torch.Tensor, ...]:
-        """Of all points of loose objects, for every environment: row, cell and height of the object, column and row."""
+        """All points of loose objects, for every environment: row, cell and height of the object, column and row."""
         tables: list[list[list[int]]] = []
         for compiled in self._batch.compiled:
             rows = []

@@ -37,7 +37,7 @@ CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
 
 @dataclass(frozen=True)
 class SimOptions:
-    """How environments are computed: taken by everything that makes some, whole as ``sim`` or one by one by name.
+    """Options of a simulation: taken by everything that makes some, whole as ``sim`` or one by one by name.
 
     Attributes:
         device: ``auto`` (CUDA where there is one, from 100 environments per CPU core on), ``cpu``, ``cuda[:<index>]``.

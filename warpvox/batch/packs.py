@@ -234,7 +234,7 @@ class Batch:
         return {name: pad([part[name] for part in parts], -1 if name == "fixed_at" else 0) for name in FRAME_TABLES}
 
     def capacities(self) -> dict[str, int]:
-        """What bodies up to ``grid`` may need at most; empty without one."""
+        """Capacities that bodies up to ``grid`` may need; empty without one."""
         if self.grid is None:
             return {}
         most = [capacities(frame, *self.grid, self.cut) for frame in self.frames]

@@ -28,7 +28,7 @@ PERIOD = 10
 MIDDLE, SWING = 1.1, 0.5
 """Actions are MIDDLE + SWING tanh(table)."""
 RATE, BETAS = 0.1, (0.8, 0.95)
-"""Of Adam on the tables."""
+"""Adam's rate and betas, on the tables."""
 COST = 5
 """Random waves are tried so many times as often as gradients: about what the reverse pass costs."""
 TIMED = 20

@@ -33,7 +33,7 @@ STAGES = {
     "limit": "strain limits, new positions",
     "check": "self-folding",
 }
-"""What the stages do, by the name of their function; of one not listed the name is shown."""
+"""Descriptions of the stages by the name of their function; one that is not listed is shown by its name."""
 
 
 def run(config: Any, report: Report) -> dict[str, Any]:
@@ -112,7 +112,7 @@ def _nothing():
 
 
 def _launch_seconds(device: str) -> float:
-    """What launching takes and reading the clock."""
+    """Seconds of a launch and of reading the clock."""
     command = record(_nothing, 1, [], device)
     times = []
     for _ in range(200):

@@ -15,7 +15,7 @@ __all__ = ["Progress"]
 
 
 class Progress:
-    """What the parts of a check have found so far.
+    """The findings of the parts of a check so far.
 
     Files are written whole or not at all, so a reader of the folder, meanwhile or after the process was killed, finds
     everything up to the last row.

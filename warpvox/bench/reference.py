@@ -24,7 +24,7 @@ __all__ = ["Reference", "find_python310", "make_reference", "open_reference", "r
 
 PACKAGE = "evogym==2.0.0"
 WORKS_WITH = "numpy<2"
-"""What the release was built against."""
+"""The numpy that the release was built against."""
 WORKER = Path(__file__).with_name("reference_worker.py")
 HOW_TO_GET_IT = (
     f"peer.make=true makes it, or python3.10 -m venv ref && ref/bin/pip install {PACKAGE}, peer.python=ref/bin/python"
@@ -57,7 +57,7 @@ def reference_python(config: Any, report: Any) -> str | None:
 
 
 def reference_folder() -> Path:
-    """Where ``peer.make`` puts the environment, and where it is looked for."""
+    """The folder where ``peer.make`` puts the environment, and where it is looked for."""
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(cache) / "warpvox" / "reference"
 

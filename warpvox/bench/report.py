@@ -1,4 +1,4 @@
-"""What a suite shows: tables and sentences on the terminal, the same as Markdown, and plots."""
+"""The output of a suite: tables and sentences on the terminal, the same as Markdown, and plots."""
 
 from __future__ import annotations
 

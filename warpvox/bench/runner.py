@@ -37,7 +37,7 @@ def clock(device: str) -> float:
 
 
 def unit(device: str) -> str:
-    """What rates are per."""
+    """The unit of time of rates."""
     return "second of CPU time" if device == "cpu" else "second"
 
 
@@ -110,7 +110,7 @@ class Runner:
         return count * self.num_envs / (self.now() - began)
 
     def repeats(self, column: str, repeats: int) -> int:
-        """How often a column is measured: fewer times where an iteration of training is longer than the limit."""
+        """Repetitions of a column: fewer where an iteration of training is longer than the limit."""
         if column != "training":
             return repeats
         seconds = load("train", []).ppo.steps * self.num_envs / self.rate("step", LEAST_STEPS)

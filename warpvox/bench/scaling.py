@@ -23,8 +23,8 @@ from warpvox.system import usable_cores
 
 __all__ = ["run"]
 
-SHARE = 0.7
-"""Of the free memory that environments may take."""
+MEMORY_SHARE = 0.7
+"""Share of the free memory that environments may take."""
 STEPS_PER_SECOND = 50
 """Control steps of a simulated second (section A.2)."""
 PACK, SMALL = 32, 25
@@ -157,7 +157,7 @@ def scale_envs(config: Any, report: Report) -> list[dict[str, Any]]:
     """The columns for numbers of environments; what needs too much time or memory is left out, with the reason."""
     body, rows, left_out, needed = one_body(config), [], [], 0.0
     for count in sorted(config.scaling.envs):
-        if count * needed > SHARE * available_memory(config.device):
+        if count * needed > MEMORY_SHARE * available_memory(config.device):
             left_out.append(f"{count:,} (memory: {count * needed / 2**30:.1f} GiB)")
             continue
         case = Case(f"{count:,}", config.task, [body], count)

@@ -1,4 +1,4 @@
-"""What to say when memory runs out, on a GPU or in the machine."""
+"""Messages for when memory runs out, on a GPU or in the machine."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SENTENCE = re.compile(r"(?<=[.!])\s+(?=[A-Z])")
 
 
 def shortage(error: BaseException) -> str | None:
-    """What could not be allocated according to an error, as part of a sentence; None if it is another error."""
+    """The allocation that failed according to an error, as part of a sentence; None if it is another error."""
     if not isinstance(error, (MemoryError, RuntimeError)):
         return None
     text = " ".join(str(error).split())

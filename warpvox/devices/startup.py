@@ -18,7 +18,7 @@ from typing import Any
 __all__ = ["LOGGER", "start_warp"]
 
 LOGGER = logging.getLogger("warpvox")
-"""Where the line about compilation goes, as a warning: it shows without any configuration."""
+"""Takes the line about compilation, as a warning: it shows without any configuration."""
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 """Warp's native code prints this on every machine without a GPU, whatever its log level is."""
 BUILDERS = {"build_cpu": "the CPU", "build_cuda": "CUDA"}

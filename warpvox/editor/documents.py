@@ -1,4 +1,4 @@
-"""What the design editor edits: a body or a world, drawn on one grid of cells.
+"""Documents of the design editor: a body or a world, drawn on one grid of cells.
 
 A document is a JSON object: ``kind`` ("body" or "world"), ``names`` (of the objects; a body has one, "robot"),
 ``types`` (rows of cells, row 0 on top) and ``owners`` (rows of the same size: which of the names a cell belongs

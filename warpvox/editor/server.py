@@ -99,7 +99,7 @@ class EditorServer(ThreadingHTTPServer):
         return {"message": check(_document(ask))}
 
     def files(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """What can be opened."""
+        """The files that can be opened."""
         return {"files": file_names(self.folder)}
 
     def open(self, ask: dict[str, Any]) -> dict[str, Any]:
@@ -211,7 +211,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(json.dumps(answer).encode(), "application/json")
 
     def _path(self) -> str:
-        """What follows the token in the address."""
+        """The part of the address that follows the token."""
         if self.headers.get("Host", "") not in self.server.hosts:
             raise _Refused(HTTPStatus.FORBIDDEN, "This server answers to its own name only.")
         origin = self.headers.get("Origin")

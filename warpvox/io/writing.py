@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 MARK = ".part-"
-"""How the names of files begin that are being written."""
+"""Beginning of the names of files that are being written."""
 
 ADVICE = {
     errno.ENOSPC: "no space is left on its disk; free some, or use a folder on another disk",
@@ -49,7 +49,7 @@ ADVICE = {
     errno.ENOTDIR: "a file stands where its folder should be; move that file away, or use another folder",
     errno.EIO: "the disk has failed (input/output error); use another disk",
 }
-"""What may be wrong with a disk, and what to do about it."""
+"""Errors of a disk, and what to do about them."""
 OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of the system that are no defect of ours, wherever they appear: in a log, a cache, a library's own file."""
 OF_FULL_DISKS = {errno.ENOSPC, errno.EDQUOT}
@@ -121,7 +121,7 @@ def writing(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def complaint(error: OSError) -> str:
-    """What the system complains of, and what to do about it, as the end of a sentence."""
+    """The system's complaint, and what to do about it, as the end of a sentence."""
     return ADVICE.get(error.errno or 0) or error.strerror or str(error) or type(error).__name__
 
 

@@ -34,7 +34,7 @@ FOLDER = ZOO
 DIGITS = 9
 """Decimals of recorded returns. Rewards are sums over points, which round differently (about 1e-15) on other CPUs."""
 GAIT = {"kind": "gait"}
-"""What the header of a file says of an open-loop policy; its numbers are in the arrays."""
+"""The header of a file with an open-loop policy, whose numbers are in the arrays."""
 LARGEST, LARGEST_HEADER = 1 << 26, 1 << 20
 """Bytes of a file's arrays, and of its header."""
 
@@ -68,7 +68,7 @@ class Robot:
 
     @property
     def obs(self) -> str:
-        """What its policy observes, as ``make_vec`` names it: ``timed`` for a gait, else ``task``."""
+        """The observations of its policy, as ``make_vec`` names them: ``timed`` for a gait, else ``task``."""
         return "timed" if isinstance(self.policy, Gait) else "task"
 
     @property
@@ -79,7 +79,7 @@ class Robot:
 
     @property
     def sha256(self) -> str:
-        """Of body, connections and policy."""
+        """Digest of body, connections and policy."""
         total = hashlib.sha256(json.dumps([self.task, _network(self.policy)], sort_keys=True).encode())
         for name, array in _arrays(self).items():
             total.update(f"{name} {array.shape} ".encode() + array.astype(array.dtype.newbyteorder("<")).tobytes())

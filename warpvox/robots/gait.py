@@ -15,7 +15,7 @@ __all__ = ["ARRAYS", "Gait"]
 ARRAYS = ("begin", "period", "amplitude", "phase", "rest")
 """The arrays of a gait, by their names in files."""
 CENTER, SCALE = np.float32(1.1), np.float32(0.5)
-"""Of the range of actions: its middle, and half its width."""
+"""The middle of the range of actions, and half its width."""
 
 
 @dataclass(frozen=True, eq=False)

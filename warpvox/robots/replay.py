@@ -1,4 +1,4 @@
-"""What a stored robot gets: episodes in exact arithmetic, which any machine repeats."""
+"""Replay of stored robots: episodes in exact arithmetic, which any machine repeats."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from warpvox.types import Cell
 __all__ = ["SEEDS", "Judgement", "by_cell", "judge", "policy_of_checkpoint", "recorded", "robot_env", "torch_policy"]
 
 BY_CELL = ("amplitude", "phase", "rest")
-"""What a gait has for each actuator, and a checkpoint of it for each cell of a grid."""
+"""Fields that a gait has for each actuator, and a checkpoint of it for each cell of a grid."""
 SEEDS = tuple(range(1000, 1008))
-"""Of the episodes of a task that draws something at random; other tasks have one episode."""
+"""Seeds of the episodes of a task that draws something at random; other tasks have one episode."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from PIL import Image
 __all__ = ["PART_BYTES", "write_pictures"]
 
 PART_BYTES = 1 << 24
-"""Of pictures that are encoded together (16 MiB)."""
+"""Bytes of the pictures that are encoded together (16 MiB)."""
 HEADER, TRAILER = 13, b";"
 """Bytes of the fixed header; what ends a file."""
 

@@ -91,7 +91,7 @@ def _smooth(values: np.ndarray, width: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Mesh:
-    """What of a moving object is painted: cells, and sides once each with what they separate."""
+    """The painted parts of a moving object: cells, and sides once each with what they separate."""
 
     corners: np.ndarray  # [cells, 4]
     cells: np.ndarray  # [cells]

@@ -138,7 +138,7 @@ class Rollout:
 
     @property
     def names(self) -> list[str]:
-        """What pictures call the environments: ``metadata["names"]`` where it has one for each, else their numbers."""
+        """Names of the environments in pictures: ``metadata["names"]`` if it has one for each, else their numbers."""
         names = self.metadata.get("names")
         if not isinstance(names, list) or len(names) != self.num_envs:
             names = range(self.num_envs)

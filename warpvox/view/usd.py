@@ -44,16 +44,16 @@ SUBSET_NAMES = {
     Cell.V_ACT: "actuator_vertical",
     Cell.FIXED: "fixed",
 }
-COLUMNS = 8  # environments side by side
+ENVS_PER_ROW = 8  # environments side by side
 GAP = 10 * VOXEL  # between environments
 VIEW = 14 * VOXEL  # height of what the following camera sees
 BEHIND = 0.001  # the terrain's distance behind the voxels, against flicker where they touch
 APERTURE = (20.955, 11.787)  # of the cameras, mm: 35 mm film cut to 16:9
 FOCAL = 50.0
 BYTES_OF_POINT, BYTES_OF_CELL = 26, 10
-"""Of a frame, at the peak: samples, and what they are made from."""
-SHARE = 0.9
-"""Of the memory that is free, what may be taken."""
+"""Bytes in a frame, at the peak: samples, and what they are made from."""
+MEMORY_SHARE = 0.9
+"""Share of the free memory that may be taken."""
 
 
 def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | None = None, stride: int = 1) -> Path:
@@ -115,8 +115,8 @@ def _check_fits(rollout: Rollout, envs: list[int], frames: int, stride: int) -> 
     cells = sum(len(rollout.scene(env).cells) for env in envs)
     points = sum(rollout.scene(env).num_points for env in envs)
     needed, free = frames * (BYTES_OF_POINT * points + BYTES_OF_CELL * cells), free_memory("cpu")
-    if free is not None and needed > SHARE * free:
-        least = -(-stride * needed // int(SHARE * free))
+    if free is not None and needed > MEMORY_SHARE * free:
+        least = -(-stride * needed // int(MEMORY_SHARE * free))
         raise RolloutError(
             f"A USD stage of {frames:,} frames needs about {needed / 2**30:.3g} GiB, and {free / 2**30:.3g} GiB are"
             f" free; write every {least}th frame (every={least}) or fewer environments."
@@ -174,11 +174,11 @@ def _linear(colour: np.ndarray) -> np.ndarray:
 
 
 def _places(rollout: Rollout, envs: list[int]) -> np.ndarray:
-    """Where environments stand, float64 ``[envs, 2]``: in rows of COLUMNS, all cells of one size."""
+    """Places of the environments, float64 ``[envs, 2]``: in rows of ENVS_PER_ROW, all cells of one size."""
     sizes = np.array([[rollout.scene(env).width, rollout.scene(env).height] for env in envs]) * VOXEL
     step = sizes.max(axis=0) + GAP
     number = np.arange(len(envs))
-    return np.stack([number % COLUMNS, -(number // COLUMNS)], axis=1) * step
+    return np.stack([number % ENVS_PER_ROW, -(number // ENVS_PER_ROW)], axis=1) * step
 
 
 def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, materials: dict[Cell, Any]) -> None:

@@ -14,7 +14,7 @@ __all__ = ["OTHERWISE", "Window", "why_no_window"]
 
 SWITCH = "WARPVOX_WINDOW"
 OTHERWISE = f"Render pictures instead (mode 'rgb_array'), or set {SWITCH}=none to go on without showing anything."
-"""What to do where there is no window, for error messages."""
+"""Advice where there is no window, for error messages."""
 
 
 def _wanted() -> bool:
@@ -26,7 +26,7 @@ def _wanted() -> bool:
 
 
 def why_no_window() -> str | None:
-    """What keeps this machine from showing a window, as half a sentence ("there is no display ..."), or None.
+    """The reason why this machine cannot show a window, as half a sentence ("there is no display ..."), or None.
 
     A display that is named but does not answer is only noticed by :class:`Window`. With ``WARPVOX_WINDOW=none`` nothing
     does: windows then show nothing.
