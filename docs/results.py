@@ -22,16 +22,14 @@ import numpy as np
 
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
-from warpvox.algos.codesign.archive import FILE as ARCHIVE
-from warpvox.algos.codesign.archive import Archive
+from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.report.members import Member, archives_in, read_members
 from warpvox.algos.statistics import mean_interval
 from warpvox.cli.config import load
 from warpvox.cli.robot_entries import command_of
 from warpvox.cli.runs import find_codesign
-from warpvox.envs.known_returns import FILE as KNOWN_RETURNS
-from warpvox.envs.known_returns import KnownReturn, known_returns
+from warpvox.envs.known_returns import FILE as KNOWN_RETURNS, KnownReturn, known_returns
 from warpvox.envs.registry import task_ids
 from warpvox.errors import ConfigError
 from warpvox.io import writing

@@ -10,8 +10,7 @@ import warp as wp
 from warpvox.kernels.broadphase import boxes, collect
 from warpvox.kernels.contact import contacts
 from warpvox.kernels.device import Command, kernel, record
-from warpvox.kernels.exact import order
-from warpvox.kernels.exact import springs as exact_springs
+from warpvox.kernels.exact import order, springs as exact_springs
 from warpvox.kernels.folding import check
 from warpvox.kernels.group import record_group
 from warpvox.kernels.kit import Kit, builder, kit_of

@@ -68,8 +68,7 @@ def train(overrides: str | Mapping[str, Any] | None = None, /, *, progress: bool
     """
     from rich.console import Console
 
-    from warpvox.cli.commands.train import make_job
-    from warpvox.cli.commands.train import train as run
+    from warpvox.cli.commands.train import make_job, train as run
     from warpvox.cli.runs import SUMMARY
 
     overrides = {"task": overrides} if isinstance(overrides, str) else overrides

@@ -20,8 +20,7 @@ from warpvox.batch.packs import Batch, group
 from warpvox.checks import check_mask
 from warpvox.compile import Body, mesh
 from warpvox.errors import ActionError, SimulationError
-from warpvox.kernels import reset as reset_stage
-from warpvox.kernels import step as step_stage
+from warpvox.kernels import reset as reset_stage, step as step_stage
 from warpvox.kernels.state import DIVERGED, OVERFLOW, STALE, UNSTABLE
 from warpvox.sensors import Recorded, Sensing
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL

@@ -11,8 +11,7 @@ from torch import nn
 from warpvox.algos.policies.gait import phase_at
 from warpvox.envs.terms.elapsed import is_timed
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.envs.voxels import FEATURES as OBSERVED
-from warpvox.envs.voxels import NUM_FEATURES
+from warpvox.envs.voxels import FEATURES as OBSERVED, NUM_FEATURES
 from warpvox.errors import ConfigError
 from warpvox.types import VOXEL
 

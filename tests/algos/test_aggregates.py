@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy import stats
 
 from warpvox.algos.aggregates import bootstrap, improvement, interquartile_mean, interval, mean, optimality_gap, profile

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from warpvox.batch.frames import RobotBodies
 from warpvox.batch.grid_mesh import GridMesh, most_points, pack_bits

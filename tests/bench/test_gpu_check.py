@@ -19,8 +19,7 @@ import torch
 from rich.console import Console
 from simulated_cuda import SimulatedCuda
 
-from warpvox.bench import gpu, gpu_checks, gpu_rates, gpu_tools
-from warpvox.bench import progress as progress_module
+from warpvox.bench import gpu, gpu_checks, gpu_rates, gpu_tools, progress as progress_module
 from warpvox.bench.progress import Progress
 from warpvox.bench.report import Report
 from warpvox.cli.config import load

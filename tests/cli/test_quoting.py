@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from warpvox.cli.config import Arguments, expand, load, to_yaml
 from warpvox.cli.help import flat_keys

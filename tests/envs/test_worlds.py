@@ -9,8 +9,7 @@ from zlib import crc32
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from warpvox.design import example_design
 from warpvox.envs.registry import get_task, task_ids

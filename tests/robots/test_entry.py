@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from warpvox.algos.checkpoints.files import PolicySpec, build_actor, load_controller, save_checkpoint, spec_dict
 from warpvox.design import full_connections, load_design

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from warpvox.algos.checkpoints.files import PolicySpec, save_checkpoint, spec_dict
 from warpvox.algos.checkpoints.policy import parse_policy, policy_text

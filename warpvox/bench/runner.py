@@ -135,8 +135,7 @@ class Runner:
 
 def training_of(env: Any) -> Any:
     """The training of a policy in these environments, by the defaults of ``warpvox train``, without evaluations."""
-    from warpvox.algos.training.runner import Runner as Training
-    from warpvox.algos.training.runner import Schedule, adapt
+    from warpvox.algos.training.runner import Runner as Training, Schedule, adapt
 
     ppo = load("train", []).ppo
     return Training(adapt(env, ppo), ppo, Schedule(total=10**6, evaluate=10**6))

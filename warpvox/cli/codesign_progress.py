@@ -17,8 +17,7 @@ from warpvox import __version__
 from warpvox.algos.candidate import FINALIST, Candidate
 from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.codesign.loop import Listener
-from warpvox.algos.report import FILE as REPORT
-from warpvox.algos.report import write_report
+from warpvox.algos.report import FILE as REPORT, write_report
 from warpvox.checks import is_number
 from warpvox.cli.cell_text import body_rows
 from warpvox.cli.console import duration, echo, figure

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.archive import FILE as ARCHIVE
-from warpvox.algos.codesign.archive import Archive, Record
+from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, options_of
 from warpvox.cli.runs import Run, as_name, find_codesign, find_run, read_summary

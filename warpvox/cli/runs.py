@@ -16,8 +16,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.codesign.archive import BACKUP, Archive, repair_hint
-from warpvox.algos.codesign.archive import FILE as ARCHIVE
+from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, repair_hint
 from warpvox.cli.plain_yaml import LARGEST_CONFIG, parse_yaml
 from warpvox.cli.provenance import provenance
 from warpvox.errors import ConfigError, RunError, StorageError, listing

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from warpvox.algos.search.bodies import CELL_TYPES, body_key, count_valid, first_valid, mutate, neighbours

@@ -12,8 +12,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from warpvox.algos.candidate import Search
 from warpvox.algos.search import ALGORITHMS, make_search, settings_from

@@ -15,8 +15,7 @@ import numpy as np
 from rich.console import Console
 
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome
-from warpvox.algos.codesign.archive import FILE as ARCHIVE
-from warpvox.algos.codesign.archive import Archive
+from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive
 from warpvox.algos.codesign.archive_export import export
 from warpvox.algos.search import make_search, settings_from
 from warpvox.algos.settings import PpoConfig

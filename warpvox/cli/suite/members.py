@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.report.members import Member as SearchResult
-from warpvox.algos.report.members import read_members
+from warpvox.algos.report.members import Member as SearchResult, read_members
 from warpvox.cli.evaluations import is_screened
 from warpvox.cli.runs import read_summary
 from warpvox.cli.suite.plan import Member
