@@ -186,7 +186,7 @@ def _commands(ours: Mapping[str, Mapping[str, str]]) -> list[str]:
 
 
 def accepted(command: str) -> bool:
-    """Whether this version takes a command line; nothing is run."""
+    """True if this version takes a command line; nothing is run."""
     _, name, *words = shlex.split(command)
     try:
         load(name, words)

@@ -27,7 +27,7 @@ WARP = 32
 BLOCK = 32
 """Threads of a CUDA block. Groups of a warp go the same way; more warps in a block would only wait for each other."""
 REGISTERS = 200
-"""Of a thread, at most, in float32: 10 warps share a multiprocessor, without spills. In float64 all 255 are taken."""
+"""Registers of a thread, at most, in float32: 10 warps fit a multiprocessor, without spills. float64 takes all 255."""
 SHARED_BYTES = 47 * 1024
 """Shared memory of the groups of a CUDA block, at most. A block has 48 KiB without asking, some of them Warp's."""
 SMALLEST, SMALL = (40, 112), 128

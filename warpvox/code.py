@@ -40,7 +40,7 @@ class Code(str):
 
 
 def is_code(text: object) -> bool:
-    """Whether a text names code, typed or not: ``FILE.py:NAME`` or ``MODULE:NAME``."""
+    """True if a text names code, typed or not: ``FILE.py:NAME`` or ``MODULE:NAME``."""
     return isinstance(text, str) and ":" in text
 
 

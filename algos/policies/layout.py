@@ -109,7 +109,7 @@ def layout_of(env: VoxelVecEnv, periods: tuple[float, ...] = CLOCK) -> VoxelLayo
 
 
 class VoxelInputs(nn.Module):
-    """What a policy makes of observations; nothing of a cell without a voxel gets through.
+    """A policy's inputs from observations; nothing of a cell without a voxel gets through.
 
     Its tables are buffers, so that they lie where the policy is: a step brings nothing to the device.
 
@@ -135,7 +135,7 @@ class VoxelInputs(nn.Module):
         return torch.cat([phase.sin(), phase.cos()], dim=1)
 
     def forward(self, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """What observations ``[rows, num_obs]`` hold.
+        """The contents of observations ``[rows, num_obs]``.
 
         Returns:
             Features of the voxels ``[rows, cells, 26]`` (:data:`INPUTS`, not scaled yet), 1 where there is a voxel

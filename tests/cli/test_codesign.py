@@ -253,7 +253,7 @@ def pair(generation: int, origin: str = "random") -> list[Candidate]:
 
 
 def test_the_time_left_counts_control_steps(watched: Callable) -> None:
-    """Of designs that are stopped early, and of finalists, which begin when the others are done."""
+    """The time of designs that are stopped early, and of finalists, which begin when the others are done."""
     make, news, archive = watched
     watch, said = make(finalists=2), []
     for generation, reports, ends in ((0, (20, 60), (100, 60)), (1, (20, 60), (100, 60)), (2, (200, 600), (600, 600))):

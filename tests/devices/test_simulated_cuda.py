@@ -1,4 +1,4 @@
-"""What the host does for a CUDA device, on a simulated one: no mix of devices, no wait in a step, one stream.
+"""The host side of a CUDA device, on a simulated one: no mix of devices, no wait in a step, one stream.
 
 Its arithmetic is that of the group layout on the CPU, which equals the lanes bit for bit.
 """
@@ -175,7 +175,7 @@ def test_gymnasium_and_stable_baselines_take_arrays_of_the_host(cuda: SimulatedC
 
 
 def test_what_does_not_fit_is_refused_before_it_is_made(cuda: SimulatedCuda, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is free is what the driver says and what torch has cached."""
+    """Free memory is what the driver says and what torch has cached."""
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2**30, 2**32))
     monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: 3 * 2**20)
     monkeypatch.setattr(torch.cuda, "memory_allocated", lambda device: 2**20)

@@ -17,12 +17,12 @@ def text_of(page: str) -> str:
 
 
 def tables(suite: str) -> str:
-    """What ``warpvox bench`` has put into the page of performance."""
+    """The tables that ``warpvox bench`` has put into the page of performance."""
     return text_of("docs/performance.md").split(f"<!-- bench {suite} -->")[1].split("<!-- end -->")[0]
 
 
 def cells(text: str, first: str) -> list[str]:
-    """Of the row that begins with ``first``, without the ranges in brackets."""
+    """Cells of the row that begins with ``first``, without the ranges in brackets."""
     (line,) = re.findall(rf"^\| {re.escape(first)} \| (.+) \|$", text, re.MULTILINE)
     return [re.sub(r" \(.*", "", cell) for cell in line.split(" | ")]
 

@@ -199,7 +199,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_folder_that_vanishes_is_told_of_and_not_made_anew(
+def test_a_folder_that_vanishes_is_told_of_and_not_made_again(
     command: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def remove(*_: Any) -> None:
@@ -235,13 +235,13 @@ def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refus
     copied: Callable, warpvox: Callable
 ) -> None:
     run = copied("train")
-    litter = run / f"{MARK}state-abc.pt"
-    litter.write_text("half")
+    leftover = run / f"{MARK}state-abc.pt"
+    leftover.write_text("half")
     with claimed(run):
         check_complaint(warpvox("train", f"resume={run}", "max_iterations=4"), "Another process is writing to")
-    assert litter.is_file()  # it may be the other's
+    assert leftover.is_file()  # it may be the other's
     assert warpvox("train", f"resume={run}", "max_iterations=4").code == 0
-    assert not litter.exists()
+    assert not leftover.exists()
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ OPTIONS = "-std=c++17 -O1 -g -fPIC -shared -w -fpermissive -fno-strict-aliasing 
 SHARED_ARRAYS = (
     "box pairs pair_bit folds pos vel true_vel goal status time drift pair_count near_count overflow".split()
 )
-"""Of the Data: what the kernel writes."""
+"""Arrays of the Data that the kernel writes."""
 
 
 def races(

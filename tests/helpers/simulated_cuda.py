@@ -84,7 +84,7 @@ class Tape(TorchDispatchMode):
 
 
 class _Stream:
-    """Of torch."""
+    """Stands for torch's class."""
 
     def __init__(self, device: Any = None, number: int = 99) -> None:
         self.cuda_stream = number
@@ -107,7 +107,7 @@ class _Generator(torch.Generator):
 
 
 class _Graph:
-    """Of torch; what is captured is done at once, which stands for the first replay."""
+    """Stands for torch's class; what is captured is done at once, which stands for the first replay."""
 
     def __init__(self) -> None:
         self.tape, self.replays = Tape(), 0
@@ -203,7 +203,7 @@ class SimulatedCuda(TorchFunctionMode):
     # ------------------------------------------------------------------------------------------------ memory
 
     def holds(self, tensor: torch.Tensor) -> bool:
-        """Whether a tensor lies on the device."""
+        """True if a tensor lies on the device."""
         with torch._C.DisableTorchFunction():
             return tensor.untyped_storage()._cdata in self._memory
 
@@ -313,7 +313,7 @@ class SimulatedCuda(TorchFunctionMode):
             self.wait(name)
 
     def _reads(self, index: Any) -> bool:
-        """Whether an index is a mask, a list, or one number of the device."""
+        """True if an index is a mask, a list, or one number of the device."""
         with torch._C.DisableTorchFunction():
             for part in index if isinstance(index, tuple) else (index,):
                 if isinstance(part, torch.Tensor):

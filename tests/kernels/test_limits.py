@@ -14,10 +14,10 @@ from warpvox.kernels.step import step_kernel
 from warpvox.simulation import Simulation
 
 INSTRUCTIONS, WAVEFRONTS = 1290, 500
-"""Of Walker-v0, an environment and sub-step: warp instructions (3,660 with one thread an environment), and wavefronts
-of shared memory, 628 with elements and groups that share banks."""
+"""Bounds for Walker-v0, an environment and sub-step: warp instructions (3,660 with one thread an environment), and
+wavefronts of shared memory, 628 with elements and groups that share banks."""
 WARPS = {80: 7, 89: 4, 90: 10, 100: 10}
-"""Of walkers, on a multiprocessor by compute capability: four environments each."""
+"""Warps of walkers on a multiprocessor, by compute capability: four environments each."""
 WALKER, FULL, CARRIER, BEAM, TRAVERSER = (36, 104), (40, 112), (45, 124), (69, 196), (344, 850)
 BLOCK_SHARED = 48 * 1024
 LANES = Limits(registers=255, stack=512, spilled=640, shared=0)

@@ -39,7 +39,7 @@ def test_groups_of_different_bodies_share_a_warp(parts, crowded_world, tmp_path)
 
 
 def test_a_barrier_that_is_missing_is_found(crowded_world, tmp_path):
-    """That between the forces of springs and their sums at the points."""
+    """The barrier between the forces of springs and their sums at the points."""
     sim = Simulation(
         [crowded_world(0)] * ENVS, device="cpu", dtype="float32", arithmetic="fast", threads=1, layout="group"
     )

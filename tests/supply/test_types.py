@@ -1,4 +1,4 @@
-"""What a type checker tells a user: an editable installation is followed, and a wrong keyword is found."""
+"""A type checker's answers to a user: an editable installation is followed, and a wrong keyword is found."""
 
 from __future__ import annotations
 

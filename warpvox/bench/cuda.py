@@ -39,7 +39,7 @@ STAGES = {
 ENVS, SETTLING = 8, 20
 """Environments of which visits are counted, and control steps before."""
 SIDE, DIFFERENT = 5, 4
-"""Of random bodies; so many share a warp."""
+"""Cells of a side of random bodies, and how many of these share a warp."""
 HEADS = ["instructions", "in float64", "wavefronts", "of these by conflicts"]
 
 
@@ -64,18 +64,18 @@ REGISTERS = 65536
 SHARED = {80: 164, 89: 100, 90: 228, 100: 228}
 """Shared memory of a multiprocessor by compute capability, KiB."""
 RESERVED = 1024
-"""Of it, for every block, bytes that CUDA takes."""
+"""Bytes of it that CUDA takes for every block."""
 
 
 class Count(NamedTuple):
-    """Of an environment and sub-step."""
+    """Counts of an environment and sub-step."""
 
     instructions: float = 0.0
-    """Of warps."""
+    """Warp instructions."""
     wide: float = 0.0
     """Those in float64."""
     wavefronts: float = 0.0
-    """Of shared memory."""
+    """Wavefronts of shared memory."""
     conflicts: float = 0.0
     """Those that conflicts of banks cause. Counted where the addresses are in tables of the body."""
 
@@ -106,7 +106,7 @@ def visits(sim: Simulation, steps: int, seed: int) -> tuple[np.ndarray, np.ndarr
 
 
 def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90) -> dict[str, Count]:
-    """What an environment and sub-step takes, by stage.
+    """Counts of an environment and sub-step, by stage.
 
     The instructions of every place in the machine code, times its visits, over the environments of a warp. Loops that
     are unrolled stand in the code as often as they have rounds. What the compiler made in two versions counts twice.
@@ -184,7 +184,7 @@ def _total(found: dict[str, Count]) -> Count:
 
 
 def _different(config: Any, report: Report) -> dict[str, Count]:
-    """What different random bodies take that share a warp, and each of them alone."""
+    """Counts for different random bodies that share a warp, and for each of them alone."""
     bodies = sampled_bodies(SIDE, DIFFERENT, config.seed)
     cases = {f"{DIFFERENT} different bodies": bodies} | {f"body {k} in all": [body] for k, body in enumerate(bodies)}
     with report.status("counting for different bodies"):

@@ -25,7 +25,7 @@ __all__ = ["correctness", "determinism", "graph", "independence", "recordings", 
 STEPS, ENVS, FEW, MOST = 30, 32, 3, 4096
 """Control steps; environments of a comparison with the CPU, of a small batch; environments of different actions."""
 SHARE, SENSED = 0.9, 0.75
-"""Of the control steps of all environments, so many must keep to the tolerances: in a few of them rounding decides
+"""Share of the control steps of all environments that must keep to the tolerances: in a few of them rounding decides
 otherwise about a contact, in some tasks in all environments at once. Of the entries of a term of the observation fewer:
 points of a body at rest lie above the very edges at which the terrain's height jumps."""
 TOLERANCES = {
@@ -40,7 +40,7 @@ QUERY = "nvidia-smi", "--query-gpu=name,driver_version,clocks.max.sm,power.limit
 
 
 def smoke(config: Any, report: Report) -> dict[str, Any]:
-    """What the driver says, and a few control steps with Warp's own check of every launch.
+    """The driver's report, and a few control steps with Warp's own check of every launch.
 
     Raises:
         SimulationError: a launch has failed, or the state is not finite.
@@ -189,7 +189,7 @@ def _outcomes(env: VoxelVecEnv) -> dict[str, torch.Tensor]:
 
 
 def _actions(env: VoxelVecEnv) -> Iterator[torch.Tensor]:
-    """Of STEPS control steps: the same on every device and for the first environments of any number.
+    """Random actions of STEPS control steps: the same on every device and for the first environments of any number.
 
     Whole multiples of 1 / 1024, exact in both precisions.
     """

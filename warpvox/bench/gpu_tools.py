@@ -25,7 +25,7 @@ SECONDS = 90
 """For one run under a tool, at most."""
 TOOLKIT = "/usr/local/cuda/bin"
 ITERATIONS, LINES = 3, 40
-"""Of the training that is profiled; of its table."""
+"""Iterations of the training that is profiled; rows of its table."""
 
 
 def sanitizer(config: Any, progress: Progress) -> None:

@@ -245,7 +245,7 @@ class SearchProgress(Listener):
 
     @property
     def under_way(self) -> str:
-        """What is being evaluated, for the end of a sentence; empty if nothing is."""
+        """The designs that are being evaluated, for the end of a sentence; empty if nothing is."""
         if not self._work:
             return ""
         designs = sum(training.designs for training in self._work.values())

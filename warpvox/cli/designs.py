@@ -108,7 +108,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def judged_by_its_own(config: Any) -> bool:
-    """Whether a policy over many bodies is judged on those that it is trained on: on bodies that the user has named."""
+    """True if a policy over many bodies is judged on those that it is trained on, because the user has named them."""
     designs = config.designs
     drawn = designs.refresh == "new" or (isinstance(designs.bodies, str) and designs.bodies.startswith("random:"))
     return designs.held_out is None and not drawn
@@ -209,7 +209,7 @@ class HeldOut:
 
     @property
     def about(self) -> str:
-        """What the bodies are, in words."""
+        """A description of the bodies in words."""
         count = f"{len(self.bodies)} bod{'y' if len(self.bodies) == 1 else 'ies'}"
         return f"the {count} trained on" if self.name == "bodies" else f"{count} held out from training"
 

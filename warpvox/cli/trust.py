@@ -74,7 +74,7 @@ def check_address(config: Any, stored: Mapping[str, Any], named: Collection[str]
 
 
 def allowed(key: str, text: Any, given: Any, home: Path) -> Any:
-    """What ``text``, the value that a file in ``home`` has for ``key``, stands for: code only if the user has named it.
+    """The value of ``text``, which a file in ``home`` has for ``key``: code only if the user has named it.
 
     Args:
         given: the user's own value: a :class:`Code`, ``stored`` for the copy, or anything else if there is none.

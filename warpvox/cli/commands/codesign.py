@@ -145,7 +145,7 @@ def _together(config: CodesignConfig) -> int:
 
 
 def _batches(config: CodesignConfig) -> list[tuple[int, int, str, int, str, PpoConfig | None]]:
-    """What is simulated together: designs, environments of each, the key that counts these, its value, ``obs``, PPO."""
+    """Batches: designs, environments of each, the key that counts these, its value, ``obs``, PPO."""
     training, how = config.training, config.screening
     obs = "task" if config.policy == "mlp" else "voxel"
     found = [(_together(config), training.envs, "training.envs", training.envs, obs, training.ppo)]

@@ -354,7 +354,7 @@ def _learn(runner: Any, console: Console, folder: Path, command: str, config: Tr
 
 
 def _bodies(config: TrainConfig, runner: Any) -> dict[str, Any]:
-    """What a summary says of the bodies."""
+    """Entries of a summary about the bodies."""
     if runner.bodies is None:
         return {"design": config.design}
     designs = {"bodies": config.designs.bodies, "refresh": config.designs.refresh}
