@@ -5,13 +5,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from warpvox.errors import ConfigError
 from warpvox.keys import MISSING, key
 
-__all__ = ["ACTIVATIONS", "LOGGERS", "REFRESH", "PpoConfig", "ScreeningConfig", "TrainingConfig"]
+__all__ = ["ACTIVATIONS", "CPG", "LOGGERS", "MLP", "REFRESH", "PpoConfig", "TrainingConfig"]
 
+MLP = "mlp"
+"""The policy that is no network for voxels: fully connected layers on the whole observation."""
+CPG = "cpg"
+"""The policy without feedback, which gradients through the physics train."""
 REFRESH = ("none", "new", "random", "performance")
 """Ways in which bodies take the place of others while one policy learns to control them."""
 ACTIVATIONS = ("tanh", "elu", "relu", "selu", "gelu", "swish")
@@ -86,46 +89,3 @@ class TrainingConfig:
     )
     keep: float = key(0.5, "successive halving: fraction of the designs that is kept at each rung", above=0, high=1)
     ppo: PpoConfig = key(PpoConfig, "settings of PPO")
-
-
-@dataclass
-class ScreeningConfig:
-    """Keys ``screening.*``: how designs are compared without a training for each."""
-
-    policy: str = key(
-        "grid",
-        "network of the policy: grid, transformer, cpg, module:Class, file.py:Class; with evaluation=few_shot that of"
-        " pretrained",
-        path="read",
-    )
-    network: Any = key(None, "settings of this network, {width:32} for instance; null: its defaults")
-    envs: int = key(16, "training environments for each design", low=1)
-    iterations: int = key(10, "training iterations on the designs of each generation; 0 (few_shot only): none", low=0)
-    eval_envs: int = key(1, "evaluation environments for each design", low=1)
-    save_interval: int = key(10, "iterations between checkpoints of this training", low=1)
-    ppo: Any = key(None, "settings of PPO that differ from training.ppo: {epochs:4,schedule:adaptive}")
-    gaits: int = key(8, "evaluation=gaits: open-loop gaits that each design tries in a round", low=1)
-    rounds: int = key(
-        2, "evaluation=gaits: number of rounds; from the second on mutants of the best gait so far are tried", low=0
-    )
-    stages: int = key(4, "evaluation=gaits: parts of an episode in which a gait has a motion each", low=1, high=100)
-    final_rounds: int = key(40, "evaluation=gaits: number of rounds for finalists, before their training", low=0)
-    final_gaits: int | None = key(
-        None, "evaluation=gaits: gaits that a finalist tries in a round; null: as many as the others", low=1
-    )
-    passes: int = key(
-        0, "evaluation=gaits: beam searches before the rounds, in which a gait grows stage by stage", low=0
-    )
-    beam: int = key(32, "evaluation=gaits: motions that a design tries in each stage of a beam search", low=1)
-    stage_steps: int = key(
-        20,
-        "evaluation=gaits: control steps of a stage in the first beam search; others have longer and shorter ones",
-        low=1,
-    )
-    final_passes: int = key(14, "evaluation=gaits: beam searches for finalists, before their rounds", low=0)
-    final_beam: int = key(64, "evaluation=gaits: motions that a finalist tries in each stage of a beam search", low=1)
-
-    @property
-    def gaits_of_finalist(self) -> int:
-        """Gaits that a finalist tries in a round."""
-        return self.final_gaits or self.gaits

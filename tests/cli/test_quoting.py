@@ -119,7 +119,7 @@ def test_a_stored_configuration_runs_again(tmp_path: Path) -> None:
     other = load("train", [f"config={file}", "ppo=parallel", "num_envs=16"])
     assert (other.ppo, other.num_envs, other.seed) == (load("train", []).ppo, 16, 3)
     assert load("train", [f"config={file}", "ppo=parallel"]).num_envs == 4  # of the file: the group has its default
-    mappings = ["network={width:8}", "screening.network={width:16}", "screening.ppo={epochs:2}"]
+    mappings = ["network={width:8}", "evaluation.network={width:16}", "evaluation.ppo={epochs:2}"]
     search = load("codesign", ["search=map_elites", "search.bins=3", *mappings])
     file.write_text(to_yaml(search))
     assert load("codesign", [f"config={file}"]) == search

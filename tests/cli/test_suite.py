@@ -102,7 +102,9 @@ def test_settings_go_to_the_searches_that_have_them() -> None:
     assert {member.config.search.population for member in found} == {6}
 
 
-@pytest.mark.parametrize("words", [["finalists=4", "dtype=float32", "screening.gaits=3"], ["evaluation=specialist"]])
+@pytest.mark.parametrize(
+    "words", [["evaluation.finalists=4", "dtype=float32", "evaluation.gaits=3"], ["evaluation=specialist"]]
+)
 def test_what_a_suite_says_holds_against_the_file_of_a_search(words: list[str]) -> None:
     config = load("suite", ["searches=[auto]", "tasks=[Climber-v0]", "seeds=[2]", *words])
     assert load_values("suite", yaml.safe_load(to_yaml(config))) == config  # when it is resumed
@@ -124,7 +126,7 @@ def test_budgets_by_task() -> None:
     words = ["tasks=[Walker-v0,Catcher-v0]", "searches=[auto,ga]", "seeds=[0]", "control_steps=5000000"]
     walker, _, catcher, plain = members(
         *words,
-        *(f"screening.{key}" for key in ("gaits=10", "rounds=2", "final_rounds=5", "final_passes=0")),
+        *(f"evaluation.{key}" for key in ("gaits=10", "rounds=2", "final_rounds=5", "final_passes=0")),
     )
     last = [2 * (5 * 10 * steps + steps_of_design(training, 2)) for steps in (500, 4 * 400)]
     budgets = [int((5_000_000 - spent) // (2 * 10 * steps)) for spent, steps in zip(last, (500, 4 * 400), strict=True)]

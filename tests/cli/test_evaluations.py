@@ -13,11 +13,12 @@ import yaml
 
 from warpvox.algos.candidate import FINALIST, START
 from warpvox.algos.codesign.archive import FILE, Archive, Record
+from warpvox.algos.codesign.evaluations import Shared
+from warpvox.algos.codesign.robots import read_start
+from warpvox.algos.codesign.run import check, environments
+from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.training.bodies import draw_bodies
-from warpvox.cli.commands.codesign import check, environments
 from warpvox.cli.config import load
-from warpvox.cli.evaluations import _common_factory, learns_by_gradients
-from warpvox.cli.start import read_start
 from warpvox.design import load_design, save_design
 from warpvox.envs import registry
 from warpvox.errors import ConfigError
@@ -28,20 +29,35 @@ pytestmark = pytest.mark.usefixtures("narrow_packs")
 TINY = (
     "shape=[3,3] search.population=3 search.max_evaluations=5 search.survivor_rate=0.3 training.envs=8"
     " training.iterations=1 training.eval_interval=1 training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1"
-    " screening.envs=8 screening.iterations=1 finalists=2 device=cpu threads=1"
+    " device=cpu threads=1"
 ).split()
+OF = {
+    "specialist": [],
+    "gaits": ["evaluation.finalists=2"],
+    "shared": ["evaluation.finalists=2", "evaluation.envs=8", "evaluation.iterations=1"],
+}
 ROUNDING = 1e-6
-ROUNDS = "screening.final_passes=0"
+ROUNDS = "evaluation.final_passes=0"
 """Finalists of evaluation=gaits have rounds alone."""
 TRAINED = "designs=random:4:3x3", "policy=grid", "num_envs=8", "max_iterations=2", "network={width:8}", "lanes=8"
 
 
+def tiny(*words: str) -> list[str]:
+    """Words of a small search, those given last."""
+    given = dict(word.split("=", 1) for word in words)
+    usual = "shared" if "preset" in given else given.get("evaluation", "specialist").replace("few_shot", "shared")
+    return [*(word for word in [*TINY, *OF[usual]] if word.split("=")[0] not in given), *words]
+
+
 def search(warpvox: Callable, *words: str) -> Path:
-    keys = [word.split("=")[0] for word in words]
-    outcome = warpvox("codesign", *(word for word in TINY if word.split("=")[0] not in keys), *words)
+    outcome = warpvox("codesign", *tiny(*words))
     assert outcome.code == 0, outcome.err
     assert "generation 0: 3 designs to evaluate" in outcome.out
     return max(Path("outputs/codesign/Walker-v0").iterdir())
+
+
+def settings(*words: str) -> Codesign:
+    return Codesign.of(vars(load("codesign", list(words))))
 
 
 def records_of(folder: Path) -> list[Record]:
@@ -63,7 +79,7 @@ def played(warpvox: Callable, run: Path | str, episodes: int = 2) -> float:
 
 
 def test_a_search_by_one_shared_policy(warpvox: Callable) -> None:
-    folder = search(warpvox, "evaluation=shared", "screening.ppo={epochs:2}")
+    folder = search(warpvox, "evaluation=shared", "evaluation.ppo={epochs:2}")
     records = records_of(folder)
     screened, finals = records[:5], records[5:]
     assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
@@ -75,7 +91,7 @@ def test_a_search_by_one_shared_policy(warpvox: Callable) -> None:
     assert all(record.steps == 8 * 4 for record in finals)
     assert all(record.steps > 8 * 4 for record in screened)  # with their evaluations
     config = yaml.safe_load((folder / "config.yaml").read_text())
-    assert (config["screening"]["ppo"]["epochs"], config["screening"]["ppo"]["steps"]) == (2, 4)
+    assert (config["evaluation"]["ppo"]["epochs"], config["evaluation"]["ppo"]["steps"]) == (2, 4)
     assert "policy of its own" in (folder / "report.html").read_text(encoding="utf-8")
     # playing finds both kinds of fitness again
     assert played(warpvox, folder) == pytest.approx(best.fitness, abs=ROUNDING)
@@ -90,12 +106,12 @@ def test_a_search_by_one_shared_policy(warpvox: Callable) -> None:
 def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -> None:
     run = train(*TRAINED, "designs.held_out=random:2:3x3", "obs=timed")
     assert yaml.safe_load((run / "config.yaml").read_text())["obs"] == "timed_voxel"
-    words = "evaluation=few_shot", "pretrained=latest", "screening.iterations=0"
+    words = "evaluation=few_shot", "evaluation.pretrained=latest", "evaluation.iterations=0"
     folder = search(warpvox, *words, "search.max_evaluations=3")
     assert summary(folder)["pretraining_steps"] == 2 * 8 * 4
     config = yaml.safe_load((folder / "config.yaml").read_text())
-    assert Path(config["pretrained"]) == (run / "model_best.pt").absolute()
-    assert config["screening"]["network"] == {"width": 8}
+    assert Path(config["evaluation"]["pretrained"]) == (run / "model_best.pt").absolute()
+    assert config["evaluation"]["network"] == {"width": 8}
     (run / "model_best.pt").unlink()  # the search has a copy
     (folder / "summary.json").unlink()
     assert warpvox("codesign", f"resume={folder}").code == 0
@@ -118,28 +134,27 @@ def test_a_search_that_tunes_by_gradients(warpvox: Callable, train: Callable) ->
     train(*(word for word in TRAINED if not word.startswith(("policy", "network"))), *how)
     words = (
         "preset=universal_cpg",
-        "pretrained=latest",
-        "screening.iterations=2",
-        "screening.ppo={steps:4}",
-        "screening.envs=1",
+        "evaluation.pretrained=latest",
+        "evaluation.iterations=2",
+        "evaluation.ppo={steps:4}",
+        "evaluation.envs=1",
     )
     folder = search(warpvox, *words)
     one = max(records_of(folder)[:5], key=lambda record: abs(record.fitness))
     assert 2 * 4 < one.steps <= 2 * 4 + 500
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
     # on CUDA another layout would be chosen, through which gradients do not go
-    assert _common_factory(load("codesign", ["evaluation=shared", "screening.policy=cpg"]), None).sim.layout == "lanes"
-    assert _common_factory(load("codesign", ["evaluation=shared"]), None).sim.layout is None
-    assert learns_by_gradients(load("codesign", ["evaluation=shared", "screening.policy=cpg"]))
-    assert not learns_by_gradients(load("codesign", ["screening.policy=cpg"]))
-    refused = warpvox("codesign", *TINY, "evaluation=shared", "screening.policy=cpg", "task=AreaMaximizer-v0")
+    job = Codesign(evaluation="shared")
+    assert Shared(policy="cpg").factory(job).sim.layout == "lanes"
+    assert Shared().factory(job).sim.layout is None
+    refused = warpvox("codesign", *tiny("evaluation=shared", "evaluation.policy=cpg", "task=AreaMaximizer-v0"))
     assert refused.code == 2
     assert "those of AreaMaximizer-v0 are made of hull_area, too" in refused.err
 
 
 def test_a_search_by_gaits(warpvox: Callable) -> None:
     folder = search(
-        warpvox, "evaluation=gaits", "screening.gaits=8", "screening.rounds=1", ROUNDS, "screening.final_rounds=2"
+        warpvox, "evaluation=gaits", "evaluation.gaits=8", "evaluation.rounds=1", ROUNDS, "evaluation.final_rounds=2"
     )
     records, figures = records_of(folder), summary(folder)
     assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
@@ -159,8 +174,8 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        f"evaluation=gaits screening.gaits=4 screening.rounds=2 screening.final_rounds=1 {ROUNDS}",
-        "evaluation=shared screening.eval_envs=3 training.eval_envs=2",
+        f"evaluation=gaits evaluation.gaits=4 evaluation.rounds=2 evaluation.final_rounds=1 {ROUNDS}",
+        "evaluation=shared evaluation.eval_envs=3 training.eval_envs=2",
     ],
 )
 def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(
@@ -168,7 +183,7 @@ def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(
 ) -> None:
     short = dataclasses.replace(registry.get_task("BidirectionalWalker-v0"), max_episode_steps=50)
     monkeypatch.setitem(registry._TASKS, short.id, short)
-    outcome = warpvox("codesign", *TINY, "task=BidirectionalWalker-v0", "seed=3", *words.split())
+    outcome = warpvox("codesign", *tiny("task=BidirectionalWalker-v0", "seed=3", *words.split()))
     assert outcome.code == 0, outcome.err
     (folder,) = Path("outputs/codesign/BidirectionalWalker-v0").iterdir()
     for record in records_of(folder)[1::5]:  # one that is compared, one that is trained
@@ -182,17 +197,17 @@ def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(
 def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     gaits = (
         "evaluation=gaits",
-        "screening.gaits=8",
-        "screening.rounds=1",
-        "screening.final_rounds=2",
+        "evaluation.gaits=8",
+        "evaluation.rounds=1",
+        "evaluation.final_rounds=2",
         "dtype=float64",
     )
     first = search(warpvox, *gaits, ROUNDS)
     assert warpvox("zoo", f"add={first}", "folder=mine").code == 0
     file = Path("mine/Walker-v0.npz")
     robot = read_robot(file)
-    passes = "screening.passes=1", "screening.beam=8", "screening.final_passes=1", "screening.final_beam=16"
-    folder = search(warpvox, *gaits, *passes, f"start=[zoo:{file}]", "screening.stages=6", "seed=1", "name=on")
+    passes = "evaluation.passes=1", "evaluation.beam=8", "evaluation.final_passes=1", "evaluation.final_beam=16"
+    folder = search(warpvox, *gaits, *passes, f"start=[zoo:{file}]", "evaluation.stages=6", "seed=1", "name=on")
     records = records_of(folder)
     assert [record.candidate.origin for record in records[:3]] == [START, "random", "random"]
     assert (records[0].candidate.body == robot.body).all()
@@ -208,7 +223,7 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     assert (better.about["processor"], known["processor"]) == (processor_name(), robot.about["processor"])
     assert better.about["control_steps"] == summary(folder)["steps"] + robot.about["control_steps"]
     # a design of a search, which need not be its best
-    words = f"start=[{folder}/designs/{records[1].id},{first}]", "screening.stages=6", "search.max_evaluations=3"
+    words = f"start=[{folder}/designs/{records[1].id},{first}]", "evaluation.stages=6", "search.max_evaluations=3"
     again = search(warpvox, *gaits, ROUNDS, *words, "name=again")
     known = records_of(again)[:2]
     assert [record.candidate.origin for record in known] == [START] * 2
@@ -218,15 +233,14 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     assert "no design yet" not in warpvox("zoo", f"add={again}/designs/0", "folder=other").err
     assert (read_robot(Path("other/Walker-v0.npz")).body == known[0].candidate.body).all()
     # with trainings a body is one like any other
-    assert load("codesign", [f"start=[zoo:{file}]"]).evaluation == "specialist"
     folder = search(warpvox, f"start=[zoo:{file}]", "search.max_evaluations=3", "name=trained")
     assert records_of(folder)[0].candidate.origin == START
     for words, says in [
         (["shape=[3,4]"], "shape [3, 3]: expected [3, 4]"),
-        (["evaluation=gaits", "screening.rounds=0"], "screening.passes and screening.rounds are both 0"),
+        (["evaluation=gaits", "evaluation.rounds=0"], "evaluation.passes and evaluation.rounds are both 0"),
         (
-            ["evaluation=gaits", "screening.final_rounds=0", "screening.final_passes=0"],
-            "screening.final_passes and screening.final_rounds are both 0",
+            ["evaluation=gaits", "evaluation.final_rounds=0", "evaluation.final_passes=0"],
+            "evaluation.final_passes and evaluation.final_rounds are both 0",
         ),
         (["search=cppn_neat"], "makes all bodies itself"),
     ]:
@@ -244,8 +258,7 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
     assert all(np.array_equal(record.candidate.body, body) for record, body in zip(records, drawn, strict=True))
     for number, body in enumerate(drawn[::-1]):
         save_design(tmp_path / "robots" / f"{number}.json", body)
-    config = load("codesign", [f"start=[{tmp_path / 'robots'},walker]"])
-    bodies = [robot.body for robot in read_start(config)]
+    bodies = [robot.body for robot in read_start(settings(f"start=[{tmp_path / 'robots'},walker]"))]
     assert all(np.array_equal(*pair) for pair in zip(bodies, [*drawn[::-1], load_design("walker")], strict=True))
     outcome = warpvox("codesign", "start=[random:4]", "search.population=3", "threads=1")
     assert (outcome.code, "start has 4 robots, the first generation 3 designs" in outcome.err) == (2, True)
@@ -255,27 +268,26 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
     ("words", "count"),
     [
         ("", 3 * 8),
-        ("evaluation=shared screening.envs=16", 3 * 16),
-        ("evaluation=gaits screening.gaits=7 screening.final_passes=0", 3 * 7),
+        ("evaluation=shared evaluation.envs=16", 3 * 16),
+        ("evaluation=gaits evaluation.gaits=7 evaluation.final_passes=0", 3 * 7),
         (
-            "evaluation=gaits screening.gaits=7 task=Catcher-v0 screening.final_passes=0",
+            "evaluation=gaits evaluation.gaits=7 task=Catcher-v0 evaluation.final_passes=0",
             3 * 7 * 4,
         ),  # a random task: four episodes of each gait
-        ("evaluation=gaits screening.gaits=9 finalists=6 screening.final_passes=0", 6 * 9),
+        ("evaluation=gaits evaluation.gaits=9 evaluation.finalists=6 evaluation.final_passes=0", 6 * 9),
         (
-            "evaluation=gaits screening.gaits=9 finalists=6 batch=2 screening.final_passes=0",
+            "evaluation=gaits evaluation.gaits=9 evaluation.finalists=6 batch=2 evaluation.final_passes=0",
             2 * 9,
         ),
         (
-            "evaluation=gaits screening.gaits=7 screening.passes=1 screening.beam=20 screening.final_passes=0",
+            "evaluation=gaits evaluation.gaits=7 evaluation.passes=1 evaluation.beam=20 evaluation.final_passes=0",
             3 * 20,
         ),
-        ("evaluation=gaits screening.final_passes=1 screening.final_beam=30 finalists=2", 2 * 30),
+        ("evaluation=gaits evaluation.final_passes=1 evaluation.final_beam=30 evaluation.finalists=2", 2 * 30),
     ],
 )
 def test_environments_that_are_stepped_together(words: str, count: int) -> None:
-    keys = {word.split("=")[0]: word for word in [*TINY, *words.split()]}
-    assert environments(load("codesign", list(keys.values()))) == count
+    assert environments(settings(*tiny(*words.split()))) == count
 
 
 @pytest.mark.slow
@@ -294,34 +306,34 @@ def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
         ("network={width:8}", "mlp has training.ppo.hidden"),
         ("policy=grd training.method=sequential", "Did you mean 'grid'"),
         ("policy=grid network={widht:8} training.method=sequential", "Did you mean 'width'"),
-        ("evaluation=few_shot", "evaluation=few_shot and pretrained go together"),
-        ("pretrained=latest", "evaluation=few_shot and pretrained go together"),
+        ("evaluation=few_shot", "evaluation=few_shot needs evaluation.pretrained"),
+        ("evaluation.pretrained=latest", "Unknown key 'evaluation.pretrained'"),
         ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
         ("evaluation=gaits training.inherit=true", "training.inherit does not go with evaluation=gaits"),
-        ("evaluation=gaits pretrained=latest", "evaluation=few_shot and pretrained go together"),
+        ("evaluation=gaits evaluation.pretrained=latest", "Unknown key 'evaluation.pretrained'"),
         ("evaluation=shared executor=ray", "one policy that learns in one process"),
         ("evaluation=shared batch=2", "leave batch away"),
-        ("evaluation=shared screening.policy=mlp", "screening.policy must see voxels"),
-        ("evaluation=shared screening.ppo={epoch:2}", "Did you mean 'epochs'"),
-        ("evaluation=shared screening.ppo={epochs:two}", "epochs must be like 8, got 'two'"),
-        ("evaluation=shared screening.ppo={epochs:0}", r"screening\.ppo\.epochs"),
+        ("evaluation=shared evaluation.policy=mlp", "evaluation.policy must see voxels"),
+        ("evaluation=shared evaluation.ppo={epoch:2}", "Did you mean 'epochs'"),
+        ("evaluation=shared evaluation.ppo={epochs:two}", "epochs must be like 8, got 'two'"),
+        ("evaluation=shared evaluation.ppo={epochs:0}", r"evaluation\.ppo\.epochs"),
         ("evaluation=shared training=paper", "cannot decay linearly"),
-        ("evaluation=shared screening.iterations=0", "screening.iterations=1 or more"),
+        ("evaluation=shared evaluation.iterations=0", "evaluation.iterations must be at least 1"),
     ],
 )
 def test_keys_that_do_not_go_together_are_refused(words: str, says: str) -> None:
     with pytest.raises(ConfigError, match=says):
-        check(load("codesign", ["shape=[3,3]", "threads=1", *words.split()]))
+        check(settings("shape=[3,3]", "threads=1", *words.split()))
 
 
 @pytest.mark.slow
 def test_a_pretrained_policy_that_does_not_fit_is_refused(warpvox: Callable, train: Callable) -> None:
     train(*TRAINED, "designs.held_out=random:2:3x3")
     words = [word for word in TINY if not word.startswith("shape")]
-    outcome = warpvox("codesign", *words, "shape=[4,3]", "evaluation=few_shot", "pretrained=latest")
+    outcome = warpvox("codesign", *words, "shape=[4,3]", "evaluation=few_shot", "evaluation.pretrained=latest")
     assert outcome.code == 2
     assert "for bodies of 3x3" in outcome.err
     train("max_iterations=1", "seed=1", "name=mlp")
-    outcome = warpvox("codesign", *words, "shape=[3,3]", "evaluation=few_shot", "pretrained=latest")
+    outcome = warpvox("codesign", *words, "shape=[3,3]", "evaluation=few_shot", "evaluation.pretrained=latest")
     assert "one that sees voxels" in outcome.err
     assert not Path("outputs/codesign").exists()

@@ -1,155 +1,47 @@
-"""What a design search shows while it runs, and the pictures and figures it leaves in its folder."""
+"""What a design search shows on a terminal."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
-from warpvox import __version__
 from warpvox.algos.candidate import FINALIST, Candidate
-from warpvox.algos.codesign.archive import Archive, Record
+from warpvox.algos.codesign.archive import Record
 from warpvox.algos.codesign.loop import Listener
-from warpvox.algos.report import FILE as REPORT, write_report
-from warpvox.checks import is_number
+from warpvox.algos.codesign.results import fresh_text
+from warpvox.algos.report import FILE as REPORT
 from warpvox.cli.cell_text import body_rows
-from warpvox.cli.console import duration, echo, figure
-from warpvox.cli.fresh_seeds import fresh_text
-from warpvox.cli.runs import read_summary, write_summary
-from warpvox.view.body_picture import write_bodies
+from warpvox.code import is_code
+from warpvox.console import duration, echo, figure, shell_argument, shown
+from warpvox.trust import STORED, again
 
-__all__ = ["Results", "SearchProgress"]
+if TYPE_CHECKING:
+    from warpvox.algos.codesign.run import SearchRun
+
+__all__ = ["SearchProgress"]
 
 QUIET_SECONDS = 30.0
 """Without a terminal, seconds between lines."""
-NAMES = {
-    "ga": "genetic algorithm",
-    "bo": "Bayesian optimisation",
-    "cppn_neat": "CPPN-NEAT",
-    "map_elites": "MAP-Elites",
-    "random": "random search",
-}
-
-
-class Results:
-    """Keeps ``generations/<n>.png``, ``report.html`` and ``summary.json`` up to date.
-
-    Args:
-        config: of the search.
-        pretraining: control steps of the pretrained policy that it begins with; None: not known, or there is none.
-    """
-
-    def __init__(self, folder: Path, archive: Archive, config: Any, pretraining: int | None = None) -> None:
-        self.folder, self.archive, self.config, self.pretraining = folder, archive, config, pretraining
-        self.search = NAMES.get(config.search.algorithm, config.search.algorithm)
-        summary = read_summary(folder)
-        before, self.fresh = summary.get("elapsed_seconds"), summary.get("fresh_seeds")
-        self._began, self._before = time.monotonic(), before if is_number(before) else 0.0
-
-    @property
-    def elapsed(self) -> float:
-        """Seconds that the search has run, those before a resume included."""
-        return self._before + time.monotonic() - self._began
-
-    def best(self, until: int | None = None) -> list[Record]:
-        """The best designs (up to and including a generation); finalists alone, once there are some."""
-        best = self.archive.best(self.config.top, until)
-        finalists = [record for record in best if record.candidate.origin == FINALIST]
-        return finalists or best
-
-    def draw(self, generation: int) -> Path:
-        """The best designs up to and including a generation as PNG; one that is there already stays."""
-        path = self.folder / "generations" / f"{generation:03}.png"
-        best = self.best(generation)
-        if path.is_file() or not best:
-            return path
-        captions = [
-            (f"{record.fitness:.3f}", f"#{record.id}  generation {record.candidate.generation}") for record in best
-        ]
-        title = f"{self.config.task} · {self.search} · best designs after generation {generation}"
-        return write_bodies(path, [record.candidate.body for record in best], captions, title)
-
-    def write(self, status: str) -> dict[str, Any]:
-        """Write report and summary; returns the summary."""
-        rows = self.archive.generations()
-        best = self.archive.best()
-        steps = sum(row["steps"] or 0 for row in rows)
-        summary = {
-            "command": "codesign",
-            "task": self.config.task,
-            "search": self.config.search.algorithm,
-            "status": status,
-            "seed": self.config.seed,
-            "evaluations": self.archive.trained(),
-            "generations": sum(row["evaluated"] == row["designs"] for row in rows),
-            "steps": steps,
-            "best_fitness": best[0].fitness if best else None,
-            "best_design": best[0].id if best else None,
-            "design": best[0].candidate.body.tolist() if best else None,
-            **({"fresh_seeds": self.fresh} if self.fresh else {}),
-            **self._screening(),
-            "elapsed_seconds": round(self.elapsed, 3),
-            "steps_per_second": round(steps / self.elapsed, 1) if steps else None,
-        }
-        write_summary(self.folder, summary)
-        self.report(summary)
-        return summary
-
-    def _screening(self) -> dict[str, Any]:
-        """What there is to say of a search whose designs a common policy has compared."""
-        if self.config.evaluation == "specialist":
-            return {}
-        screened = [record for record in self.archive.records() if record.candidate.origin != FINALIST]
-        known = [record.fitness for record in screened if record.fitness is not None]
-        return {
-            "evaluation": self.config.evaluation,
-            "screened_fitness": max(known, default=None),
-            "screening_steps": sum(record.steps or 0 for record in screened),
-            "pretraining_steps": self.pretraining,
-        }
-
-    def report(self, summary: Mapping[str, Any]) -> Path:
-        """Write the report alone."""
-        facts = {
-            "task": self.config.task,
-            "search": self.search,
-            "status": str(summary.get("status", "unknown")),
-            "time": duration(float(summary.get("elapsed_seconds", 0.0))),
-            "seed": str(self.config.seed),
-            "version": __version__,
-        }
-        if summary.get("fresh_seeds"):
-            facts["winner on fresh seeds"] = fresh_text(summary["fresh_seeds"])
-        if self.config.evaluation != "specialist":
-            facts["evaluation"] = self.config.evaluation
-        if self.pretraining is not None:
-            facts["pretraining"] = f"{self.pretraining:,} control steps, not counted"
-        return write_report(self.archive, self.folder / REPORT, facts)
 
 
 class SearchProgress(Listener):
-    """Shows the search: a live block on a terminal, else a line now and then; keeps the results up to date.
+    """Shows a search: a live block on a terminal, else a line now and then."""
 
-    A context manager. Args:
-        total: evaluations that the search may spend, those of finalists included.
-        costs: control steps that a design takes at most, and a finalist.
-        finalists: how many of them; they come last.
-    """
-
-    def __init__(
-        self, results: Results, total: int, console: Console, costs: tuple[float, float], finalists: int = 0
-    ) -> None:
-        self.results, self.total, self.console = results, total, console
-        self._costs, self._finalists = costs, finalists
-        self.archive = results.archive
+    def __init__(self, console: Console) -> None:
+        self.console = console
         self._work: dict[int, _Training] = {}
+        self._live: Live | None = None
+
+    def begun(self, run: SearchRun) -> None:
+        """See :class:`warpvox.algos.codesign.loop.Listener`."""
+        self.run, self.archive = run, run.archive
         self._began = self._printed = time.monotonic()
         self._start = self.archive.trained()
         self._resumed = self.archive.count() > 0  # until a generation is whole: trainings may go on
@@ -157,24 +49,50 @@ class SearchProgress(Listener):
         self._first: tuple[float, int] | None = None  # time and control steps of the first news of a stage
         self._last = False  # the finalists are being evaluated
         self._generation = 0
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            TextColumn("{task.fields[figures]}"),
-            console=console,
-        )
-        self._line = self._progress.add_task("", total=total, completed=self._start, figures="")
-        self._live = Live(console=console, refresh_per_second=4, transient=True) if console.is_terminal else None
-
-    def __enter__(self) -> SearchProgress:
-        if self._live is not None:
+        self._say_where()
+        columns = TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.fields[figures]}")
+        self._progress = Progress(*columns, console=self.console)
+        self._line = self._progress.add_task("", total=run.total, completed=self._start, figures="")
+        if self.console.is_terminal:
+            self._live = Live(console=self.console, refresh_per_second=4, transient=True)
             self._live.start()
             self._show()
-        return self
 
-    def __exit__(self, *_: object) -> None:
+    def _say_where(self) -> None:
+        run, settings = self.run, self.run.settings
+        where = f"{run.workers} workers of Ray" if run.workers else settings.device
+        done = f", {self._start} of {run.total} designs done" if run.resumed else ""
+        echo(self.console, f"{run.results.search} on {settings.task}, rules {settings.rules}, on {where}{done}")
+        echo(self.console, f"run folder: {shown(run.folder)}")
+        lost = [one for one in self.archive.records() if one.policy and not (run.folder / one.policy).is_file()]
+        if lost:
+            echo(self.console, f"the policies of {len(lost)} designs are gone from {shown(run.folder / 'designs')}")
+        if run.resumed and self._start >= run.total:
+            echo(
+                self.console,
+                f"the search has spent its {settings.search.max_evaluations} evaluations: nothing is left to do. What it"
+                " proposes depends on them, so that more make another search (search.max_evaluations=N)",
+            )
+
+    def ended(self, summary: Mapping[str, Any]) -> None:
+        """See :class:`warpvox.algos.codesign.loop.Listener`: say how it has ended and what one can do next."""
         if self._live is not None:
             self._live.stop()
+        folder, best, status = self.run.folder, summary["best_design"], summary["status"]
+        words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
+        under_way = self.under_way if status == "interrupted" else ""
+        text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps{under_way}"
+        if best is not None:
+            text += f"; best fitness {summary['best_fitness']:.3f} (design {best})"
+        echo(self.console, text)
+        if summary.get("fresh_seeds"):
+            echo(self.console, f"the best on fresh seeds: {fresh_text(summary['fresh_seeds'])}")
+        if best is not None:
+            echo(self.console, f"report: {(folder / REPORT).resolve().as_uri()}")
+            task = f" task={STORED}" if is_code(self.run.settings.task) else ""
+            echo(self.console, f"look at the best: warpvox play {shell_argument('run', folder)}{task}")
+        if status != "done":
+            echo(self.console, f"go on: warpvox codesign {shell_argument('resume', folder)}{again(self.run.settings)}")
 
     # ------------------------------------------------------------------------------------------ what happens
 
@@ -210,15 +128,13 @@ class SearchProgress(Listener):
 
     def told(self, generation: int, fresh: bool) -> None:
         """See :class:`warpvox.algos.codesign.loop.Listener`."""
-        self.results.draw(generation)
         if not fresh:
             return
         self._resumed = False
-        self.results.write("running")
         row = self.archive.generations()[generation]
         echo(
             self.console,
-            f"generation {generation} done: {self.archive.trained()}/{self.total} designs  best {row['best']:.3f}"
+            f"generation {generation} done: {self.archive.trained()}/{self.run.total} designs  best {row['best']:.3f}"
             f"  mean {row['mean']:.3f}  best so far {self.archive.best()[0].fitness:.3f}{self._diverged(generation)}"
             f"  {self._figures()}",
         )
@@ -265,13 +181,15 @@ class SearchProgress(Listener):
         if self._first is None or self._steps <= self._first[1]:
             return "-"
         began, before = self._first
-        trained, cost = self.archive.trained(), self._costs[self._last]
+        if self.run.costs is None:
+            return "-"
+        trained, cost = self.archive.trained(), self.run.costs[self._last]
         if trained and not self._last:  # fewer than at most, where episodes end early
             cost = sum(row["steps"] or 0 for row in self.archive.generations()) / trained
-        designs = self.total - trained - (0 if self._last else self._finalists)
+        designs = self.run.total - trained - (0 if self._last else self.run.finalists)
         steps = cost * designs - sum(training.event["steps"] for training in self._work.values())
         left = duration((time.monotonic() - began) / (self._steps - before) * max(steps, 0.0))
-        return left if self._last or not self._finalists else f"{left}, then {self._finalists} finalists"
+        return left if self._last or not self.run.finalists else f"{left}, then {self.run.finalists} finalists"
 
     def _inside(self) -> str:
         """The trainings under way in words."""
@@ -297,7 +215,7 @@ class SearchProgress(Listener):
         if self._live is None:
             return
         best = self.archive.best()
-        figures = f"{self.archive.trained()}/{self.total}  best {figure(best[0].fitness if best else math.nan)}  "
+        figures = f"{self.archive.trained()}/{self.run.total}  best {figure(best[0].fitness if best else math.nan)}  "
         rows = [row for row in self.archive.generations() if row["evaluated"]]
         figures += f"mean {figure(rows[-1]['mean'] if rows else math.nan)}  {self._figures()}"
         self._progress.update(
@@ -307,7 +225,7 @@ class SearchProgress(Listener):
         self._live.update(Group(*parts, *([Text(), self._bodies()] if best else [])))
 
     def _bodies(self) -> Text:
-        best = self.results.best()
+        best = self.run.results.best()
         captions = [f"{record.fitness:.3f} #{record.id}" for record in best]
         return body_rows([record.candidate.body for record in best], captions, self.console)
 

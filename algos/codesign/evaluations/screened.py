@@ -1,0 +1,65 @@
+"""Designs are compared without a training for each, and the best of all get one at the end of the search."""
+
+# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpvox.algos.codesign.evaluations.base import (
+    Batch,
+    Evaluation,
+    check_training,
+    training_batch,
+    training_evaluator,
+    try_network,
+)
+from warpvox.errors import ConfigError
+from warpvox.keys import key
+
+if TYPE_CHECKING:
+    from warpvox.algos.candidate import DesignEvaluator
+    from warpvox.algos.codesign.settings import Codesign
+
+__all__ = ["Screened"]
+
+
+@dataclass
+class Screened(Evaluation):
+    """The base of evaluations with finalists: :meth:`screening` compares all designs, :meth:`final` the best of them."""
+
+    finalists: int = key(4, "number of best designs that get a training of their own at the end", low=1)
+
+    def screening(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """The evaluator of all designs but the finalists."""
+        raise NotImplementedError
+
+    def final(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """The evaluator of the finalists."""
+        return training_evaluator(search)
+
+    def build(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """See :class:`Evaluation`."""
+        from warpvox.algos.codesign.finalists import TwoStages
+
+        return TwoStages(self.screening(search, known), self.final(search, known))
+
+    def check(self, search: Codesign) -> None:
+        """See :class:`Evaluation`."""
+        check_training(search)
+        if search.training.inherit:
+            raise ConfigError(
+                f"training.inherit does not go with evaluation={self.name}: the trainings of the finalists begin with"
+                " new networks."
+            )
+
+    def resolved(self, search: Codesign, folder: Path | None) -> Evaluation:
+        """See :class:`Evaluation`."""
+        try_network(search)
+        return self
+
+    def batches(self, search: Codesign) -> list[Batch]:
+        """See :class:`Evaluation`."""
+        return [training_batch(search, self.finalists)]
