@@ -32,10 +32,10 @@ from warpvox.cli.cell_text import body_rows
 from warpvox.cli.codesign_progress import Results, SearchProgress
 from warpvox.cli.commands.codesign import _archive, resolve
 from warpvox.cli.config import load
-from warpvox.cli.runs import END
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError
+from warpvox.runs import END
 from warpvox.view.body_picture import cell_colour
 
 TINY = (

@@ -205,7 +205,7 @@ def test_a_folder_that_vanishes_is_told_of_and_not_made_again(
     def remove(*_: Any) -> None:
         shutil.rmtree(tmp_path / "outputs", ignore_errors=True)
 
-    monkeypatch.setattr("warpvox.cli.progress.TrainingProgress.__call__", remove)
+    monkeypatch.setattr("warpvox.algos.training.progress.Terminal.__call__", remove)
     monkeypatch.setattr("warpvox.cli.codesign_progress.SearchProgress.progress", remove)
     check_complaint(warpvox(*COMMANDS[command]), "outputs")
     assert list(tmp_path.iterdir()) == []
@@ -263,7 +263,7 @@ def test_a_signal_waits_for_the_iteration_and_a_second_one_does_not(
             signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpvox.cli.progress.TrainingProgress.__call__", send)
+        patch.setattr("warpvox.algos.training.progress.Terminal.__call__", send)
         outcome = warpvox(*TRAIN)
     for number, handler in before.items():
         signal.signal(number, handler)

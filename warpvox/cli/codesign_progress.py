@@ -20,9 +20,9 @@ from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.report import FILE as REPORT, write_report
 from warpvox.checks import is_number
 from warpvox.cli.cell_text import body_rows
-from warpvox.cli.console import duration, echo, figure
 from warpvox.cli.fresh_seeds import fresh_text
-from warpvox.cli.runs import read_summary, write_summary
+from warpvox.io.console import duration, echo, figure
+from warpvox.runs import read_summary, write_summary
 from warpvox.view.body_picture import write_bodies
 
 __all__ = ["Results", "SearchProgress"]

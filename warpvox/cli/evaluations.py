@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpvox.algos.candidate import FINALIST, Candidate
-from warpvox.algos.settings import PpoConfig, ScreeningConfig
-from warpvox.cli.pretrained import check_learned, find_pretrained, kept_name, observed_by
+from warpvox.algos.settings import Ppo, ScreeningConfig
+from warpvox.algos.training.pretrained import check_learned, find_pretrained, kept_name, observed_by
 from warpvox.code import is_code
 from warpvox.configs.schema import CodesignConfig
 from warpvox.errors import ConfigError, did_you_mean
@@ -120,7 +120,7 @@ def _check_gaits(how: ScreeningConfig) -> None:
             )
 
 
-def _screening_ppo(config: CodesignConfig) -> PpoConfig:
+def _screening_ppo(config: CodesignConfig) -> Ppo:
     """PPO of the common policy: ``training.ppo`` with what ``screening.ppo`` changes.
 
     Raises:
@@ -267,7 +267,7 @@ def keep_pretrained(content: Mapping[str, Any] | None, folder: Path) -> None:
 def factory_of(config: CodesignConfig, obs: str = "task") -> EnvFactory:
     """Where a configuration has designs trained; ``config.device`` may still be auto."""
     from warpvox.algos.env_factory import EnvFactory
-    from warpvox.cli.build import sim_of
+    from warpvox.algos.physics import sim_of
 
     return EnvFactory(config.task, config.rules, obs, sim=sim_of(config))
 

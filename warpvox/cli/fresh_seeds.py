@@ -29,18 +29,17 @@ def evaluate_winner(folder: Path, config: Any) -> dict[str, Any]:
         ``mean``, ``low`` and ``high`` (95 % interval, Student's t), ``episodes``, ``seed``.
     """
     from warpvox.algos.evaluate import evaluate
-    from warpvox.cli.exports import load_run
-    from warpvox.cli.runs import find_run
+    from warpvox.algos.training.loading import Playing, load_run
     from warpvox.code import is_code
-    from warpvox.configs.schema import PlayConfig
     from warpvox.envs.registry import get_task
+    from warpvox.runs import find_run
 
     if not get_task(config.task).under(config.rules).is_random:
         return {}
     named = {name: value for name in ("task", "policy") if is_code(value := getattr(config, name, None))}
     device = config.device if config.executor == "local" else "cpu"
     seed = SEED + (config.seed == SEED)  # which the search has compared its designs by
-    play = PlayConfig(num_envs=EPISODES, seed=seed, device=device, threads=config.threads, **named)
+    play = Playing(num_envs=EPISODES, seed=seed, device=device, threads=config.threads, **named)
     env, policy = load_run(find_run(str(folder), config.output_dir), play)
     found = mean_interval(evaluate(env, policy).returns.tolist())
     return {"mean": found.mean, "low": found.low, "high": found.high, "episodes": EPISODES, "seed": seed}

@@ -17,9 +17,7 @@ from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, options_of
-from warpvox.cli.runs import Run, as_name, find_codesign, find_run, read_summary
 from warpvox.cli.start import history_of
-from warpvox.cli.trust import allowed
 from warpvox.configs.schema import PRESET
 from warpvox.design import check_design, full_connections
 from warpvox.envs.registry import get_task
@@ -27,6 +25,8 @@ from warpvox.errors import RunError
 from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.robots.network import Network
 from warpvox.robots.replay import policy_of_checkpoint, recorded
+from warpvox.runs import Run, as_name, find_codesign, find_run, read_summary
+from warpvox.trust import allowed
 
 __all__ = ["Outcome", "add", "command_of", "find_sources", "robots_of", "trained"]
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpvox.cli.runs import ZOO
 from warpvox.configs.schema import CodesignConfig
 from warpvox.design import full_connections
 from warpvox.errors import ConfigError
 from warpvox.robots.entry import Robot, find_robot, read_robot, save_robot
 from warpvox.robots.gait import Gait as RobotGait
+from warpvox.runs import ZOO
 
 if TYPE_CHECKING:
     from warpvox.algos.codesign.gaits import Gait
@@ -45,7 +45,7 @@ def read_start(config: CodesignConfig, folder: Path | None = None) -> list[Robot
 def _robots(text: str, config: CodesignConfig) -> list[Robot]:
     if text.startswith(ZOO):
         return [find_robot(text.removeprefix(ZOO))]
-    from warpvox.cli.designs import has_designs, read_bodies
+    from warpvox.algos.training.bodies import has_designs, read_bodies
 
     folder = Path(text).expanduser()
     if folder.is_dir() and not has_designs(folder):

@@ -18,11 +18,10 @@ from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive
 from warpvox.algos.codesign.archive_export import export
 from warpvox.algos.search import make_search, settings_from
-from warpvox.algos.settings import PpoConfig
+from warpvox.algos.settings import Ppo
+from warpvox.algos.training.pretrained import observed_by
 from warpvox.cli.application import run_command
-from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
-from warpvox.cli.console import echo, shell_argument, shown
 from warpvox.cli.costs import costs_of
 from warpvox.cli.evaluations import (
     STEPS,
@@ -38,14 +37,23 @@ from warpvox.cli.evaluations import (
     values_of_gait,
 )
 from warpvox.cli.fresh_seeds import evaluate_winner, fresh_text
-from warpvox.cli.pretrained import observed_by
-from warpvox.cli.runs import CONFIG, END, find_codesign, find_searches, new_folder, read_summary, run_folder
 from warpvox.cli.start import gaits_of, keep_start, read_start
-from warpvox.cli.trust import STORED, again, as_stored, keep_code
 from warpvox.code import is_code
 from warpvox.configs.schema import CodesignConfig
 from warpvox.errors import ConfigError, RunError, StorageError, listing
+from warpvox.io.console import echo, shell_argument, shown
 from warpvox.io.writing import check_writable
+from warpvox.runs import (
+    CONFIG,
+    END,
+    check_unchanged,
+    find_codesign,
+    find_searches,
+    new_folder,
+    read_summary,
+    run_folder,
+)
+from warpvox.trust import STORED, again, as_stored, keep_code
 from warpvox.types import Cell
 
 if TYPE_CHECKING:
@@ -115,7 +123,7 @@ def check(config: CodesignConfig, folder: Path | None = None) -> None:
     Raises:
         WarpvoxError: a task, shape, setting, device or library that does not exist or does not go with the others.
     """
-    from warpvox.cli.build import physics_of
+    from warpvox.algos.physics import physics_of
     from warpvox.devices.names import resolve_device
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
@@ -144,7 +152,7 @@ def _together(config: CodesignConfig) -> int:
     return min(config.batch or most, most) if is_screened(config) else config.batch or most
 
 
-def _batches(config: CodesignConfig) -> list[tuple[int, int, str, int, str, PpoConfig | None]]:
+def _batches(config: CodesignConfig) -> list[tuple[int, int, str, int, str, Ppo | None]]:
     """Batches: designs, environments of each, the key that counts these, its value, ``obs``, PPO."""
     training, how = config.training, config.screening
     obs = "task" if config.policy == "mlp" else "voxel"
@@ -172,7 +180,7 @@ def environments(config: CodesignConfig) -> int:
 
 def _ask_for_memory(config: CodesignConfig) -> None:
     """Raise MemoryLimitError, with what fits, where a search would take too much with bodies that fill their grid."""
-    from warpvox.cli.build import sim_of
+    from warpvox.algos.physics import sim_of
     from warpvox.envs.memory import ask, environment_bytes, fitting
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
@@ -195,7 +203,7 @@ def resolve(config: CodesignConfig, folder: Path | None = None) -> CodesignConfi
     Args:
         folder: of the search that is resumed.
     """
-    from warpvox.cli.build import physics_of
+    from warpvox.algos.physics import physics_of
     from warpvox.devices.names import resolve_device
 
     constants = dataclasses.asdict(physics_of(config))
@@ -233,8 +241,8 @@ def codesign(job: Job, console: Console) -> Path:
         from warpvox.algos.codesign.finalists import Finalists
         from warpvox.algos.codesign.loop import Loop
         from warpvox.algos.codesign.stored_policies import StoredPolicies
-        from warpvox.cli.build import prepare
         from warpvox.cli.codesign_progress import Results, SearchProgress
+        from warpvox.cli.process import prepare
         from warpvox.envs.registry import get_task
 
         config = resolve(job.config, job.folder)
@@ -377,7 +385,7 @@ def make_evaluator(
         pretrained: of :func:`warpvox.cli.evaluations.read_pretrained`.
         gaits: of :func:`warpvox.cli.start.gaits_of`.
     """
-    from warpvox.cli.build import prepare
+    from warpvox.cli.process import prepare
     from warpvox.devices.names import resolve_device
 
     prepare(config.torch_threads, config.seed)
