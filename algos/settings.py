@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from warpvox.errors import ConfigError
 from warpvox.keys import MISSING, key
 
-__all__ = ["ACTIVATIONS", "CPG", "LOGGERS", "MLP", "REFRESH", "PpoConfig", "TrainingConfig"]
+__all__ = ["ACTIVATIONS", "CPG", "LOGGERS", "MLP", "REFRESH", "Ppo", "TrainingConfig"]
 
 MLP = "mlp"
 """The policy that is no network for voxels: fully connected layers on the whole observation."""
@@ -22,36 +22,40 @@ LOGGERS = ("tensorboard", "wandb", "neptune", "none")
 
 
 @dataclass
-class PpoConfig:
-    """Keys ``ppo.*``: policy, value function and their optimisation."""
+class Ppo:
+    """Keys ``ppo.*``: policy, value function and their optimisation.
 
-    steps: int = key(MISSING, "control steps of each environment per iteration", low=1)
-    epochs: int = key(MISSING, "passes over the data of an iteration", low=1)
-    minibatches: int = key(MISSING, "minibatches of a pass", low=1)
-    gamma: float = key(MISSING, "discount factor per control step", low=0, high=1)
-    lam: float = key(MISSING, "lambda of generalised advantage estimation", low=0, high=1)
-    clip: float = key(MISSING, "clip range of the probability ratio (and of value changes)", above=0)
-    clip_values: bool = key(MISSING, "clip changes of the value function")
-    value_coef: float = key(MISSING, "weight of the value loss", low=0)
-    entropy_coef: float = key(MISSING, "weight of the entropy bonus", low=0)
-    max_grad_norm: float = key(MISSING, "gradient norm above which gradients are scaled down to it", above=0)
-    learning_rate: float = key(MISSING, "learning rate of Adam (at the start)", above=0)
+    The defaults are for hundreds to thousands of environments, tuned on Walker-v0 with 512. Short rollouts and as many
+    updates as the KL divergence allows need the fewest control steps.
+    """
+
+    steps: int = key(16, "control steps of each environment per iteration", low=1)
+    epochs: int = key(5, "passes over the data of an iteration", low=1)
+    minibatches: int = key(4, "minibatches of a pass", low=1)
+    gamma: float = key(0.99, "discount factor per control step", low=0, high=1)
+    lam: float = key(0.95, "lambda of generalised advantage estimation", low=0, high=1)
+    clip: float = key(0.2, "clip range of the probability ratio (and of value changes)", above=0)
+    clip_values: bool = key(False, "clip changes of the value function")
+    value_coef: float = key(1.0, "weight of the value loss", low=0)
+    entropy_coef: float = key(0.002, "weight of the entropy bonus", low=0)
+    max_grad_norm: float = key(1.0, "gradient norm above which gradients are scaled down to it", above=0)
+    learning_rate: float = key(1e-3, "learning rate of Adam (at the start)", above=0)
     schedule: str = key(
-        MISSING,
+        "adaptive",
         "schedule of the learning rate: fixed, linear decay to 0, or adaptive to the KL divergence",
         choices=("fixed", "linear", "adaptive"),
     )
-    desired_kl: float = key(MISSING, "schedule=adaptive: target KL divergence of an update", above=0)
-    adam_eps: float = key(MISSING, "epsilon of Adam", above=0)
+    desired_kl: float = key(0.02, "schedule=adaptive: target KL divergence of an update", above=0)
+    adam_eps: float = key(1e-8, "epsilon of Adam", above=0)
     hidden: list[int] = key([64, 64], "units of the hidden layers of both networks", low=1)
-    activation: str = key(MISSING, "activation function of the hidden layers", choices=ACTIVATIONS)
-    init_std: float = key(MISSING, "initial standard deviation of the policy's output a", above=0)
+    activation: str = key("tanh", "activation function of the hidden layers", choices=ACTIVATIONS)
+    init_std: float = key(1.0, "initial standard deviation of the policy's output a", above=0)
     action_scale: float = key(0.5, "an action is 1.1 + action_scale * a for the policy's output a", above=0)
-    normalize_obs: bool = key(MISSING, "normalise observations by their running mean and standard deviation")
-    reward_scale: float = key(MISSING, "factor by which rewards are multiplied for PPO", above=0)
-    normalize_reward: bool = key(MISSING, "divide rewards by the running standard deviation of the discounted return")
-    bootstrap_time_limit: bool = key(MISSING, "bootstrap from the value function where the time limit ends an episode")
-    random_start: bool = key(MISSING, "give the first episodes random lengths, so that they do not all end together")
+    normalize_obs: bool = key(True, "normalise observations by their running mean and standard deviation")
+    reward_scale: float = key(10.0, "factor by which rewards are multiplied for PPO", above=0)
+    normalize_reward: bool = key(False, "divide rewards by the running standard deviation of the discounted return")
+    bootstrap_time_limit: bool = key(True, "bootstrap from the value function where the time limit ends an episode")
+    random_start: bool = key(True, "give the first episodes random lengths, so that they do not all end together")
 
     def check(self, num_envs: int, prefix: str = "ppo") -> None:
         """Raise ConfigError if an iteration of so many environments is too small for its minibatches."""
@@ -88,4 +92,4 @@ class TrainingConfig:
         high=1,
     )
     keep: float = key(0.5, "successive halving: fraction of the designs that is kept at each rung", above=0, high=1)
-    ppo: PpoConfig = key(PpoConfig, "settings of PPO")
+    ppo: Ppo = key(Ppo, "settings of PPO")

@@ -12,10 +12,11 @@ import dataclasses
 from dataclasses import dataclass, field, make_dataclass
 from typing import Any, get_origin, get_type_hints
 
+from warpvox.algos.physics import PhysicsConfig
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
-from warpvox.algos.settings import LOGGERS, REFRESH, PpoConfig, ScreeningConfig, TrainingConfig
+from warpvox.algos.settings import ScreeningConfig, TrainingConfig
+from warpvox.algos.training.settings import ARITHMETICS, DEVICES, MOST_THREADS, Training, arithmetic_key
 from warpvox.configs.bench_keys import COLUMNS, SUITES, GradientsConfig, LearningConfig, PeerConfig, ScalingConfig
-from warpvox.configs.physics_keys import PhysicsConfig
 from warpvox.configs.suite_keys import suite_config
 from warpvox.keys import MISSING, key
 
@@ -28,7 +29,6 @@ __all__ = [
     "BenchConfig",
     "CodesignConfig",
     "DemoConfig",
-    "DesignsConfig",
     "EvaluateConfig",
     "ExportConfig",
     "PhysicsConfig",
@@ -43,13 +43,8 @@ EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
 POLICY_EXPORTS = ("onnx", "jit")
 AGENTS = ("random", "sine", "zero")
 SHOW = ("auto", "on", "off")
-OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 ARCHIVE_EXPORTS = ("csv", "parquet", "npz", "json")
 AUTO = "auto"
-MOST_THREADS = 1024
-"""More than any machine has cores; a stored file may not make a process start a million."""
-ARITHMETICS = ("fast", "exact")
-DEVICES = "auto (CUDA where there is a device, from 100 environments per CPU core on), cpu, cuda, cuda:<index>"
 CONFIG_FILE = "file to take values from, such as a run's config.yaml (or its folder); keys that are given override them"
 
 
@@ -67,10 +62,6 @@ def _own_policy() -> Any:
     )
 
 
-def _arithmetic(default: str) -> Any:
-    return key(None, f"fast, or exact (float64, bit for bit as released); null: {default}", choices=ARITHMETICS)
-
-
 @dataclass
 class PresetConfig:
     """The key of commands that have presets: whole sets of defaults, ``configs/preset/NAME/COMMAND.yaml``."""
@@ -81,120 +72,10 @@ class PresetConfig:
 
 
 @dataclass
-class DesignsConfig:
-    """Keys ``designs.*``: many bodies for one policy. ``designs=...`` is short for ``designs.bodies=...``."""
-
-    bodies: Any = key(
-        None,
-        "bodies to train one policy on, instead of design: random:64, random:64:5x7, a folder of designs or of a"
-        " design search, or a list of designs",
-        path="read",
-    )
-    refresh: str = key(
-        "none",
-        "what replaces a body at the end of its episode: nothing (none), a new random body (new), any of the"
-        " bodies (random), or any of them, more often those on which the policy does worse (performance)",
-        choices=REFRESH,
-    )
-    held_out: Any = key(
-        None,
-        "bodies for evaluation only, never trained on, given as designs; null: 32 random ones of the same size, or the"
-        " bodies themselves where these are named",
-        path="read",
-    )
-    grid: list[int] | None = key(
-        None, "rows and columns that bodies have room for; null: those of the largest", low=1, form="[rows,columns]"
-    )
-
-
-@dataclass
-class _TrainingRunConfig:
-    """What train and demo share."""
-
-    task: str = key(
-        "Walker-v0",
-        "task id (`warpvox tasks` lists them), or a task of your own: module:NAME or file.py:NAME",
-        path="read",
-    )
-    design: Any = key(
-        "walker",
-        "body: the name of an example, random, random:5x7, zoo:TASK, a .json/.npz/.npy file, or rows of cells;"
-        " for a task with several robots {name:body}",
-        path="read",
-    )
-    rules: str = key(
-        "evogym",
-        "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)",
-        choices=("evogym", "paper"),
-    )
-    policy: str = key(
-        "mlp",
-        "network of the policy: mlp (layers: ppo.hidden), grid, transformer or cpg (all observe voxels: obs=task"
-        " becomes voxel, timed becomes timed_voxel), or your own: module:Class, file.py:Class",
-        path="read",
-    )
-    network: Any = key(None, "settings of a network other than mlp, {width:32} for instance; null: its defaults")
-    obs: str = key(
-        "task",
-        "observations: as the task has (task), by cell (voxel), with the time (timed, timed_voxel)",
-        choices=OBSERVATIONS,
-    )
-    num_envs: int = key(MISSING, "environments stepped in parallel", low=1)
-    max_iterations: int = key(MISSING, "training iterations in total, including those before a resume", low=1)
-    eval_interval: int = key(MISSING, "iterations between deterministic evaluations", low=1)
-    eval_envs: int = key(1, "evaluation environments for each design", low=1)
-    stop_return: float | None = key(None, "stop as soon as an evaluation reaches this return; null: never")
-    save_interval: int = key(50, "iterations between checkpoints", low=1)
-    seed: int = key(0, "seed of all random numbers", low=0)
-    device: str = key("auto", DEVICES)
-    dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
-    arithmetic: str | None = _arithmetic("chosen by dtype")
-    threads: int | None = key(None, "CPU threads of the simulation; null: all cores", low=1, high=MOST_THREADS)
-    lanes: int | None = key(
-        None, "environments that a thread advances at once, in SIMD lanes; null: chosen by their number"
-    )
-    cuda_graph: bool = key(False, "on CUDA: launch each control step, with rewards and resets, as one CUDA graph")
-    logger: str = key(
-        "tensorboard",
-        "where metrics are logged besides metrics.csv: tensorboard; wandb or neptune, by rsl-rl's writers; or none",
-        choices=LOGGERS,
-    )
-    nan_guard: str = key(
-        "on",
-        "what happens when an environment diverges: its episode ends (on), and its last 64 steps are also written"
-        " to the folder dumps of the run (dump)",
-        choices=("on", "dump"),
-    )
-    torch_threads: int = key(
-        1, "PyTorch threads; more than 1 slow down small networks and change rounding", low=1, high=MOST_THREADS
-    )
-    memory_check: bool = key(True, "refuse, before allocating, what does not fit into free memory")
-    resume: str | None = key(None, "continue a run: latest, its folder, or a checkpoint file in it", path="read")
-    config: str | None = key(None, CONFIG_FILE, path="read")
-    name: str | None = key(None, "appended to the name of the run's folder")
-    output_dir: str = key("outputs", "folder that runs are written to", path="written")
-    physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the physics")
-    ppo: PpoConfig = key(PpoConfig, "settings of PPO")
-
-
-@dataclass
-class TrainConfig(_TrainingRunConfig, PresetConfig):
+class TrainConfig(Training, PresetConfig):
     """Keys of ``warpvox train``."""
 
-    designs: DesignsConfig = key(DesignsConfig, "many bodies for one policy")
-    pretrained: str | None = key(
-        None,
-        "policy to begin with instead of a new one: universal (comes with warpvox: bodies up to 5x5, Walker-v0),"
-        " latest, the folder of a run of `warpvox train` or a checkpoint in it; network, observations and method are"
-        " its own",
-        path="read",
-    )
-    method: str = key(
-        "ppo",
-        "how the policy learns: ppo, or gradients through the physics (policy=cpg; of ppo.* only steps, epochs,"
-        " minibatches, learning_rate, schedule, max_grad_norm, adam_eps and action_scale count)",
-        choices=("ppo", "gradients"),
-    )
+    config: str | None = key(None, CONFIG_FILE, path="read")
 
 
 def _search_fields() -> list[tuple[str, Any, Any]]:
@@ -267,7 +148,7 @@ class CodesignConfig(PresetConfig):
     seed: int = key(0, "seed of all random numbers", low=0)
     device: str = key("auto", DEVICES)
     dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
-    arithmetic: str | None = _arithmetic("chosen by dtype")
+    arithmetic: str | None = arithmetic_key("chosen by dtype")
     threads: int | None = key(
         None, "CPU threads of the simulation; null: all cores (executor=ray: one)", low=1, high=MOST_THREADS
     )
@@ -321,9 +202,10 @@ SuiteConfig = suite_config(CodesignConfig, SearchConfig)
 
 
 @dataclass
-class DemoConfig(_TrainingRunConfig):
+class DemoConfig(Training):
     """Keys of ``warpvox demo``: training, then the exports."""
 
+    config: str | None = key(None, CONFIG_FILE, path="read")
     export: list[str] = key(["usd", "gif", "html"], "formats to export the rollout to", choices=EXPORTS)
 
 
@@ -353,7 +235,7 @@ class _RolloutConfig:
     steps: int | None = key(None, "control steps to record; null: until the episode ends", low=1)
     device: str = key("auto", DEVICES)
     dtype: str | None = _dtype_of_run()
-    arithmetic: str | None = _arithmetic("that of the run, or chosen by dtype")
+    arithmetic: str | None = arithmetic_key("that of the run, or chosen by dtype")
     stochastic: bool = key(False, "sample actions from the policy as in training, instead of taking their mean")
     seed: int | None = key(
         None,
@@ -503,7 +385,7 @@ class EvaluateConfig:
     policy: str | None = _own_policy()
     device: str = key("auto", DEVICES)
     dtype: str | None = _dtype_of_run()
-    arithmetic: str | None = _arithmetic("that of the run, or chosen by dtype")
+    arithmetic: str | None = arithmetic_key("that of the run, or chosen by dtype")
     threads: int | None = key(None, "CPU threads of the simulation; null: all cores", low=1)
     torch_threads: int = key(1, "PyTorch threads", low=1)
     name: str | None = key(None, "appended to the name of the result's folder")

@@ -28,7 +28,6 @@ from warpvox.algos.report.members import Member, archives_in, read_members
 from warpvox.algos.statistics import mean_interval
 from warpvox.cli.config import load
 from warpvox.cli.robot_entries import command_of
-from warpvox.cli.runs import find_codesign
 from warpvox.envs.known_returns import FILE as KNOWN_RETURNS, KnownReturn, known_returns
 from warpvox.envs.registry import task_ids
 from warpvox.errors import ConfigError
@@ -36,6 +35,7 @@ from warpvox.io import writing
 from warpvox.robots import Gait, Robot, robot_env, zoo_tasks
 from warpvox.robots.entry import DIGITS
 from warpvox.robots.replay import SEEDS
+from warpvox.runs import find_codesign
 from warpvox.system import processor_name
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 

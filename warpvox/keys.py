@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+from collections.abc import Mapping
 from dataclasses import field
-from typing import Any
+from numbers import Integral, Real
+from typing import Any, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["MISSING", "check_values", "key"]
+__all__ = ["MISSING", "check_values", "convert", "key", "plain"]
 
 MISSING: Any = "???"
 """A key without a value of its own: one of the group's YAML files must set it."""
@@ -74,3 +79,63 @@ def _check_entry(name: str, value: Any, limits: Any) -> None:
     ):
         if bound in limits and not valid(limits[bound]):
             raise ConfigError(f"{name} must be {words} {limits[bound]}, got {value!r}.")
+
+
+KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "text"}
+ACCEPTED = {int: Integral, float: Real, bool: bool | np.bool_, str: str | os.PathLike}
+
+
+def convert(config: Any, prefix: str = "") -> None:
+    """Give the values of a dataclass the types of its fields: numbers of numpy, tuples, mappings for its parts.
+
+    Raises:
+        ConfigError: a value of another type, or a part that has no field of a name.
+    """
+    hints = get_type_hints(type(config))
+    for item in dataclasses.fields(config):
+        setattr(config, item.name, _converted(getattr(config, item.name), hints[item.name], prefix + item.name))
+
+
+def _converted(value: Any, kind: Any, name: str) -> Any:
+    kinds = get_args(kind) if type(None) in get_args(kind) else (kind,)
+    kind = kinds[0]
+    if kind is Any or (value is None and len(kinds) > 1):
+        return value
+    if dataclasses.is_dataclass(kind):
+        if isinstance(value, Mapping):
+            known = [item.name for item in dataclasses.fields(kind)]
+            for key in value:
+                if key not in known:
+                    hint = did_you_mean(f"{name}.{key}", [f"{name}.{one}" for one in known])
+                    raise ConfigError(f"Unknown key '{name}.{key}'.{hint}")
+            value = kind(**value)
+        if not isinstance(value, kind):
+            raise ConfigError(f"{name} must be {kind.__name__}(...) or values by name, got {value!r:.80}.")
+        convert(value, name + ".")
+        return value
+    if get_origin(kind) is list:
+        if not isinstance(value, list | tuple | np.ndarray):
+            raise ConfigError(f"{name} must be a list, got {value!r:.80}.")
+        return [_converted(entry, get_args(kind)[0], name) for entry in value]
+    if not isinstance(value, ACCEPTED[kind]) or (kind is not bool and isinstance(value, bool)):
+        raise ConfigError(f"{name} must be {KINDS[kind]}{' or None' if len(kinds) > 1 else ''}, got {value!r:.80}.")
+    return value if type(value) is kind or isinstance(value, str) else kind(value)
+
+
+def plain(value: Any, name: str) -> Any:
+    """``value`` as lists, mappings, texts and numbers, in place of arrays, tuples and paths.
+
+    Raises:
+        ConfigError: it is or holds anything else.
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry, name) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry, name) for entry in value]
+    if isinstance(value, os.PathLike):
+        return os.path.expanduser(value)
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    raise ConfigError(f"{name} cannot be a {type(value).__name__}: expected text, a number, a list or an array.")

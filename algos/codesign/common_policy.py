@@ -17,7 +17,7 @@ from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import Evaluation, evaluate
 from warpvox.algos.policies.registry import layout_for
-from warpvox.algos.settings import CPG, PpoConfig
+from warpvox.algos.settings import CPG, Ppo
 from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
@@ -43,7 +43,7 @@ class SharedEvaluator:
 
     Attributes:
         factory: makes environments with ``obs="voxel"`` and a grid that has room for all designs.
-        settings: how the policy is trained; ``settings.ppo`` has all values of :class:`PpoConfig`.
+        settings: how the policy is trained; ``settings.ppo`` has all values of :class:`Ppo`.
         seed: of the experiment.
 
     """
@@ -137,7 +137,7 @@ class _Course:
         fresh: bool = False,
     ) -> None:
         self.factory, self.settings, self.candidates = factory, settings, list(candidates)
-        self.ppo = PpoConfig(**settings.ppo)
+        self.ppo = Ppo(**settings.ppo)
         self.seed, self.seeds = seed, [candidate_seed(seed, candidate.id) for candidate in candidates]
         self.learned, self.fresh = learned, fresh
         start = None if learned is None else policy_sha256(learned["actor_state_dict"])

@@ -11,7 +11,7 @@ import numpy as np
 
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
-from warpvox.algos.training.designs import has_designs, read_bodies
+from warpvox.algos.training.bodies import has_designs, read_bodies
 from warpvox.design import check_design, full_connections
 from warpvox.errors import ConfigError, RunError
 from warpvox.robots.entry import Robot, find_robot, read_robot, save_robot

@@ -19,7 +19,7 @@ from warpvox.algos.evaluate import evaluate
 from warpvox.algos.population.model import PopulationModel
 from warpvox.algos.population.ppo import PopulationPPO
 from warpvox.algos.population.streams import Streams
-from warpvox.algos.settings import PpoConfig, TrainingConfig
+from warpvox.algos.settings import Ppo, TrainingConfig
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import adapt
 from warpvox.design import Design
@@ -38,7 +38,7 @@ class Networks:
     random_state: torch.Tensor
 
 
-def fresh_networks(ppo: PpoConfig, num_obs: int, num_actions: int, seed: int) -> Networks:
+def fresh_networks(ppo: Ppo, num_obs: int, num_actions: int, seed: int) -> Networks:
     """What a separate training with ``seed`` begins with, made by rsl-rl itself; torch's generator stays as it was."""
     config = rsl_rl_config(ppo, total_iterations=1) | {"multi_gpu": None}
     obs = TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])

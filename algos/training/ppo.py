@@ -13,7 +13,7 @@ from rsl_rl.algorithms import PPO as RslRlPPO
 from tensordict import TensorDict
 
 from warpvox.algos.policies.model import VoxelModel
-from warpvox.algos.settings import PpoConfig
+from warpvox.algos.settings import Ppo
 from warpvox.algos.training.adam import VectorAdam
 from warpvox.algos.training.networks import Gaussian, Network, observations
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
@@ -303,7 +303,7 @@ class PPO(RslRlPPO):
 
 
 def rsl_rl_config(
-    ppo: PpoConfig, total_iterations: int, voxels: Mapping[str, Any] | None = None, algorithm: type[PPO] = PPO
+    ppo: Ppo, total_iterations: int, voxels: Mapping[str, Any] | None = None, algorithm: type[PPO] = PPO
 ) -> dict[str, Any]:
     """The dictionary that rsl-rl's runner wants.
 

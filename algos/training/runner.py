@@ -22,7 +22,7 @@ from warpvox.algos.checkpoints.files import (
 )
 from warpvox.algos.evaluate import Evaluation, Evaluator, StatefulEvaluator
 from warpvox.algos.interrupt import deferred_interrupts
-from warpvox.algos.settings import PpoConfig
+from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
 from warpvox.algos.training.metrics import Metrics
@@ -53,7 +53,7 @@ class Schedule:
     stop_return: float | None = None
 
 
-def adapt(env: Any, ppo: PpoConfig, apart: bool = False) -> RslRlVecEnv:
+def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
     """Wrap a :class:`VoxelVecEnv` with the settings of ``ppo``; ``apart``: designs share no running moments."""
     return RslRlVecEnv(
         env,
@@ -95,7 +95,7 @@ class Runner:
     def __init__(
         self,
         env: RslRlVecEnv,
-        ppo: PpoConfig,
+        ppo: Ppo,
         schedule: Schedule,
         folder: Path | None = None,
         evaluator: Evaluator | None = None,

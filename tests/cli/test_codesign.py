@@ -29,13 +29,13 @@ from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.search import settings_from
 from warpvox.cli import codesign_progress, fresh_seeds
 from warpvox.cli.cell_text import body_rows
-from warpvox.cli.codesign_progress import Results, SearchProgress
+from warpvox.algos.codesign.progress import Results, SearchProgress
 from warpvox.cli.commands.codesign import _archive, resolve
 from warpvox.cli.config import load
-from warpvox.cli.runs import END
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError
+from warpvox.runs import END
 from warpvox.view.body_picture import cell_colour
 
 TINY = (

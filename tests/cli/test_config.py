@@ -13,11 +13,12 @@ from hydra import compose
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from warpvox.algos import physics
+from warpvox.algos.physics import physics_of
 from warpvox.cli import COMMANDS, main
-from warpvox.cli.build import physics_of
 from warpvox.cli.config import Arguments, composition, expand, load, load_values, to_yaml
 from warpvox.cli.help import flat_keys, flat_values
-from warpvox.configs import physics_keys, schema
+from warpvox.configs import schema
 from warpvox.configs.composition import opened
 from warpvox.design import load_design
 from warpvox.errors import ConfigError
@@ -143,7 +144,7 @@ def test_a_constant_changes_alone_whatever_the_order() -> None:
 def test_every_constant_of_the_physics_is_a_key_with_a_meaning() -> None:
     constants = {field.name for field in dataclasses.fields(Physics)} - {"name"}
     assert {field.name for field in dataclasses.fields(schema.PhysicsConfig)} == constants | {"preset"}
-    assert set(physics_keys.CONSTANTS) == constants
+    assert set(physics.CONSTANTS) == constants
 
 
 @pytest.mark.parametrize("command", schema.COMMANDS)

@@ -15,10 +15,10 @@ from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.report.gallery import COLUMNS, TILE, draw_gallery, everywhere
 from warpvox.algos.statistics import mean_interval
 from warpvox.cli.commands.curves import _points, curves_of
-from warpvox.cli.runs import Run
 from warpvox.design import sample_design
 from warpvox.envs.registry import task_ids
 from warpvox.errors import RunError
+from warpvox.runs import Run
 from warpvox.types import Cell
 from warpvox.view.palette import LEVELS, palette
 

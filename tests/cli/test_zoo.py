@@ -12,7 +12,7 @@ import pytest
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.codesign.archive import Archive, Finished
-from warpvox.api import load_policy
+from warpvox.algos.training.loading import load_policy
 from warpvox.cli.config import load
 from warpvox.cli.robot_entries import command_of, trained
 from warpvox.design import full_connections, load_design

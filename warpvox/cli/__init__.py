@@ -12,20 +12,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from contextvars import ContextVar
 from importlib import import_module
 
 import warpvox
 from warpvox.algos.interrupt import Terminated, terminable
 from warpvox.cli.streams import lasting_output, redirect
+from warpvox.code import invocation
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.errors import ConfigError, WarpvoxError, did_you_mean
 from warpvox.io.writing import OF_DISKS, complaint
 
-__all__ = ["COMMANDS", "invocation", "main"]
-
-invocation: ContextVar[tuple[str, ...]] = ContextVar("invocation", default=())
-"""The command line without the program's name, for advice that can be pasted."""
+__all__ = ["COMMANDS", "main"]
 
 COMMANDS = {
     "train": "train a controller for a body on a task",
@@ -117,7 +114,7 @@ def _help() -> str:
 
 
 def _complain(error: WarpvoxError | str) -> int:
-    from warpvox.cli.console import escaped
+    from warpvox.io.console import escaped
 
     # one line, with the blanks of paths as they are
     text = " ".join(line.strip() for line in str(error).splitlines())

@@ -15,10 +15,10 @@ from warpvox.cli import COMMANDS
 from warpvox.cli.config import Arguments, composition, expand, load, parse_overrides, read_arguments, to_yaml
 from warpvox.cli.help import command_help, flat_values
 from warpvox.cli.hydra_parts import multirun, show
-from warpvox.cli.runs import check_output
 from warpvox.cli.sweep import Member, Sweep, attempt, member_of, members
 from warpvox.errors import RunError
 from warpvox.io.writing import write_text
+from warpvox.runs import check_output
 
 __all__ = ["prepared", "run_command"]
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
-from warpvox.cli.console import echo
+from warpvox.io.console import echo
 from warpvox.types import Cell
 from warpvox.view.body_picture import cell_colour
 from warpvox.view.palette import CELL_NAMES, RAMPS

@@ -20,12 +20,12 @@ from warpvox.cli.config_file import read_config_file
 from warpvox.cli.help import MAPPINGS, flat_keys, options_of, presets_of
 from warpvox.cli.hydra_parts import CFG, INFO, is_plugin_key, one_line
 from warpvox.cli.quoting import as_list, parse, readable
-from warpvox.cli.trust import check_address, typed, with_code
-from warpvox.code import Code
 from warpvox.configs.composition import composed, schema_of
 from warpvox.configs.schema import COMMANDS, GROUPS, GROUPS_OF, PRESET, PRESET_OF
 from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.io.plain_yaml import to_yaml
 from warpvox.keys import check_values
+from warpvox.trust import check_address, typed, with_code
 
 __all__ = [
     "Arguments",
@@ -154,7 +154,7 @@ def load(
         overrides: of a single run.
         base: values that lie below the overrides, instead of those of the YAML files.
         home: the folder whose ``config.yaml`` the base is; code that it names is only let through if the overrides
-            name it again (:func:`warpvox.cli.trust.with_code`).
+            name it again (:func:`warpvox.trust.with_code`).
 
     Raises:
         ConfigError: anything wrong with keys, values or YAML files; code that the user has not named.
@@ -226,7 +226,7 @@ def _composed(
 def load_values(command: str, values: dict[str, Any]) -> Any:
     """The dataclass of a command from the values of a stored ``config.yaml``; unknown ones are left out.
 
-    The code that they name cannot be imported before :func:`warpvox.cli.trust.with_code`.
+    The code that they name cannot be imported before :func:`warpvox.trust.with_code`.
 
     Raises:
         ConfigError: values of the wrong type or out of range.
@@ -260,24 +260,6 @@ def _brought(parsed: list[Override], defaults: Any, config: Any) -> list[str]:
         for key in config
         if key not in GROUPS and not OmegaConf.is_config(config[key]) and config[key] != defaults[key]
     ]
-
-
-def to_yaml(config: Any) -> str:
-    """A configuration as YAML; lists of plain values take one line."""
-    return yaml.dump(dataclasses.asdict(config), Dumper=_Dumper, sort_keys=False, width=110)
-
-
-class _Dumper(yaml.SafeDumper):
-    """Rows of a body on one line each."""
-
-
-def _represent_list(dumper: _Dumper, values: list) -> yaml.Node:
-    flat = not any(isinstance(value, list | dict) for value in values)
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=flat)
-
-
-_Dumper.add_representer(list, _represent_list)
-_Dumper.add_representer(Code, lambda dumper, code: dumper.represent_str(str(code)))
 
 
 # ----------------------------------------------------------------------------------------------- overrides

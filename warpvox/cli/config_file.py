@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.cli.help import flat_keys, flat_values
-from warpvox.cli.plain_yaml import LARGEST_CONFIG, parse_yaml
 from warpvox.configs.schema import COMMANDS
 from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.io.plain_yaml import LARGEST_CONFIG, parse_yaml
 from warpvox.io.reading import Unreadable, read_text
 
 __all__ = ["read_config_file"]

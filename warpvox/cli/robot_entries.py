@@ -14,8 +14,8 @@ from typing import Any
 from warpvox.algos.codesign.robots import robots_of
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, options_of
-from warpvox.cli.runs import as_name
-from warpvox.cli.trust import allowed
+from warpvox.runs import as_name
+from warpvox.trust import allowed
 from warpvox.configs.schema import PRESET
 from warpvox.envs.registry import get_task
 from warpvox.errors import RunError

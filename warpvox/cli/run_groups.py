@@ -10,9 +10,9 @@ from typing import Any
 
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values
-from warpvox.cli.runs import Run
 from warpvox.configs.bench_keys import PPO
 from warpvox.design import example_design, example_designs
+from warpvox.runs import Run
 
 __all__ = ["Group", "group_runs"]
 

@@ -15,11 +15,11 @@ from rich.console import Console
 from rich.table import Table
 
 from warpvox.cli.config import Arguments, expand
-from warpvox.cli.console import echo, literal
 from warpvox.cli.quoting import parse
-from warpvox.cli.runs import STAMP, label, read_summary
 from warpvox.errors import RunError, WarpvoxError
+from warpvox.io.console import echo, literal
 from warpvox.io.writing import write_table
+from warpvox.runs import STAMP, label, read_summary
 
 __all__ = ["INTERRUPTED", "Member", "Sweep", "attempt", "member_of", "members"]
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpvox.algos.settings import MLP, PpoConfig, TrainingConfig
+from warpvox.algos.settings import MLP, Ppo, TrainingConfig
 from warpvox.errors import ConfigError
 from warpvox.keys import check_values, key
 from warpvox.types import Cell
@@ -53,7 +53,7 @@ class Batch:
     key: str
     value: int
     obs: str = "task"
-    ppo: PpoConfig | None = None
+    ppo: Ppo | None = None
     fewer: str = "batch"
 
 

@@ -18,7 +18,7 @@ from warpvox.algos.codesign.evaluations.base import (
     steps_of_training,
 )
 from warpvox.algos.codesign.evaluations.screened import Screened
-from warpvox.algos.settings import CPG, MLP, PpoConfig
+from warpvox.algos.settings import CPG, MLP, Ppo
 from warpvox.code import is_code
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.keys import check_values, key
@@ -62,7 +62,7 @@ class CommonPolicy(Screened):
             )
         self.ppo_of(search)
 
-    def ppo_of(self, search: Codesign) -> PpoConfig:
+    def ppo_of(self, search: Codesign) -> Ppo:
         """PPO of the common policy: ``training.ppo`` with the changes of ``ppo``.
 
         Raises:
@@ -194,7 +194,7 @@ class FewShot(CommonPolicy):
     def resolved(self, search: Codesign, folder: Path | None) -> FewShot:
         """See :class:`Evaluation`."""
         from warpvox.algos.policies.layout import VoxelLayout
-        from warpvox.cli.pretrained import find_pretrained, kept_name, observed_by
+        from warpvox.algos.training.pretrained import find_pretrained, kept_name, observed_by
 
         super().resolved(search, folder)
         content = self._read(search, folder)
@@ -225,7 +225,7 @@ class FewShot(CommonPolicy):
             RunError: no such run or file. ConfigError: a policy that cannot be tuned for other bodies.
         """
         from warpvox.algos.checkpoints.files import load_checkpoint
-        from warpvox.cli.pretrained import check_learned, find_pretrained
+        from warpvox.algos.training.pretrained import check_learned, find_pretrained
 
         path, run = (folder / PRETRAINED, {}) if folder else find_pretrained(self.pretrained, search.output_dir)
         content = load_checkpoint(path)
@@ -263,6 +263,6 @@ class FewShot(CommonPolicy):
     def screening(self, search: Codesign, known: Any) -> DesignEvaluator:
         """See :class:`Screened`."""
         from warpvox.algos.codesign.common_policy import FewShotEvaluator
-        from warpvox.cli.pretrained import observed_by
+        from warpvox.algos.training.pretrained import observed_by
 
         return FewShotEvaluator(self.factory(search, observed_by(known["policy"])), self, search.seed, known)

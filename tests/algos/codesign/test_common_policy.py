@@ -21,7 +21,7 @@ from warpvox.algos.codesign.loop import Loop
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.registry import layout_for
-from warpvox.algos.settings import PpoConfig
+from warpvox.algos.settings import Ppo
 from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -74,9 +74,9 @@ def pretrained_cpg() -> dict[str, Any]:
     """What `warpvox train policy=cpg method=gradients` would have left."""
     torch.manual_seed(3)
     bodies = [item.body for item in candidates(3)]
-    env = adapt(TIMED.make(bodies, 1, [0, 1, 2], auto_reset=True), PpoConfig(**cpg(0).ppo))
+    env = adapt(TIMED.make(bodies, 1, [0, 1, 2], auto_reset=True), Ppo(**cpg(0).ppo))
     voxels = {"network": "cpg", "settings": CPG, "layout": layout_for("cpg", env.env).dict()}
-    runner = AscentRunner(env, PpoConfig(**cpg(0).ppo), Schedule(1), voxels=voxels)
+    runner = AscentRunner(env, Ppo(**cpg(0).ppo), Schedule(1), voxels=voxels)
     runner.run()
     return runner.state()
 

@@ -13,9 +13,9 @@ from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.policies.layout import layout_of
 from warpvox.algos.training.bodies import Bodies, draw_bodies
+from warpvox.algos.training.held_out import HeldOut
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
-from warpvox.cli.designs import HeldOut
 from warpvox.errors import ConfigError
 
 LIMIT, SHAPE = 8, (3, 3)

@@ -8,7 +8,7 @@ from learning import ENVS, ppo_settings, small_env
 from rsl_rl.algorithms import PPO as StockPPO
 from rsl_rl.models import MLPModel
 
-from warpvox.algos.settings import PpoConfig
+from warpvox.algos.settings import Ppo
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
@@ -29,11 +29,11 @@ SIZES = {"hidden": [8, 8], "minibatches": 3}
 pytestmark = pytest.mark.usefixtures("double", "one_thread")
 
 
-def adapted(ppo: PpoConfig) -> RslRlVecEnv:
+def adapted(ppo: Ppo) -> RslRlVecEnv:
     return adapt(small_env(max_episode_steps=LIMIT), ppo)
 
 
-def algorithms(env: RslRlVecEnv, ppo: PpoConfig) -> tuple[PPO, StockPPO]:
+def algorithms(env: RslRlVecEnv, ppo: Ppo) -> tuple[PPO, StockPPO]:
     config = rsl_rl_config(ppo, 100) | {"multi_gpu": None}
     torch.manual_seed(1)
     ours = PPO.construct_algorithm(env.get_observations(), env, config, "cpu")

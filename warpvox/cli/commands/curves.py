@@ -17,12 +17,12 @@ from warpvox.algos.report.members import Member, progress, read_members
 from warpvox.algos.statistics import LEVEL, mean_interval
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.cli.application import run_command
-from warpvox.cli.console import echo, escaped, literal
 from warpvox.cli.run_groups import Group, group_runs
-from warpvox.cli.runs import Run, find_runs, find_searches
 from warpvox.configs.schema import CurvesConfig
 from warpvox.errors import ConfigError, RunError, listing
+from warpvox.io.console import echo, escaped, literal
 from warpvox.io.writing import atomic_path, write_table
+from warpvox.runs import Run, find_runs, find_searches
 
 __all__ = ["Curve", "curves_of", "run", "write_curves"]
 

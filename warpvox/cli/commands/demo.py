@@ -6,15 +6,18 @@ from pathlib import Path
 
 from rich.console import Console
 
+from warpvox.algos.training.job import Job
+from warpvox.algos.training.loading import Playing, load_run
+from warpvox.algos.training.progress import Terminal
 from warpvox.cli.application import run_command
 from warpvox.cli.commands.play import print_returns
-from warpvox.cli.commands.train import Job, train
-from warpvox.cli.console import echo
-from warpvox.cli.exports import ROLLOUT, load_run, record_run, write_exports
-from warpvox.cli.runs import find_run
+from warpvox.cli.exports import ROLLOUT, record_run, write_exports
+from warpvox.cli.process import prepare
 from warpvox.code import is_code
-from warpvox.configs.schema import DemoConfig, PlayConfig
+from warpvox.configs.schema import DemoConfig
 from warpvox.errors import ConfigError
+from warpvox.io.console import echo
+from warpvox.runs import find_run
 
 __all__ = ["demo", "run"]
 
@@ -32,7 +35,8 @@ def demo(config: DemoConfig, console: Console) -> Path:
     """
     if config.resume is not None:
         raise ConfigError("A demo starts anew; go on with it by `warpvox train resume=FOLDER`.")
-    folder = train(Job(config), console, "demo")
+    prepare(config.torch_threads, config.seed)
+    folder = Job(config).train(Terminal(console), command="demo").folder
     _show(folder, config, console)
     return folder
 
@@ -41,7 +45,7 @@ def _show(folder: Path, config: DemoConfig, console: Console) -> None:
     """Record the best policy of a run and write it into the run's folder."""
     source = find_run(str(folder), config.output_dir)
     own = config.task if is_code(config.task) else None
-    env, controller = load_run(source, PlayConfig(num_envs=1, device="cpu", task=own))
+    env, controller = load_run(source, Playing(task=own))
     with console.status("simulating"):
         rollout = record_run(source, env, controller, None)
     print_returns(rollout, console)

@@ -15,15 +15,14 @@ from rich.table import Table
 from warpvox.algos.statistics import Interval, difference, mean_interval
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
-from warpvox.cli.console import echo, literal, shown
-from warpvox.cli.exports import draws_at_random, load_run
 from warpvox.cli.run_groups import Group, group_runs
-from warpvox.cli.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
-from warpvox.cli.trust import STORED
 from warpvox.code import Code, is_code
-from warpvox.configs.schema import EvaluateConfig, PlayConfig
+from warpvox.configs.schema import EvaluateConfig
 from warpvox.errors import ConfigError
+from warpvox.io.console import echo, literal, shown
 from warpvox.io.writing import write_table
+from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
+from warpvox.trust import STORED
 
 if TYPE_CHECKING:
     from warpvox.algos.evaluate import Evaluation
@@ -74,7 +73,7 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
         with console.status(f"evaluating run {number + 1} of {len(found)}"):
             evaluation, drawn = _evaluate(each_run, config)
         every[id(each_run)] = returns[id(each_run)] = evaluation.returns.tolist()
-        if not drawn and not config.stochastic and config.episodes > 1:
+        if not drawn and config.episodes > 1:
             alike.append(each_run)
             returns[id(each_run)] = [evaluation.mean_return]  # one episode, however often it is repeated
     judged = [Judged(group, [returns[id(each_run)] for each_run in group.runs]) for group in group_runs(found)]
@@ -91,18 +90,17 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
 
 
 def _evaluate(found: Run, config: EvaluateConfig) -> tuple[Evaluation, bool]:
-    """One episode in each of ``config.episodes`` environments, and whether anything in them is drawn at random."""
-    from warpvox.algos.evaluate import evaluate
-    from warpvox.cli.build import prepare
+    """One episode in each of ``config.episodes`` environments, and whether they differ by chance."""
+    from warpvox.algos.training.loading import Playing
+    from warpvox.algos.training.policy_table import evaluate_run
+    from warpvox.cli.process import prepare
 
     prepare(config.torch_threads, config.seed)
     names = ("checkpoint", "stochastic", "seed", "device", "dtype", "arithmetic", "threads")
     task = config.task if found.robot or is_code(found.config["task"]) else None
     policy = config.policy if is_code(found.config.get("policy")) else None
-    same = {name: getattr(config, name) for name in names} | {"policy": policy}
-    env, policy = load_run(found, PlayConfig(num_envs=config.episodes, task=task, **same), config.designs, every=True)
-    several = (found.config.get("designs") or {}).get("bodies") is not None
-    return evaluate(env, policy), several or draws_at_random(env)
+    same = {name: getattr(config, name) for name in names}
+    return evaluate_run(found, Playing(config.episodes, task=task, policy=policy, **same), config.designs)
 
 
 def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged, Interval]]:

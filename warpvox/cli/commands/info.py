@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 import warpvox
-from warpvox.cli.console import literal
 from warpvox.errors import ConfigError
+from warpvox.io.console import literal
 from warpvox.system import processor_name, usable_cores
 
 __all__ = ["run"]

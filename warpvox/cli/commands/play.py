@@ -11,23 +11,23 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from warpvox.algos.training.loading import load_run
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
-from warpvox.cli.console import echo, literal, shown
 from warpvox.cli.exports import (
     ROLLOUT,
-    load_run,
     record_agent,
     record_run,
     tiles_of,
     write_exports,
 )
 from warpvox.cli.playback import play_in_window, wants_window
-from warpvox.cli.runs import ZOO, as_name, find_run, new_folder, write_summary
-from warpvox.cli.trust import STORED
 from warpvox.code import Code
 from warpvox.configs.schema import PlayConfig
 from warpvox.errors import ConfigError, listing
+from warpvox.io.console import echo, literal, shown
+from warpvox.runs import ZOO, as_name, find_run, new_folder, write_summary
+from warpvox.trust import STORED
 
 if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
@@ -94,7 +94,7 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     if (source.config.get("designs") or {}).get("bodies") is None:
         _refuse(given)
     with console.status("loading"):
-        from warpvox.cli.build import prepare
+        from warpvox.cli.process import prepare
 
         prepare(config.torch_threads, config.seed or 0)
         env, controller = load_run(source, config, getattr(config, "design", None))
@@ -131,7 +131,7 @@ def play_agent(config: PlayConfig, console: Console) -> Rollout:
         WarpvoxError: a task, design or count that is not valid.
     """
     with console.status("loading"):
-        from warpvox.cli.build import prepare
+        from warpvox.cli.process import prepare
 
         prepare(config.torch_threads, config.seed or 0)
     with console.status("simulating"):

@@ -20,20 +20,19 @@ from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.cli import sweep
 from warpvox.cli.application import run_command
 from warpvox.cli.commands import codesign
-from warpvox.cli.commands.train import check_unchanged
 from warpvox.cli.config import load, load_values, to_yaml
-from warpvox.cli.console import echo, shell_argument, shown
 from warpvox.cli.evaluations import resolve_evaluation
-from warpvox.cli.runs import STAMP, find_suite, going_on, make_folder
 from warpvox.cli.suite.members import DONE, FAILED, MEMBERS, RUNNING, WAITING, Table
 from warpvox.cli.suite.plan import Member, plan, seeds_of, task_names
 from warpvox.cli.suite.pool import LocalPool, Pool, RayPool
 from warpvox.cli.suite.progress import SuiteProgress, results
-from warpvox.cli.trust import as_stored, keep_code
 from warpvox.configs.schema import CodesignConfig, SuiteConfig
 from warpvox.errors import ConfigError, RunError, StorageError, listing
+from warpvox.io.console import echo, shell_argument, shown
 from warpvox.io.writing import OF_FULL_DISKS, check_writable
+from warpvox.runs import STAMP, check_unchanged, find_suite, going_on, make_folder
 from warpvox.system import available_memory, usable_cores
+from warpvox.trust import as_stored, keep_code
 
 __all__ = ["Job", "make_member", "run", "suite"]
 

@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from warpvox.cli.console import echo, literal
 from warpvox.code import Code, is_code
 from warpvox.errors import ConfigError, WorldError, did_you_mean, listing
+from warpvox.io.console import echo, literal
 
 __all__ = ["run"]
 

@@ -12,10 +12,10 @@ from typing import Any
 
 from warpvox.algos.report.members import Member as SearchResult, read_members
 from warpvox.cli.evaluations import is_screened
-from warpvox.cli.runs import read_summary
 from warpvox.cli.suite.plan import Member
 from warpvox.errors import RunError
 from warpvox.io.writing import check_folder, write_table
+from warpvox.runs import read_summary
 
 __all__ = ["CURVES", "DONE", "FAILED", "MEMBERS", "RUNNING", "WAITING", "Row", "Table", "rises"]
 

@@ -8,15 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos import checkpoints
-from warpvox.cli.runs import CONFIG, TRAINING, ZOO, find_run
-from warpvox.configs.schema import TrainConfig
+from warpvox.algos.training.bodies import load_bodies
+from warpvox.algos.training.settings import Training
 from warpvox.errors import ConfigError, RunError
+from warpvox.runs import CONFIG, TRAINING, ZOO, find_run
 
 if TYPE_CHECKING:
     from warpvox.algos.checkpoints.files import PolicySpec
 
-__all__ = ["UNIVERSAL_FILE", "adopted", "check_learned", "find_pretrained", "kept_name", "observed_by"]
+__all__ = ["OBS_OF_VOXELS", "UNIVERSAL_FILE", "adopted", "check_learned", "find_pretrained", "kept_name", "observed_by"]
 
+OBS_OF_VOXELS = {"task": "voxel", "timed": "timed_voxel"}
+"""What a policy for voxels observes in place of what ``obs`` says."""
 UNIVERSAL = "universal"
 """The policy that comes with warpvox, made by ``preset=universal_cpg``: for bodies up to 5x5 on Walker-v0."""
 UNIVERSAL_FILE = Path(checkpoints.__file__).with_name("data") / f"{UNIVERSAL}.pt"
@@ -72,7 +75,7 @@ def observed_by(spec: Mapping[str, Any] | None) -> str:
     return "timed_voxel" if voxels.get("layout", {}).get("timed") else "voxel"
 
 
-def adopted(config: TrainConfig, named: Collection[str]) -> tuple[TrainConfig, dict[str, Any]]:
+def adopted(config: Training, named: Collection[str]) -> tuple[Training, dict[str, Any]]:
     """The configuration of a training that begins with the policy ``config.pretrained``, and this policy's checkpoint.
 
     Network, observations and method are those of the policy. One that sees voxels keeps its grid, which other bodies
@@ -85,7 +88,6 @@ def adopted(config: TrainConfig, named: Collection[str]) -> tuple[TrainConfig, d
         ConfigError: they do not. RunError: no such policy.
     """
     from warpvox.algos.checkpoints.files import load_checkpoint
-    from warpvox.cli.build import OBS_OF_VOXELS
 
     path, run = find_pretrained(config.pretrained, config.output_dir)
     content = load_checkpoint(path)
@@ -109,10 +111,8 @@ def adopted(config: TrainConfig, named: Collection[str]) -> tuple[TrainConfig, d
     return dataclasses.replace(config, **changes), content
 
 
-def _on_the_grid(config: TrainConfig, layout: dict[str, Any]) -> Any:
+def _on_the_grid(config: Training, layout: dict[str, Any]) -> Any:
     """``designs`` of the policy's grid; a training for one body has it alone, and is judged by it."""
-    from warpvox.cli.build import load_bodies
-
     designs, grid = config.designs, [layout["rows"], layout["columns"]]
     if designs.bodies is None:
         bodies = load_bodies(config.design, config.seed)

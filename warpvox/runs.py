@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import glob
 import json
 import os
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -17,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, repair_hint
-from warpvox.cli.plain_yaml import LARGEST_CONFIG, parse_yaml
-from warpvox.cli.provenance import provenance
 from warpvox.errors import ConfigError, RunError, StorageError, listing
+from warpvox.io.plain_yaml import LARGEST_CONFIG, parse_yaml
 from warpvox.io.reading import Unreadable, read_facts, read_text
 from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
+from warpvox.provenance import provenance
 from warpvox.robots.entry import Robot, find_robot
 from warpvox.robots.gait import Gait
 
@@ -31,6 +32,7 @@ __all__ = [
     "Run",
     "as_name",
     "check_output",
+    "check_unchanged",
     "find_codesign",
     "find_run",
     "find_runs",
@@ -314,8 +316,7 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
     made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
     folder = make_folder(parent, stamp, "".join(f"_{part}" for part in (name, label.get()) if part))
     try:
-        with _ours(folder):
-            write_config(folder, config)
+        with going_on(folder, config):
             yield folder
     except BaseException:
         if folder.is_dir() and not _has_result(folder):
@@ -370,11 +371,21 @@ def _has_result(folder: Path) -> bool:
     return any(file.suffix in kept and not file.name.startswith((MARK, "state")) for file in folder.iterdir())
 
 
-def run_folder(folder: Path | None, config: Any, command: str, text: str) -> AbstractContextManager[Path]:
-    """The folder of a run that is resumed, or a new one if there is none, with ``text`` as its ``config.yaml``."""
+def run_folder(
+    folder: Path | None, config: Any, command: str, text: str, place: Path | None = None
+) -> AbstractContextManager[Path]:
+    """The folder of a run that is resumed, or a new one if there is none, with ``text`` as its ``config.yaml``.
+
+    ``place``: of a new one; None: it lies in ``output_dir`` and is named by the time.
+    """
     if folder is not None:
         return going_on(folder, text)
-    return new_folder(config.output_dir, command, config.task, config.name, text)
+    if place is None:
+        return new_folder(config.output_dir, command, config.task, config.name, text)
+    if place.exists() and (not place.is_dir() or any(place.iterdir())):
+        raise RunError(f"{place} exists already: name another folder, or resume={place} to go on with a run.")
+    place.mkdir(parents=True, exist_ok=True)
+    return going_on(place, text)
 
 
 @contextmanager
@@ -384,18 +395,11 @@ def going_on(folder: Path, config: str) -> Iterator[Path]:
     Raises:
         RunError: another process is writing to it. StorageError: it cannot be written.
     """
-    with _ours(folder):
-        write_config(folder, config)
-        yield folder
-
-
-@contextmanager
-def _ours(folder: Path) -> Iterator[None]:
-    """Claim ``folder`` within the block; nothing half written is there when it begins or ends."""
     with claimed(folder):
         sweep(folder)
         try:
-            yield
+            write_config(folder, config)
+            yield folder
         finally:
             # an interrupt may come when a temporary file is made and the block that would remove it has not begun
             sweep(folder)
@@ -409,3 +413,23 @@ def read_summary(folder: Path) -> dict[str, Any]:
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
     """Write ``summary.json``: ``content``, and which version of the program has made it."""
     write_text(folder / SUMMARY, json.dumps(content | provenance(), indent=2) + "\n", make_folders=False)
+
+
+def check_unchanged(before: Mapping[str, Any], config: Any, changeable: Sequence[str]) -> None:
+    """Raise ConfigError if a resumed run is asked for something that would make it another one."""
+    for key, old, new in _changes(before, config):
+        if key not in changeable:
+            raise ConfigError(
+                f"{key} cannot change when a run is resumed (it has {old}, asked for {new});"
+                f" what can: {listing(changeable[:-2])}."
+            )
+
+
+def _changes(before: Mapping[str, Any], config: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Dotted keys that a configuration has another value of than a stored one, and both values."""
+    for item in dataclasses.fields(config):
+        old, new = before.get(item.name), getattr(config, item.name)
+        if dataclasses.is_dataclass(new) and isinstance(old, Mapping):
+            yield from _changes(old, new, f"{prefix}{item.name}.")
+        elif item.name in before and old != new:
+            yield prefix + item.name, old, new

@@ -15,10 +15,9 @@ from typing import Any
 
 from rich.console import Console
 
-from warpvox.cli import invocation
-from warpvox.cli.console import echo, escaped
-from warpvox.code import Code, is_code, sources_of
+from warpvox.code import Code, invocation, is_code, sources_of
 from warpvox.errors import ConfigError, RunError
+from warpvox.io.console import echo, escaped
 from warpvox.io.writing import write_bytes
 
 __all__ = ["STORED", "again", "allowed", "as_stored", "check_address", "keep_code", "typed", "with_code"]

@@ -23,7 +23,7 @@ def provenance() -> dict[str, str | None]:
 @functools.cache
 def _commit() -> str | None:
     """None: an installed package, or no git."""
-    root = Path(__file__).resolve().parents[2]
+    root = Path(__file__).resolve().parents[1]
     if not (root / ".git").exists():
         return None
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]

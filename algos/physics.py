@@ -1,15 +1,17 @@
-"""The keys ``physics.*``: a preset of constants, and those that differ from it."""
+"""The keys ``physics.*``, a preset of constants and those that differ from it; how settings have worlds simulated."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import make_dataclass
 from typing import Any
 
+from warpvox.batch.options import SimOptions
 from warpvox.keys import key
 from warpvox.types import Physics
 
-__all__ = ["CONSTANTS", "PhysicsConfig"]
+__all__ = ["CONSTANTS", "PhysicsConfig", "physics_of", "sim_of"]
 
 AUTO = "auto"
 
@@ -56,3 +58,28 @@ def _physics_fields() -> list[tuple[str, Any, Any]]:
 
 PhysicsConfig = make_dataclass("PhysicsConfig", _physics_fields(), namespace={"__module__": __name__})
 """Keys ``physics.*``: a preset, and constants that differ from it (paper section A, Table 1)."""
+
+
+def physics_of(config: Any) -> Physics:
+    """The constants that ``physics`` and ``rules`` name together.
+
+    Raises:
+        ConfigError: a constant out of range.
+    """
+    values = dict(config.physics if isinstance(config.physics, Mapping) else dataclasses.asdict(config.physics))
+    preset = values.pop("preset")
+    changes = {name: value for name, value in values.items() if value is not None}
+    return Physics.preset(config.rules if preset == "auto" else preset, **changes)
+
+
+def sim_of(config: Any) -> SimOptions:
+    """How a configuration has environments computed."""
+    return SimOptions(
+        config.device,
+        config.dtype,
+        config.arithmetic,
+        physics_of(config),
+        getattr(config, "lanes", None),
+        config.threads,
+        memory_check=config.memory_check,
+    )
