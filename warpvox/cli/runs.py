@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, repair_hint
-from warpvox.cli.plain_yaml import LARGEST_CONFIG, parse_yaml
 from warpvox.cli.provenance import provenance
 from warpvox.errors import ConfigError, RunError, StorageError, listing
-from warpvox.io.reading import Unreadable, read_facts, read_text
+from warpvox.io.reading import Unreadable, parse_yaml, read_facts, read_text
 from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
 from warpvox.robots.entry import Robot, find_robot
 from warpvox.robots.gait import Gait
@@ -47,6 +46,8 @@ __all__ = [
 ]
 
 CONFIG, SUMMARY = "config.yaml", "summary.json"
+LARGEST_CONFIG = 1_000_000
+"""Bytes that the former may have."""
 ZOO = "zoo:"
 """How the name of a stored robot begins where a run or a design is expected."""
 STATE, BEST = "state.pt", "model_best.pt"
