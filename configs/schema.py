@@ -19,11 +19,13 @@ from warpvox.algos.training.settings import ARITHMETICS, DEVICES, MOST_THREADS, 
 from warpvox.configs.bench_keys import COLUMNS, SUITES, GradientsConfig, LearningConfig, PeerConfig, ScalingConfig
 from warpvox.configs.suite_keys import suite_config
 from warpvox.keys import MISSING, key
+from warpvox.types import Physics
 
 __all__ = [
     "COMMANDS",
     "GROUPS",
     "GROUPS_OF",
+    "NODES",
     "PRESET",
     "PRESET_OF",
     "BenchConfig",
@@ -64,7 +66,7 @@ def _own_policy() -> Any:
 
 @dataclass
 class PresetConfig:
-    """The key of commands that have presets: whole sets of defaults, ``configs/preset/NAME/COMMAND.yaml``."""
+    """The key of commands that have presets: whole sets of defaults, ``configs/preset/COMMAND/NAME.yaml``."""
 
     preset: str | None = key(
         None, "a named set of other defaults, which the keys that are given override; null: the defaults shown here"
@@ -443,13 +445,22 @@ COMMANDS: dict[str, type] = {
 """Commands that take keys, and the dataclass of each."""
 
 PRESET = "preset"
-"""The key that takes the name of a folder of ``configs/preset``; each has a YAML file for every command it is for."""
+"""The key that takes the name of a preset, a file of ``configs/preset/COMMAND``."""
 
-PRESET_OF = {"suite": ("suite", "quick")}
-"""Of commands in which that key has another name: the name, and its default."""
+PRESET_OF = {"suite": "suite"}
+"""Of commands in which that key has another name: the name."""
+
+NODES: dict[str, dict[str, Any]] = {
+    "physics": {name: PhysicsConfig(preset=name) for name in (AUTO, *Physics.presets())},
+}
+"""Choices of a group that are dataclasses or instances of them, by name, beside the YAML files of its folder.
+
+Where they are of different dataclasses, these have a common base, which is the type of the command's field, and a
+field ``name``, by which a stored configuration says which of them it has.
+"""
 
 GROUPS = ("physics", "ppo", "search", "training")
-"""Keys that also take the name of a YAML file in the folder of the same name."""
+"""Keys that also take the name of a choice: one of :data:`NODES`, or a YAML file in the folder of the same name."""
 
 GROUPS_OF = {"suite": ("physics", "training")}
 """Of commands in which a name of :data:`GROUPS` has another meaning."""

@@ -11,8 +11,8 @@ from pathlib import Path
 import yaml
 
 from warpvox.algos.checkpoints.files import load_checkpoint, save_checkpoint
-from warpvox.algos.training.pretrained import UNIVERSAL_FILE
 from warpvox.algos.codesign.evaluations.common import STEPS
+from warpvox.algos.training.pretrained import UNIVERSAL_FILE
 from warpvox.runs import CONFIG
 
 

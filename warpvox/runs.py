@@ -19,8 +19,7 @@ from typing import Any
 
 from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, repair_hint
 from warpvox.errors import ConfigError, RunError, StorageError, listing
-from warpvox.io.plain_yaml import LARGEST_CONFIG, parse_yaml
-from warpvox.io.reading import Unreadable, read_facts, read_text
+from warpvox.io.reading import Unreadable, parse_yaml, read_facts, read_text
 from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
 from warpvox.provenance import provenance
 from warpvox.robots.entry import Robot, find_robot
@@ -49,6 +48,8 @@ __all__ = [
 ]
 
 CONFIG, SUMMARY = "config.yaml", "summary.json"
+LARGEST_CONFIG = 1_000_000
+"""Bytes that the former may have."""
 ZOO = "zoo:"
 """How the name of a stored robot begins where a run or a design is expected."""
 STATE, BEST = "state.pt", "model_best.pt"

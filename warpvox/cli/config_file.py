@@ -8,12 +8,11 @@ from typing import Any
 from warpvox.cli.help import flat_keys, flat_values
 from warpvox.configs.schema import COMMANDS
 from warpvox.errors import ConfigError, did_you_mean, listing
-from warpvox.io.plain_yaml import LARGEST_CONFIG, parse_yaml
-from warpvox.io.reading import Unreadable, read_text
+from warpvox.io.reading import Unreadable, parse_yaml, read_text
+from warpvox.runs import CONFIG, LARGEST_CONFIG
 
 __all__ = ["read_config_file"]
 
-CONFIG = "config.yaml"
 NOT_TAKEN = ("resume", "report", "config")
 """Keys of the run that the file has come from: they say what it did, not with what."""
 
@@ -34,22 +33,18 @@ def read_config_file(text: str, command: str) -> dict[str, Any]:
         raise ConfigError(f"{path} cannot be read as YAML: {error}.") from None
     if not isinstance(values, dict) or not values:
         raise ConfigError(f"{path} holds no KEY: VALUE.")
-    known = [name for name, _ in flat_keys(COMMANDS[command])]
-    unknown = [name for name in flat_values(values) if name not in known]
+    keys = {name: [key for key, _ in flat_keys(schema)] for name, schema in COMMANDS.items()}
+    unknown = [name for name in flat_values(values) if name not in keys[command]]
     if unknown:
-        raise ConfigError(f"{path} has {_about(unknown, known)}{_other(values, command)}")
+        other = next(
+            (name for name in keys if "config" in keys[name] and {*flat_values(values)} <= {*keys[name]}), None
+        )
+        advice = (
+            f"It is a configuration of `warpvox {other}`: warpvox {other} config=FILE."
+            if other
+            else f"Remove it, or write it as this version has it (`warpvox {command} --help`)."
+        )
+        names = f"the key '{unknown[0]}'" if len(unknown) == 1 else f"the keys {listing(unknown)}"
+        hint = did_you_mean(unknown[0], keys[command])
+        raise ConfigError(f"{path} has {names}, unknown to this version of warpvox.{hint} {advice}")
     return {name: value for name, value in values.items() if name not in NOT_TAKEN}
-
-
-def _about(unknown: list[str], known: list[str]) -> str:
-    names = f"the key '{unknown[0]}'" if len(unknown) == 1 else f"the keys {listing(unknown)}"
-    return f"{names}, unknown to this version of warpvox.{did_you_mean(unknown[0], known)}"
-
-
-def _other(values: dict[str, Any], command: str) -> str:
-    """Which command the file is of, if it is another one."""
-    for name, schema in COMMANDS.items():
-        keys = {key for key, _ in flat_keys(schema)}
-        if name != command and "config" in keys and flat_values(values).keys() <= keys:
-            return f" It is a configuration of `warpvox {name}`: warpvox {name} config=FILE."
-    return f" Remove it, or write it as this version has it (`warpvox {command} --help`)."

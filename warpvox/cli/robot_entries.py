@@ -14,13 +14,13 @@ from typing import Any
 from warpvox.algos.codesign.robots import robots_of
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, options_of
-from warpvox.runs import as_name
-from warpvox.trust import allowed
 from warpvox.configs.schema import PRESET
 from warpvox.envs.registry import get_task
 from warpvox.errors import RunError
 from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.robots.replay import recorded
+from warpvox.runs import as_name
+from warpvox.trust import allowed
 
 __all__ = ["Outcome", "add", "command_of", "find_sources"]
 

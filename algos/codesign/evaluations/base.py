@@ -1,7 +1,5 @@
 """How the designs of a search are compared: what every evaluation can be asked."""
 
-# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
-
 from __future__ import annotations
 
 import math

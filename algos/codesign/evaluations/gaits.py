@@ -1,7 +1,5 @@
 """Designs are compared by open-loop gaits, which evolve with them and take no training."""
 
-# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
-
 from __future__ import annotations
 
 import dataclasses

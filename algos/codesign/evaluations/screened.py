@@ -1,7 +1,5 @@
 """Designs are compared without a training for each, and the best of all get one at the end of the search."""
 
-# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
-
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Each design is judged by a policy of its own."""
 
-# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
-
 from __future__ import annotations
 
 from dataclasses import dataclass

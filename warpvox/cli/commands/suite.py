@@ -240,7 +240,7 @@ def make_member(config: CodesignConfig, folder: Path) -> dict[str, Any]:
             raise
 
     with contextlib.suppress(KeyboardInterrupt):
-        sweep.attempt(row, sweep.Member([]), make, console)
+        sweep.attempt(row, {}, make, console)
     return {"status": FULL if full else row["status"], "error": row.get("error", "")}
 
 
