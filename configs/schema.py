@@ -8,23 +8,22 @@ against the metadata below, and prints the same metadata as ``warpvox COMMAND --
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass, field, make_dataclass
-from typing import Any, get_origin, get_type_hints
+from dataclasses import dataclass
+from typing import Any
 
+from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation
+from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.physics import PhysicsConfig
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
-from warpvox.algos.settings import ScreeningConfig, TrainingConfig
 from warpvox.algos.training.settings import ARITHMETICS, DEVICES, MOST_THREADS, Training, arithmetic_key
 from warpvox.configs.bench_keys import COLUMNS, SUITES, GradientsConfig, LearningConfig, PeerConfig, ScalingConfig
-from warpvox.configs.suite_keys import suite_config
+from warpvox.configs.suite_keys import SuiteConfig
 from warpvox.keys import MISSING, key
 from warpvox.types import Physics
 
 __all__ = [
     "COMMANDS",
     "GROUPS",
-    "GROUPS_OF",
     "NODES",
     "PRESET",
     "PRESET_OF",
@@ -35,7 +34,6 @@ __all__ = [
     "ExportConfig",
     "PhysicsConfig",
     "PlayConfig",
-    "SearchConfig",
     "SuiteConfig",
     "TrainConfig",
     "ZooConfig",
@@ -80,101 +78,17 @@ class TrainConfig(Training, PresetConfig):
     config: str | None = key(None, CONFIG_FILE, path="read")
 
 
-def _search_fields() -> list[tuple[str, Any, Any]]:
-    """One optional key per setting of any search; null where the algorithm has none of this name."""
-    common = {item.name for item in dataclasses.fields(SearchSettings)}
-    fields = {"algorithm": ("algorithm", str, key(MISSING, "which search", choices=tuple(ALGORITHMS)))}
-    for settings in ALGORITHMS.values():
-        hints = get_type_hints(settings)
-        for item in dataclasses.fields(settings):
-            kind = list[str] if get_origin(hints[item.name]) is tuple else hints[item.name]
-            if item.name in common:
-                fields[item.name] = (item.name, kind, field(default=MISSING, metadata=item.metadata))
-                continue
-            owners = [name for name, other in ALGORITHMS.items() if item.name in other.__dataclass_fields__]
-            metadata = {**item.metadata, "help": f"{', '.join(owners)}: {item.metadata['help']}"}
-            fields.setdefault(item.name, (item.name, kind | None, field(default=None, metadata=metadata)))
-    return list(fields.values())
-
-
-SearchConfig = make_dataclass("SearchConfig", _search_fields(), namespace={"__module__": __name__})
-"""Keys ``search.*``: the algorithm and its settings; ``warpvox.algos.search.settings_from`` sorts them out."""
-
-
 @dataclass
-class CodesignConfig(PresetConfig):
+class CodesignConfig(Codesign, PresetConfig):
     """Keys of ``warpvox codesign``."""
 
-    task: str = key(
-        "Walker-v0",
-        "task id (`warpvox tasks` lists them), or a task of your own: module:NAME or file.py:NAME",
-        path="read",
-    )
-    shape: list[int] = key(
-        [5, 5], "rows and columns of the bodies; in the paper [5,5], for Lifter-v0 [5,7]", low=1, form="[rows,columns]"
-    )
-    rules: str = key(
-        "evogym",
-        "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)",
-        choices=("evogym", "paper"),
-    )
-    evaluation: str = key(
-        "specialist",
-        "how designs are compared: each by a policy of its own (specialist); by one policy that learns on all"
-        " designs of each generation (shared); by a pretrained policy that is fine-tuned for each generation"
-        " (few_shot); by the best of some open-loop gaits, which evolve with the designs (gaits)",
-        choices=("specialist", "shared", "few_shot", "gaits"),
-    )
-    policy: str = key(
-        "mlp",
-        "network of a design's own policy: mlp (layers: training.ppo.hidden); with training.method=sequential"
-        " also grid, transformer, module:Class, file.py:Class",
-        path="read",
-    )
-    network: Any = key(None, "settings of a network other than mlp, {width:32} for instance; null: its defaults")
-    pretrained: str | None = key(
-        None,
-        "evaluation=few_shot: the policy to start from: universal (comes with warpvox: bodies up to 5x5, Walker-v0),"
-        " latest, the folder of a run of `warpvox train designs=...` or a checkpoint in it",
-        path="read",
-    )
-    finalists: int = key(
-        4,
-        "evaluation=shared, few_shot, gaits: number of best designs that get a training of their own at the end",
-        low=1,
-    )
-    reuse: bool = key(True, "take the result of a body that was evaluated before instead of training it again")
-    batch: int | None = key(
-        None, "designs trained in one batch; null: a whole generation (executor=ray: a worker's share of it)", low=1
-    )
-    seed: int = key(0, "seed of all random numbers", low=0)
-    device: str = key("auto", DEVICES)
-    dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
-    arithmetic: str | None = arithmetic_key("chosen by dtype")
-    threads: int | None = key(
-        None, "CPU threads of the simulation; null: all cores (executor=ray: one)", low=1, high=MOST_THREADS
-    )
-    torch_threads: int = key(
-        1, "PyTorch threads; more than 1 slow down small networks and change rounding", low=1, high=MOST_THREADS
-    )
-    executor: str = key(
-        "local",
-        "where designs are trained: in this process (local) or on workers of Ray (ray)",
-        choices=("local", "ray"),
-    )
-    address: str | None = key(
-        None, "address of a running Ray cluster: auto or host:port; null: start Ray on this machine"
-    )
-    workers: int | None = key(
-        None, "number of workers of executor=ray; null: one for each GPU, or as many as the CPUs allow", low=1
-    )
-    top: int = key(5, "number of best designs that are shown and drawn for each generation", low=1)
+    search: SearchSettings = key(MISSING, "how designs are proposed")
+    evaluation: Evaluation = key(MISSING, "how designs are compared")
     export: list[str] = key(
         [],
         "formats in which the archive is written at the end: csv, parquet, npz and json (designs)",
         choices=ARCHIVE_EXPORTS,
     )
-    memory_check: bool = key(True, "refuse, before allocating, what does not fit into free memory")
     resume: str | None = key(None, "continue a search: latest or its folder", path="read")
     config: str | None = key(None, CONFIG_FILE, path="read")
     report: Any = key(
@@ -184,23 +98,6 @@ class CodesignConfig(PresetConfig):
         " contains searches",
         path="read",
     )
-    name: str | None = key(None, "appended to the name of the run's folder")
-    output_dir: str = key("outputs", "folder that runs are written to", path="written")
-    physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the physics")
-    start: list[str] = key(
-        [],
-        "robots whose bodies the first generation contains, with evaluation=gaits also their gaits: zoo:TASK, zoo:FILE,"
-        " the folder of a search (its best design), of one of its designs or of a run, or bodies: random:100:5x5 (drawn"
-        " with seed as train's designs are), a folder of design files, or what design takes",
-        path="read",
-    )
-    search: SearchConfig = key(SearchConfig, "search algorithm")
-    training: TrainingConfig = key(TrainingConfig, "how a design is trained and evaluated")
-    screening: ScreeningConfig = key(ScreeningConfig, "how evaluation=shared, few_shot and gaits compare designs")
-
-
-SuiteConfig = suite_config(CodesignConfig, SearchConfig)
-"""Keys of ``warpvox suite``: what its members are, and what they share."""
 
 
 @dataclass
@@ -452,15 +349,14 @@ PRESET_OF = {"suite": "suite"}
 
 NODES: dict[str, dict[str, Any]] = {
     "physics": {name: PhysicsConfig(preset=name) for name in (AUTO, *Physics.presets())},
+    "search": ALGORITHMS,
+    "evaluation": EVALUATIONS,
 }
 """Choices of a group that are dataclasses or instances of them, by name, beside the YAML files of its folder.
 
 Where they are of different dataclasses, these have a common base, which is the type of the command's field, and a
-field ``name``, by which a stored configuration says which of them it has.
+first field, ``name`` or ``algorithm``, by which a stored configuration says which of them it has.
 """
 
-GROUPS = ("physics", "ppo", "search", "training")
+GROUPS = ("physics", "ppo", "search", "evaluation", "training")
 """Keys that also take the name of a choice: one of :data:`NODES`, or a YAML file in the folder of the same name."""
-
-GROUPS_OF = {"suite": ("physics", "training")}
-"""Of commands in which a name of :data:`GROUPS` has another meaning."""

@@ -24,7 +24,10 @@ __all__ = ["STORED", "again", "allowed", "as_stored", "check_address", "keep_cod
 
 STORED = "stored"
 """Value of a key that names the copy in the folder of the run."""
-COPIES = {"task": "task", "search.make": "search", "policy": "policy", "screening.policy": "policy"}
+COPIES = {
+    "task": "task", "search.make": "search", "evaluation.make": "evaluation", "policy": "policy",
+    "evaluation.policy": "policy",
+}  # fmt: skip
 """Keys whose values may be code, and the folders of the copies in a run's folder ``code``."""
 KEYS = (*COPIES, "tasks")
 FOLDER, HERE = "code", Path()

@@ -44,7 +44,7 @@ def codesign(
     Args:
         task: id, ``FILE.py:NAME``, or a :class:`warpvox.envs.spec.TaskSpec`.
         shape: rows and columns of the bodies.
-        search: settings such as ``GaSettings(population=25)``, their name, or a search of your own, which asks and tells.
+        search: ``GA(population=25)``, ..., a name, or a search of your own, which asks and tells.
         evaluation: ``Specialist()``, ``Gaits(rounds=4)``, ..., a name, or an evaluator of your own with a method
             ``evaluate(candidates, parents, report, checkpoint)``.
         executor: ``local``, ``ray``, or one of your own.

@@ -56,7 +56,7 @@ class Found:
         return load_policy(self.folder if design is None else self.folder / "designs" / str(design), device=device)
 
     def curve(self) -> dict[str, np.ndarray]:
-        """``evaluations`` and control ``steps`` spent, int64, and the ``best`` return by then, float64; ``[n]`` each."""
+        """``evaluations`` and ``steps`` spent, int64, and the ``best`` return by then, float64; ``[n]`` each."""
         from warpvox.algos.report.members import read_members
 
         (member,) = read_members([self.folder])

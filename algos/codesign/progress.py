@@ -70,8 +70,8 @@ class SearchProgress(Listener):
         if run.resumed and self._start >= run.total:
             echo(
                 self.console,
-                f"the search has spent its {settings.search.max_evaluations} evaluations: nothing is left to do. What it"
-                " proposes depends on them, so that more make another search (search.max_evaluations=N)",
+                f"the search has spent its {settings.search.max_evaluations} evaluations: nothing is left to do. What"
+                " it proposes depends on them, so that more make another search (search.max_evaluations=N)",
             )
 
     def ended(self, summary: Mapping[str, Any]) -> None:

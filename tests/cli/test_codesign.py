@@ -26,10 +26,10 @@ from rich.console import Console
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
+from warpvox.algos.codesign.progress import Results, SearchProgress
 from warpvox.algos.search import settings_from
 from warpvox.cli import codesign_progress, fresh_seeds
 from warpvox.cli.cell_text import body_rows
-from warpvox.algos.codesign.progress import Results, SearchProgress
 from warpvox.cli.commands.codesign import _archive, resolve
 from warpvox.cli.config import load
 from warpvox.design import example_design, load_design, sample_design
@@ -255,7 +255,7 @@ def pair(generation: int, origin: str = "random") -> list[Candidate]:
 def test_the_time_left_counts_control_steps(watched: Callable) -> None:
     """The time of designs that are stopped early, and of finalists, which begin when the others are done."""
     make, news, archive = watched
-    watch, said = make(evaluation.finalists=2), []
+    watch, said = make(finalists=2), []
     for generation, reports, ends in ((0, (20, 60), (100, 60)), (1, (20, 60), (100, 60)), (2, (200, 600), (600, 600))):
         asked = pair(generation, FINALIST if generation == 2 else "random")
         archive.propose(asked, 0)
@@ -382,7 +382,12 @@ def test_killed_three_times_the_real_search_is_the_undisturbed_one(tmp_path: Pat
 @pytest.mark.slow  # tests/algos/codesign/test_ray_executor.py compares in the default run
 @pytest.mark.usefixtures("whole_episodes")  # as in other processes
 @pytest.mark.parametrize(
-    "words", ["", "evaluation=gaits evaluation.gaits=4 evaluation.final_rounds=3 evaluation.final_passes=2 evaluation.finalists=3"]
+    "words",
+    [
+        "",
+        "evaluation=gaits evaluation.gaits=4 evaluation.final_rounds=3 evaluation.final_passes=2"
+        " evaluation.finalists=3",
+    ],
 )
 def test_ray_finds_what_one_process_finds(search: Callable, words: str) -> None:
     pytest.importorskip("ray", reason="Ray is not installed")

@@ -153,7 +153,7 @@ def _composed(command: str, parsed: list[Override], config_dir: Path | None, sto
 def _nodes_of(values: dict[str, Any]) -> dict[str, str]:
     """Groups whose nodes have names, and the name that stored values have of each."""
     sections = {group: values[group] for group in NODES if isinstance(values.get(group), dict)}
-    names = {group: section["name"] for group, section in sections.items() if "name" in section}
+    names = {group: name for group, one in sections.items() if (name := one.get("name", one.get("algorithm")))}
     for group, name in names.items():
         if name not in NODES[group]:
             hint = did_you_mean(name, NODES[group])
@@ -182,6 +182,12 @@ def _set(config: DictConfig, override: Override, command: str) -> None:
         last = key.split(".")[-1]
         meant = [name for name in known if name.split(".")[-1] == ALIASES.get(last)]
         hint = did_you_mean(meant[0], meant) if meant else did_you_mean(key, known) or did_you_mean(last, known)
+        group, _, name = key.partition(".")
+        owners = [
+            one for one, node in NODES.get(group, {}).items() if name in getattr(node, "__dataclass_fields__", ())
+        ]
+        if owners and group != "physics":
+            hint = f" It is a setting of {' and '.join(f'{group}={one}' for one in owners)}."
         raise ConfigError(
             f"Unknown key '{override.get_key_element()}'.{hint} `warpvox {command} --help` lists all keys."
         )
@@ -203,4 +209,4 @@ def _has(config: DictConfig, key: str) -> bool:
     """Whether a composed configuration has a key."""
     parent, _, name = key.rpartition(".")
     section = OmegaConf.select(config, parent) if parent else config
-    return isinstance(section, DictConfig) and name in section.keys()
+    return isinstance(section, DictConfig) and name in section.keys()  # noqa: SIM118 (of a DictConfig that has no value)

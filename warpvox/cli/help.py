@@ -9,12 +9,15 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from warpvox.configs.schema import COMMANDS, GROUPS, GROUPS_OF, NODES, PRESET, PRESET_OF
+from warpvox.configs.schema import COMMANDS, GROUPS, NODES, PRESET, PRESET_OF
 from warpvox.keys import MISSING
 
 __all__ = ["Key", "Row", "add_keys", "flat_keys", "flat_values", "groups_of", "help_rows", "options_of", "preset_key"]
 
-MAPPINGS = ("design", "evaluations", "control_steps", "shape", "network", "screening.network", "screening.ppo")
+MAPPINGS = (
+    "design", "evaluations", "control_steps", "shape", "network", "evaluation.network", "evaluation.ppo",
+    "evaluation.settings",
+)  # fmt: skip
 """Keys whose value may be a mapping."""
 
 
@@ -56,7 +59,7 @@ def groups_of(command: str) -> list[str]:
     """The groups that a command has, as Hydra calls them."""
     names = [item.name for item in dataclasses.fields(COMMANDS[command])]
     presets = [f"{PRESET}/{command}"] if preset_key(command) in names else []
-    return presets + [name for name in GROUPS_OF.get(command, GROUPS) if name in names]
+    return presets + [name for name in GROUPS if name in names]
 
 
 def options_of(group: str, config_dir: Path | None = None) -> list[str]:

@@ -20,8 +20,10 @@ from warpvox.configs.composition import quoted
 from warpvox.configs.schema import COMMANDS, PRESET
 from warpvox.errors import ConfigError
 
-__all__ = ["expand", "label_of", "read_overrides"]
+__all__ = ["expand", "key_and_value", "key_and_word", "label_of", "read_overrides"]
 
+RENAMED = {"finalists": "evaluation.finalists", "pretrained": "evaluation.pretrained", "search.algorithm": "search"}
+"""Keys of design searches as they were written before evaluations had settings of their own."""
 QUOTED = re.compile(r"""'(\\.|[^'\\])*'|"(\\.|[^"\\])*\"""", re.DOTALL)
 
 
@@ -66,6 +68,26 @@ def label_of(override: Override | str) -> tuple[str, str]:
     return key, value if isinstance(value, str) else override.get_value_string()
 
 
+def key_and_word(word: str) -> tuple[str, str]:
+    """The key of an override of ``warpvox codesign``, and the override as Hydra takes it.
+
+    Raises:
+        ConfigError: see :func:`read_overrides`.
+    """
+    (override,) = read_overrides("codesign", [word])
+    return override.key_or_group, str(override.input_line)
+
+
+def key_and_value(word: str) -> tuple[str, Any]:
+    """The key and the value of an override of ``warpvox codesign``.
+
+    Raises:
+        ConfigError: see :func:`read_overrides`.
+    """
+    (override,) = read_overrides("codesign", [word])
+    return override.key_or_group, override.value()
+
+
 def parse(word: str) -> Override | None:
     """A word as Hydra's grammar has it; None: it cannot be read."""
     try:
@@ -78,6 +100,8 @@ def _read(command: str, word: str, keys: dict[str, Key], sweeps: bool) -> Overri
     name, given, value = word.partition("=")
     if name == "designs" and given:  # short for the bodies
         name = next((key for key in ("designs.bodies", name, "design") if key in keys), name)
+    if command == "codesign":
+        name = RENAMED.get(name, name.replace("screening.", "evaluation."))
     key = keys.get(name)
     if given and key is not None:
         value = _readable(value, key, sweeps)

@@ -42,8 +42,8 @@ __all__ = [
 class Batch:
     """Designs that are simulated together, for estimates of memory.
 
-    ``envs`` environments for each of ``designs``; ``key`` is what sets ``envs``, its value ``value``, and ``fewer`` what
-    sets the number of designs; ``ppo``: of a policy that learns.
+    ``envs`` environments for each of ``designs``; ``key`` with its ``value`` sets ``envs``, and ``fewer`` the
+    number of designs; ``ppo``: of a policy that learns.
     """
 
     designs: int

@@ -26,7 +26,7 @@ __all__ = ["Screened"]
 
 @dataclass
 class Screened(Evaluation):
-    """The base of evaluations with finalists: :meth:`screening` compares all designs, :meth:`final` the best of them."""
+    """The base of evaluations with finalists: :meth:`screening` is for all designs, :meth:`final` for the best."""
 
     finalists: int = key(4, "number of best designs that get a training of their own at the end", low=1)
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.report.members import Member as SearchResult, read_members
-from warpvox.cli.evaluations import is_screened
 from warpvox.cli.suite.plan import Member
 from warpvox.errors import RunError
 from warpvox.io.writing import check_folder, write_table
@@ -68,8 +67,8 @@ class Table:
         before = {row.key: row for row in cls.stored(folder).rows}
         rows = []
         for member in members:
-            config = member.config
-            total = config.search.max_evaluations + (config.finalists if is_screened(config) else 0)
+            settings = member.settings
+            total = settings.search.max_evaluations + settings.evaluation.finalists
             row = Row(member.task, member.search, member.seed, folder / member.folder, total)
             known = before.get(row.key)
             if read_summary(row.folder).get("status") == DONE:

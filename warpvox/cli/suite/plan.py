@@ -10,15 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.search.settings import ALGORITHMS
+from warpvox.algos.codesign.settings import Codesign
 from warpvox.checks import check_integer, check_shape, is_integer
 from warpvox.cli.config import load
-from warpvox.cli.costs import costs_of
-from warpvox.cli.evaluations import has_common_policy
 from warpvox.cli.help import options_of
+from warpvox.cli.suite.words import by_key
+from warpvox.configs.composition import quoted
 from warpvox.configs.paper import shape_of
-from warpvox.configs.schema import CodesignConfig, SuiteConfig
-from warpvox.configs.suite_keys import OF_RECIPES
+from warpvox.configs.suite_keys import SuiteConfig
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing
@@ -40,8 +39,11 @@ BENCHMARK10 = (
 """The tasks of the paper's main comparison (section B)."""
 NAMED = {"all": task_ids, "benchmark10": lambda: BENCHMARK10}
 DIFFICULTIES, DEFAULT = ("easy", "medium", "hard"), "default"
-OF_SUITES = ("executor", "address", "workers", "resume", "report", "name", "config", "search", "shape")
-"""Keys that a design search has, too, with another meaning or value than in a suite."""
+OF_SUITES = (
+    "task", "seed", "search", "device", "threads", "executor", "address", "workers", "resume", "report", "name",
+    "config", "shape", "output_dir", "preset", "export",
+)  # fmt: skip
+"""Keys of a design search that a suite has, too, or sets for each search."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Member:
     task: str
     search: str
     seed: int
-    config: CodesignConfig
+    settings: Codesign
 
     @property
     def key(self) -> tuple[str, str, int]:
@@ -73,18 +75,14 @@ def plan(config: SuiteConfig, config_dir: Path | None = None) -> list[Member]:
     Raises:
         WarpvoxError: a task, search, seed or budget that does not exist or does not go with the others.
     """
-    tasks, seeds = _tasks(config.tasks), seeds_of(config.seeds)
-    searches, recipes = _searches(config, config_dir)
-    own = {item.name for item in dataclasses.fields(SuiteConfig)} - set(OF_SUITES)
-    shared = {item.name: getattr(config, item.name) for item in dataclasses.fields(CodesignConfig) if item.name in own}
+    tasks, seeds, searches = _tasks(config.tasks), seeds_of(config.seeds), _searches(config, config_dir)
     members = []
     for seed, (task, spec), (search, settings) in itertools.product(seeds, tasks.items(), searches.items()):
         shape = _of_task("shape", config.shape, spec)
         shape = shape_of(spec.id) if shape is None else list(check_shape("shape", shape))
-        values = shared | {"task": task, "shape": shape, "seed": seed} | recipes[search]
-        member = CodesignConfig(**values, search=settings)
-        settings = dataclasses.replace(settings, max_evaluations=_evaluations(config, spec, member))
-        members.append(Member(spec.id, search, seed, dataclasses.replace(member, search=settings)))
+        settings = dataclasses.replace(settings, task=task, shape=shape, seed=seed)
+        budget = dataclasses.replace(settings.search, max_evaluations=_evaluations(config, spec, settings))
+        members.append(Member(spec.id, search, seed, dataclasses.replace(settings, search=budget)))
     return members
 
 
@@ -117,10 +115,11 @@ def _tasks(names: list[str]) -> dict[str, TaskSpec]:
     return tasks
 
 
-def _searches(config: SuiteConfig, config_dir: Path | None) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Of each search by its name the settings, and how designs are evaluated (the keys :data:`OF_RECIPES`).
+def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesign]:
+    """The settings of each search, by its name: those of its file with what the suite says instead.
 
-    Both are those of its file with what the suite says instead.
+    Raises:
+        ConfigError: a search that does not exist, or a key that none of them has.
     """
     known = options_of("search", config_dir)
     if not config.searches:
@@ -128,34 +127,31 @@ def _searches(config: SuiteConfig, config_dir: Path | None) -> tuple[dict[str, A
     for name in config.searches:
         if name not in known:
             raise ConfigError(f"searches must be of {listing(known)}; got '{name}'.{did_you_mean(name, known)}")
-    files = {name: load("codesign", [f"search={name}"], config_dir) for name in dict.fromkeys(config.searches)}
-    found = {name: file.search for name, file in files.items()}
-    given = _given(config.search)
-    for name in given:
-        if not any(_has(settings, name) for settings in found.values()):
-            raise ConfigError(f"None of the searches {listing(found)} has the setting search.{name}.")
-    changed = {
-        search: dataclasses.replace(settings, **{name: given[name] for name in given if _has(settings, name)})
-        for search, settings in found.items()
-    }
-    return changed, {name: {key: _said(config, file, key) for key in OF_RECIPES} for name, file in files.items()}
+    words = by_key(config.codesign)
+    for key in words:
+        if key.split("/")[0] in OF_SUITES:
+            raise ConfigError(f"codesign: {key} is a key of the suite, or set by it for each search.")
+    groups = [word for key, word in words.items() if "." not in key]
+    found, taken = {}, set()
+    for name in dict.fromkeys(config.searches):
+        base = [f"search={name}", f"device={config.device}", f"output_dir={quoted(config.output_dir)}"]
+        plain = load("codesign", [*base, *groups], config_dir)
+        own = [key for key in words if "." in key and _has(plain, key)]
+        taken |= {*own}
+        found[name] = Codesign.of(vars(load("codesign", [*base, *groups, *(words[key] for key in own)], config_dir)))
+    for key in words:
+        if "." in key and key not in taken:
+            load("codesign", [f"search={name}", *groups, words[key]], config_dir)  # which says what is wrong
+    return found
 
 
-def _said(config: SuiteConfig, file: CodesignConfig, key: str) -> Any:
-    """The value of ``key`` for the members of one search: the suite's, or else that of its file."""
-    value, usual = getattr(config, key), getattr(file, key)
-    if dataclasses.is_dataclass(value):
-        return dataclasses.replace(usual, **_given(value))
-    return usual if value is None else value
-
-
-def _given(settings: Any) -> dict[str, Any]:
-    """The settings of a suite that are not left to the files of the searches."""
-    return {name: value for name, value in vars(settings).items() if value is not None}
-
-
-def _has(settings: Any, name: str) -> bool:
-    return name in {item.name for item in dataclasses.fields(ALGORITHMS[settings.algorithm])}
+def _has(config: Any, key: str) -> bool:
+    """Whether a configuration has a dotted key."""
+    for name in key.split("."):
+        if not hasattr(config, name):
+            return False
+        config = getattr(config, name)
+    return True
 
 
 def seeds_of(value: Any) -> list[int]:
@@ -192,15 +188,17 @@ def _of_task(key: str, value: Any, task: TaskSpec) -> Any:
     return value[found]
 
 
-def _evaluations(config: SuiteConfig, task: TaskSpec, member: CodesignConfig) -> int:
+def _evaluations(config: SuiteConfig, task: TaskSpec, member: Codesign) -> int:
     """How many designs a member may evaluate on ``task``."""
     if config.control_steps is None:
         return check_integer("evaluations", _of_task("evaluations", config.evaluations, task), 1)
-    if has_common_policy(member):
+    costs = member.evaluation.cost(member, task)
+    if costs is None:
         raise ConfigError(
-            "control_steps goes with evaluation=specialist or gaits, where a design takes a known number of them."
+            f"control_steps does not go with evaluation={member.evaluation.name}, where it is not known how many of"
+            " them a design takes."
         )
-    cost, last = costs_of(member, task)
+    cost, last = costs
     steps = check_integer("control_steps", _of_task("control_steps", config.control_steps, task), 1)
     if steps < cost + last:
         what = "which a design takes" if not last else "for a design and the finalists"
