@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import make_dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from warpvox.batch.options import SimOptions
 from warpvox.keys import key
 from warpvox.types import Physics
+
+if TYPE_CHECKING:
+    from warpvox.batch.options import SimOptions
 
 __all__ = ["CONSTANTS", "PhysicsConfig", "physics_of", "sim_of"]
 
@@ -74,6 +76,8 @@ def physics_of(config: Any) -> Physics:
 
 def sim_of(config: Any) -> SimOptions:
     """How a configuration has environments computed."""
+    from warpvox.batch.options import SimOptions  # and torch with it, for which mistakes in keys do not wait
+
     return SimOptions(
         config.device,
         config.dtype,

@@ -149,9 +149,9 @@ def evaluate(
         RunError: no such run. ConfigError: a function without a task, an unknown option. WarpvoxError: as
             :func:`warpvox.make_vec`.
     """
-    from warpvox.algos.evaluate import evaluate as play
+    from warpvox.algos.evaluate import draws_at_random, evaluate as play
     from warpvox.algos.training.job import TrainedRun
-    from warpvox.algos.training.loading import Playing, draws_at_random
+    from warpvox.algos.training.loading import Playing
     from warpvox.algos.training.policy_table import EvaluatedPolicy, PolicyTable, evaluate_run
     from warpvox.batch.options import check_known
     from warpvox.code import Code, is_code

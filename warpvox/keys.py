@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import field
 from numbers import Integral, Real
 from typing import Any, get_args, get_origin, get_type_hints
@@ -85,15 +85,15 @@ KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "text
 ACCEPTED = {int: Integral, float: Real, bool: bool | np.bool_, str: str | os.PathLike}
 
 
-def convert(config: Any, prefix: str = "") -> None:
-    """Give the values of a dataclass the types of its fields: numbers of numpy, tuples, mappings for its parts.
+def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> None:
+    """Give the values of a dataclass the types of its fields, but for ``without``: numpy's numbers, tuples, mappings.
 
     Raises:
         ConfigError: a value of another type, or a part that has no field of a name.
     """
     hints = get_type_hints(type(config))
-    for item in dataclasses.fields(config):
-        setattr(config, item.name, _converted(getattr(config, item.name), hints[item.name], prefix + item.name))
+    for name in [item.name for item in dataclasses.fields(config) if item.name not in without]:
+        setattr(config, name, _converted(getattr(config, name), hints[name], prefix + name))
 
 
 def _converted(value: Any, kind: Any, name: str) -> Any:

@@ -162,7 +162,7 @@ def run_codesign(
             executor = make_executor(settings, known)
             opened.callback(executor.close)
         settings = dataclasses.replace(settings, batch=_batch(settings, executor))
-        written = dataclasses.replace(as_stored(settings, stored or {}), task=task_name(settings.task))
+        written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), stored or {})
         folder = opened.enter_context(_folder(place, written))
         settings.evaluation.keep(known, folder)
         keep_start(start, folder)

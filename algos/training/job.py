@@ -199,7 +199,7 @@ class Job:
             device = settings.device.split(":")[0]
             settings = dataclasses.replace(settings, num_envs=self.settings.num_envs, device=device)
         self.settings = settings
-        self.written = dataclasses.replace(as_stored(settings, self.stored), task=task_name(settings.task))
+        self.written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), self.stored)
 
     def _make_judge(self, settings: Training, bodies: TrainingBodies, options: dict[str, Any]) -> Evaluator:
         """The evaluator: on the CPU, the same episodes every time, also after a resumption.

@@ -6,8 +6,6 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.checkpoints.policy import Policy, read_policy
@@ -27,7 +25,7 @@ from warpvox.robots.replay import SEEDS, robot_env, torch_policy
 from warpvox.runs import Run, find_run
 from warpvox.trust import STORED, allowed, with_code
 
-__all__ = ["Playing", "draws_at_random", "lanes_of", "load_policy", "load_run"]
+__all__ = ["Playing", "lanes_of", "load_policy", "load_run"]
 
 
 def load_policy(
@@ -167,14 +165,3 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     options |= {"device": resolve_device(config.device, count), "num_envs": count}
     seeds = [*SEEDS[:count], *range(SEEDS[-1] + 1, SEEDS[-1] + 1 + count - len(SEEDS))]
     return robot_env(robot, seeds, **options), robot.policy
-
-
-def draws_at_random(env: Any) -> bool:
-    """Whether the episodes of a design begin differently; begins new ones to find out."""
-    obs, _ = env.reset()
-    for design in range(env.num_designs):
-        rows = torch.nonzero(env.design_index == design)[:, 0]
-        for values in (obs, *env.memory.values()):
-            if not torch.equal(values[rows], values[rows[:1]].expand_as(values[rows])):
-                return True
-    return False

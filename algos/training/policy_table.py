@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.algos.evaluate import Evaluation, evaluate
+from warpvox.algos.evaluate import Evaluation, draws_at_random, evaluate
 from warpvox.algos.statistics import Interval, mean_interval
-from warpvox.algos.training.loading import draws_at_random, load_run
+from warpvox.algos.training.loading import load_run
 from warpvox.runs import Run
 
 __all__ = ["EvaluatedPolicy", "PolicyTable", "evaluate_run"]

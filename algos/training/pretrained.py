@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos import checkpoints
-from warpvox.algos.training.bodies import load_bodies
 from warpvox.algos.training.settings import Training
 from warpvox.errors import ConfigError, RunError
 from warpvox.runs import CONFIG, TRAINING, ZOO, find_run
@@ -113,6 +112,8 @@ def adopted(config: Training, named: Collection[str]) -> tuple[Training, dict[st
 
 def _on_the_grid(config: Training, layout: dict[str, Any]) -> Any:
     """``designs`` of the policy's grid; a training for one body has it alone, and is judged by it."""
+    from warpvox.algos.training.bodies import load_bodies  # and torch with it, for which mistakes in keys do not wait
+
     designs, grid = config.designs, [layout["rows"], layout["columns"]]
     if designs.bodies is None:
         bodies = load_bodies(config.design, config.seed)

@@ -66,7 +66,7 @@ class Training:
         ConfigError: a value that is not valid.
     """
 
-    task: Any = key(
+    task: str = key(
         "Walker-v0",
         "task id (`warpvox tasks` lists them), or a task of your own: module:NAME or file.py:NAME",
         path="read",
@@ -152,7 +152,7 @@ class Training:
         elif isinstance(self.physics, Physics):
             constants = dataclasses.asdict(self.physics)
             self.physics = PhysicsConfig(constants.pop("name"), **constants)
-        convert(self)
+        convert(self, without=("task",))  # or a specification of a task
         self.design, self.network = plain(self.design, "design"), plain(self.network, "network")
         for name in ("bodies", "held_out"):
             setattr(self.designs, name, plain(getattr(self.designs, name), f"designs.{name}"))

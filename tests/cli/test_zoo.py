@@ -106,7 +106,8 @@ def test_a_gait_is_listed_shown_played_and_loaded(warpvox: Callable) -> None:
 @pytest.mark.slow
 def test_a_search_by_gaits_becomes_an_open_loop_entry(warpvox: Callable) -> None:
     small = "search.max_evaluations=8 search.population=4 evaluation.gaits=4 evaluation.final_rounds=2"
-    small += " evaluation.finalists=1 training.iterations=1 training.envs=4 training.ppo.steps=4 device=cpu threads=1 shape=[3,3]"
+    small += " evaluation.finalists=1 training.iterations=1"
+    small += " training.envs=4 training.ppo.steps=4 device=cpu threads=1 shape=[3,3]"
     found = warpvox("codesign", "evaluation=gaits", "task=UpStepper-v0", *small.split())
     assert found.code == 0, found.err
     added = warpvox("zoo", "add=outputs/codesign/UpStepper-v0/*", "folder=mine")

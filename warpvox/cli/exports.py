@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from warpvox.algos.training.loading import draws_at_random
 from warpvox.io.console import echo, shown
 from warpvox.runs import Run
 
@@ -53,6 +52,7 @@ def record_run(run: Run, env: Any, controller: Any, steps: int | None, stochasti
 
     ``stochastic``: whether ``controller`` samples its actions.
     """
+    from warpvox.algos.evaluate import draws_at_random
     from warpvox.view.rollout import record
 
     about: dict[str, Any] = {"run": run.folder.name, "stochastic": stochastic}

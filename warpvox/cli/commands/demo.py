@@ -6,13 +6,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from warpvox.algos.training.job import Job
-from warpvox.algos.training.loading import Playing, load_run
-from warpvox.algos.training.progress import Terminal
 from warpvox.cli.application import run_command
 from warpvox.cli.commands.play import print_returns
 from warpvox.cli.exports import ROLLOUT, record_run, write_exports
-from warpvox.cli.process import prepare
 from warpvox.code import is_code
 from warpvox.configs.schema import DemoConfig
 from warpvox.errors import ConfigError
@@ -35,6 +31,10 @@ def demo(config: DemoConfig, console: Console) -> Path:
     """
     if config.resume is not None:
         raise ConfigError("A demo starts anew; go on with it by `warpvox train resume=FOLDER`.")
+    from warpvox.algos.training.job import Job
+    from warpvox.algos.training.progress import Terminal
+    from warpvox.cli.process import prepare
+
     prepare(config.torch_threads, config.seed)
     folder = Job(config).train(Terminal(console), command="demo").folder
     _show(folder, config, console)
@@ -43,6 +43,8 @@ def demo(config: DemoConfig, console: Console) -> Path:
 
 def _show(folder: Path, config: DemoConfig, console: Console) -> None:
     """Record the best policy of a run and write it into the run's folder."""
+    from warpvox.algos.training.loading import Playing, load_run
+
     source = find_run(str(folder), config.output_dir)
     own = config.task if is_code(config.task) else None
     env, controller = load_run(source, Playing(task=own))

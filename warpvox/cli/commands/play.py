@@ -11,7 +11,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from warpvox.algos.training.loading import load_run
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
 from warpvox.cli.exports import (
@@ -94,6 +93,7 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     if (source.config.get("designs") or {}).get("bodies") is None:
         _refuse(given)
     with console.status("loading"):
+        from warpvox.algos.training.loading import load_run
         from warpvox.cli.process import prepare
 
         prepare(config.torch_threads, config.seed or 0)
