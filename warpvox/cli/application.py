@@ -24,7 +24,6 @@ __all__ = ["prepared", "run_command"]
 
 Prepare = Callable[[Any, list[str], "Path | None"], Any]
 Do = Callable[[Any, Console], "Path | None"]
-CFG = ("job", "hydra", "all")
 INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
 PLUGINS = ("hydra/launcher", "hydra/sweeper", "hydra.launcher", "hydra.sweeper")
 FLAGS = ("-h", "--help", "-m", "--multirun", "-c", "--cfg", "-i", "--info", "-cd", "--config-dir")
@@ -65,22 +64,23 @@ def run_command(
     if given.help:
         _parser(command, flat_values(dataclasses.asdict(load(command, [])))).print_help()
     elif views:
-        if load(command, overrides, given.config_dir) and any(word.startswith("config=") for word in overrides):
+        if any(word.startswith("config=") for word in overrides):
             raise ConfigError("--cfg and --info show what Hydra composes, which config=FILE is no part of.")
+        load(command, overrides, given.config_dir)
         texts = [str(override.input_line) for override in read_overrides(command, overrides)]
         run_hydra(command, [*views, *(["--resolve"] if given.cfg else [])], [*plugins, *texts], given.config_dir)
     else:
         parsed = read_overrides(command, overrides, given.multirun)
         swept = any("sweeper" in word for word in plugins)  # which may have values of its own
         runs = [] if swept else expand(command, overrides, given.multirun)
-        make = functools.partial(prepared, command, config_dir=given.config_dir, prepare=prepare)
-        jobs = [make(run) for run in runs]
+        jobs = [prepared(command, run, given.config_dir, prepare) for run in runs]
         if len(jobs) == 1 and not plugins:
             do(jobs[0], Console())
             return
         for job in jobs if check else []:  # a mistake in the last run should not show after a day
             check(job)
-        make_runs(command, parsed, plugins, given.config_dir, lambda run, console: do(make(run), console), len(jobs))
+        make = functools.partial(_make, command, given.config_dir, do, prepare)
+        make_runs(command, parsed, plugins, given.config_dir, make, len(jobs))
 
 
 def prepared(command: str, overrides: list[str], config_dir: Path | None, prepare: Prepare) -> Any:
@@ -88,6 +88,11 @@ def prepared(command: str, overrides: list[str], config_dir: Path | None, prepar
     config = load(command, overrides, config_dir)
     check_output(config)
     return prepare(config, overrides, config_dir)
+
+
+def _make(command: str, config_dir: Path | None, do: Do, prepare: Prepare, run: list[str], console: Console) -> Any:
+    """Make a run of a sweep, in this process or in one of a launcher."""
+    return do(prepared(command, run, config_dir, prepare), console)
 
 
 def _read(command: str, words: list[str]) -> argparse.Namespace:
@@ -98,7 +103,9 @@ def _read(command: str, words: list[str]) -> argparse.Namespace:
     """
     given, unknown = _parser(command).parse_known_intermixed_args(words)
     if unknown:
-        raise ConfigError(f"Unknown option '{unknown[0]}'; there are {listing(FLAGS)}.{did_you_mean(unknown[0], FLAGS)}")
+        raise ConfigError(
+            f"Unknown option '{unknown[0]}'; there are {listing(FLAGS)}.{did_you_mean(unknown[0], FLAGS)}"
+        )
     if given.config_dir is not None:
         if not given.config_dir.is_dir():
             raise ConfigError(f"--config-dir needs an existing folder, got '{given.config_dir}'.")
@@ -131,7 +138,7 @@ def _parser(command: str, values: dict[str, Any] | None = None) -> argparse.Argu
         " hydra/sweeper=NAME take plugins of Hydra that are installed",
     )
     options.add_argument(
-        "-c", "--cfg", nargs="?", const="job", choices=CFG, help="print the configuration that Hydra composes, and stop"
+        "-c", "--cfg", choices=("job", "hydra", "all"), help="print the configuration that Hydra composes, and stop"
     )
     options.add_argument("-i", "--info", nargs="?", const="all", choices=INFO, help="print how it does so, and stop")
     options.add_argument(

@@ -19,11 +19,11 @@ from omegaconf.errors import OmegaConfBaseException
 from warpvox.algos.interrupt import uninterrupted
 from warpvox.cli.config_file import read_config_file
 from warpvox.cli.help import flat_keys, flat_values, groups_of, options_of
-from warpvox.cli.overrides import label_of, read_overrides
+from warpvox.cli.overrides import key_and_value, read_overrides
 from warpvox.cli.trust import check_address, typed, with_code
 from warpvox.code import Code
 from warpvox.configs.composition import composed
-from warpvox.configs.schema import COMMANDS, NODES, PRESET, PRESET_OF
+from warpvox.configs.schema import COMMANDS, NODES, PRESET
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values
 
@@ -97,7 +97,9 @@ def load_values(command: str, values: dict[str, Any]) -> Any:
         config = copy.deepcopy(_schema(command))
         for group, name in _nodes_of(values).items():
             OmegaConf.update(config, group, NODES[group][name], merge=False)
-        result = OmegaConf.to_object(OmegaConf.merge(config, {key: values[key] for key in values if key in config}))
+        names = COMMANDS[command].__dataclass_fields__
+        known = {key: value for key, value in values.items() if key in names}
+        result = OmegaConf.to_object(OmegaConf.merge(config, known))
     check_values(result)
     return result
 
@@ -132,7 +134,7 @@ def hydras_errors(beginning: str = "") -> Iterator[None]:
         yield
     except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        raise ConfigError(beginning + " ".join(lines[:2])) from None
+        raise ConfigError(beginning + " ".join(lines if isinstance(error, yaml.YAMLError) else lines[:2])) from None
 
 
 # ------------------------------------------------------------------------------------------------- composition
@@ -181,13 +183,12 @@ def _nodes_of(values: dict[str, Any]) -> dict[str, str]:
 
 def _check_choice(override: Override, config_dir: Path | None) -> None:
     """Check the name of the choice of a group or of a preset."""
-    group, name, (key, given) = override.key_or_group, override.value(), label_of(override)
+    group, name, (key, given) = override.key_or_group, override.value(), key_and_value(override)
     options = options_of(group, config_dir)
-    optional = "/" in group and key not in PRESET_OF
-    if name not in options and not (optional and name is None):
+    if name not in options:
         more = "" if "/" in group else f" Single values are set by {key}.NAME=VALUE."
         hint = did_you_mean(name, options) if isinstance(name, str) else ""
-        null = " or null" if optional else ""
+        null = " or null" if key == PRESET else ""
         raise ConfigError(f"{key} must be one of {listing(options)}{null}, got '{given}'.{hint}{more}")
 
 
@@ -200,8 +201,13 @@ def _set(config: DictConfig, override: Override, command: str) -> None:
         last = key.split(".")[-1]
         meant = [name for name in known if name.split(".")[-1] == ALIASES.get(last)]
         hint = did_you_mean(meant[0], meant) if meant else did_you_mean(key, known) or did_you_mean(last, known)
+        nodes = NODES.get(key.partition(".")[0], {})
+        owners = [
+            name for name, node in nodes.items() if key.partition(".")[2] in getattr(node, "__dataclass_fields__")
+        ]
+        where = f", which is one of {key.partition('.')[0]}={' or '.join(owners)}" if owners else ""
         raise ConfigError(
-            f"Unknown key '{override.get_key_element()}'.{hint} `warpvox {command} --help` lists all keys."
+            f"Unknown key '{override.get_key_element()}'{where}.{hint} `warpvox {command} --help` lists all keys."
         )
     kind = keys[key].type
     if dataclasses.is_dataclass(kind):

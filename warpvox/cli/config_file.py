@@ -36,7 +36,9 @@ def read_config_file(text: str, command: str) -> dict[str, Any]:
     keys = {name: [key for key, _ in flat_keys(schema)] for name, schema in COMMANDS.items()}
     unknown = [name for name in flat_values(values) if name not in keys[command]]
     if unknown:
-        other = next((name for name in keys if "config" in keys[name] and {*flat_values(values)} <= {*keys[name]}), None)
+        other = next(
+            (name for name in keys if "config" in keys[name] and {*flat_values(values)} <= {*keys[name]}), None
+        )
         advice = (
             f"It is a configuration of `warpvox {other}`: warpvox {other} config=FILE."
             if other

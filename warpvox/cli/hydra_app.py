@@ -26,7 +26,7 @@ def run_hydra(
     flags: Sequence[str],
     overrides: Sequence[str] = (),
     config_dir: Path | None = None,
-    task: Callable[[Any], Any] = id,
+    task: Callable[[Any], Any] = lambda _: None,
 ) -> None:
     """Do what ``@hydra.main`` does of a command line with these words.
 
