@@ -109,7 +109,7 @@ def test_a_preset_of_ones_own(tmp_path: Path) -> None:
     config, default = load("train", ["preset=mine"], tmp_path), load("train", [])
     expected = dataclasses.replace(default.ppo, gamma=0.5)
     assert config == dataclasses.replace(default, preset="mine", seed=9, ppo=expected)
-    with pytest.raises(ConfigError, match="one of paper, universal_cpg or null, got 'mine'"):
+    with pytest.raises(ConfigError, match="one of paper, universal_cpg, got 'mine'"):
         load("codesign", ["preset=mine"], tmp_path)
     for text, words in (
         ("sed: 9\n", "sed"),
@@ -302,8 +302,8 @@ class Deep(Beam):
 
 @dataclasses.dataclass
 class ZooWithBeam(schema.ZooConfig):
-    beam: Beam = key("???", "a group")
-    config: str | None = key(None, "file to take values from", path="read")
+    beam: Beam = key("???", "a group")  # noqa: RUF009  (a field with a meaning)
+    config: str | None = key(None, "a file")  # noqa: RUF009
 
 
 @pytest.fixture
@@ -331,7 +331,7 @@ def test_the_choices_of_a_group_may_be_of_different_dataclasses(beam: Path) -> N
     assert load("beamed", ["beam.rounds=5", "beam=deep"]).beam == Deep(rounds=5)
     assert load("beamed", ["beam=mine", "beam.width=2"], beam).beam == Deep(rounds=9, width=2)
     for words, phrase in (
-        (["beam.rounds=5"], r"Unknown key 'beam.rounds', which is one of beam=deep"),
+        (["beam.rounds=5"], r"Unknown key 'beam.rounds'. It goes with another choice of beam"),
         (["beam=deep", "beam.round=5"], "Did you mean 'beam.rounds'"),
         (["beam=deap"], "beam must be one of deep, wide, got 'deap'. Did you mean 'deep'"),
         (["beam=deep", "beam.rounds=0"], "beam.rounds must be at least 1"),
@@ -355,5 +355,5 @@ def test_a_stored_configuration_says_which_dataclass_a_group_has(beam: Path) -> 
             assert (config.beam, config.top) == (expected, 3)
     values["beam"]["name"] = "deap"
     for call in (lambda: load_values("beamed", values), lambda: load("beamed", [], base=values)):
-        with pytest.raises(ConfigError, match="beam.name must be one of wide, deep, got 'deap'"):
+        with pytest.raises(ConfigError, match="beam must be one of deep, wide, got 'deap'"):
             call()

@@ -20,7 +20,7 @@ from warpvox.cli.runs import check_output
 from warpvox.cli.sweep import make_runs
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["prepared", "run_command"]
+__all__ = ["prepared", "read_words", "run_command"]
 
 Prepare = Callable[[Any, list[str], "Path | None"], Any]
 Do = Callable[[Any, Console], "Path | None"]
@@ -52,7 +52,7 @@ def run_command(
         WarpvoxError: something that is asked for is not valid, or a run has failed.
         KeyboardInterrupt: interrupted; runs that have not begun are not made.
     """
-    given = _read(command, words)
+    given = read_words(command, words)
     plugins = [word for word in given.overrides if word.startswith(PLUGINS)]
     overrides = [word for word in given.overrides if word not in plugins]
     views = [flag for name in ("cfg", "info") if (kind := getattr(given, name)) for flag in (f"--{name}", kind)]
@@ -95,7 +95,7 @@ def _make(command: str, config_dir: Path | None, do: Do, prepare: Prepare, run: 
     return do(prepared(command, run, config_dir, prepare), console)
 
 
-def _read(command: str, words: list[str]) -> argparse.Namespace:
+def read_words(command: str, words: list[str]) -> argparse.Namespace:
     """Sort options from overrides.
 
     Raises:

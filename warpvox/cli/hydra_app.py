@@ -11,8 +11,7 @@ from typing import Any
 import hydra
 
 from warpvox.cli import COMMANDS as NAMES
-from warpvox.cli.config import hydras_errors
-from warpvox.configs.composition import register
+from warpvox.configs.composition import hydras_errors, register
 from warpvox.configs.schema import COMMANDS
 from warpvox.errors import ConfigError, listing
 
