@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from warpvox.errors import ConfigError
 from warpvox.keys import MISSING, key
 
-__all__ = ["ACTIVATIONS", "CPG", "LOGGERS", "MLP", "REFRESH", "Ppo", "TrainingConfig"]
+__all__ = ["ACTIVATIONS", "CPG", "LOGGERS", "MLP", "REFRESH", "DesignTraining", "Ppo"]
 
 MLP = "mlp"
 """The policy that is no network for voxels: fully connected layers on the whole observation."""
@@ -68,7 +68,7 @@ class Ppo:
 
 
 @dataclass
-class TrainingConfig:
+class DesignTraining:
     """Keys ``training.*``: how a design search trains and evaluates a design."""
 
     method: str = key(

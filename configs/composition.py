@@ -8,16 +8,20 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import yaml
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import Quote, QuotedString
+from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.configs.paper import design_of, shape_of
-from warpvox.configs.schema import COMMANDS, NODES
+from warpvox.configs.schema import COMMANDS, NODES, PRESET, PRESET_OF
+from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["composed", "quoted", "register"]
+__all__ = ["composed", "hydras_errors", "quoted", "register"]
 
 
 def composed(command: str, overrides: Sequence[str] = (), config_dir: Path | None = None) -> DictConfig:
@@ -50,6 +54,23 @@ def _opened() -> Iterator[None]:
             yield
     finally:
         shared.hydra = outer
+
+
+@contextmanager
+def hydras_errors(beginning: str = "") -> Iterator[None]:
+    """Errors of Hydra and OmegaConf in one sentence: what is wrong and where, and of names the nearest."""
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        text = " ".join(lines if isinstance(error, yaml.YAMLError) else lines[:2])  # below are inner names
+        if isinstance(error, MissingConfigException) and error.options:
+            group, _, name = str(error.missing_cfg_file).rpartition("/")
+            key = PRESET_OF.get(group.partition("/")[2], PRESET) if group.startswith(f"{PRESET}/") else group
+            text = f"{key} must be one of {listing(error.options)}, got '{name}'.{did_you_mean(name, error.options)}"
+        elif getattr(error, "full_key", None):
+            text = lines[0] if beginning.startswith(error.full_key) else f"{error.full_key}: {lines[0]}"
+        raise ConfigError(f"{beginning}{text}") from None
 
 
 def quoted(text: str) -> str:

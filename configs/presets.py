@@ -8,13 +8,13 @@ from typing import Any
 
 import yaml
 
-from warpvox.algos.settings import Ppo, TrainingConfig
+from warpvox.algos.settings import DesignTraining, Ppo
 from warpvox.errors import ConfigError, did_you_mean, listing
 
 __all__ = ["ppo_preset", "training_preset"]
 
 
-def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any) -> TrainingConfig:
+def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any) -> DesignTraining:
     """The settings ``training=<name>`` of a design search, with other values of ``training.*`` and ``training.ppo.*``.
 
     Raises:

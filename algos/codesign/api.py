@@ -18,7 +18,7 @@ from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.codesign.progress import SearchProgress
 from warpvox.algos.codesign.run import run_codesign
 from warpvox.algos.codesign.settings import Codesign
-from warpvox.algos.search.settings import CustomSettings, SearchSettings
+from warpvox.algos.search.settings import CustomSearch, SearchSettings
 from warpvox.errors import ConfigError, did_you_mean
 
 __all__ = ["codesign"]
@@ -61,7 +61,7 @@ def codesign(
     own = None if isinstance(search, str | Mapping | SearchSettings) else search
     if own is not None:
         sizes = {name: getattr(own, name) for name in ("population", "max_evaluations") if hasattr(own, name)}
-        search = CustomSettings(make=_name(own), **sizes)
+        search = CustomSearch(make=_name(own), **sizes)
     if not isinstance(evaluation, str | Mapping | Evaluation):
         evaluation = _Given(evaluation)
     where = {} if not isinstance(executor, str) else {"executor": executor}

@@ -15,7 +15,7 @@ from warpvox.algos.codesign.inheritance import BodyLayout, copy_weights
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.population.training import Networks, PopulationTraining
-from warpvox.algos.settings import TrainingConfig
+from warpvox.algos.settings import DesignTraining
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -52,7 +52,7 @@ class PopulationEvaluator:
     """
 
     factory: EnvFactory
-    settings: TrainingConfig
+    settings: DesignTraining
     seed: int = 0
 
     def evaluate(
@@ -247,7 +247,7 @@ def read_evaluation(path: Path, about: dict[str, Any]) -> dict[str, Any]:
     return content
 
 
-def memory_hint(settings: TrainingConfig, count: int) -> str:
+def memory_hint(settings: DesignTraining, count: int) -> str:
     """Advice for when the training of ``count`` designs takes too much memory."""
     fewer = f"batch={-(-count // 2)} trains {-(-count // 2)} designs at once instead of {count}; " if count > 1 else ""
     return f"Take less at once: {fewer}training.envs is {settings.envs}, training.ppo.steps {settings.ppo.steps}."

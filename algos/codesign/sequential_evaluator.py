@@ -26,7 +26,7 @@ from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import Evaluation, evaluator
 from warpvox.algos.policies.registry import layout_for
 from warpvox.algos.population.training import Networks
-from warpvox.algos.settings import TrainingConfig
+from warpvox.algos.settings import DesignTraining
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -48,7 +48,7 @@ class SequentialEvaluator:
     """
 
     factory: EnvFactory
-    settings: TrainingConfig
+    settings: DesignTraining
     seed: int = 0
     network: str | None = None
     network_settings: Mapping[str, Any] = field(default_factory=dict)

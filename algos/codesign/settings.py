@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation, Specialist
 from warpvox.algos.physics import PhysicsConfig, physics_of, sim_of
-from warpvox.algos.search.settings import GaSettings, SearchSettings, settings_from
-from warpvox.algos.settings import TrainingConfig
+from warpvox.algos.search.settings import GA, SearchSettings, settings_from
+from warpvox.algos.settings import DesignTraining
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, arithmetic_key
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values, convert, key, plain
@@ -56,9 +56,9 @@ class Codesign:
         "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)",
         choices=("evogym", "paper"),
     )
-    search: SearchSettings = key(GaSettings, "how designs are proposed")
+    search: SearchSettings = key(GA, "how designs are proposed")
     evaluation: Evaluation = key(Specialist, "how designs are compared")
-    training: TrainingConfig = key(TrainingConfig, "how a design's own policy is trained")
+    training: DesignTraining = key(DesignTraining, "how a design's own policy is trained")
     policy: str = key(
         "mlp",
         "network of a design's own policy: mlp (layers: training.ppo.hidden); with training.method=sequential"

@@ -19,7 +19,7 @@ from warpvox.algos.evaluate import evaluate
 from warpvox.algos.population.model import PopulationModel
 from warpvox.algos.population.ppo import PopulationPPO
 from warpvox.algos.population.streams import Streams
-from warpvox.algos.settings import Ppo, TrainingConfig
+from warpvox.algos.settings import DesignTraining, Ppo
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import adapt
 from warpvox.design import Design
@@ -73,7 +73,7 @@ class PopulationTraining:
         factory: EnvFactory,
         bodies: Sequence[Design],
         seeds: Sequence[int],
-        settings: TrainingConfig,
+        settings: DesignTraining,
         prepare: Callable[[int, Any, Networks], None] | None = None,
         eval_seed: int = 0,
     ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from warpvox.algos.candidate import Search
-from warpvox.algos.search.settings import CustomSettings
+from warpvox.algos.search.settings import CustomSearch
 from warpvox.code import load_code
 from warpvox.errors import ConfigError, listing
 
@@ -14,7 +14,7 @@ __all__ = ["make_custom"]
 VERBS = ("ask", "tell", "replay")
 
 
-def make_custom(settings: CustomSettings, shape: tuple[int, int], seed: int) -> Search:
+def make_custom(settings: CustomSearch, shape: tuple[int, int], seed: int) -> Search:
     """Call what ``settings.make`` names with settings, shape and seed.
 
     Raises:

@@ -17,13 +17,13 @@ from warpvox.keys import check_values, convert, key
 
 __all__ = [
     "ALGORITHMS",
+    "BO",
     "DESCRIPTORS",
-    "BoSettings",
-    "CppnNeatSettings",
-    "CustomSettings",
-    "GaSettings",
-    "MapElitesSettings",
-    "RandomSettings",
+    "GA",
+    "CppnNeat",
+    "CustomSearch",
+    "MapElites",
+    "RandomDesigns",
     "SearchSettings",
     "settings_from",
 ]
@@ -50,14 +50,14 @@ class SearchSettings:
 
 
 @dataclass
-class RandomSettings(SearchSettings):
+class RandomDesigns(SearchSettings):
     """Random search, the baseline: designs by EvoGym's sampling rule."""
 
     algorithm: str = key("random", "which search", choices=("random",))
 
 
 @dataclass
-class GaSettings(SearchSettings):
+class GA(SearchSettings):
     """Genetic algorithm (paper Algorithm 1, Table 3)."""
 
     algorithm: str = key("ga", "which search", choices=("ga",))
@@ -77,7 +77,7 @@ class GaSettings(SearchSettings):
 
 
 @dataclass
-class BoSettings(SearchSettings):
+class BO(SearchSettings):
     """Bayesian optimisation (paper Algorithm 2, Table 4)."""
 
     algorithm: str = key("bo", "which search", choices=("bo",))
@@ -97,7 +97,7 @@ class BoSettings(SearchSettings):
 
 
 @dataclass
-class CppnNeatSettings(SearchSettings):
+class CppnNeat(SearchSettings):
     """CPPN-NEAT (paper section C.3, Table 5); Table 5 itself is ``cppn_neat.cfg`` beside this module."""
 
     algorithm: str = key("cppn_neat", "which search", choices=("cppn_neat",))
@@ -108,7 +108,7 @@ class CppnNeatSettings(SearchSettings):
 
 
 @dataclass
-class MapElitesSettings(SearchSettings):
+class MapElites(SearchSettings):
     """MAP-Elites: the best design of every kind of body."""
 
     algorithm: str = key("map_elites", "which search", choices=("map_elites",))
@@ -126,7 +126,7 @@ class MapElitesSettings(SearchSettings):
 
 
 @dataclass
-class CustomSettings(SearchSettings):
+class CustomSearch(SearchSettings):
     """A search of your own; see docs/search.md."""
 
     algorithm: str = key("custom", "which search", choices=("custom",))
@@ -146,12 +146,12 @@ class CustomSettings(SearchSettings):
 
 
 ALGORITHMS: dict[str, type[SearchSettings]] = {
-    "ga": GaSettings,
-    "bo": BoSettings,
-    "cppn_neat": CppnNeatSettings,
-    "map_elites": MapElitesSettings,
-    "random": RandomSettings,
-    "custom": CustomSettings,
+    "ga": GA,
+    "bo": BO,
+    "cppn_neat": CppnNeat,
+    "map_elites": MapElites,
+    "random": RandomDesigns,
+    "custom": CustomSearch,
 }
 """The settings of each algorithm, by its name."""
 

@@ -22,7 +22,7 @@ from suite_jobs import act
 from warpvox.algos.candidate import Outcome
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.interrupt import Terminated
-from warpvox.algos.settings import TrainingConfig
+from warpvox.algos.settings import DesignTraining
 from warpvox.cli import codesign_progress
 from warpvox.cli.commands import codesign, suite
 from warpvox.cli.config import load, load_values, to_yaml
@@ -163,7 +163,7 @@ def test_a_setting_that_no_search_has(quick_keys: Any) -> None:
 
 
 def test_what_a_design_costs_with_successive_halving() -> None:
-    settings = TrainingConfig(envs=8, iterations=40, eval_interval=10, rungs=[0.25, 0.5], keep=0.5)
+    settings = DesignTraining(envs=8, iterations=40, eval_interval=10, rungs=[0.25, 0.5], keep=0.5)
     settings.ppo.steps = 16
     # of 5 designs all train 10 iterations, 3 ten more, 2 the last 20
     assert steps_of_design(settings, 5) == (5 * 10 + 3 * 10 + 2 * 20) * 8 * 16 / 5

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from warpvox.cli.config import expand, load, read_arguments
+from warpvox.cli.application import read_words
+from warpvox.cli.config import load
+from warpvox.cli.overrides import expand
 from warpvox.configs.schema import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,6 +34,6 @@ def test_there_are_command_lines() -> None:
 def test_a_command_line_is_taken(line: str) -> None:
     assert not re.search(r"[][*?{}]", QUOTED.sub("", line)), "a shell such as zsh takes this for a pattern: quote it"
     command, *words = (word for word in shlex.split(line) if word != "...")
-    arguments = read_arguments(words)
-    for overrides in expand(arguments, command)[:1]:
-        load(command, overrides, arguments.config_dir)
+    given = read_words(command, words)
+    overrides = [word for word in given.overrides if not word.startswith("hydra")]
+    load(command, expand(command, overrides, given.multirun)[0], given.config_dir)

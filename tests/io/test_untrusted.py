@@ -27,8 +27,7 @@ from warpvox.algos.training.pretrained import check_learned
 from warpvox.cli.config import load_values
 from warpvox.design import check_design, full_connections, load_design, save_design
 from warpvox.errors import ConfigError, DesignError, RolloutError, RunError, WorldError
-from warpvox.io.plain_yaml import parse_yaml
-from warpvox.io.reading import Unreadable
+from warpvox.io.reading import Unreadable, parse_yaml
 from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.runs import find_run
 from warpvox.view.rollout import Rollout

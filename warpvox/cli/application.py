@@ -20,11 +20,10 @@ from warpvox.cli.sweep import make_runs
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.runs import check_output
 
-__all__ = ["prepared", "run_command"]
+__all__ = ["prepared", "read_words", "run_command"]
 
 Prepare = Callable[[Any, list[str], "Path | None"], Any]
 Do = Callable[[Any, Console], "Path | None"]
-CFG = ("job", "hydra", "all")
 INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
 PLUGINS = ("hydra/launcher", "hydra/sweeper", "hydra.launcher", "hydra.sweeper")
 FLAGS = ("-h", "--help", "-m", "--multirun", "-c", "--cfg", "-i", "--info", "-cd", "--config-dir")
@@ -53,7 +52,7 @@ def run_command(
         WarpvoxError: something that is asked for is not valid, or a run has failed.
         KeyboardInterrupt: interrupted; runs that have not begun are not made.
     """
-    given = _read(command, words)
+    given = read_words(command, words)
     plugins = [word for word in given.overrides if word.startswith(PLUGINS)]
     overrides = [word for word in given.overrides if word not in plugins]
     views = [flag for name in ("cfg", "info") if (kind := getattr(given, name)) for flag in (f"--{name}", kind)]
@@ -65,22 +64,23 @@ def run_command(
     if given.help:
         _parser(command, flat_values(dataclasses.asdict(load(command, [])))).print_help()
     elif views:
-        if load(command, overrides, given.config_dir) and any(word.startswith("config=") for word in overrides):
+        if any(word.startswith("config=") for word in overrides):
             raise ConfigError("--cfg and --info show what Hydra composes, which config=FILE is no part of.")
+        load(command, overrides, given.config_dir)
         texts = [str(override.input_line) for override in read_overrides(command, overrides)]
         run_hydra(command, [*views, *(["--resolve"] if given.cfg else [])], [*plugins, *texts], given.config_dir)
     else:
         parsed = read_overrides(command, overrides, given.multirun)
         swept = any("sweeper" in word for word in plugins)  # which may have values of its own
         runs = [] if swept else expand(command, overrides, given.multirun)
-        make = functools.partial(prepared, command, config_dir=given.config_dir, prepare=prepare)
-        jobs = [make(run) for run in runs]
+        jobs = [prepared(command, run, given.config_dir, prepare) for run in runs]
         if len(jobs) == 1 and not plugins:
             do(jobs[0], Console())
             return
         for job in jobs if check else []:  # a mistake in the last run should not show after a day
             check(job)
-        make_runs(command, parsed, plugins, given.config_dir, lambda run, console: do(make(run), console), len(jobs))
+        make = functools.partial(_make, command, given.config_dir, do, prepare)
+        make_runs(command, parsed, plugins, given.config_dir, make, len(jobs))
 
 
 def prepared(command: str, overrides: list[str], config_dir: Path | None, prepare: Prepare) -> Any:
@@ -90,7 +90,12 @@ def prepared(command: str, overrides: list[str], config_dir: Path | None, prepar
     return prepare(config, overrides, config_dir)
 
 
-def _read(command: str, words: list[str]) -> argparse.Namespace:
+def _make(command: str, config_dir: Path | None, do: Do, prepare: Prepare, run: list[str], console: Console) -> Any:
+    """Make a run of a sweep, in this process or in one of a launcher."""
+    return do(prepared(command, run, config_dir, prepare), console)
+
+
+def read_words(command: str, words: list[str]) -> argparse.Namespace:
     """Sort options from overrides.
 
     Raises:
@@ -133,7 +138,7 @@ def _parser(command: str, values: dict[str, Any] | None = None) -> argparse.Argu
         " hydra/sweeper=NAME take plugins of Hydra that are installed",
     )
     options.add_argument(
-        "-c", "--cfg", nargs="?", const="job", choices=CFG, help="print the configuration that Hydra composes, and stop"
+        "-c", "--cfg", choices=("job", "hydra", "all"), help="print the configuration that Hydra composes, and stop"
     )
     options.add_argument("-i", "--info", nargs="?", const="all", choices=INFO, help="print how it does so, and stop")
     options.add_argument(

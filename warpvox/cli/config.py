@@ -2,42 +2,27 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-import functools
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import yaml
 from hydra.core.override_parser.types import Override
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.algos.interrupt import uninterrupted
-from warpvox.cli.config_file import read_config_file
-from warpvox.cli.help import flat_keys, flat_values, groups_of, options_of
-from warpvox.cli.overrides import label_of, read_overrides
-from warpvox.configs.composition import composed
-from warpvox.configs.schema import COMMANDS, NODES, PRESET, PRESET_OF
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.cli.help import flat_keys, flat_values, groups_of
+from warpvox.cli.overrides import key_and_value, read_overrides
+from warpvox.configs.composition import composed, hydras_errors, quoted
+from warpvox.configs.schema import COMMANDS, NODES, PRESET
+from warpvox.errors import ConfigError, did_you_mean
 from warpvox.io.plain_yaml import to_yaml
+from warpvox.io.reading import Unreadable, parse_yaml, read_text
 from warpvox.keys import check_values
+from warpvox.runs import CONFIG, LARGEST_CONFIG
 from warpvox.trust import check_address, typed, with_code
 
-__all__ = ["hydras_errors", "load", "load_values", "to_yaml"]
+__all__ = ["load", "load_values", "to_yaml"]
 
-# the first that occurs in the name of a type
-TYPES = {
-    "list[int]": "a list of integers",
-    "list": "a list",
-    "int": "an integer",
-    "float": "a number",
-    "bool": "true or false",
-    "str": "text",
-}
 ALIASES = {
     "env": "task",
     "lr": "learning_rate",
@@ -48,6 +33,8 @@ ALIASES = {
     "batch_size": "minibatches",
 }
 """Names that other libraries have for a key, by the last part of ours: for hints."""
+NOT_TAKEN = ("resume", "report", "config")
+"""Keys of ``config=FILE`` that say what the run did that the file has come from, not with what."""
 
 
 def load(
@@ -74,9 +61,10 @@ def load(
     if file is not None:
         if f"{PRESET}/{command}" in named:
             raise ConfigError(f"config={file} and preset both say where to start from: give one of them.")
-        base, home = read_config_file(file, command), Path(file) if Path(file).is_dir() else Path(file).parent
-    with hydras_errors(f"{file}: " if file else ""):
-        result = _composed(command, parsed, config_dir, base)
+        base, home = _read_file(Path(file).expanduser())
+    # OmegaConf's clean-up turns an interrupt into errors of its own
+    with hydras_errors(f"{file}: " if file else ""), uninterrupted():
+        result = OmegaConf.to_object(_composed(command, parsed, config_dir, base))
     check_values(result)
     if base is None:
         return with_code(result, typed(result))
@@ -93,120 +81,87 @@ def load_values(command: str, values: dict[str, Any]) -> Any:
     Raises:
         ConfigError: values of the wrong type or out of range.
     """
+    known = {item.name: values[item.name] for item in dataclasses.fields(COMMANDS[command]) if item.name in values}
     with hydras_errors("The stored configuration is not valid: "), uninterrupted():
-        config = copy.deepcopy(_schema(command))
-        for group, name in _nodes_of(values).items():
-            OmegaConf.update(config, group, NODES[group][name], merge=False)
-        result = OmegaConf.to_object(OmegaConf.merge(config, {key: values[key] for key in values if key in config}))
+        result = OmegaConf.to_object(OmegaConf.merge(composed(command, _nodes_of(known)), known))
     check_values(result)
     return result
 
 
-@functools.cache
-def _schema(command: str) -> DictConfig:
-    return OmegaConf.structured(COMMANDS[command])
-
-
-@contextmanager
-def hydras_errors(beginning: str = "") -> Iterator[None]:
-    """Errors of Hydra and OmegaConf as ours: where and what; below their first two lines are inner names."""
+def _read_file(path: Path) -> tuple[dict[str, Any], Path]:
+    """The values of ``config=FILE``, which is a YAML file or the folder of a run, and the folder that it lies in."""
+    path = path / CONFIG if path.is_dir() else path
     try:
-        yield
-    except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        raise ConfigError(beginning + " ".join(lines[:2])) from None
+        values = parse_yaml(read_text(path, LARGEST_CONFIG))
+    except Unreadable as error:
+        raise ConfigError(f"config must be a YAML file or the folder of a run; {path}: {error}.") from None
+    if not isinstance(values, dict) or not values:
+        raise ConfigError(f"config must be a YAML file or the folder of a run; {path} holds no KEY: VALUE.")
+    return {name: value for name, value in values.items() if name not in NOT_TAKEN}, path.parent
 
 
-# ------------------------------------------------------------------------------------------------- composition
-
-
-@uninterrupted()  # OmegaConf's clean-up turns an interrupt into errors of its own
-def _composed(command: str, parsed: list[Override], config_dir: Path | None, stored: dict | None) -> Any:
-    """The dataclass of a command, unchecked."""
-    chosen, changes = {}, []
+def _composed(command: str, parsed: list[Override], config_dir: Path | None, stored: dict | None) -> DictConfig:
+    """The configuration of a command, unchecked."""
+    groups = [override for override in parsed if override.key_or_group in groups_of(command)]
+    choices = [f"{override.get_key_element()}={quoted(key_and_value(override)[1])}" for override in groups]
+    named = {override.key_or_group for override in groups}
+    stored = stored and {key: value for key, value in stored.items() if key not in NODES or key not in named}
+    nodes = [choice for choice in choices if choice.partition("=")[0] in NODES] + _nodes_of(stored or {})
+    config = composed(command, list(dict.fromkeys(choices + nodes)), config_dir)
     for override in parsed:
-        if override.key_or_group in groups_of(command):
-            _check_choice(override, config_dir)
-            chosen[override.key_or_group] = str(override.input_line)
-        else:
-            changes.append(override)
-    stored = stored and {key: value for key, value in stored.items() if key not in NODES or key not in chosen}
-    chosen = {group: f"{group}={name}" for group, name in _nodes_of(stored or {}).items()} | chosen
-    config = composed(command, list(chosen.values()), config_dir)
-    missing = OmegaConf.missing_keys(config)
-    nodes = [chosen[group] for group in NODES if group in chosen]
-    defaults = config if stored is None and not missing else composed(command, nodes, config_dir)
-    for key in missing:  # what a file of the user's own leaves open
-        OmegaConf.update(config, key, OmegaConf.select(defaults, key))
-    for override in changes:
-        _set(config, override, command)
-    if stored is not None:
-        now, usual = (flat_values(OmegaConf.to_container(one)) for one in (config, defaults))
-        changed = dict.fromkeys(key for key in now if now[key] != usual.get(key))
-        below = OmegaConf.merge(defaults, stored)
-        for key in [*changed, *(override.key_or_group for override in parsed if "/" not in override.key_or_group)]:
-            OmegaConf.update(below, key, OmegaConf.select(config, key), merge=False)
-        config = below
-    return OmegaConf.to_object(config)
+        if override not in groups:
+            _set(config, override, command)
+    if stored is None:
+        return config
+    defaults = composed(command, nodes, config_dir)
+    for key in flat_values(stored):
+        if not _has(defaults, key):
+            raise _unknown(command, key, defaults)
+    now, usual = (flat_values(OmegaConf.to_container(one)) for one in (config, defaults))
+    below = OmegaConf.merge(defaults, stored)
+    changed = [key for key in now if now[key] != usual.get(key)]
+    for key in [*changed, *(override.key_or_group for override in parsed if _has(config, override.key_or_group))]:
+        OmegaConf.update(below, key, OmegaConf.select(config, key), merge=False)
+    return below
 
 
-def _nodes_of(values: dict[str, Any]) -> dict[str, str]:
-    """Groups whose nodes have names, and the name that stored values have of each."""
+def _nodes_of(values: dict[str, Any]) -> list[str]:
+    """The overrides that choose the nodes of stored values, by their names."""
     sections = {group: values[group] for group in NODES if isinstance(values.get(group), dict)}
-    names = {group: name for group, one in sections.items() if (name := one.get("name", one.get("algorithm")))}
-    for group, name in names.items():
-        if name not in NODES[group]:
-            hint = did_you_mean(name, NODES[group])
-            raise ConfigError(f"{group}.name must be one of {listing(NODES[group])}, got '{name}'.{hint}")
-    return names
-
-
-def _check_choice(override: Override, config_dir: Path | None) -> None:
-    """Check the name of the choice of a group or of a preset."""
-    group, name, (key, given) = override.key_or_group, override.value(), label_of(override)
-    options = options_of(group, config_dir)
-    optional = "/" in group and key not in PRESET_OF
-    if name not in options and not (optional and name is None):
-        more = "" if "/" in group else f" Single values are set by {key}.NAME=VALUE."
-        hint = did_you_mean(name, options) if isinstance(name, str) else ""
-        null = " or null" if optional else ""
-        raise ConfigError(f"{key} must be one of {listing(options)}{null}, got '{given}'.{hint}{more}")
+    names = {group: one.get("name", one.get("algorithm")) for group, one in sections.items()}
+    return [f"{group}={quoted(str(name))}" for group, name in names.items() if name]
 
 
 def _set(config: DictConfig, override: Override, command: str) -> None:
-    """Set the value of a key; errors name both."""
-    key, given = override.key_or_group, override.get_value_string()
-    keys = dict(flat_keys(COMMANDS[command]))
+    """Set the value of a key."""
+    key, keys = override.key_or_group, dict(flat_keys(COMMANDS[command]))
     if override.package is not None or not _has(config, key):
-        known = [name for name in keys if _has(config, name)]
-        last = key.split(".")[-1]
-        meant = [name for name in known if name.split(".")[-1] == ALIASES.get(last)]
-        hint = did_you_mean(meant[0], meant) if meant else did_you_mean(key, known) or did_you_mean(last, known)
-        group, _, name = key.partition(".")
-        owners = [
-            one for one, node in NODES.get(group, {}).items() if name in getattr(node, "__dataclass_fields__", ())
-        ]
-        if owners and group != "physics":
-            hint = f" It is a setting of {' and '.join(f'{group}={one}' for one in owners)}."
-        raise ConfigError(
-            f"Unknown key '{override.get_key_element()}'.{hint} `warpvox {command} --help` lists all keys."
-        )
-    kind = keys[key].type
-    if dataclasses.is_dataclass(kind):
+        raise _unknown(command, override.get_key_element(), config)
+    if dataclasses.is_dataclass(keys[key].type):
         hint = did_you_mean(key, [name for name in keys if "." not in name and name != key])
-        raise ConfigError(f"{key} is set by {key}.NAME=VALUE, got '{given}'.{hint}")
-    try:
+        raise ConfigError(f"{key} is set by {key}.NAME=VALUE, got '{override.get_value_string()}'.{hint}")
+    with hydras_errors(f"{key}={override.get_value_string():.40}: "):
         OmegaConf.update(config, key, override.value(), merge=False)
-    except (OmegaConfBaseException, OverflowError) as error:
-        expected = next((text for name, text in TYPES.items() if name in str(kind)), str(kind))
-        optional = " or null" if "None" in str(kind) else ""
-        if "Unsupported interpolation" in str(error):
-            expected = "a plain value"
-        raise ConfigError(f"{key} must be {expected}{optional}, got '{given}'.") from None
 
 
 def _has(config: DictConfig, key: str) -> bool:
     """Whether a composed configuration has a key."""
     parent, _, name = key.rpartition(".")
     section = OmegaConf.select(config, parent) if parent else config
-    return isinstance(section, DictConfig) and name in section.keys()  # noqa: SIM118 (of a DictConfig that has no value)
+    return isinstance(section, DictConfig) and name in set(section)
+
+
+def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
+    """The error that names the nearest key of a composed configuration."""
+    keys, last = dict(flat_keys(COMMANDS[command])), key.split(".")[-1]
+    known = [name for name in keys if _has(config, name)]
+    hint = did_you_mean(key, known) or did_you_mean(last, known)
+    if key in keys:
+        group, _, name = key.partition(".")
+        owners = [one for one, node in NODES[group].items() if name in node.__dataclass_fields__]
+        hint = f" It is a setting of {' and '.join(f'{group}={one}' for one in owners)}."
+    for name in known:
+        if name.split(".")[-1] == ALIASES.get(last):
+            hint = f" Did you mean '{name}'?"
+            break
+    return ConfigError(f"Unknown key '{key}'.{hint} `warpvox {command} --help` lists all keys.")

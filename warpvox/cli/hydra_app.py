@@ -11,8 +11,7 @@ from typing import Any
 import hydra
 
 from warpvox.cli import COMMANDS as NAMES
-from warpvox.cli.config import hydras_errors
-from warpvox.configs.composition import register
+from warpvox.configs.composition import hydras_errors, register
 from warpvox.configs.schema import COMMANDS
 from warpvox.errors import ConfigError, listing
 
@@ -26,7 +25,7 @@ def run_hydra(
     flags: Sequence[str],
     overrides: Sequence[str] = (),
     config_dir: Path | None = None,
-    task: Callable[[Any], Any] = id,
+    task: Callable[[Any], Any] = lambda _: None,
 ) -> None:
     """Do what ``@hydra.main`` does of a command line with these words.
 

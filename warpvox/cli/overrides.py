@@ -20,7 +20,7 @@ from warpvox.configs.composition import quoted
 from warpvox.configs.schema import COMMANDS, PRESET
 from warpvox.errors import ConfigError
 
-__all__ = ["expand", "key_and_value", "key_and_word", "label_of", "read_overrides"]
+__all__ = ["expand", "key_and_value", "key_and_word", "read_overrides"]
 
 RENAMED = {"finalists": "evaluation.finalists", "pretrained": "evaluation.pretrained", "search.algorithm": "search"}
 """Keys of design searches as they were written before evaluations had settings of their own."""
@@ -34,11 +34,12 @@ def read_overrides(command: str, words: list[str], sweeps: bool = False) -> list
         ConfigError: what cannot be read, what adds or removes keys, a key that is given twice, several values.
     """
     keys = dict(flat_keys(COMMANDS[command]))
-    parsed = [_read(command, word, keys, sweeps) for word in words]
+    no_preset = f"{PRESET}=null" if PRESET in keys else None  # which is the default, and no choice of Hydra's
+    parsed = [_read(command, word, keys, sweeps) for word in words if word != no_preset]
     names = [override.key_or_group for override in parsed]
     for override in parsed:
         if names.count(override.key_or_group) > 1:
-            raise ConfigError(f"The key '{label_of(override)[0]}' is given more than once.")
+            raise ConfigError(f"The key '{key_and_value(override)[0]}' is given more than once.")
     return parsed
 
 
@@ -59,7 +60,7 @@ def expand(command: str, words: list[str], sweeps: bool) -> list[list[str]]:
     return runs
 
 
-def label_of(override: Override | str) -> tuple[str, str]:
+def key_and_value(override: Override | str) -> tuple[str, str]:
     """The key and the value of an override as people type and read them."""
     override = parse(override) if isinstance(override, str) else override
     key, value = override.key_or_group, override.value()
@@ -76,16 +77,6 @@ def key_and_word(word: str) -> tuple[str, str]:
     """
     (override,) = read_overrides("codesign", [word])
     return override.key_or_group, str(override.input_line)
-
-
-def key_and_value(word: str) -> tuple[str, Any]:
-    """The key and the value of an override of ``warpvox codesign``.
-
-    Raises:
-        ConfigError: see :func:`read_overrides`.
-    """
-    (override,) = read_overrides("codesign", [word])
-    return override.key_or_group, override.value()
 
 
 def parse(word: str) -> Override | None:
@@ -124,7 +115,7 @@ def _readable(value: str, key: Key, sweeps: bool) -> str:
     """A value in quotes if it is a text that Hydra cannot read, or would take for a number, list or other thing."""
     if value in ("", "null") or QUOTED.fullmatch(value) or not (key.type is Any or "str" in str(key.type)):
         return value
-    if key.path and value.startswith("~"):
+    if key.path and (value.startswith("~") or os.path.exists(value)):
         return quoted(os.path.expanduser(value))
     override = parse(f"key={value}")
     if override is None:

@@ -19,14 +19,14 @@ from rich.table import Table
 
 from warpvox.cli.config import load
 from warpvox.cli.hydra_app import run_hydra
-from warpvox.cli.overrides import label_of
+from warpvox.cli.overrides import key_and_value
 from warpvox.configs.composition import quoted
 from warpvox.errors import RunError, WarpvoxError
 from warpvox.io.console import echo, literal
 from warpvox.io.writing import write_table, write_text
 from warpvox.runs import STAMP, label, read_summary
 
-__all__ = ["INTERRUPTED", "attempt", "make_runs"]
+__all__ = ["INTERRUPTED", "attempt", "label_of", "make_runs"]
 
 LONGEST_LABEL = 80
 """Characters of a folder's name that say what its run differs by."""
@@ -59,7 +59,7 @@ def make_runs(
     names = (f"sweep_{stamp}{'' if number == 1 else f'-{number}'}" for number in range(1, 1000))
     table = next(folder / name for name in names if not (folder / name).exists())
     words = [*QUIET, f"hydra.sweep.dir={quoted(str(table))}", *plugins, *(str(one.input_line) for one in overrides)]
-    task = functools.partial(_run, frozenset(label_of(word)[0] for word in fixed), table, make, total)
+    task = functools.partial(_run, frozenset(key_and_value(word)[0] for word in fixed), table, make, total)
     try:
         run_hydra(command, ["--multirun"], words, config_dir, task)
     except RunError:
@@ -80,7 +80,7 @@ def _run(fixed: frozenset[str], table: Path, make: Make, total: int, _: Any) -> 
     hydra, console = HydraConfig.get(), Console()
     words = list(hydra.overrides.task)
     row = {"run": hydra.job.num + 1}
-    varied = {key: value for key, value in map(label_of, words) if key not in fixed}
+    varied = {key: value for key, value in map(key_and_value, words) if key not in fixed}
     try:
         attempt(row, varied, lambda: make(words, console), console, f" of {total}" if total else "")
     finally:
@@ -91,7 +91,7 @@ def _run(fixed: frozenset[str], table: Path, make: Make, total: int, _: Any) -> 
     return next((row[name] for name in ("best_return", "best_fitness", "mean_return") if name in row), None)
 
 
-def label_from(varied: dict[str, str]) -> str:
+def label_of(varied: dict[str, str]) -> str:
     """``seed-1_ppo.gamma-0.9``: for the name of a folder, in which the task has a place already."""
     text = "_".join(f"{key}-{_safe(value)}" for key, value in varied.items() if key != "task")
     if len(text) <= LONGEST_LABEL:
@@ -116,7 +116,7 @@ def attempt(
     values = " ".join(f"{key}={value}" for key, value in varied.items())
     console.rule(literal(f"run {row['run']}{total}: {values}"))
     row |= {**varied, "status": INTERRUPTED}
-    token = label.set(label_from(varied))
+    token = label.set(label_of(varied))
     try:
         folder = do()
     except BrokenPipeError:

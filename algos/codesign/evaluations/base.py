@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpvox.algos.settings import MLP, Ppo, TrainingConfig
+from warpvox.algos.settings import MLP, DesignTraining, Ppo
 from warpvox.errors import ConfigError
 from warpvox.keys import check_values, key
 from warpvox.types import Cell
@@ -183,7 +183,7 @@ def training_batch(search: Codesign, designs: int) -> Batch:
     return Batch(together, training.envs, "training.envs", training.envs, obs, training.ppo)
 
 
-def steps_of_training(training: TrainingConfig, designs: int) -> float:
+def steps_of_training(training: DesignTraining, designs: int) -> float:
     """Control steps that a design's training takes, the mean of a generation where successive halving stops some."""
     ends = sorted({max(1, round(share * training.iterations)) for share in training.rungs} - {training.iterations})
     left, before, iterations = designs, 0, 0

@@ -14,11 +14,11 @@ import yaml
 
 from warpvox.algos.search import (
     ALGORITHMS,
-    BoSettings,
-    CppnNeatSettings,
-    GaSettings,
-    MapElitesSettings,
-    RandomSettings,
+    BO,
+    GA,
+    CppnNeat,
+    MapElites,
+    RandomDesigns,
     SearchSettings,
     make_search,
     settings_from,
@@ -58,11 +58,11 @@ def test_every_yaml_file_makes_a_search(repository: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "settings"),
     [
-        (["search=paper"], GaSettings(population=25, max_evaluations=250)),
-        (["search=paper", "search.algorithm=bo"], BoSettings(acquisition="paper")),
-        (["search=bo_paper"], BoSettings(acquisition="paper")),
-        (["search=bo_lbfgs"], BoSettings(acquisition="lbfgs")),
-        (["search=paper", "search.algorithm=cppn_neat", "search.max_evaluations=750"], CppnNeatSettings(25, 750)),
+        (["search=paper"], GA(population=25, max_evaluations=250)),
+        (["search=paper", "search.algorithm=bo"], BO(acquisition="paper")),
+        (["search=bo_paper"], BO(acquisition="paper")),
+        (["search=bo_lbfgs"], BO(acquisition="lbfgs")),
+        (["search=paper", "search.algorithm=cppn_neat", "search.max_evaluations=750"], CppnNeat(25, 750)),
     ],
 )
 @pytest.mark.parametrize(("task", "shape"), [("Walker-v0", [5, 5]), ("Lifter-v0", [5, 7])])
@@ -83,7 +83,7 @@ def test_defaults_are_those_of_table_2(algorithm: str) -> None:
 
 
 def test_ga_defaults_are_those_of_table_3() -> None:
-    settings = GaSettings()
+    settings = GA()
     assert settings.mutation_rate == 0.10
     assert (settings.final_survivor_rate, settings.survivor_rate) == (0.0, 0.6)
     assert settings.min_survivors == 2
@@ -91,12 +91,12 @@ def test_ga_defaults_are_those_of_table_3() -> None:
 
 def test_settings_are_frozen() -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
-        GaSettings().population = 3  # type: ignore[misc]
+        GA().population = 3  # type: ignore[misc]
 
 
 def test_none_stands_for_the_default() -> None:
-    assert settings_from({"algorithm": "ga", "population": None}) == GaSettings()
-    assert settings_from({"algorithm": "random", "population": 7}) == RandomSettings(population=7)
+    assert settings_from({"algorithm": "ga", "population": None}) == GA()
+    assert settings_from({"algorithm": "random", "population": 7}) == RandomDesigns(population=7)
 
 
 @pytest.mark.parametrize(
@@ -130,13 +130,13 @@ def test_without_pyribs_the_error_says_what_to_install(monkeypatch: pytest.Monke
     monkeypatch.delitem(sys.modules, "warpvox.algos.search.map_elites", raising=False)
     monkeypatch.setitem(sys.modules, "ribs.archives", None)
     with pytest.raises(ConfigError, match=r"map_elites needs the package ribs: pip install 'warpvox\[search\]'"):
-        make_search(MapElitesSettings())
+        make_search(MapElites())
 
 
 def test_settings_alone_load_no_library(tmp_path: Path) -> None:
     code = (
-        "import sys\nfrom warpvox.algos.search import ALGORITHMS, RandomSettings, make_search\n"
-        "make_search(RandomSettings()).ask()\n"
+        "import sys\nfrom warpvox.algos.search import ALGORITHMS, RandomDesigns, make_search\n"
+        "make_search(RandomDesigns()).ask()\n"
         "print(*{'torch', 'botorch', 'gpytorch', 'neat', 'ribs', 'scipy'} & set(sys.modules))"
     )
     run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
