@@ -40,7 +40,7 @@ def key(
     metadata = {"help": meaning} | {name: limit for name, limit in limits.items() if limit is not None}
     if isinstance(default, list):
         return field(default_factory=lambda: list(default), metadata=metadata)
-    if isinstance(default, type):
+    if callable(default):
         return field(default_factory=default, metadata=metadata)
     return field(default=default, metadata=metadata)
 
@@ -92,8 +92,22 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
         ConfigError: a value of another type, or a part that has no field of a name.
     """
     hints = get_type_hints(type(config))
-    for name in [item.name for item in dataclasses.fields(config) if item.name not in without]:
-        setattr(config, name, _converted(getattr(config, name), hints[name], prefix + name))
+    for item in dataclasses.fields(config):
+        if item.name not in without:
+            value = getattr(config, item.name)
+            if isinstance(value, Mapping) and item.default_factory is not dataclasses.MISSING:
+                value = _changed(item.default_factory(), value, prefix + item.name)
+            setattr(config, item.name, _converted(value, hints[item.name], prefix + item.name))
+
+
+def _changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
+    """The part of a configuration that ``usual`` is with some of its values changed."""
+    known = [item.name for item in dataclasses.fields(usual)]
+    for key in values:
+        if key not in known:
+            hint = did_you_mean(f"{name}.{key}", [f"{name}.{one}" for one in known])
+            raise ConfigError(f"Unknown key '{name}.{key}'.{hint}")
+    return dataclasses.replace(usual, **values)
 
 
 def _converted(value: Any, kind: Any, name: str) -> Any:
@@ -102,13 +116,6 @@ def _converted(value: Any, kind: Any, name: str) -> Any:
     if kind is Any or (value is None and len(kinds) > 1):
         return value
     if dataclasses.is_dataclass(kind):
-        if isinstance(value, Mapping):
-            known = [item.name for item in dataclasses.fields(kind)]
-            for key in value:
-                if key not in known:
-                    hint = did_you_mean(f"{name}.{key}", [f"{name}.{one}" for one in known])
-                    raise ConfigError(f"Unknown key '{name}.{key}'.{hint}")
-            value = kind(**value)
         if not isinstance(value, kind):
             raise ConfigError(f"{name} must be {kind.__name__}(...) or values by name, got {value!r:.80}.")
         convert(value, name + ".")

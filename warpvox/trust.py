@@ -159,7 +159,7 @@ def _refusal(key: str, text: str, value: str, home: Path) -> str:
 def _as_code(value: Any) -> Any:
     if isinstance(value, list):
         return [_as_code(item) for item in value]
-    return Code(value) if is_code(value) else value
+    return Code(value) if is_code(value) and not isinstance(value, Code) else value
 
 
 def _value(values: Any, key: str) -> Any:

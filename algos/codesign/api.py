@@ -19,7 +19,9 @@ from warpvox.algos.codesign.progress import SearchProgress
 from warpvox.algos.codesign.run import run_codesign
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.settings import CustomSearch, SearchSettings
+from warpvox.code import Code
 from warpvox.errors import ConfigError, did_you_mean
+from warpvox.trust import typed, with_code
 
 __all__ = ["codesign"]
 
@@ -70,6 +72,7 @@ def codesign(
         if name not in known:
             raise ConfigError(f"codesign() takes no '{name}'.{did_you_mean(name, known)}")
     job = Codesign(task=task, shape=list(shape), search=search, evaluation=evaluation, **where, **settings)
+    job = with_code(job, typed(job))
     kept = tempfile.TemporaryDirectory(prefix="warpvox_") if folder is None else None
     place = None if folder == "auto" else Path(kept.name if kept else folder).expanduser()
     watching = [*([SearchProgress(Console())] if progress else []), *listeners]
@@ -98,6 +101,6 @@ class _Given(Custom):
         return self.evaluator
 
 
-def _name(thing: object) -> str:
+def _name(thing: object) -> Code:
     """Where the class of an object is, as it is written on the command line."""
-    return f"{type(thing).__module__}:{type(thing).__name__}"
+    return Code(f"{type(thing).__module__}:{type(thing).__name__}")

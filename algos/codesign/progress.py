@@ -17,9 +17,9 @@ from warpvox.algos.codesign.archive import Record
 from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.codesign.results import fresh_text
 from warpvox.algos.report import FILE as REPORT
-from warpvox.cli.cell_text import body_rows
+from warpvox.view.cell_text import body_rows
 from warpvox.code import is_code
-from warpvox.console import duration, echo, figure, shell_argument, shown
+from warpvox.io.console import duration, echo, figure, shell_argument, shown
 from warpvox.trust import STORED, again
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class SearchProgress(Listener):
 
     def begun(self, run: SearchRun) -> None:
         """See :class:`warpvox.algos.codesign.loop.Listener`."""
-        self.run, self.archive = run, run.archive
+        self.run, self.archive = run, run.results.archive
         self._began = self._printed = time.monotonic()
         self._start = self.archive.trained()
         self._resumed = self.archive.count() > 0  # until a generation is whole: trainings may go on
@@ -59,14 +59,17 @@ class SearchProgress(Listener):
             self._show()
 
     def _say_where(self) -> None:
-        run, settings = self.run, self.run.settings
+        run, settings = self.run, self.run.results.settings
         where = f"{run.workers} workers of Ray" if run.workers else settings.device
         done = f", {self._start} of {run.total} designs done" if run.resumed else ""
         echo(self.console, f"{run.results.search} on {settings.task}, rules {settings.rules}, on {where}{done}")
-        echo(self.console, f"run folder: {shown(run.folder)}")
-        lost = [one for one in self.archive.records() if one.policy and not (run.folder / one.policy).is_file()]
+        echo(self.console, f"run folder: {shown(run.results.folder)}")
+        lost = [one for one in self.archive.records() if one.policy and not (run.results.folder / one.policy).is_file()]
         if lost:
-            echo(self.console, f"the policies of {len(lost)} designs are gone from {shown(run.folder / 'designs')}")
+            echo(
+                self.console,
+                f"the policies of {len(lost)} designs are gone from {shown(run.results.folder / 'designs')}",
+            )
         if run.resumed and self._start >= run.total:
             echo(
                 self.console,
@@ -78,7 +81,7 @@ class SearchProgress(Listener):
         """See :class:`warpvox.algos.codesign.loop.Listener`: say how it has ended and what one can do next."""
         if self._live is not None:
             self._live.stop()
-        folder, best, status = self.run.folder, summary["best_design"], summary["status"]
+        folder, best, status = self.run.results.folder, summary["best_design"], summary["status"]
         words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
         under_way = self.under_way if status == "interrupted" else ""
         text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps{under_way}"
@@ -89,10 +92,13 @@ class SearchProgress(Listener):
             echo(self.console, f"the best on fresh seeds: {fresh_text(summary['fresh_seeds'])}")
         if best is not None:
             echo(self.console, f"report: {(folder / REPORT).resolve().as_uri()}")
-            task = f" task={STORED}" if is_code(self.run.settings.task) else ""
+            task = f" task={STORED}" if is_code(self.run.results.settings.task) else ""
             echo(self.console, f"look at the best: warpvox play {shell_argument('run', folder)}{task}")
         if status != "done":
-            echo(self.console, f"go on: warpvox codesign {shell_argument('resume', folder)}{again(self.run.settings)}")
+            echo(
+                self.console,
+                f"go on: warpvox codesign {shell_argument('resume', folder)}{again(self.run.results.settings)}",
+            )
 
     # ------------------------------------------------------------------------------------------ what happens
 

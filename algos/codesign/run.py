@@ -74,15 +74,20 @@ class SearchRun:
     resumed: bool
 
 
-def check(settings: Codesign, folder: Path | None = None) -> None:
-    """Find mistakes before anything is made; ``folder``: of the search that is resumed.
+def check(settings: Codesign, folder: Path | None = None, search: Search | None = None) -> None:
+    """Find mistakes before anything is made.
+
+    Args:
+        folder: of the search that is resumed.
+        search: in the place of the one that the settings name.
 
     Raises:
         WarpvoxError: a task, shape, setting, device or library that does not exist or does not go with the others.
     """
     task_world(get_task(settings.task), np.full(settings.shape, 3, np.int8))
     start = [robot.body for robot in read_start(settings, folder)]
-    make_search(settings.search, tuple(settings.shape), settings.seed, start)
+    if search is None:
+        make_search(settings.search, tuple(settings.shape), settings.seed, start)
     settings.sim  # noqa: B018  (constants out of range are found)
     settings.evaluation.check(settings)
     settings = dataclasses.replace(settings, evaluation=settings.evaluation.resolved(settings, folder))
@@ -154,7 +159,7 @@ def run_codesign(
     """
     resumed = place if place is not None and (place / ARCHIVE).is_file() else None
     with own_torch(settings.torch_threads), ExitStack() as opened:
-        check(settings, resumed)
+        check(settings, resumed, search)
         settings = resolve(settings, resumed)
         start = read_start(settings, resumed)
         known = settings.evaluation.begins_with(settings, start, resumed)

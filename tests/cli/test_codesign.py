@@ -29,7 +29,6 @@ from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.codesign.progress import Results, SearchProgress
 from warpvox.algos.search import settings_from
 from warpvox.cli import codesign_progress, fresh_seeds
-from warpvox.cli.cell_text import body_rows
 from warpvox.cli.commands.codesign import _archive, resolve
 from warpvox.cli.config import load
 from warpvox.design import example_design, load_design, sample_design
@@ -37,6 +36,7 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError
 from warpvox.runs import END
 from warpvox.view.body_picture import cell_colour
+from warpvox.view.cell_text import body_rows
 
 TINY = (
     "shape=[3,3] search.population=5 search.max_evaluations=8 search.survivor_rate=0.3 training.envs=8"

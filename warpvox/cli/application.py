@@ -85,7 +85,10 @@ def run_command(
 
 def prepared(command: str, overrides: list[str], config_dir: Path | None, prepare: Prepare) -> Any:
     """What the ``do`` of a command gets for a run with these overrides."""
-    config = load(command, overrides, config_dir)
+    keys = {word.partition("=")[0]: word for word in overrides}
+    # what else is given may be about parts that only the run has which goes on, and which `prepare` finds
+    words = [keys[key] for key in ("resume", "output_dir") if key in keys] if "resume" in keys else overrides
+    config = load(command, words, config_dir)
     check_output(config)
     return prepare(config, overrides, config_dir)
 

@@ -132,7 +132,7 @@ def _layout(task: Any, points: dict[str, int]) -> Iterator[Row]:
 
 
 def _print_task(name: str, keys: dict[str, Any], console: Console) -> None:
-    from warpvox.cli.cell_text import print_world
+    from warpvox.view.cell_text import print_world
     from warpvox.design import load_design
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world

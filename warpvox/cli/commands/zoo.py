@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from warpvox.cli.application import run_command
-from warpvox.cli.cell_text import body_rows
+from warpvox.view.cell_text import body_rows
 from warpvox.configs.schema import ZooConfig
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, WarpvoxError, did_you_mean, listing
