@@ -1,8 +1,7 @@
 """The public names, for type checkers and for loading on first use."""
 
 from .algos.settings import Ppo as Ppo
-from .algos.training.job import TrainedRun as TrainedRun
-from .algos.training.loading import load_policy as load_policy
+from .algos.training.loading import TrainedRun as TrainedRun, load_policy as load_policy
 from .algos.training.settings import Training as Training
 from .api import evaluate as evaluate, train as train
 from .batch.options import SimOptions as SimOptions
