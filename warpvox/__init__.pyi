@@ -18,8 +18,7 @@ from .algos.search.settings import (
     RandomDesigns as RandomDesigns,
 )
 from .algos.settings import DesignTraining as DesignTraining, Ppo as Ppo
-from .algos.training.job import TrainedRun as TrainedRun
-from .algos.training.loading import load_policy as load_policy
+from .algos.training.loading import TrainedRun as TrainedRun, load_policy as load_policy
 from .algos.training.settings import Training as Training
 from .api import evaluate as evaluate, train as train
 from .batch.options import SimOptions as SimOptions

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from warpvox.errors import ConfigError, did_you_mean, listing
 
 if TYPE_CHECKING:
-    from warpvox.algos.training.job import TrainedRun
+    from warpvox.algos.training.loading import TrainedRun
     from warpvox.algos.training.policy_table import PolicyTable
     from warpvox.algos.training.settings import Training
     from warpvox.batch.options import SimOptions
@@ -51,6 +51,7 @@ def train(
         KeyboardInterrupt: interrupted; the state has been saved, if there is a folder.
     """
     from warpvox.algos.training.job import Job, Listener
+    from warpvox.algos.training.loading import TrainedRun
     from warpvox.algos.training.progress import listener
     from warpvox.algos.training.settings import Training
     from warpvox.runs import TRAINING, find_run
@@ -60,6 +61,8 @@ def train(
     base = given.pop("task") if isinstance(task, Training) else None
     given |= {} if sim is None else _options(sim)
     resume = base.resume if resume is None and base is not None else resume
+    if resume is not None and folder != AUTO:
+        raise ConfigError("A run that is resumed goes on in its folder: folder cannot be given with it.")
     source = None
     if resume is not None:
         where = given.get("output_dir", Training.output_dir if base is None else base.output_dir)
@@ -79,7 +82,8 @@ def train(
         config = with_code(config, typed(config, given), source.config, source.folder)
     job = Job(config, set(_dotted(given)), source)
     place = None if folder in (AUTO, None) else Path(folder).expanduser()
-    return job.train(listener() if progress else Listener(), write=folder is not None, place=place)
+    job.train(listener() if progress else Listener(), write=folder is not None, place=place)
+    return TrainedRun.of(job)
 
 
 def _options(sim: SimOptions) -> dict[str, Any]:
@@ -125,7 +129,7 @@ def evaluate(
     stochastic: bool = False,
     seed: int = 1000,
     level: float = 0.95,
-    obs: str = "task",
+    obs: str | None = None,
     output_dir: str | Path = "outputs",
     **options: Any,
 ) -> PolicyTable:
@@ -134,8 +138,8 @@ def evaluate(
     Args:
         policies: one or several: what :func:`warpvox.train` has returned, names of runs (folders, checkpoints,
             ``latest``, patterns, ``zoo:Walker-v0``), or functions of observations, such as torch modules.
-        task: of functions; for a run with a task of your own, this task.
-        design: of functions, a body; for runs over many bodies those to evaluate on; None: those held out.
+        task: of functions, unless they are policies that know theirs; for a run with a task of your own, this task.
+        design: of functions; for runs over many bodies those to evaluate on; None: those held out.
         episodes: of each policy, a multiple of its number of bodies.
         checkpoint: of runs.
         stochastic: of runs: sample actions as in training.
@@ -150,8 +154,8 @@ def evaluate(
             :func:`warpvox.make_vec`.
     """
     from warpvox.algos.evaluate import draws_at_random, evaluate as play
-    from warpvox.algos.training.job import TrainedRun
-    from warpvox.algos.training.loading import Playing
+    from warpvox.algos.training.bodies import load_bodies
+    from warpvox.algos.training.loading import Playing, TrainedRun
     from warpvox.algos.training.policy_table import EvaluatedPolicy, PolicyTable, evaluate_run
     from warpvox.batch.options import check_known
     from warpvox.code import Code, is_code
@@ -164,24 +168,20 @@ def evaluate(
     how = Playing(episodes, checkpoint, stochastic, seed, task=own, **options)
     rows = []
     for number, policy in enumerate(policies if several else [policies]):
-        where, about, name = own, {"obs": obs}, getattr(policy, "__name__", f"policy {number}")
         if isinstance(policy, TrainedRun):
-            settings, policy = policy.settings, policy.policy if policy.folder is None else policy.folder
-            where, name = where or settings.task, f"policy {number}"
-            about = {"obs": settings.obs, "rules": settings.rules}
-            body = settings.design if design is None else design
-        else:
-            body = design
+            policy = policy.folder or policy.policy
         if isinstance(policy, str | Path):
             for run in find_runs([str(policy)], str(output_dir)):
                 found, drawn = evaluate_run(run, how, design)
                 rows.append(EvaluatedPolicy.of(str(run.folder), str(run.config["task"]), found, drawn, level))
             continue
-        if where is None or not callable(policy):
-            raise ConfigError(
-                f"{name} must be a run or, with task=..., a function of observations; got {policy!r:.80}."
-            )
-        env = make_vec(where, body=body, num_envs=episodes, seed=seed, auto_reset=False, **about, **options)
-        row = EvaluatedPolicy.of(name, env.spec.id, play(env, policy), draws_at_random(env), level)
-        rows.append(row)
+        about = getattr(policy, "metadata", {})
+        where, body = own or about.get("task"), about.get("design") if design is None else design
+        if not callable(policy) or where is None or body is None:
+            what = "a run, or a function of observations with task=... and design=..."
+            raise ConfigError(f"Policy {number} must be {what}; got {policy!r:.80}.")
+        given = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
+        env = make_vec(where, load_bodies(body, seed), episodes, seed=seed, auto_reset=False, **given, **options)
+        name = getattr(policy, "__name__", f"policy {number}")
+        rows.append(EvaluatedPolicy.of(name, env.spec.id, play(env, policy), draws_at_random(env), level))
     return PolicyTable(rows, level)

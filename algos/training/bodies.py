@@ -15,6 +15,7 @@ import torch
 
 from warpvox.algos.settings import REFRESH
 from warpvox.algos.training.settings import Training
+from warpvox.batch.options import lanes_for
 from warpvox.design import Design, load_design, sample_design
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError, DesignError
@@ -132,6 +133,12 @@ class TrainingBodies:
     judged: list[Any]
     grid: tuple[int, int] | None = None
     own: bool = False
+
+    def lanes(self, settings: Training, device: str) -> int | None:
+        """The lanes that a training on them uses: evaluations with as many need no kernels of their own."""
+        if device != "cpu" or settings.lanes is not None or settings.is_many:
+            return settings.lanes if device == "cpu" else None
+        return lanes_for(settings.num_envs // len(self.trained))
 
 
 def training_bodies(settings: Training) -> TrainingBodies:

@@ -21,8 +21,7 @@ from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.bodies import Bodies, TrainingBodies, load_bodies, read_bodies, training_bodies
 from warpvox.algos.training.distributed import ProcessGroup, join_process_group
 from warpvox.algos.training.held_out import HeldOut
-from warpvox.algos.training.loading import lanes_of, load_policy
-from warpvox.algos.training.metrics import WRITERS, check_logger, read_metrics
+from warpvox.algos.training.metrics import WRITERS, check_logger
 from warpvox.algos.training.pretrained import OBS_OF_VOXELS, adopted
 from warpvox.algos.training.resumption import check_left, continued
 from warpvox.algos.training.runner import Runner, Schedule, adapt
@@ -43,7 +42,7 @@ from warpvox.runs import Run, run_folder, write_summary
 from warpvox.system import usable_cores
 from warpvox.trust import as_stored, keep_code
 
-__all__ = ["Job", "Listener", "TrainedRun", "own_torch", "resolved", "task_name"]
+__all__ = ["Job", "Listener", "own_torch", "resolved", "task_name"]
 
 PREPARING = "preparing the simulation (the first time on a machine its kernels are compiled)"
 
@@ -60,41 +59,8 @@ class Listener:
     def __call__(self, row: Mapping[str, float]) -> None:
         """An iteration is complete; ``row``: of ``metrics.csv``."""
 
-    def end(self, job: Job, summary: Mapping[str, Any] | None) -> None:
-        """Learning has ended, one way or another; ``summary``: None before the first iteration is complete."""
-
-
-@dataclasses.dataclass(frozen=True)
-class TrainedRun:
-    """A training that is over.
-
-    Attributes:
-        settings: of the training, with what their names stand for.
-        summary: what ``summary.json`` says: ``status``, ``iterations``, ``steps``, ``best_iteration``, ...
-        folder: of the run, as ``warpvox play run=FOLDER`` takes it; None: nothing was written.
-    """
-
-    settings: Training
-    summary: Mapping[str, Any]
-    folder: Path | None = None
-    rows: list[Mapping[str, float]] = dataclasses.field(default_factory=list, repr=False)
-    kept: Policy | None = dataclasses.field(default=None, repr=False)
-
-    @property
-    def best_return(self) -> float | None:
-        """The best mean return of a deterministic evaluation; None: there was none."""
-        return self.summary["best_return"]
-
-    @property
-    def policy(self) -> Policy:
-        """The policy with the best return, on the CPU; see :func:`warpvox.load_policy`."""
-        return load_policy(self.folder) if self.kept is None else self.kept
-
-    @property
-    def metrics(self) -> dict[str, np.ndarray]:
-        """The columns of ``metrics.csv``, float64 ``[iterations]`` each; NaN where an iteration has no such value."""
-        rows = self.rows if self.folder is None else read_metrics(self.folder)
-        return {name: np.array([row.get(name, np.nan) for row in rows]) for name in (rows[0] if rows else {})}
+    def end(self, job: Job) -> None:
+        """Learning has ended, one way or another; ``job.summary`` is empty before the first iteration is complete."""
 
 
 class Job:
@@ -113,7 +79,9 @@ class Job:
         check_logger(settings.logger)
         self.stored: dict[str, Any] = {} if source is None else source.config
         self.folder = None if source is None else source.folder
-        self.checkpoint = self.learned = None
+        self.checkpoint = self.learned = self.best = None
+        self.rows: list[Mapping[str, float]] = []
+        self.summary: dict[str, Any] = {}
         if source is not None:
             settings, self.checkpoint = continued(settings, source)
         elif "design" in named and settings.is_many:  # a preset's many bodies, where the user names one
@@ -130,7 +98,7 @@ class Job:
 
     def train(
         self, listener: Listener, *, write: bool = True, place: Path | None = None, command: str = "train"
-    ) -> TrainedRun:
+    ) -> None:
         """Make the run. Nothing is written before everything has been checked.
 
         Args:
@@ -146,14 +114,12 @@ class Job:
             raise ConfigError("nan_guard=dump and logger=wandb|neptune write files; folder=None writes none.")
         with own_torch(self.settings.torch_threads):
             self._prepare(listener)
-            rows: list[Mapping[str, float]] = []
-            with self._folder(place, command) if write else nullcontext() as folder:
-                self._place(folder, listener)
-                summary = self._learn(listener, rows, command)
-            kept = None
-            if folder is None:
-                kept = self.kept.policy or policy_of(self.runner.controller, self.runner.trained_on)
-        return TrainedRun(self.written, summary, folder, rows, kept)
+            if not write:
+                self.runner.evaluator = self.best = _Best(self.judge)
+                self._learn(listener, command)
+                return
+            with self._folder(place, command, listener):
+                self._learn(listener, command)
 
     def _prepare(self, listener: Listener) -> None:
         """Make environments and runner."""
@@ -178,7 +144,6 @@ class Job:
             seed = group.seed(settings.seed)
             env = adapt(make_vec(settings.task, designs, count, seed=seed, sim=sim, **options), settings.ppo)
             self.judge = self._make_judge(settings, bodies, options) if group.is_main_process else None
-            self.kept = _Kept(self.judge)
             self.runner = runner(
                 env,
                 settings.ppo,
@@ -206,8 +171,9 @@ class Job:
 
         On a GPU a few environments would take the launches of ten iterations, one after another.
         """
-        lanes = lanes_of(settings, settings.device, len(bodies.trained))
-        sim = dataclasses.replace(sim_of(settings), device="cpu", lanes=lanes, grid=bodies.grid)
+        sim = dataclasses.replace(
+            sim_of(settings), device="cpu", lanes=bodies.lanes(settings, settings.device), grid=bodies.grid
+        )
         count = settings.eval_envs * len(bodies.judged)
         options = options | {"auto_reset": False, "seed": settings.seed, "sim": sim}
         judge = evaluator(make_vec(settings.task, bodies.judged, count, **options), settings.seed)
@@ -216,40 +182,30 @@ class Job:
         return HeldOut(judge, bodies.judged, "bodies" if bodies.own else "held_out", str(task_name(settings.task)))
 
     @contextmanager
-    def _folder(self, place: Path | None, command: str) -> Iterator[Path]:
+    def _folder(self, place: Path | None, command: str, listener: Listener) -> Iterator[None]:
         """The folder of a new run, or that of the one which goes on; made by the first process."""
-        if not self.group.is_main_process:
-            yield Path(str(self.group.broadcast(None)))
-            return
-        with run_folder(self.folder, self.written, command, to_yaml(self.written), place) as folder:
-            self.group.broadcast(str(folder))
-            yield folder
+        settings, group, runner = self.settings, self.group, self.runner
+        made = run_folder(self.folder, self.written, command, to_yaml(self.written), place)
+        with made if group.is_main_process else nullcontext() as folder:
+            self.folder = runner.folder = folder = Path(str(group.broadcast(folder and str(folder))))
+            if settings.nan_guard == "dump":
+                env = runner.env.env
+                env.dump = DivergenceDump(env, folder / ("dumps" if group.is_main_process else f"dumps_{group.rank}"))
+            if isinstance(self.judge, HeldOut):
+                self.judge.folder = folder
+            if group.is_main_process:
+                keep_code(settings, folder, listener.console)
+            yield
 
-    def _place(self, folder: Path | None, listener: Listener) -> None:
-        """Say where everything goes."""
-        self.folder = self.runner.folder = folder
-        is_main = self.group.is_main_process
-        if folder is None:
-            if self.judge is not None:
-                self.runner.evaluator = self.kept
-            return
-        if isinstance(self.judge, HeldOut):
-            self.judge.folder = folder
-        if self.settings.nan_guard == "dump":
-            env = self.runner.env.env
-            env.dump = DivergenceDump(env, folder / ("dumps" if is_main else f"dumps_{self.group.rank}"))
-        if is_main:
-            keep_code(self.settings, folder, listener.console)
-
-    def _learn(self, listener: Listener, rows: list[Mapping[str, float]], command: str) -> dict[str, Any]:
+    def _learn(self, listener: Listener, command: str) -> None:
         """Learn, and sum up however it ends."""
         runner, began, before, status = self.runner, time.perf_counter(), self.runner.steps, "failed"
 
         def report(row: Mapping[str, float]) -> None:
-            rows.append(row)
+            self.rows.append(row)
             listener(row)
 
-        runner.report, summary = report, None
+        runner.report = report
         listener.begin(self)
         try:
             if runner.current_learning_iteration < runner.schedule.total:
@@ -261,15 +217,14 @@ class Job:
         finally:
             seconds = time.perf_counter() - began
             if runner.current_learning_iteration and self.group.is_main_process:
-                summary = {"command": command, "task": runner.env.cfg["task"], "status": status}
-                summary |= {"seed": self.settings.seed, **self._bodies(), **runner.summary()}
-                summary["steps_per_second"] = round((runner.steps - before) / seconds, 1)
+                about = {"command": command, "task": runner.env.cfg["task"], "status": status}
+                self.summary = about | {"seed": self.settings.seed, **self._bodies(), **runner.summary()}
+                self.summary["steps_per_second"] = round((runner.steps - before) / seconds, 1)
                 # a run that has failed may have failed because nothing can be written; that is the error to report
                 with suppress(StorageError) if status == "failed" else nullcontext():
                     if self.folder is not None:
-                        write_summary(self.folder, summary)
-            listener.end(self, summary)
-        return summary or {}
+                        write_summary(self.folder, self.summary)
+            listener.end(self)
 
     def _bodies(self) -> dict[str, Any]:
         """Entries of a summary about the bodies."""
@@ -278,19 +233,25 @@ class Job:
         designs = {"bodies": self.settings.designs.bodies, "refresh": self.settings.designs.refresh}
         return {"designs": designs, "evaluated_on": self.judge.about}
 
+    @property
+    def policy(self) -> Policy:
+        """The policy with the best evaluation, of a training that writes nothing."""
+        policy = self.best.policy or policy_of(self.runner.controller)
+        policy.metadata |= self.runner.trained_on | {"obs": self.settings.obs}
+        return policy.to("cpu")
 
-class _Kept:
+
+class _Best:
     """An evaluator that keeps the best policy in memory."""
 
     def __init__(self, judge: Evaluator | None) -> None:
-        self.judge, self.best, self.policy = judge, -np.inf, None
+        self.judge, self.value, self.policy = judge, -np.inf, None
 
     def __call__(self, controller: Any) -> Evaluation:
         found = self.judge(controller)
-        if found.mean_return > self.best:
-            self.best = found.mean_return
-            with torch.random.fork_rng(devices=[]):  # it begins with random weights, and training goes on
-                self.policy = policy_of(controller)
+        if found.mean_return > self.value:
+            with torch.random.fork_rng(devices=[]):  # a policy begins with random weights
+                self.value, self.policy = found.mean_return, policy_of(controller)
         return found
 
 

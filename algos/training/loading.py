@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
@@ -12,9 +15,9 @@ from warpvox.algos.checkpoints.policy import Policy, read_policy
 from warpvox.algos.checkpoints.sampling import SampledController
 from warpvox.algos.physics import sim_of
 from warpvox.algos.training.bodies import read_bodies, training_bodies
+from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.settings import Training
-from warpvox.batch.options import lanes_for
-from warpvox.code import Code
+from warpvox.code import Code, is_code
 from warpvox.devices.names import resolve_device
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
@@ -25,7 +28,10 @@ from warpvox.robots.replay import SEEDS, robot_env, torch_policy
 from warpvox.runs import Run, find_run
 from warpvox.trust import STORED, allowed, with_code
 
-__all__ = ["Playing", "lanes_of", "load_policy", "load_run"]
+if TYPE_CHECKING:
+    from warpvox.algos.training.job import Job
+
+__all__ = ["Playing", "TrainedRun", "load_policy", "load_run"]
 
 
 def load_policy(
@@ -68,6 +74,41 @@ def load_policy(
     file = run.find_checkpoint(str(checkpoint))
     network = allowed("policy", run.config.get("policy"), network, run.folder)
     return read_policy(file, known | {"source": str(file)}, device, network)
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainedRun:
+    """A training that is over.
+
+    Attributes:
+        folder: of the run, as ``warpvox play run=FOLDER`` takes it; None: nothing was written.
+        summary: what ``summary.json`` says: ``status``, ``iterations``, ``steps``, ``best_iteration``, ...
+        rows: of ``metrics.csv``.
+        policy: the one with the best return, on the CPU.
+    """
+
+    folder: Path | None
+    summary: Mapping[str, Any]
+    rows: list[Mapping[str, float]] = dataclasses.field(repr=False)
+    policy: Policy = dataclasses.field(repr=False)
+
+    @classmethod
+    def of(cls, job: Job) -> TrainedRun:
+        """What a training that has been made has left."""
+        if job.folder is None:
+            return cls(None, job.summary, job.rows, job.policy)
+        policy = load_policy(job.folder, policy=job.settings.policy if is_code(job.settings.policy) else None)
+        return cls(job.folder, job.summary, read_metrics(job.folder), policy)
+
+    @property
+    def best_return(self) -> float | None:
+        """The best mean return of a deterministic evaluation; None: there was none."""
+        return self.summary["best_return"]
+
+    @property
+    def metrics(self) -> dict[str, np.ndarray]:
+        """The columns of ``metrics.csv``, float64 ``[iterations]`` each; NaN where an iteration has no such value."""
+        return {name: np.array([row.get(name, np.nan) for row in self.rows]) for name in self.rows[0]}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,7 +159,6 @@ def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) ->
         named = {"arithmetic": None} | named
     trained = dataclasses.replace(trained, threads=config.threads, memory_check=config.memory_check, **named)
     bodies = training_bodies(trained)
-    lanes = lanes_of(trained, device, len(bodies.trained))
     count, judged = config.num_envs, bodies.judged
     if trained.is_many:
         judged = judged if designs is None else read_bodies(designs, config.seed or 0, "designs")
@@ -129,19 +169,12 @@ def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) ->
         raise ConfigError(
             "Other bodies go with a run over many of them (warpvox train designs=...); this one has its own."
         )
-    sim = dataclasses.replace(sim_of(trained), device=device, lanes=lanes, grid=bodies.grid)
+    sim = dataclasses.replace(sim_of(trained), device=device, lanes=bodies.lanes(trained, device), grid=bodies.grid)
     options: dict[str, Any] = {"rules": trained.rules, "obs": trained.obs, "seed": trained.seed, "sim": sim}
     env = make_vec(trained.task, judged, count, auto_reset=False, **options)
     controller = load_controller(path, device, trained.policy)
     controller.check(env)
     return env, SampledController(controller, trained.seed) if config.stochastic else controller
-
-
-def lanes_of(settings: Training, device: str, designs: int) -> int | None:
-    """The lanes that a training on so many designs uses: evaluations with as many need no kernels of their own."""
-    if device != "cpu" or settings.lanes is not None or settings.is_many:
-        return settings.lanes if device == "cpu" else None
-    return lanes_for(settings.num_envs // designs)
 
 
 def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv, Any]:

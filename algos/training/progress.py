@@ -101,11 +101,11 @@ class Terminal(Listener):
         if self._bar is not None:
             self._bar.stop()
 
-    def end(self, job: Job, summary: Mapping[str, Any] | None) -> None:
+    def end(self, job: Job) -> None:
         """Say how the run has ended and what one can do next."""
         self.stop()
-        if summary is not None:
-            echo(self.console, _conclusion(job, summary, time.monotonic() - self._began))
+        if job.summary:
+            echo(self.console, _conclusion(job, time.monotonic() - self._began))
 
 
 class Notebook(Listener):
@@ -128,10 +128,10 @@ class Notebook(Listener):
         bar = f"<progress value={done} max={self._total}></progress> {done}/{self._total} {html.escape(line)}"
         self._place.update(self._html(f"<pre>{html.escape(self._said)}</pre>{bar}"))
 
-    def end(self, job: Job, summary: Mapping[str, Any] | None) -> None:
+    def end(self, job: Job) -> None:
         """See :meth:`Terminal.end`."""
-        if summary is not None:
-            text = f"{self._said}\n{_conclusion(job, summary, time.monotonic() - self._began)}"
+        if job.summary:
+            text = f"{self._said}\n{_conclusion(job, time.monotonic() - self._began)}"
             self._place.update(self._html(f"<pre>{html.escape(text)}</pre>"))
 
 
@@ -155,8 +155,8 @@ def _announcement(job: Job) -> str:
     return "\n".join(lines)
 
 
-def _conclusion(job: Job, summary: Mapping[str, Any], seconds: float) -> str:
-    runner, folder, status, best = job.runner, job.folder, summary["status"], summary["best_return"]
+def _conclusion(job: Job, seconds: float) -> str:
+    runner, folder, status, best = job.runner, job.folder, job.summary["status"], job.summary["best_return"]
     words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
     if status != "done" and (folder is None or runner.saved_iteration != runner.current_learning_iteration):
         words = status if folder is None else f"{status}, the state of iteration {runner.saved_iteration} is kept,"
@@ -166,7 +166,7 @@ def _conclusion(job: Job, summary: Mapping[str, Any], seconds: float) -> str:
     if folder is None:
         return text
     keys = again(job.settings)
-    if status == "done" and summary["command"] == "train":
+    if status == "done" and job.summary["command"] == "train":
         text += f"\nlook at it: warpvox play {shell_argument('run', folder)}{keys} 'export=[gif,html]'"
     if status != "done" and (folder / STATE).is_file():
         text += f"\ngo on: warpvox train {shell_argument('resume', folder)}{keys}"

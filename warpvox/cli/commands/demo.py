@@ -36,9 +36,10 @@ def demo(config: DemoConfig, console: Console) -> Path:
     from warpvox.cli.process import prepare
 
     prepare(config.torch_threads, config.seed)
-    folder = Job(config).train(Terminal(console), command="demo").folder
-    _show(folder, config, console)
-    return folder
+    job = Job(config)
+    job.train(Terminal(console), command="demo")
+    _show(job.folder, config, console)
+    return job.folder
 
 
 def _show(folder: Path, config: DemoConfig, console: Console) -> None:

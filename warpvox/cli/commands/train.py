@@ -45,10 +45,11 @@ def _prepare(config: TrainConfig, overrides: list[str], config_dir: Path | None)
     return Job(load("train", overrides, config_dir, base=stored, home=source.folder), source=source)
 
 
-def train(job: Job, console: Console, command: str = "train") -> Path:
+def train(job: Job, console: Console) -> Path:
     """Make a run; returns its folder."""
     from warpvox.algos.training.progress import Terminal
     from warpvox.cli.process import prepare
 
     prepare(job.settings.torch_threads, job.settings.seed)
-    return job.train(Terminal(console), command=command).folder
+    job.train(Terminal(console))
+    return job.folder
