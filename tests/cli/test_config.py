@@ -303,7 +303,7 @@ class Deep(Beam):
 @dataclasses.dataclass
 class ZooWithBeam(schema.ZooConfig):
     beam: Beam = key("???", "a group")  # noqa: RUF009  (a field with a meaning)
-    config: str | None = key(None, "a file")  # noqa: RUF009
+    config: str | None = key(None, "a file")
 
 
 @pytest.fixture
