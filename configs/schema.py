@@ -568,7 +568,17 @@ PRESET = "preset"
 PRESET_OF = {"suite": "suite"}
 """Of commands in which that key has another name: the name."""
 
+
+def _search(name: str, **changes: Any) -> Any:
+    """The node ``search=<name>``: an algorithm with the defaults of its settings, but for ``changes``."""
+    defaults = {item.name: item.default for item in dataclasses.fields(ALGORITHMS[name])} | changes
+    return SearchConfig(
+        name, **{key: list(value) if isinstance(value, tuple) else value for key, value in defaults.items()}
+    )
+
+
 NODES: dict[str, dict[str, Any]] = {
+    "search": {name: _search(name) for name in ALGORITHMS} | {"bo": _search("bo", acquisition="pathwise")},
     "physics": {name: PhysicsConfig(preset=name) for name in (AUTO, *Physics.presets())},
 }
 """Choices of a group that are dataclasses or instances of them, by name, beside the YAML files of its folder.

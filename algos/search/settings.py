@@ -1,6 +1,6 @@
 """Settings of the search algorithms: frozen dataclasses whose defaults are the paper's values (section D).
 
-``configs/search/*.yaml`` holds the same values for the command line; ``search.NAME=VALUE`` changes one.
+They are what ``search=NAME`` stands for on the command line; ``search.NAME=VALUE`` changes one.
 """
 
 from __future__ import annotations
