@@ -38,7 +38,7 @@ def show(config: TasksConfig, console: Console) -> None:
         ("gallery", config.gallery, config.task is None),
     ):
         if value is not None and not goes:
-            raise ConfigError(f"{key} goes {'without' if key == 'gallery' else 'with'} a task: `warpvox tasks ID`.")
+            raise ConfigError(f"{key} goes {'without' if key == 'gallery' else 'with'} a task, `warpvox tasks ID`.")
         if value is not None and key != "rules" and Path(value).suffix.lower() != ".png":
             raise ConfigError(f"{key} must be a file ending in .png, got '{value}'.")
     if not console.is_terminal and "COLUMNS" not in os.environ:
