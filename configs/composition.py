@@ -6,6 +6,7 @@ import copy
 import functools
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.resources import files
 from pathlib import Path
 
 import yaml
@@ -69,7 +70,10 @@ def hydras_errors(beginning: str = "") -> Iterator[None]:
             key = PRESET_OF.get(group.partition("/")[2], PRESET) if group.startswith(f"{PRESET}/") else group
             text = f"{key} must be one of {listing(error.options)}, got '{name}'.{did_you_mean(name, error.options)}"
         elif getattr(error, "full_key", None):
-            text = lines[0] if beginning.startswith(error.full_key) else f"{error.full_key}: {lines[0]}"
+            fields = getattr(error.object_type, "__dataclass_fields__", {})
+            hint = "" if error.key in fields else did_you_mean(error.key, fields)
+            where = "" if beginning.startswith(error.full_key) else f"{error.full_key}: "
+            text = f"{where}{lines[0]}.{hint}"
         raise ConfigError(f"{beginning}{text}") from None
 
 
@@ -83,7 +87,8 @@ def register() -> None:
     """Make the schemas and the nodes of groups known to Hydra; once, because it takes as long as a small command."""
     store = ConfigStore.instance()
     for command, schema in COMMANDS.items():
-        store.store(name=f"{command}_schema", node=schema)
+        own = (files("warpvox.configs") / f"{command}.yaml").is_file()
+        store.store(name=f"{command}_schema" if own else command, node=schema)
     for group, nodes in NODES.items():
         for name, node in nodes.items():
             store.store(group=group, name=name, node=node)

@@ -35,6 +35,7 @@ __all__ = [
     "PhysicsConfig",
     "PlayConfig",
     "SuiteConfig",
+    "TasksConfig",
     "TrainConfig",
     "ZooConfig",
 ]
@@ -326,6 +327,23 @@ class DesignConfig:
     browser: str = key("auto", "open the page in a browser: on, off, or auto (if there is a display)", choices=SHOW)
 
 
+@dataclass
+class TasksConfig:
+    """Keys of ``warpvox tasks``."""
+
+    task: str | None = key(
+        None,
+        "task id, module:NAME or file.py:NAME to show in detail, with its world; its key may be omitted",
+        path="read",
+    )
+    rules: str = key("evogym", "as released (evogym) or as printed (paper)", choices=("evogym", "paper"))
+    design: Any = key(
+        "walker", "body that worlds are shown with, and that the layout of the observation is for", path="read"
+    )
+    picture: str | None = key(None, "with a task: also write its world as a picture (.png)", path="written")
+    gallery: str | None = key(None, "instead of the list write all worlds into one picture (.png)", path="written")
+
+
 COMMANDS: dict[str, type] = {
     "train": TrainConfig,
     "demo": DemoConfig,
@@ -338,6 +356,7 @@ COMMANDS: dict[str, type] = {
     "evaluate": EvaluateConfig,
     "design": DesignConfig,
     "zoo": ZooConfig,
+    "tasks": TasksConfig,
 }
 """Commands that take keys, and the dataclass of each."""
 
@@ -346,6 +365,7 @@ PRESET = "preset"
 
 PRESET_OF = {"suite": "suite"}
 """Of commands in which that key has another name: the name."""
+
 
 NODES: dict[str, dict[str, Any]] = {
     "physics": {name: PhysicsConfig(preset=name) for name in (AUTO, *Physics.presets())},

@@ -17,10 +17,10 @@ from warpvox.algos.codesign.archive import Record
 from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.codesign.results import fresh_text
 from warpvox.algos.report import FILE as REPORT
-from warpvox.view.cell_text import body_rows
 from warpvox.code import is_code
 from warpvox.io.console import duration, echo, figure, shell_argument, shown
 from warpvox.trust import STORED, again
+from warpvox.view.cell_text import body_rows
 
 if TYPE_CHECKING:
     from warpvox.algos.codesign.run import SearchRun

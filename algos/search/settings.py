@@ -1,6 +1,6 @@
 """Settings of the search algorithms: dataclasses whose defaults are the paper's values (section D).
 
-One differs, because it finds more: ``acquisition``.
+They are what ``search=NAME`` stands for on the command line. One differs, because it finds more: ``acquisition``.
 """
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)

@@ -26,18 +26,26 @@ Prepare = Callable[[Any, list[str], "Path | None"], Any]
 Do = Callable[[Any, Console], "Path | None"]
 INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
 PLUGINS = ("hydra/launcher", "hydra/sweeper", "hydra.launcher", "hydra.sweeper")
-FLAGS = ("-h", "--help", "-m", "--multirun", "-c", "--cfg", "-i", "--info", "-cd", "--config-dir")
-
-
-def _as_it_is(config: Any, overrides: list[str], config_dir: Path | None) -> Any:
-    return config
+MULTIRUN = (
+    "run all combinations of listed values: seed=1,2,3 task=Walker-v0,Climber-v0; hydra/launcher=NAME and"
+    " hydra/sweeper=NAME take plugins of Hydra that are installed"
+)
+FOLDER = "folder with YAML files of your own, for instance FOLDER/ppo/mine.yaml for ppo=mine"
+OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
+    ("-h", "--help"): {"action": "store_true", "help": "this text"},
+    ("-m", "--multirun"): {"action": "store_true", "help": MULTIRUN},
+    ("-c", "--cfg"): {"choices": ("job", "hydra", "all"), "help": "print what Hydra composes, and stop"},
+    ("-i", "--info"): {"choices": INFO, "nargs": "?", "const": "all", "help": "print how it does so, and stop"},
+    ("-cd", "--config-dir"): {"type": Path, "metavar": "FOLDER", "help": FOLDER},
+}
+FLAGS = [flag for flags in OPTIONS for flag in flags]
 
 
 def run_command(
     command: str,
     words: list[str],
     do: Do,
-    prepare: Prepare = _as_it_is,
+    prepare: Prepare = lambda config, *_: config,
     check: Callable[[Any], object] | None = None,
 ) -> None:
     """Do what a command line asks for. All runs of a sweep are checked before the first begins.
@@ -132,25 +140,8 @@ def _parser(command: str, values: dict[str, Any] | None = None) -> argparse.Argu
     else:
         add_keys(parser, command, values)
     options = parser.add_argument_group("options")
-    options.add_argument("-h", "--help", action="store_true", help="this text")
-    options.add_argument(
-        "-m",
-        "--multirun",
-        action="store_true",
-        help="run all combinations of listed values: seed=1,2,3 task=Walker-v0,Climber-v0; hydra/launcher=NAME and"
-        " hydra/sweeper=NAME take plugins of Hydra that are installed",
-    )
-    options.add_argument(
-        "-c", "--cfg", choices=("job", "hydra", "all"), help="print the configuration that Hydra composes, and stop"
-    )
-    options.add_argument("-i", "--info", nargs="?", const="all", choices=INFO, help="print how it does so, and stop")
-    options.add_argument(
-        "-cd",
-        "--config-dir",
-        type=Path,
-        metavar="FOLDER",
-        help="folder with YAML files of your own, for instance FOLDER/ppo/mine.yaml for ppo=mine",
-    )
+    for flags, settings in OPTIONS.items():
+        options.add_argument(*flags, **settings)
     return parser
 
 

@@ -44,10 +44,9 @@ def flat_keys(schema: type, prefix: str = "") -> Iterator[tuple[str, Key]]:
         default = item.default_factory() if made else item.default
         about = item.metadata
         yield name, Key(types[item.name], default, about["help"], about.get("choices", ()), about.get("path"))
-        kinds = {one if isinstance(one, type) else type(one): None for one in [default, *NODES.get(name, {}).values()]}
-        yield from {
-            part: key for kind in kinds if dataclasses.is_dataclass(kind) for part, key in flat_keys(kind, f"{name}.")
-        }.items()
+        kinds = [one if isinstance(one, type) else type(one) for one in (default, *NODES.get(name, {}).values())]
+        kinds = [kind for kind in kinds if dataclasses.is_dataclass(kind) and issubclass(kind, types[item.name])]
+        yield from {part: key for kind in kinds for part, key in flat_keys(kind, f"{name}.")}.items()
 
 
 def preset_key(command: str) -> str:

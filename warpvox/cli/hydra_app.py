@@ -13,11 +13,9 @@ import hydra
 from warpvox.cli import COMMANDS as NAMES
 from warpvox.configs.composition import hydras_errors, register
 from warpvox.configs.schema import COMMANDS
-from warpvox.errors import ConfigError, listing
+from warpvox.errors import ConfigError
 
 __all__ = ["complete", "run_hydra"]
-
-SHELLS = ("bash", "zsh", "fish")
 
 
 def run_hydra(
@@ -49,17 +47,14 @@ def complete(words: Sequence[str]) -> None:
     Raises:
         ConfigError: another action, or a shell that Hydra does not know.
     """
-    action, _, shell = words[0].partition("=") if len(words) == 1 else ("", "", "")
-    if action not in ("install", "uninstall", "query") or shell not in SHELLS:
-        raise ConfigError(
-            f"-sc needs install=SHELL or uninstall=SHELL, for {listing(SHELLS)}; got '{' '.join(words)}'."
-        )
     line = os.environ.get("COMP_LINE", "").split(" ", 2)
-    if action == "query" and len(line) < 3:
-        print("\n".join(name for name in NAMES if name.startswith(line[-1])))
+    command = line[1] if len(line) == 3 else None
+    if words[:1] and words[0].startswith("query=") and command not in COMMANDS:
+        print("\n".join(name for name in NAMES if command is None and name.startswith(line[-1])))
         return
-    command = line[1] if action == "query" else None
     if command is not None:  # Hydra knows one command only
         os.environ["COMP_LINE"] = f"{line[0]} {line[2]}"
-    if command is None or command in COMMANDS:
+    try:
         run_hydra(command, ["-sc"], words)
+    except ValueError as error:
+        raise ConfigError(f"-sc needs install=SHELL or uninstall=SHELL. {' '.join(str(error).split())}.") from None

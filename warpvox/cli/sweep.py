@@ -35,6 +35,7 @@ INTERRUPTED = "interrupted"
 """Status of a run that was ended by a signal."""
 FIGURES = ("best_return", "best_fitness", "mean_return", "evaluations", "steps", "elapsed_seconds")
 """Entries of ``summary.json`` that the table shows, where there are any."""
+RESULTS = ("status", *FIGURES, "folder", "error")
 QUIET = ("hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null", "hydra.sweep.subdir=.")
 Make = Callable[[list[str], Console], "Path | None"]
 
@@ -66,7 +67,8 @@ def make_runs(
         pass  # of a run; its row has the error
     finally:
         rows = _write(table)
-        _print(rows, total, table)
+        if rows:
+            _print(rows, total, table)
     failed = [row for row in rows if row["status"] == "failed"]
     if failed:
         raise RunError(
@@ -136,40 +138,23 @@ def attempt(
 
 
 def _write(table: Path) -> list[dict[str, Any]]:
-    """Write the table of the runs that have been made; returns its rows."""
+    """Write the table of the runs that have been made, results behind settings; returns its rows."""
     rows = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(table.glob("run_*.json"))]
-    columns = _columns(rows)
+    names = dict.fromkeys(name for row in rows for name in row)
+    columns = sorted(names, key=lambda name: RESULTS.index(name) if name in RESULTS else -1)
+    rows = [{name: row.get(name) for name in columns} for row in rows]
     if rows:
-        write_table(
-            table.with_name(f"{table.name}.csv"), columns, ([row.get(name) for name in columns] for row in rows)
-        )
+        write_table(table.with_name(f"{table.name}.csv"), columns, (row.values() for row in rows))
     return rows
 
 
-def _columns(rows: list[dict[str, Any]]) -> list[str]:
-    """Those that some row has something in, results behind settings."""
-    known = dict.fromkeys(name for row in rows for name in row)
-    last = ("status", *FIGURES, "folder", "error")
-    return [*(name for name in known if name not in last), *(name for name in last if name in known)]
-
-
 def _print(rows: list[dict[str, Any]], total: int, file: Path) -> None:
-    if not rows:
-        return
-    table = Table(title=f"{len(rows)} of {total or len(rows)} runs", title_justify="left")
-    columns = [name for name in _columns(rows) if name not in ("folder", "error")]
+    table, console = Table(title=f"{len(rows)} of {total or len(rows)} runs", title_justify="left"), Console()
+    columns = [name for name in rows[0] if name not in ("folder", "error")]
     for name in columns:
-        table.add_column(literal(name), justify="right" if name in ("run", *FIGURES) else "left", overflow="fold")
+        table.add_column(literal(name), justify="right" if name in FIGURES else "left", overflow="fold")
     for row in rows:
-        table.add_row(*(literal(_shown(row.get(name))) for name in columns))
-    console = Console()
+        values = ("" if row[name] is None else row[name] for name in columns)
+        table.add_row(*(literal(f"{value:,.3f}" if isinstance(value, float) else value) for value in values))
     console.print(table)
     echo(console, f"table: {file}.csv")
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, float):
-        return f"{value:,.3f}"
-    return f"{value:,}" if isinstance(value, int) else str(value)

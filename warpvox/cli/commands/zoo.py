@@ -10,7 +10,6 @@ from rich.console import Console
 from rich.table import Table
 
 from warpvox.cli.application import run_command
-from warpvox.view.cell_text import body_rows
 from warpvox.configs.schema import ZooConfig
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, WarpvoxError, did_you_mean, listing
@@ -18,6 +17,7 @@ from warpvox.io.console import duration, echo, figure, literal
 from warpvox.robots.entry import FOLDER, Robot, read_robot
 from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
+from warpvox.view.cell_text import body_rows
 
 __all__ = ["run", "zoo"]
 
