@@ -77,5 +77,5 @@ def test_mistakes_in_descriptors() -> None:
     for wrong in ((), ("empty", "empty")):
         with pytest.raises(ConfigError, match="one or more different ones"):
             MapElites(descriptors=wrong)
-    with pytest.raises(ConfigError, match="descriptors must be a list of names, got 'empty'"):
+    with pytest.raises(ConfigError, match="descriptors must be a list, got 'empty'"):
         MapElites(descriptors="empty")  # type: ignore[arg-type]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import re
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -35,7 +36,7 @@ from warpvox.runs import STAMP, check_unchanged, find_suite, going_on, make_fold
 from warpvox.system import available_memory, usable_cores
 from warpvox.trust import keep_code
 
-__all__ = ["Job", "make_member", "run", "suite"]
+__all__ = ["Job", "make_member", "run", "split", "suite"]
 
 GROWING = ("tasks", "searches", "seeds")
 """Keys that may get more entries when a suite is resumed."""
@@ -58,13 +59,16 @@ class Job:
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox suite`` is asked for; keys that only a design search has are those of all its searches."""
-    own, typed = {item.name for item in dataclasses.fields(SuiteConfig)}, []
-    for word in words:
-        key = word.partition("=")[0]
-        if "=" in word and not word.startswith("-") and key.split(".")[0].split("/")[0] not in {*own, "hydra"}:
-            typed.append(word)
-    run_command("suite", [word for word in words if word not in typed], suite, partial(_prepare, typed))
+    """Do what ``warpvox suite`` is asked for."""
+    own, typed = split(words)
+    run_command("suite", own, suite, partial(_prepare, typed))
+
+
+def split(words: list[str]) -> tuple[list[str], list[str]]:
+    """The words about the suite, and those about all of its design searches: keys that only these have."""
+    own = {*SuiteConfig.__dataclass_fields__, "hydra"}
+    typed = [word for word in words if "=" in word and word[0] != "-" and re.split("[.=/]", word)[0] not in own]
+    return [word for word in words if word not in typed], typed
 
 
 def _prepare(typed: list[str], config: SuiteConfig, overrides: list[str], config_dir: Path | None) -> Job:
