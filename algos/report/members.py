@@ -13,6 +13,7 @@ import numpy as np
 
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE, Archive, Record
+from warpvox.algos.codesign.evaluations import EVALUATIONS
 from warpvox.algos.search.bodies import diversity
 from warpvox.io.reading import read_facts
 
@@ -58,7 +59,8 @@ class Member:
     @cached_property
     def _screened(self) -> list[Record]:
         """Designs that a common policy has compared, where finalists were trained; no curve shows their fitness."""
-        if self.settings.get("evaluation") == "gaits":  # each gait is a policy of the design's own
+        how = self.settings.get("evaluation")
+        if isinstance(how, dict) and getattr(EVALUATIONS.get(how.get("name", "")), "comparable", True):
             return []
         done = [record for record in self.records if record.fitness is not None and record.reused is None]
         screened = [record for record in done if record.candidate.origin != FINALIST]

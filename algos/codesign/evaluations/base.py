@@ -69,6 +69,8 @@ class Evaluation:
 
     finalists = 0
     """Number of best designs that are evaluated once more at the end of a search (origin ``finalist``)."""
+    comparable = True
+    """Whether the fitness of designs can be compared with that of finalists: both are returns of policies of their own."""
 
     def __post_init__(self) -> None:
         check_values(self, "evaluation.")

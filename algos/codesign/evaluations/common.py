@@ -42,6 +42,8 @@ STEPS = "pretraining_steps"
 class CommonPolicy(Screened):
     """Settings of a policy that controls all designs."""
 
+    comparable = False
+
     policy: str = key("grid", "network of the policy: grid, transformer, cpg, module:Class, file.py:Class", path="read")
     network: Any = key(None, "settings of this network, {width:32} for instance; null: its defaults")
     envs: int = key(16, "training environments for each design", low=1)
