@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["evaluate", "train"]
 
 AUTO = "auto"
+PLAYED = ("device", "dtype", "arithmetic", "threads", "memory_check")
+"""Options of an evaluation by name."""
 
 
 def train(
@@ -115,7 +118,7 @@ def _dotted(given: Mapping[str, Any]) -> Iterator[str]:
         yield name
         if isinstance(value, Mapping):
             yield from (f"{name}.{key}" for key in value)
-        elif dataclasses.is_dataclass(value):
+        elif dataclasses.is_dataclass(value) and name != "task":
             yield from (f"{name}.{key}" for key, own in vars(value).items() if own != getattr(type(value)(), key))
 
 
@@ -155,33 +158,40 @@ def evaluate(
     """
     from warpvox.algos.evaluate import draws_at_random, evaluate as play
     from warpvox.algos.training.bodies import load_bodies
-    from warpvox.algos.training.loading import Playing, TrainedRun
+    from warpvox.algos.training.job import own_torch
+    from warpvox.algos.training.loading import Playing, TrainedRun, is_alone, load_policy
     from warpvox.algos.training.policy_table import EvaluatedPolicy, PolicyTable, evaluate_run
-    from warpvox.batch.options import check_known
     from warpvox.code import Code, is_code
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import find_runs
 
-    check_known(options, evaluate)
+    for key in options:
+        if key not in PLAYED:
+            raise ConfigError(
+                f"evaluate has no argument {key!r}.{did_you_mean(key, PLAYED)} There are {listing(PLAYED)}."
+            )
     several = isinstance(policies, Sequence) and not isinstance(policies, str)
     own = Code(task) if is_code(task) else task
     how = Playing(episodes, checkpoint, stochastic, seed, task=own, **options)
     rows = []
-    for number, policy in enumerate(policies if several else [policies]):
-        if isinstance(policy, TrainedRun):
-            policy = policy.folder or policy.policy
-        if isinstance(policy, str | Path):
-            for run in find_runs([str(policy)], str(output_dir)):
-                found, drawn = evaluate_run(run, how, design)
-                rows.append(EvaluatedPolicy.of(str(run.folder), str(run.config["task"]), found, drawn, level))
-            continue
-        about = getattr(policy, "metadata", {})
-        where, body = own or about.get("task"), about.get("design") if design is None else design
-        if not callable(policy) or where is None or body is None:
-            what = "a run, or a function of observations with task=... and design=..."
-            raise ConfigError(f"Policy {number} must be {what}; got {policy!r:.80}.")
-        given = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
-        env = make_vec(where, load_bodies(body, seed), episodes, seed=seed, auto_reset=False, **given, **options)
-        name = getattr(policy, "__name__", f"policy {number}")
-        rows.append(EvaluatedPolicy.of(name, env.spec.id, play(env, policy), draws_at_random(env), level))
+    with own_torch(1):
+        for number, policy in enumerate(policies if several else [policies]):
+            if isinstance(policy, TrainedRun):
+                policy = policy.folder or policy.policy
+            if isinstance(policy, str | Path) and is_alone(Path(policy).expanduser()):
+                policy = load_policy(policy)
+            if isinstance(policy, str | Path):
+                for run in find_runs([str(policy)], str(output_dir)):
+                    found, drawn = evaluate_run(run, how, design if run.is_many else None)
+                    rows.append(EvaluatedPolicy.of(str(run.folder), str(run.config["task"]), found, drawn, level))
+                continue
+            about = getattr(policy, "metadata", {})
+            where, body = own or about.get("task"), about.get("design") if design is None else design
+            if not callable(policy) or where is None or body is None:
+                what = "a run, or a function of observations with task=... and design=..."
+                raise ConfigError(f"Policy {number} must be {what}; got {policy!r:.80}.")
+            given = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
+            env = make_vec(where, load_bodies(body, seed), episodes, seed=seed, auto_reset=False, **given, **options)
+            name = getattr(policy, "__name__", f"policy {number}")
+            rows.append(EvaluatedPolicy.of(name, env.spec.id, play(env, policy), draws_at_random(env), level))
     return PolicyTable(rows, level)

@@ -79,6 +79,11 @@ class Run:
     robot: Robot | None = None
 
     @property
+    def is_many(self) -> bool:
+        """Whether its policy was trained on many bodies."""
+        return (self.config.get("designs") or {}).get("bodies") is not None
+
+    @property
     def iterations(self) -> list[int]:
         """Of which there is a checkpoint, ascending."""
         found = (re.fullmatch(r"model_(\d+)\.pt", file.name) for file in self.folder.iterdir())

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
@@ -25,15 +26,16 @@ from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
 from warpvox.robots.entry import Robot
 from warpvox.robots.replay import SEEDS, robot_env, torch_policy
-from warpvox.runs import Run, find_run
+from warpvox.runs import CONFIG, Run, find_run
 from warpvox.trust import STORED, allowed, with_code
 
 if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
 
-__all__ = ["Playing", "TrainedRun", "load_policy", "load_run"]
+__all__ = ["Playing", "TrainedRun", "is_alone", "load_policy", "load_run"]
 
 
+@torch.random.fork_rng(devices=[])  # networks begin with random weights
 def load_policy(
     source: str | Path = "latest",
     *,
@@ -65,7 +67,7 @@ def load_policy(
         exported = read_exported(path)
         if exported is not None:
             return exported.to(device)
-        if not (path.parent / "config.yaml").is_file():  # a checkpoint by itself
+        if is_alone(path):
             return read_policy(path, device=device, network=network)
     run = find_run(str(source), str(output_dir))
     if run.robot is not None:
@@ -74,6 +76,11 @@ def load_policy(
     file = run.find_checkpoint(str(checkpoint))
     network = allowed("policy", run.config.get("policy"), network, run.folder)
     return read_policy(file, known | {"source": str(file)}, device, network)
+
+
+def is_alone(path: Path) -> bool:
+    """Whether a policy is a file by itself, in no folder of a run."""
+    return path.is_file() and not (path.parent / CONFIG).is_file()
 
 
 @dataclasses.dataclass(frozen=True)

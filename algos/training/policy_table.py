@@ -71,6 +71,5 @@ def evaluate_run(run: Run, config: Any, designs: Any = None) -> tuple[Evaluation
         config, designs: see :func:`warpvox.algos.training.loading.load_run`.
     """
     env, policy = load_run(run, config, designs, every=True)
-    several = (run.config.get("designs") or {}).get("bodies") is not None
     found = evaluate(env, policy)
-    return found, config.stochastic or several or draws_at_random(env)
+    return found, config.stochastic or run.is_many or draws_at_random(env)

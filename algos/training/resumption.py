@@ -36,7 +36,8 @@ def continued(settings: Training, source: Run) -> tuple[Training, Path]:
         ConfigError: settings that would make it another run. RunError, StorageError: it cannot go on.
     """
     check_writable(source.folder)
-    check_unchanged(source.config, as_stored(settings, source.config), CHANGEABLE)
+    named = dataclasses.replace(settings, task=getattr(settings.task, "id", settings.task))
+    check_unchanged(source.config, as_stored(named, source.config), CHANGEABLE)
     checkpoint = source.checkpoint or source.folder / STATE
     if not checkpoint.is_file():
         raise RunError(

@@ -90,7 +90,7 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
         given.remove("task")  # who names a task's code, trusts it
     _refuse(name for name in given if name != "design")
     source = find_run(config.run if config.zoo is None else f"{ZOO}{config.zoo}", config.output_dir)
-    if (source.config.get("designs") or {}).get("bodies") is None:
+    if not source.is_many:
         _refuse(given)
     with console.status("loading"):
         from warpvox.algos.training.loading import load_run
