@@ -26,8 +26,10 @@ from warpvox.cli.config import load
 from warpvox.cli.help import options_of
 from warpvox.errors import ConfigError
 
+OURS = [name for name in ALGORITHMS if name != "custom"]
 
-@pytest.mark.parametrize("algorithm", [name for name in ALGORITHMS if name != "custom"])
+
+@pytest.mark.parametrize("algorithm", OURS)
 def test_a_search_has_the_defaults_of_its_settings(algorithm: str) -> None:
     settings = settings_from(load("codesign", [f"search={algorithm}"]).search)
     if algorithm == "bo":  # the one search that is not the paper's; that is bo_paper.yaml
