@@ -128,7 +128,8 @@ def _composed(command: str, parsed: list[Override], config_dir: Path | None, sto
     nodes = [choice for choice in choices if choice.partition("=")[0] in NODES] + _nodes_of(stored or {})
     config = composed(command, list(dict.fromkeys(choices + nodes)), config_dir)
     defaults = composed(command, nodes, config_dir)
-    config = OmegaConf.merge(defaults, config)  # a file of the user's own may leave keys open
+    if OmegaConf.missing_keys(config):  # which a file of the user's own leaves open
+        config = OmegaConf.merge(defaults, config)
     for override in parsed:
         if override not in groups:
             _set(config, override, command)
