@@ -344,6 +344,11 @@ class TasksConfig:
     gallery: str | None = key(None, "instead of the list write all worlds into one picture (.png)", path="written")
 
 
+@dataclass
+class InfoConfig:
+    """``warpvox info`` has no keys."""
+
+
 COMMANDS: dict[str, type] = {
     "train": TrainConfig,
     "demo": DemoConfig,
@@ -357,8 +362,9 @@ COMMANDS: dict[str, type] = {
     "design": DesignConfig,
     "zoo": ZooConfig,
     "tasks": TasksConfig,
+    "info": InfoConfig,
 }
-"""Commands that take keys, and the dataclass of each."""
+"""The dataclass of each command."""
 
 PRESET = "preset"
 """The key that takes the name of a preset, a file of ``configs/preset/COMMAND``."""

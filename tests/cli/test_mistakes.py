@@ -130,7 +130,7 @@ MISTAKES = {
     "tasks Walker-v0 picture=/proc/world.png": "cannot be written",
     "tasks Climber-v0 design=random:3x6": "does not fit the world of Climber-v0",
     "tasks nowhere:MINE": "There is no module 'nowhere'",
-    "info x": "no arguments",
+    "info x": "not KEY=VALUE",
 }
 
 

@@ -34,6 +34,7 @@ def test_there_are_command_lines() -> None:
 def test_a_command_line_is_taken(line: str) -> None:
     assert not re.search(r"[][*?{}]", QUOTED.sub("", line)), "a shell such as zsh takes this for a pattern: quote it"
     command, *words = (word for word in shlex.split(line) if word != "...")
+    words = [f"task={word}" if command == "tasks" and "=" not in word else word for word in words]
     given = read_words(command, words)
     overrides = [word for word in given.overrides if not word.startswith("hydra")]
     load(command, expand(command, overrides, given.multirun)[0], given.config_dir)

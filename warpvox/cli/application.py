@@ -30,12 +30,13 @@ MULTIRUN = (
     "run all combinations of listed values: seed=1,2,3 task=Walker-v0,Climber-v0; hydra/launcher=NAME and"
     " hydra/sweeper=NAME take plugins of Hydra that are installed"
 )
+CFG, HOW = "print what Hydra composes: job, hydra or all", f"print how Hydra composes it: {', '.join(INFO)}"
 FOLDER = "folder with YAML files of your own, for instance FOLDER/ppo/mine.yaml for ppo=mine"
 OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
     ("-h", "--help"): {"action": "store_true", "help": "this text"},
     ("-m", "--multirun"): {"action": "store_true", "help": MULTIRUN},
-    ("-c", "--cfg"): {"choices": ("job", "hydra", "all"), "help": "print what Hydra composes, and stop"},
-    ("-i", "--info"): {"choices": INFO, "nargs": "?", "const": "all", "help": "print how it does so, and stop"},
+    ("-c", "--cfg"): {"choices": ("job", "hydra", "all"), "metavar": "WHAT", "help": CFG},
+    ("-i", "--info"): {"choices": INFO, "nargs": "?", "const": "all", "metavar": "WHAT", "help": HOW},
     ("-cd", "--config-dir"): {"type": Path, "metavar": "FOLDER", "help": FOLDER},
 }
 FLAGS = [flag for flags in OPTIONS for flag in flags]

@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 from warpvox.configs.schema import COMMANDS, GROUPS, NODES, PRESET, PRESET_OF
 from warpvox.keys import MISSING
 
-__all__ = ["Key", "Row", "add_keys", "flat_keys", "flat_values", "groups_of", "help_rows", "options_of", "preset_key"]
+__all__ = ["Key", "add_keys", "flat_keys", "flat_values", "groups_of", "help_rows", "options_of", "preset_key"]
 
 MAPPINGS = (
     "design", "evaluations", "control_steps", "shape", "network", "evaluation.network", "evaluation.ppo",
@@ -78,37 +78,29 @@ def flat_values(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-@dataclasses.dataclass(frozen=True)
-class Row:
-    """A key as the help shows it; ``is_group``: its value is the name of a choice, which sets several keys."""
+def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str | None, str]]:
+    """Name, default and meaning of the keys of a command; a group, which sets several keys, has no default.
 
-    name: str
-    value: str
-    meaning: str
-    is_group: bool = False
-
-
-def help_rows(command: str, values: dict[str, Any]) -> Iterator[Row]:
-    """The keys of a command; ``values``: the composed defaults by dotted key, for those that the schema leaves open."""
-    groups = groups_of(command)
+    Args:
+        values: the composed defaults by dotted key, for those that the schema leaves open.
+    """
     for name, key in flat_keys(COMMANDS[command]):
-        value = _text(values.get(name, key.default))
-        if name in groups:
-            yield Row(name, "NAME", f"{key.help}: {', '.join(options_of(name))}", is_group=True)
-        elif name == preset_key(command):
-            yield Row(name, value, f"{key.help}: {', '.join(options_of(f'{PRESET}/{command}'))}")
+        if name in groups_of(command):
+            yield name, None, f"{key.help}: {', '.join(options_of(name))}"
         elif not dataclasses.is_dataclass(key.default):
-            missing = [choice for choice in key.choices if choice not in key.help]
-            yield Row(name, value, key.help + (f": {', '.join(key.choices)}" if missing else ""))
+            choices = options_of(f"{PRESET}/{command}") if name == preset_key(command) else key.choices
+            missing = any(choice not in key.help for choice in choices)
+            meaning = f"{key.help}: {', '.join(choices)}" if missing else key.help
+            yield name, _text(values.get(name, key.default)), meaning
 
 
 def add_keys(parser: argparse.ArgumentParser, command: str, values: dict[str, Any]) -> None:
     """Have the help of a parser list the keys of a command; ``values``: see :func:`help_rows`."""
     part = parser.add_argument_group("keys")
-    for row in help_rows(command, values):
-        if row.is_group:
-            part = parser.add_argument_group(f"{row.name}.*")
-        part.add_argument(row.name, metavar=f"{row.name}={row.value}", nargs="?", help=row.meaning.replace("%", "%%"))
+    for name, value, meaning in help_rows(command, values):
+        if value is None:
+            part = parser.add_argument_group(f"{name}.*")
+        part.add_argument(name, metavar=f"{name}={value or 'NAME'}", nargs="?", help=meaning.replace("%", "%%"))
 
 
 def _text(value: Any) -> str:

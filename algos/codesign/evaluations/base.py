@@ -70,7 +70,7 @@ class Evaluation:
     finalists = 0
     """Number of best designs that are evaluated once more at the end of a search (origin ``finalist``)."""
     comparable = True
-    """Whether the fitness of designs can be compared with that of finalists: both are returns of policies of their own."""
+    """Whether the returns of designs compare with those of finalists: each is that of a policy of its own."""
 
     def __post_init__(self) -> None:
         check_values(self, "evaluation.")
