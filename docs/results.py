@@ -22,9 +22,9 @@ import numpy as np
 
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
-from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive
+from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, archives_in
 from warpvox.algos.evaluate import evaluate
-from warpvox.algos.report.members import Member, archives_in, read_members
+from warpvox.algos.report.members import Member, read_members
 from warpvox.algos.statistics import mean_interval
 from warpvox.cli.config import load
 from warpvox.cli.robot_entries import command_of

@@ -17,7 +17,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, repair_hint
+from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in, repair_hint
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.reading import Unreadable, parse_yaml, read_facts, read_text
 from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
@@ -234,8 +234,6 @@ def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
     Raises:
         RunError: some of the texts name searches and others do not.
     """
-    from warpvox.algos.report.members import archives_in
-
     found: dict[Path, Path] = {}
     others = []
     for text in texts:

@@ -17,7 +17,7 @@ from warpvox.algos.codesign.evaluations import EVALUATIONS
 from warpvox.algos.search.bodies import diversity
 from warpvox.io.reading import read_facts
 
-__all__ = ["Member", "archives_in", "fitness_of", "progress", "read_members"]
+__all__ = ["Member", "fitness_of", "progress", "read_members"]
 
 SUMMARY = "summary.json"
 PLACES = 200
@@ -126,11 +126,6 @@ class Member:
 def fitness_of(record: Record | None) -> float:
     """The fitness of a design; -inf before there is one."""
     return -np.inf if record is None or record.fitness is None else record.fitness
-
-
-def archives_in(folder: Path) -> list[Path]:
-    """The folders of all design searches in a folder, itself included, in order of their paths."""
-    return sorted(path.parent for path in folder.rglob(FILE))
 
 
 def read_members(archives: Sequence[Path]) -> list[Member]:
