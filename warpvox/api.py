@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from warpvox.errors import ConfigError, did_you_mean, listing
 
@@ -164,10 +164,11 @@ def evaluate(
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import find_runs
 
+    names = [*inspect.signature(evaluate).parameters, *PLAYED]
     for key in options:
         if key not in PLAYED:
             raise ConfigError(
-                f"evaluate has no argument {key!r}.{did_you_mean(key, PLAYED)} There are {listing(PLAYED)}."
+                f"evaluate has no argument {key!r}.{did_you_mean(key, names)} Options: {listing(PLAYED)}."
             )
     several = isinstance(policies, Sequence) and not isinstance(policies, str)
     own = Code(task) if is_code(task) else task
@@ -184,7 +185,7 @@ def evaluate(
                     found, drawn = evaluate_run(run, how, design if run.is_many else None)
                     rows.append(EvaluatedPolicy.of(str(run.folder), str(run.config["task"]), found, drawn, level))
                 continue
-            about = getattr(policy, "metadata", {})
+            about: Mapping[str, Any] = getattr(policy, "metadata", {})
             where, body = own or about.get("task"), about.get("design") if design is None else design
             if not callable(policy) or where is None or body is None:
                 what = "a run, or a function of observations with task=... and design=..."
@@ -192,5 +193,5 @@ def evaluate(
             given = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
             env = make_vec(where, load_bodies(body, seed), episodes, seed=seed, auto_reset=False, **given, **options)
             name = getattr(policy, "__name__", f"policy {number}")
-            rows.append(EvaluatedPolicy.of(name, env.spec.id, play(env, policy), draws_at_random(env), level))
+            rows.append(EvaluatedPolicy.of(name, env.spec.id, play(env, cast(Any, policy)), draws_at_random(env), level))
     return PolicyTable(rows, level)

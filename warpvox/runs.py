@@ -254,7 +254,7 @@ def _best_design(folder: Path) -> Path:
         best = [record for record in archive.best() if record.policy is not None]
     if not best:
         raise RunError(f"The design search {folder} has no evaluated design yet.")
-    return (folder / best[0].policy).parent
+    return (folder / str(best[0].policy)).parent
 
 
 def write_config(folder: Path, text: str) -> None:
