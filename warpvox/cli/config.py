@@ -24,15 +24,8 @@ from warpvox.keys import check_values
 
 __all__ = ["load", "load_values", "to_yaml"]
 
-ALIASES = {
-    "env": "task",
-    "lr": "learning_rate",
-    "steps": "max_iterations",
-    "timesteps": "max_iterations",
-    "total_timesteps": "max_iterations",
-    "n_envs": "num_envs",
-    "batch_size": "minibatches",
-}
+ALIASES = {"env": "task", "lr": "learning_rate", "n_envs": "num_envs", "batch_size": "minibatches"}
+ALIASES |= dict.fromkeys(("steps", "timesteps", "total_timesteps"), "max_iterations")
 """Names that other libraries have for a key, by the last part of ours: for hints."""
 NOT_TAKEN = ("resume", "report", "config")
 """Keys of ``config=FILE`` that say what the run did that the file has come from, not with what."""
@@ -175,11 +168,8 @@ def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
     """The error that names the nearest key of a composed configuration."""
     keys, last = dict(flat_keys(COMMANDS[command])), key.split(".")[-1]
     known = [name for name in keys if _has(config, name)]
-    hint = did_you_mean(key, known) or did_you_mean(last, known)
+    meant = [name for name in known if name.split(".")[-1] == ALIASES.get(last)]
+    hint = did_you_mean(meant[0], meant) if meant else did_you_mean(key, known) or did_you_mean(last, known)
     if key in keys:
         hint = f" It goes with another choice of {key.partition('.')[0]}."
-    for name in known:
-        if name.split(".")[-1] == ALIASES.get(last):
-            hint = f" Did you mean '{name}'?"
-            break
     return ConfigError(f"Unknown key '{key}'.{hint} `warpvox {command} --help` lists all keys.")
