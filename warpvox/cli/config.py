@@ -168,8 +168,11 @@ def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
     """The error that names the nearest key of a composed configuration."""
     keys, last = dict(flat_keys(COMMANDS[command])), key.split(".")[-1]
     known = [name for name in keys if _has(config, name)]
-    meant = [name for name in known if name.split(".")[-1] == ALIASES.get(last)]
-    hint = did_you_mean(meant[0], meant) if meant else did_you_mean(key, known) or did_you_mean(last, known)
+    hint = did_you_mean(key, known) or did_you_mean(last, known)
     if key in keys:
         hint = f" It goes with another choice of {key.partition('.')[0]}."
+    for name in known:
+        if name.split(".")[-1] == ALIASES.get(last):
+            hint = f" Did you mean '{name}'?"
+            break
     return ConfigError(f"Unknown key '{key}'.{hint} `warpvox {command} --help` lists all keys.")
