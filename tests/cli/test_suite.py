@@ -150,7 +150,7 @@ def test_budgets_by_task() -> None:
         ({"evaluations": 0}, "evaluations must be an integer >= 1"),
         ({"control_steps": 10}, "must be at least"),
         ({"codesign": ["search.mutation_rate=0.1"]}, "It is a setting of search=ga and search=map_elites"),
-        ({"codesign": ["seed=3"]}, "seed is a key of the suite"),
+        ({"codesign": ["seed=3"]}, "seed is set by the suite for each search. Did you mean 'seeds'"),
         ({"codesign": ["training.iteration=3"]}, "Did you mean 'training.iterations'"),
         ({"shape": [5]}, "shape must be two integers"),
     ],

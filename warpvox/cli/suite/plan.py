@@ -130,7 +130,8 @@ def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesig
     words = by_key(config.codesign)
     for key in words:
         if key.split("/")[0] in OF_SUITES:
-            raise ConfigError(f"codesign: {key} is a key of the suite, or set by it for each search.")
+            hint = did_you_mean(key, SuiteConfig.__dataclass_fields__)
+            raise ConfigError(f"{key} is set by the suite for each search.{hint}")
     groups = [word for key, word in words.items() if "." not in key]
     found, taken = {}, set()
     for name in dict.fromkeys(config.searches):
