@@ -53,7 +53,7 @@ LARGEST_CONFIG = 1_000_000
 ZOO = "zoo:"
 """How the name of a stored robot begins where a run or a design is expected."""
 STATE, BEST = "state.pt", "model_best.pt"
-TRAINING = ("train", "demo")
+TRAINING = ("train",)
 CODESIGN = "codesign"
 label: ContextVar[str] = ContextVar("label", default="")
 """What the run of a sweep differs by from the others, for the name of its folder."""
