@@ -15,6 +15,7 @@ from typing import Any, get_origin, get_type_hints
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
 from warpvox.algos.settings import LOGGERS, REFRESH, PpoConfig, ScreeningConfig, TrainingConfig
 from warpvox.configs.bench_keys import COLUMNS, SUITES, GradientsConfig, LearningConfig, PeerConfig, ScalingConfig
+from warpvox.configs.listing_keys import InfoConfig, TasksConfig
 from warpvox.configs.physics_keys import PhysicsConfig
 from warpvox.configs.suite_keys import suite_config
 from warpvox.keys import MISSING, key
@@ -37,7 +38,6 @@ __all__ = [
     "PlayConfig",
     "SearchConfig",
     "SuiteConfig",
-    "TasksConfig",
     "TrainConfig",
     "ZooConfig",
 ]
@@ -546,28 +546,6 @@ class DesignConfig:
     )
     port: int = key(0, "port of the server on 127.0.0.1; 0: any free port", low=0, high=65535)
     browser: str = key("auto", "open the page in a browser: on, off, or auto (if there is a display)", choices=SHOW)
-
-
-@dataclass
-class TasksConfig:
-    """Keys of ``warpvox tasks``."""
-
-    task: str | None = key(
-        None,
-        "task id, module:NAME or file.py:NAME to show in detail, with its world; its key may be omitted",
-        path="read",
-    )
-    rules: str = key("evogym", "as released (evogym) or as printed (paper)", choices=("evogym", "paper"))
-    design: Any = key(
-        "walker", "body that worlds are shown with, and that the layout of the observation is for", path="read"
-    )
-    picture: str | None = key(None, "with a task: also write its world as a picture (.png)", path="written")
-    gallery: str | None = key(None, "instead of the list write all worlds into one picture (.png)", path="written")
-
-
-@dataclass
-class InfoConfig:
-    """``warpvox info`` has no keys."""
 
 
 COMMANDS: dict[str, type] = {

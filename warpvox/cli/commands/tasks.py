@@ -14,7 +14,7 @@ from rich.text import Text
 
 from warpvox.cli.application import run_command
 from warpvox.cli.console import echo, literal
-from warpvox.configs.schema import TasksConfig
+from warpvox.configs.listing_keys import TasksConfig
 from warpvox.errors import ConfigError, WorldError, listing
 
 __all__ = ["run"]
