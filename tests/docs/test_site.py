@@ -64,7 +64,7 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert built.returncode == 0, built.stderr
     page = (tmp_path / "site" / "commands" / "index.html").read_text(encoding="utf-8")
-    for name in COMMANDS:
+    for name in SCHEMAS:
         assert f'<h2 id="{name}"' in page
         assert f"usage: warpvox {name}" in page
     assert "<!-- help" not in page
