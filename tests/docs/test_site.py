@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from warpvox.cli import COMMANDS
 from warpvox.cli.help import flat_keys
 from warpvox.configs.schema import COMMANDS as SCHEMAS
 
