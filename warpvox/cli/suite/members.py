@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.report.members import Member as SearchResult, read_members
+from warpvox.algos.report.members import SearchResult, read_members
 from warpvox.cli.suite.plan import Member
 from warpvox.errors import RunError
 from warpvox.io.writing import check_folder, write_table
