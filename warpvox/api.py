@@ -192,7 +192,5 @@ def evaluate(
             given = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
             env = make_vec(where, load_bodies(body, seed), episodes, seed=seed, auto_reset=False, **given, **options)
             name = getattr(policy, "__name__", f"policy {number}")
-            rows.append(
-                EvaluatedPolicy.of(name, env.spec.id, play(env, cast(Any, policy)), draws_at_random(env), level)
-            )
+            rows.append(EvaluatedPolicy.of(name, env, policy, level))
     return PolicyTable(rows)
