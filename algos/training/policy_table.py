@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.algos.evaluate import draws_at_random, evaluate
+from warpvox.algos.evaluate import evaluate
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.algos.training.loading import load_run
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -30,7 +30,7 @@ class EvaluatedPolicy:
         """The row of one episode in each environment; ``drawn``: they differ by chance in any case."""
         found = evaluate(env, policy)
         returns = found.returns.tolist()
-        independent = returns if drawn or draws_at_random(env) else [found.mean_return]
+        independent = returns if drawn or env.spec.is_random else [found.mean_return]
         return cls(name, env.spec.id, returns, independent, level)
 
     @property
