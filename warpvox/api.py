@@ -6,7 +6,7 @@ import dataclasses
 import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from warpvox.errors import ConfigError, did_you_mean, listing
 
@@ -156,7 +156,6 @@ def evaluate(
         RunError: no such run. ConfigError: a function without a task, an unknown option. WarpvoxError: as
             :func:`warpvox.make_vec`.
     """
-    from warpvox.algos.evaluate import draws_at_random, evaluate as play
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.job import own_torch
     from warpvox.algos.training.loading import Playing, TrainedRun, is_alone, load_policy
@@ -183,8 +182,7 @@ def evaluate(
                 policy = load_policy(policy)
             if isinstance(policy, str | Path):
                 for run in find_runs([str(policy)], str(output_dir)):
-                    found, drawn = evaluate_run(run, how, design if run.is_many else None)
-                    rows.append(EvaluatedPolicy.of(str(run.folder), str(run.config["task"]), found, drawn, level))
+                    rows.append(evaluate_run(run, how, design if run.is_many else None, level))
                 continue
             about: Mapping[str, Any] = getattr(policy, "metadata", {})
             where, body = own or about.get("task"), about.get("design") if design is None else design
@@ -194,7 +192,5 @@ def evaluate(
             given = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
             env = make_vec(where, load_bodies(body, seed), episodes, seed=seed, auto_reset=False, **given, **options)
             name = getattr(policy, "__name__", f"policy {number}")
-            rows.append(
-                EvaluatedPolicy.of(name, env.spec.id, play(env, cast(Any, policy)), draws_at_random(env), level)
-            )
-    return PolicyTable(rows, level)
+            rows.append(EvaluatedPolicy.of(name, env, policy, level))
+    return PolicyTable(rows)

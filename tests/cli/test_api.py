@@ -6,6 +6,7 @@ import dataclasses
 import shutil
 import sys
 import threading
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -149,7 +150,11 @@ def test_a_notebook_has_an_element_that_changes(tmp_path: Path, monkeypatch: pyt
     display.HTML, display.display = str, lambda *_, **__: handle
     monkeypatch.setitem(sys.modules, "IPython.display", display)
     monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
-    wv.train(**KEYS, ppo=PPO, folder=None)
+    monkeypatch.setitem(sys.modules, "ipywidgets", None)
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)  # rich's, of widgets that are not installed
+        wv.train(**KEYS, ppo=PPO, folder=None)
     assert "<progress value=0 max=2>" in shown[0]
     assert "<progress value=2 max=2>" in shown[2]
     assert "done after 64 control steps" in shown[-1]

@@ -52,14 +52,13 @@ def record_run(run: Run, env: Any, controller: Any, steps: int | None, stochasti
 
     ``stochastic``: whether ``controller`` samples its actions.
     """
-    from warpvox.algos.evaluate import draws_at_random
     from warpvox.view.rollout import record
 
     about: dict[str, Any] = {"run": run.folder.name, "stochastic": stochastic}
     if env.num_designs > 1:
         about["names"] = [f"body {design}" for design in env.design_index.tolist()]
     rollout = record(env, controller, steps, metadata=about)
-    rollout.metadata["drawn"] = stochastic or draws_at_random(env)
+    rollout.metadata["drawn"] = stochastic or env.spec.is_random
     return rollout.best_first() if env.num_designs > 1 else rollout
 
 
