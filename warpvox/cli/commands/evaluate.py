@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
+from warpvox.algos.report.learning_curves import Group
 from warpvox.algos.statistics import Interval, difference, mean_interval
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
-from warpvox.cli.run_groups import Group, group_runs
+from warpvox.cli.run_groups import group_runs
 from warpvox.code import Code, is_code
 from warpvox.configs.schema import EvaluateConfig
 from warpvox.errors import ConfigError

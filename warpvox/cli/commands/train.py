@@ -62,8 +62,7 @@ def train(job: Job, console: Console) -> Path:
 def _export(folder: Path, config: TrainConfig, console: Console) -> None:
     """Record the best policy of a run and write it into the run's folder."""
     from warpvox.algos.training.loading import Playing, load_run
-    from warpvox.cli.commands.play import print_returns
-    from warpvox.cli.exports import ROLLOUT, record_run, write_exports
+    from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
 
     run = find_run(str(folder), config.output_dir)
     named = {name: value for name in ("task", "policy") if is_code(value := getattr(config, name))}
