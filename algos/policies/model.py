@@ -13,9 +13,8 @@ from torch import nn
 from warpvox.algos.policies.distribution import VoxelGaussian
 from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelInputs, VoxelLayout
 from warpvox.algos.policies.registry import make_network
-from warpvox.algos.training.networks import observations
 
-__all__ = ["VoxelModel", "VoxelNormalizer"]
+__all__ = ["VoxelModel", "VoxelNormalizer", "observations"]
 
 FARTHEST = 8.0
 """Deviations from the mean beyond which scaled inputs are cut off."""
@@ -23,6 +22,11 @@ BLOCK = 1024
 """Rows that the scaling learns from at once: so many stay in the cache of a CPU."""
 LEAST = 1e-4
 """Added to a deviation: 1/1000 of a voxel's side, and so much a second."""
+
+
+def observations(model: Any, obs: TensorDict) -> torch.Tensor:
+    """What a model observes, ``[..., entries]``, of the groups of ``obs``."""
+    return torch.cat([obs[name] for name in model.obs_groups], dim=-1)
 
 
 class VoxelNormalizer(nn.Module):
@@ -86,7 +90,7 @@ class VoxelNormalizer(nn.Module):
 
 
 class VoxelModel(MLPModel):
-    """Actor or critic for observations with ``obs="voxel"``; rsl-rl's PPO and ours train it.
+    """Actor or critic for observations with ``obs="voxel"``; rsl-rl's PPO trains it.
 
     Args:
         obs, obs_groups, obs_set, output_dim, obs_normalization, distribution_cfg: as of rsl-rl's models; a model with a
@@ -131,7 +135,7 @@ class VoxelModel(MLPModel):
     def unpack(self, latent: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Inputs ``[rows, inputs]`` in parts: voxels ``[rows, cells, 26]``, the rest, order of actions.
 
-        Tells the distribution which actions the bodies have. Actor and critic can share the parts.
+        Tells the distribution which actions the bodies have.
         """
         features, rest, actions, kinds = latent.split(self._parts, dim=1)
         if self.distribution is not None:
@@ -153,12 +157,10 @@ class VoxelModel(MLPModel):
         self, obs: TensorDict, masks: object = None, hidden_state: object = None, stochastic_output: bool = False
     ) -> torch.Tensor:
         """As of rsl-rl's models."""
-        latent = self.get_latent(obs)
-        return self.sample(latent) if self.distribution is not None and stochastic_output else self.run(latent)
-
-    def sample(self, latent: torch.Tensor) -> torch.Tensor:
-        """Actions ``[rows, actions]`` drawn for inputs ``[rows, inputs]``."""
-        self.distribution.update(self.run(latent))
+        out = self.run(self.get_latent(obs))
+        if self.distribution is None or not stochastic_output:
+            return out
+        self.distribution.update(out)
         return self.distribution.sample()
 
     def update_normalization(self, obs: TensorDict) -> None:

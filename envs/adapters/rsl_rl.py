@@ -68,6 +68,7 @@ class RslRlVecEnv(VecEnv):
         self.max_episode_length = env.max_episode_steps
         self.device = env.device
         self.cfg = {"task": env.spec.id, "rules": env.rules}
+        self.unwrapped, self.step_dt = self, env.sim.physics.substeps * env.sim.physics.dt
         self.action_scale, self.reward_scale = action_scale, reward_scale
         self.bootstrap_time_limit = bootstrap_time_limit
         self.apart, self.reward_norm = apart, None
