@@ -16,7 +16,8 @@ from tensordict import TensorDict
 from torch import nn
 
 from warpvox.algos.policies.layout import VoxelLayout
-from warpvox.algos.policies.model import VoxelModel, observations
+from warpvox.algos.policies.model import VoxelModel
+from warpvox.algos.policies.network import observations
 from warpvox.envs.adapters.design_rsl_rl import RslRlDesignEnv
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.design_episodes import NUM_TYPES, DesignLayout

@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch import nn
 
 from warpvox.algos.policies.distribution import VoxelGaussian
 from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelInputs, VoxelLayout
+from warpvox.algos.policies.network import Network, observations
 from warpvox.algos.policies.registry import make_network
 
-__all__ = ["VoxelModel", "VoxelNormalizer", "observations"]
+__all__ = ["VoxelModel", "VoxelNormalizer"]
 
 FARTHEST = 8.0
 """Deviations from the mean beyond which scaled inputs are cut off."""
@@ -22,11 +22,6 @@ BLOCK = 1024
 """Rows that the scaling learns from at once: so many stay in the cache of a CPU."""
 LEAST = 1e-4
 """Added to a deviation: 1/1000 of a voxel's side, and so much a second."""
-
-
-def observations(model: Any, obs: TensorDict) -> torch.Tensor:
-    """What a model observes, ``[..., entries]``, of the groups of ``obs``."""
-    return torch.cat([obs[name] for name in model.obs_groups], dim=-1)
 
 
 class VoxelNormalizer(nn.Module):
@@ -89,7 +84,7 @@ class VoxelNormalizer(nn.Module):
         return torch.cat([sums.double(), present.sum().double()[None], sums.new_full((1,), len(obs)).double()])
 
 
-class VoxelModel(MLPModel):
+class VoxelModel(Network):
     """Actor or critic for observations with ``obs="voxel"``; rsl-rl's PPO trains it.
 
     Args:
@@ -124,10 +119,6 @@ class VoxelModel(MLPModel):
         cells, count = self.layout.cells, self.layout.cells * FEATURES
         self._parts = [count, self.layout.rest, cells, self.layout.actions]
 
-    def get_latent(self, obs: TensorDict, masks: object = None, hidden_state: object = None) -> torch.Tensor:
-        """See :meth:`scaled`."""
-        return self.scaled(observations(self, obs))
-
     def scaled(self, obs: torch.Tensor) -> torch.Tensor:
         """What :meth:`run` takes, ``[rows, inputs]``, of observations ``[rows, num_obs]``."""
         return self.obs_normalizer(obs)
@@ -152,16 +143,6 @@ class VoxelModel(MLPModel):
         # cells without an actuator share the last column, which is dropped
         means = values.new_zeros(values.shape[0], self.layout.actions + 1).scatter(1, actions.long(), values)
         return means[:, : self.layout.actions]
-
-    def forward(
-        self, obs: TensorDict, masks: object = None, hidden_state: object = None, stochastic_output: bool = False
-    ) -> torch.Tensor:
-        """As of rsl-rl's models."""
-        out = self.run(self.get_latent(obs))
-        if self.distribution is None or not stochastic_output:
-            return out
-        self.distribution.update(out)
-        return self.distribution.sample()
 
     def update_normalization(self, obs: TensorDict) -> None:
         """Learn how observations are scaled."""

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import copy
 import inspect
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import torch
 from rsl_rl.algorithms import PPO as RslRlPPO
 from rsl_rl.models import MLPModel, RNNModel
+from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
 from warpvox.algos.policies.distribution import Gaussian
 from warpvox.algos.policies.model import VoxelModel
+from warpvox.algos.policies.network import LATENT, Network
 from warpvox.algos.settings import PpoConfig
 from warpvox.code import load_code
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
@@ -45,6 +47,8 @@ class PPO(RslRlPPO):
         self.decays, self.adam_eps = schedule == "linear", adam_eps
         self.initial_learning_rate, self.total_iterations, self.updates = self.learning_rate, total_iterations, 0
         self._configure_adam()
+        self.storage.mini_batch_generator = self._minibatches
+        self.critic.obs_normalizer, self.critic.update_normalization = self.actor.obs_normalizer, lambda obs: None
 
     def _configure_adam(self) -> None:
         for group in self.optimizer.param_groups:
@@ -55,6 +59,17 @@ class PPO(RslRlPPO):
         self.learning_rate = rate
         for group in self.optimizer.param_groups:
             group["lr"] = rate
+
+    def act(self, obs: TensorDict) -> torch.Tensor:
+        """Draw actions. Actor and critic observe the same, which is scaled once."""
+        if self.actor.is_recurrent:
+            return super().act(obs)
+        actions = super().act(self._scaled(obs))
+        self.transition.observations = obs
+        return actions
+
+    def _scaled(self, obs: TensorDict) -> TensorDict:
+        return obs.copy().set(LATENT, self.actor.get_latent(obs))
 
     def process_env_step(
         self, obs: TensorDict, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any]
@@ -86,6 +101,16 @@ class PPO(RslRlPPO):
             self.set_learning_rate(self.initial_learning_rate * max(0.0, 1 - self.updates / self.total_iterations))
         self.updates += 1
         return super().update()
+
+    def _minibatches(self, count: int, epochs: int) -> Iterator[RolloutStorage.Batch]:
+        """Those of rsl-rl, which are the same in all epochs: put in order and scaled once."""
+        batches = list(RolloutStorage.mini_batch_generator(self.storage, count, 1))
+        if not self.symmetry:  # which makes further observations of a batch
+            for batch in batches:
+                with torch.no_grad():
+                    batch.observations = self._scaled(batch.observations)
+        for _ in range(epochs):
+            yield from map(copy.copy, batches)
 
     # ------------------------------------------------------------------- state
 
@@ -135,7 +160,7 @@ def rsl_rl_config(
     Raises:
         ConfigError: ``ppo.rnn`` or ``ppo.extra`` has settings that rsl-rl has not.
     """
-    network: dict[str, Any] = {"class_name": MLPModel, "hidden_dims": list(ppo.hidden), "activation": ppo.activation}
+    network: dict[str, Any] = {"class_name": Network, "hidden_dims": list(ppo.hidden), "activation": ppo.activation}
     if voxels is not None:
         network = {"class_name": VoxelModel, **voxels}
     if ppo.rnn is not None:
