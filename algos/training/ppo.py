@@ -54,6 +54,11 @@ class PPO(RslRlPPO):
         for group in self.optimizer.param_groups:
             group |= {"eps": self.adam_eps, "fused": torch.device(self.device).type == "cpu"}
 
+    @property
+    def decayed_rate(self) -> float:
+        """Of the linear schedule."""
+        return self.initial_learning_rate * max(0.0, 1 - self.updates / self.total_iterations)
+
     def set_learning_rate(self, rate: float) -> None:
         """The rate from the next step on."""
         self.learning_rate = rate
@@ -98,7 +103,7 @@ class PPO(RslRlPPO):
     def update(self) -> dict[str, float]:
         """One iteration's optimisation; returns the mean losses."""
         if self.decays:
-            self.set_learning_rate(self.initial_learning_rate * max(0.0, 1 - self.updates / self.total_iterations))
+            self.set_learning_rate(self.decayed_rate)
         self.updates += 1
         return super().update()
 
