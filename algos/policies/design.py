@@ -155,7 +155,7 @@ class DesignDistribution(Distribution):
     @property
     def std(self) -> torch.Tensor:
         """``[rows, control]``."""
-        return self.gaussian.row_std
+        return self.gaussian.std
 
     @property
     def entropy(self) -> torch.Tensor:

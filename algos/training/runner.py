@@ -263,13 +263,8 @@ class Runner(OnPolicyRunner):
             self._improve()
         except ActionError as error:
             raise self._diverged(str(error)) from error
-        losses, ended = self.logger.losses, self.logger.ended
+        losses = self.logger.losses
         self._check(losses)
-        if self.bodies is not None and self.bodies.refresh != "none":
-            with torch.inference_mode():  # as the environments step
-                self.bodies.exchange(self.env, ended)
-                self.alg.actor.reset(ended)
-                self.alg.critic.reset(ended)
         seconds = time.perf_counter() - started
         self.current_learning_iteration += 1
         done = self.current_learning_iteration
@@ -284,8 +279,16 @@ class Runner(OnPolicyRunner):
             self.save_all()
 
     def _improve(self) -> None:
-        """Collect and learn, once; :attr:`logger` is told what came of it."""
+        """Collect, learn and exchange bodies, once; :attr:`logger` is told what came of it."""
         super().learn(1)
+        with torch.inference_mode():  # as the environments have made steps
+            self._exchange()
+
+    def _exchange(self) -> None:
+        if self.bodies is not None and self.bodies.refresh != "none":
+            self.bodies.exchange(self.env, self.logger.ended)
+            self.alg.actor.reset(self.logger.ended)
+            self.alg.critic.reset(self.logger.ended)
 
     def _check(self, losses: dict[str, float]) -> None:
         """Raise DivergenceError if losses, weights or moments are not finite."""

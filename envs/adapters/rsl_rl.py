@@ -68,7 +68,6 @@ class RslRlVecEnv(VecEnv):
         self.max_episode_length = env.max_episode_steps
         self.device = env.device
         self.cfg = {"task": env.spec.id, "rules": env.rules}
-        self.unwrapped, self.step_dt = self, env.sim.physics.substeps * env.sim.physics.dt
         self.action_scale, self.reward_scale = action_scale, reward_scale
         self.bootstrap_time_limit = bootstrap_time_limit
         self.apart, self.reward_norm = apart, None
@@ -78,6 +77,16 @@ class RslRlVecEnv(VecEnv):
         self._shortened = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._clear_episodes()
         self._obs = env.reset()[0]
+
+    @property
+    def unwrapped(self) -> RslRlVecEnv:
+        """Where rsl-rl looks for :attr:`step_dt`: this adapter."""
+        return self
+
+    @property
+    def step_dt(self) -> float:
+        """Seconds of a control step, by which rsl-rl multiplies the weight of intrinsic rewards."""
+        return self.env.sim.physics.substeps * self.env.sim.physics.dt
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
