@@ -214,7 +214,10 @@ def check_sizes(spec: PolicySpec) -> None:
     layout = {
         key: size for key, size in (spec.voxels or {}).get("layout", {}).items() if key not in ("timed", "periods")
     }
-    sizes = [spec.num_obs, spec.num_actions, *spec.hidden, *(spec.gait or {}).values(), *layout.values()]
+    rnn = dict(spec.rnn or {})
+    if rnn and (rnn.keys() != RNN.keys() or rnn.pop("rnn_type") not in ("lstm", "gru")):
+        raise ValueError(f"recurrent layers must be described by {', '.join(RNN)}, got {spec.rnn!r:.100}")
+    sizes = [spec.num_obs, spec.num_actions, *spec.hidden, *(spec.gait or {}).values(), *layout.values(), *rnn.values()]
     if not all(type(size) is int and 0 <= size <= WIDEST for size in sizes):
         raise ValueError(f"sizes must be integers up to {WIDEST:,}, got {sizes!r:.100}")
     if spec.voxels is not None:

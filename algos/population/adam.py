@@ -48,9 +48,7 @@ class VectorAdam:
         for parameter, part in self._parts(self._values, [parameter.shape for parameter in self.parameters]):
             parameter.data = part
 
-    def _parts(
-        self, matrix: torch.Tensor, shapes: Sequence[torch.Size]
-    ) -> Iterator[tuple[nn.Parameter, torch.Tensor]]:
+    def _parts(self, matrix: torch.Tensor, shapes: Sequence[torch.Size]) -> Iterator[tuple[nn.Parameter, torch.Tensor]]:
         """The parameters, each with its part of a matrix."""
         parts = matrix.split([shape[1:].numel() for shape in shapes], dim=-1)
         return ((p, part.view(shape)) for p, part, shape in zip(self.parameters, parts, shapes, strict=True))

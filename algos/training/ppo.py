@@ -65,6 +65,7 @@ class PPO(RslRlPPO):
         for group in self.optimizer.param_groups:
             group["lr"] = rate
 
+    @torch.no_grad()
     def act(self, obs: TensorDict) -> torch.Tensor:
         """Draw actions. Actor and critic observe the same, which is scaled once."""
         if self.actor.is_recurrent:

@@ -501,4 +501,3 @@ class Runner(OnPolicyRunner):
             self.evaluator.set_state(content["evaluator"])
         self.elapsed = content["elapsed"]
         self.best_return, self.best_iteration = content["best_return"], content["best_iteration"]
-

@@ -15,8 +15,8 @@ from warpvox.algos.policies.layout import layout_of
 from warpvox.algos.training.bodies import Bodies, draw_bodies
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
-from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.cli.designs import HeldOut
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError
 
 LIMIT, SHAPE = 8, (3, 3)
