@@ -104,6 +104,7 @@ class _Rollout(Logger):
         # copied from the device at once
         steps = torch.stack([torch.stack([value.double() for value in log.values()]) for log in self._logs])
         self.means = dict(zip(self._logs[0], steps.mean(0).tolist(), strict=True))
+        self.means |= {f"Loss/{name}": loss for name, loss in loss_dict.items() if name in ("rnd", "symmetry")}
 
 
 class Runner(OnPolicyRunner):
