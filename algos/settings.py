@@ -51,7 +51,7 @@ class PpoConfig:
     random_start: bool = key(MISSING, "give the first episodes random lengths, so that they do not all end together")
 
     rnn: Any = key(None, "recurrent networks: settings of rsl-rl's RNNModel, {rnn_type:gru,rnn_hidden_dim:64}")
-    extra: Any = key(None, "further settings of rsl-rl's PPO by name: {rnd_cfg:{weight:0.1}}")
+    extra: Any = key(None, "further settings of rsl-rl's PPO by name, such as rnd_cfg")
 
     def check(self, num_envs: int, prefix: str = "ppo") -> None:
         """Raise ConfigError if an iteration of so many environments is too small for its minibatches."""

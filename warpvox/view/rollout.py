@@ -272,7 +272,7 @@ def record(
     label = policy if isinstance(policy, str) else "policy"
     resets_itself, env.auto_reset = env.auto_reset, False
     try:
-        forget(policy)
+        forget(act)
         with torch.no_grad():
             columns = _run(env, act, limit, gather)
     finally:
