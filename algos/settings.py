@@ -57,6 +57,9 @@ class Ppo:
     bootstrap_time_limit: bool = key(True, "bootstrap from the value function where the time limit ends an episode")
     random_start: bool = key(True, "give the first episodes random lengths, so that they do not all end together")
 
+    rnn: Any = key(None, "recurrent networks: settings of rsl-rl's RNNModel, {rnn_type:gru,rnn_hidden_dim:64}")
+    extra: Any = key(None, "further settings of rsl-rl's PPO by name, such as rnd_cfg")
+
     def check(self, num_envs: int, prefix: str = "ppo") -> None:
         """Raise ConfigError if an iteration of so many environments is too small for its minibatches."""
         samples = self.steps * num_envs
@@ -64,6 +67,11 @@ class Ppo:
             raise ConfigError(
                 f"{prefix}.minibatches={self.minibatches} is more than the samples of an iteration: {num_envs}"
                 f" environments make {samples} in {self.steps} steps."
+            )
+        if self.rnn is not None and num_envs < self.minibatches:
+            raise ConfigError(
+                f"{prefix}.minibatches={self.minibatches} is more than the {num_envs} environments, whose episodes"
+                f" minibatches of recurrent networks consist of ({prefix}.rnn)."
             )
 
 

@@ -19,7 +19,7 @@ from warpvox.algos.settings import DesignTraining
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import RunError
+from warpvox.errors import ConfigError, RunError
 from warpvox.io.writing import writing
 
 __all__ = [
@@ -34,7 +34,7 @@ __all__ = [
 
 Report = Callable[[dict[str, Any]], None]
 
-VERSION = 2
+VERSION = 3
 """Of the checkpoints of trainings under way; others are refused."""
 
 
@@ -49,11 +49,18 @@ class PopulationEvaluator:
         factory: where they are trained.
         settings: how.
         seed: of the experiment; all designs are evaluated in the episodes of this seed.
+
+    Raises:
+        ConfigError: settings of ``ppo`` for rsl-rl alone.
     """
 
     factory: EnvFactory
     settings: DesignTraining
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.settings.ppo.rnn or self.settings.ppo.extra:
+            raise ConfigError("training.ppo.rnn and training.ppo.extra need training.method=sequential.")
 
     def evaluate(
         self,

@@ -44,7 +44,8 @@ class SequentialEvaluator:
             ``factory`` must make environments with ``obs="voxel"``; None: fully connected layers.
 
     Raises:
-        ConfigError: ``settings.rungs``: successive halving compares designs in training at the same time.
+        ConfigError: ``settings.rungs``: successive halving compares designs in training at the same time; or
+            ``settings.inherit`` with recurrent networks.
     """
 
     factory: EnvFactory
@@ -56,6 +57,8 @@ class SequentialEvaluator:
     def __post_init__(self) -> None:
         if self.settings.rungs:
             raise ConfigError("training.rungs needs training.method=population: designs must be trained side by side.")
+        if self.settings.inherit and self.settings.ppo.rnn:
+            raise ConfigError("training.inherit does not go with training.ppo.rnn: recurrent layers are not inherited.")
 
     def evaluate(
         self,
@@ -98,7 +101,7 @@ class SequentialEvaluator:
                 if value > outcome.fitness:
                     state = policy.actor.state_dict()
                     outcome.fitness = value
-                    outcome.spec = None if self.network is None else spec_dict(policy.spec)
+                    outcome.spec = spec_dict(policy.spec)
                     outcome.policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
                 return result
 

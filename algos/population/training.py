@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -42,7 +44,7 @@ def fresh_networks(ppo: Ppo, num_obs: int, num_actions: int, seed: int) -> Netwo
     """What a separate training with ``seed`` begins with, made by rsl-rl itself; torch's generator stays as it was."""
     config = rsl_rl_config(ppo, total_iterations=1) | {"multi_gpu": None}
     obs = TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])
-    with torch.random.fork_rng(devices=[]):
+    with torch.random.fork_rng(devices=[]), contextlib.redirect_stdout(io.StringIO()):
         torch.random.default_generator.manual_seed(seed)
         algorithm = PPO.construct_algorithm(obs, SimpleNamespace(num_envs=1, num_actions=num_actions), config, "cpu")
         return Networks(algorithm.actor, algorithm.critic, torch.random.default_generator.get_state())
