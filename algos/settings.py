@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -56,7 +57,6 @@ class Ppo:
     normalize_reward: bool = key(False, "divide rewards by the running standard deviation of the discounted return")
     bootstrap_time_limit: bool = key(True, "bootstrap from the value function where the time limit ends an episode")
     random_start: bool = key(True, "give the first episodes random lengths, so that they do not all end together")
-
     rnn: Any = key(None, "recurrent networks: settings of rsl-rl's RNNModel, {rnn_type:gru,rnn_hidden_dim:64}")
     extra: Any = key(None, "further settings of rsl-rl's PPO by name, such as rnd_cfg")
 

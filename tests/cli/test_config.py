@@ -189,7 +189,7 @@ def test_help_names_every_key_with_its_meaning(command: str, capsys: pytest.Capt
     if command in schema.COMMANDS:
         for name, key in flat_keys(schema.COMMANDS[command]):
             assert key.help
-            if not dataclasses.is_dataclass(key.default):
+            if not dataclasses.is_dataclass(key.default) and len(key.choices) != 1:
                 assert f"  {name}=" in text, name
         assert "=?" not in text
 

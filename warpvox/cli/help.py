@@ -87,7 +87,7 @@ def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str |
     for name, key in flat_keys(COMMANDS[command]):
         if name in groups_of(command):
             yield name, None, f"{key.help}: {', '.join(options_of(name))}"
-        elif not dataclasses.is_dataclass(key.default):
+        elif not dataclasses.is_dataclass(key.default) and len(key.choices) != 1:  # what the name of a choice sets
             choices = options_of(f"{PRESET}/{command}") if name == preset_key(command) else key.choices
             missing = any(choice not in key.help for choice in choices)
             meaning = f"{key.help}: {', '.join(choices)}" if missing else key.help
