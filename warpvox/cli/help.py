@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
@@ -13,12 +14,6 @@ from warpvox.configs.schema import COMMANDS, GROUPS, NODES, PRESET, PRESET_OF
 from warpvox.keys import MISSING
 
 __all__ = ["Key", "add_keys", "flat_keys", "flat_values", "groups_of", "help_rows", "options_of", "preset_key"]
-
-MAPPINGS = (
-    "design", "evaluations", "control_steps", "shape", "network", "evaluation.network", "evaluation.ppo",
-    "evaluation.settings",
-)  # fmt: skip
-"""Keys whose value may be a mapping."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,12 +63,18 @@ def options_of(group: str, config_dir: Path | None = None) -> list[str]:
     return sorted({name.removesuffix(".yaml") for name in found if name.endswith(".yaml")} | {*NODES.get(group, {})})
 
 
+@functools.cache
+def _mappings() -> frozenset[str]:
+    """Keys whose value may be a mapping."""
+    return frozenset(name for schema in COMMANDS.values() for name, key in flat_keys(schema) if key.type is Any)
+
+
 def flat_values(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested values by their dotted keys; what :data:`MAPPINGS` names is one value, also if it is a mapping."""
+    """Nested values by their dotted keys; a value that may be anything is one, also if it is a mapping."""
     found = {}
     for name, value in values.items():
         key = prefix + name
-        nested = isinstance(value, dict) and key not in MAPPINGS
+        nested = isinstance(value, dict) and key not in _mappings()
         found |= flat_values(value, f"{key}.") if nested else {key: value}
     return found
 
