@@ -248,7 +248,8 @@ def seeded(algorithm: type, env: object, given: dict) -> StockPPO:
 
 def seeded_act(algorithm: StockPPO, obs: TensorDict, seed: int) -> torch.Tensor:
     torch.manual_seed(seed)
-    return algorithm.act(obs)
+    with torch.no_grad():  # as rsl-rl's runner, without which a policy draws nothing
+        return algorithm.act(obs)
 
 
 @pytest.mark.parametrize("obs", ["voxel", "timed_voxel"])
