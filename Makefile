@@ -144,7 +144,7 @@ release: $(UV)
 
 docs: $(STAMP)
 	$(PIP) --quiet --no-deps --require-hashes -r locks/docs.txt
-	$(BIN)/python -m mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 tables: $(STAMP)
 	$(BIN)/python docs/key_tables.py

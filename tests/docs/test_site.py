@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import subprocess
 import sys
@@ -12,9 +13,12 @@ from pathlib import Path
 
 import pytest
 
+import warpvox
 from warpvox.cli import COMMANDS
 from warpvox.cli.help import flat_keys
 from warpvox.configs.schema import COMMANDS as SCHEMAS
+from warpvox.envs.registry import task_ids
+from warpvox.robots import zoo_tasks
 
 ROOT = Path(__file__).resolve().parents[2]
 SPEC = importlib.util.spec_from_file_location("key_tables", ROOT / "docs" / "key_tables.py")
@@ -38,9 +42,13 @@ def test_links_to_files_lead_somewhere(page: Path) -> None:
 
 
 def test_every_picture_is_used_and_all_are_small() -> None:
-    pictures = list((ROOT / "docs" / "images").iterdir())
+    folder = ROOT / "docs" / "images"
+    pictures = [path for path in folder.rglob("*") if path.is_file()]
     texts = "\n".join(page.read_text(encoding="utf-8") for page in own_pages())
-    assert not [picture.name for picture in pictures if f"images/{picture.name}" not in texts]
+    shown = {f"tasks/{task}.webp" for task in zoo_tasks()}  # by pages that the site makes
+    names = {path.relative_to(folder).as_posix() for path in pictures}
+    assert shown <= names
+    assert not [name for name in names - shown if f"images/{name}" not in texts]
     assert sum(picture.stat().st_size for picture in pictures) < MEGABYTES * 1e6
 
 
@@ -63,11 +71,17 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
     built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert built.returncode == 0, built.stderr
-    page = (tmp_path / "site" / "commands" / "index.html").read_text(encoding="utf-8")
+    page = (tmp_path / "site" / "commands.html").read_text(encoding="utf-8")
     for name in COMMANDS:
         assert f'<h2 id="{name}"' in page
         assert f"usage: warpvox {name}" in page
     assert "<!-- help" not in page
     assert not list((tmp_path / "site").rglob("*.py"))
     addresses = set(re.findall(r'(?:src|href)="(https?://[^"]+)"', page))
-    assert not [address for address in addresses if not address.startswith("https://squidfunk.github.io")]
+    known = ("https://squidfunk.github.io", "https://github.com/warpvox/warpvox")
+    assert not [address for address in addresses if not address.startswith(known)]
+    index = (tmp_path / "site" / "search" / "search_index.json").read_text(encoding="utf-8")
+    headings = {entry["title"].split("<")[0].strip() for entry in json.loads(index)["docs"]}
+    assert not set(warpvox.__all__) - headings, "the reference of the Python interface lacks public names"
+    for task in task_ids():
+        assert "<h2" in (tmp_path / "site" / "tasks" / f"{task}.html").read_text(encoding="utf-8")
