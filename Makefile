@@ -39,7 +39,7 @@ COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test ptxas fast slow parity coverage bench lint types format licences packaging audit lock release docs tables pictures results zoo_picture clean distclean
+.PHONY: help install demo test ptxas fast slow parity coverage bench lint types format licences packaging audit lock release docs tables charts pictures results zoo_picture clean distclean
 .DEFAULT_GOAL := help
 
 help:
@@ -148,6 +148,10 @@ docs: $(STAMP)
 
 tables: $(STAMP)
 	$(BIN)/python docs/key_tables.py
+
+# Draws the charts of the page of performance from the tables of docs/figures.md.
+charts: $(STAMP)
+	$(BIN)/python docs/charts.py
 
 # Makes the pictures of the documentation anew, of three runs of a walker; takes some minutes.
 pictures: $(STAMP)

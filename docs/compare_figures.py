@@ -11,39 +11,52 @@ import sys
 from pathlib import Path
 
 FIGURES = Path(__file__).parent / "figures.md"
-LEAST_RATIO, MOST_STEPS = 0.67, 1.5
-COMPARED = {"ratio": (LEAST_RATIO, float("inf")), "control steps": (0.0, MOST_STEPS)}
+COMPARED = {"ratio": (0.67, float("inf")), "control steps": (0.0, 1.5)}
 """Columns, and between what a new figure may be, as a share of the old one."""
 TABLE = re.compile(r"^\|(.*)\|\n\|[ -:|]+\|\n((?:\|.*\|\n)+)", re.MULTILINE)
 
 
-def figures(text: str) -> dict[tuple[str, str], float]:
-    """(first cell of the row, column) -> number, of all tables of a page that have a compared column."""
-    found = {}
+def tables(text: str) -> list[list[dict[str, str]]]:
+    """Rows of all tables of a page, as cells by their columns; of columns with one name the last counts."""
+    found = []
     for head, rows in TABLE.findall(text):
         columns = [cell.strip() for cell in head.split("|")]
-        for row in rows.splitlines():
-            cells = [cell.strip() for cell in row.strip("|").split("|")]
-            for column, cell in zip(columns, cells, strict=True):
-                if column in COMPARED and re.fullmatch(r"[\d,.]+", cell):
-                    found[cells[0], column] = float(cell.replace(",", ""))
+        cells = ([cell.strip() for cell in row.strip("|").split("|")] for row in rows.splitlines())
+        found.append([dict(zip(columns, row, strict=True)) for row in cells])
     return found
+
+
+def figures(text: str) -> dict[tuple[str, str], float]:
+    """(first cell of the row, column) -> number, for the compared columns of all tables of a page."""
+    return {
+        (next(iter(row.values())), column): float(row[column].replace(",", ""))
+        for rows in tables(text)
+        for row in rows
+        for column in COMPARED
+        if re.fullmatch(r"[\d,.]+", row.get(column, ""))
+    }
 
 
 def compare(old: dict[tuple[str, str], float], new: dict[tuple[str, str], float]) -> list[str]:
     """A line for each figure that is worse than it may be."""
-    return [
-        f"{row}, {column}: {old[row, column]:g} before, {value:g} now"
-        for (row, column), value in new.items()
-        if (row, column) in old and not COMPARED[column][0] <= value / old[row, column] <= COMPARED[column][1]
-    ]
+    lines = []
+    for (row, column), value in new.items():
+        before = old.get((row, column))
+        least, most = COMPARED[column]
+        if before is not None and not least <= value / before <= most:
+            lines.append(f"{row}, {column}: {before:g} before, {value:g} now")
+    return lines
+
+
+def main(folder: str) -> int:
+    """Print what is worse. Returns the exit code."""
+    old, new = figures(FIGURES.read_text(encoding="utf-8")), {}
+    for path in Path(folder).rglob("tables.md"):
+        new |= figures(path.read_text(encoding="utf-8"))
+    worse, common = compare(old, new), len(old.keys() & new.keys())
+    print(*worse, f"{common} figures compared, {len(worse)} worse", sep="\n")
+    return bool(worse) or not common
 
 
 if __name__ == "__main__":
-    tables = [path.read_text(encoding="utf-8") for path in Path(sys.argv[1]).rglob("tables.md")]
-    old, new = figures(FIGURES.read_text(encoding="utf-8")), {}
-    for table in tables:
-        new |= figures(table)
-    worse = compare(old, new)
-    print(*worse, f"{len(old.keys() & new.keys())} figures compared, {len(worse)} worse", sep="\n")
-    sys.exit(bool(worse) or not old.keys() & new.keys())
+    sys.exit(main(sys.argv[1]))
