@@ -18,7 +18,7 @@ import task_pages  # noqa: E402
 PARTS = {
     "Tutorials": ("quickstart", "custom_tasks", "design_in_episode"),
     "How to": (
-        *("codesign", "suite", "universal", "policies", "evaluation", "gradients"),
+        *("codesign", "suite", "universal", "policies", "libraries", "evaluation", "gradients"),
         *("see", "editor", "zoo", "evogym", "faq"),
     ),
     "Reference": ("commands", "observations", "search", "formats", "results", "figures"),
