@@ -16,7 +16,7 @@ import api_pages  # noqa: E402
 import task_pages  # noqa: E402
 
 PARTS = {
-    "Tutorials": ("quickstart", "custom_tasks", "design_in_episode"),
+    "Tutorials": ("quickstart", "custom_tasks", "task_features", "design_in_episode"),
     "How to": (
         *("codesign", "suite", "universal", "policies", "libraries", "evaluation", "gradients"),
         *("see", "editor", "zoo", "evogym", "faq"),
