@@ -29,6 +29,12 @@ MEGABYTES = 5  # of which up to 3 are the animation of the zoo
 """Of all pictures together: everybody who clones the repository gets them."""
 
 
+WORDS = 1500
+"""Of a page at most, but for those of reference."""
+REFERENCE = {"commands", "figures", "results", "search"}
+TOO_LONG = {"codesign", "universal"}  # to be shortened
+
+
 def own_pages() -> list[Path]:
     return [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 
@@ -39,6 +45,12 @@ def test_links_to_files_lead_somewhere(page: Path) -> None:
     for target in LINK.findall(text):
         if not re.match(r"[a-z]+:|#", target):
             assert (page.parent / target.split("#")[0]).exists(), f"{page.name}: {target}"
+
+
+def test_pages_are_short() -> None:
+    pages = (ROOT / "docs").glob("*.md")
+    long = {page.stem for page in pages if len(page.read_text(encoding="utf-8").split()) > WORDS}
+    assert long <= REFERENCE | TOO_LONG
 
 
 def test_every_picture_is_used_and_all_are_small() -> None:
