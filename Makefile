@@ -12,6 +12,7 @@
 #   make lock        make constraints.txt and locks/ anew (UPGRADE=1: with the newest versions)
 #   make ptxas       fetch NVIDIA's assembler into build/ptxas, for tests of CUDA kernels (Linux, x86-64; 52 MB)
 #   make tables      write the keys of all commands into docs/commands.md
+#   make charts      draw the charts of docs/performance.md from docs/figures.md
 #   make results     renew docs/results.md from the zoo and from design searches (SEARCHES="FOLDER ...")
 #   make release     build both distributions, check them, and say what an upload would send
 #   make docs        build the documentation into site/ and check its links
@@ -43,7 +44,7 @@ HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torc
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,19s/^# *//p' Makefile
+	@sed -n '2,20s/^# *//p' Makefile
 
 install: $(STAMP)
 
