@@ -28,6 +28,7 @@ PARTS = {
 MARK = re.compile(r"^<!-- (help .*|end of help|bench \w+|end) -->\n?", re.MULTILINE)
 FENCE = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
 NAME = re.compile(r"(?<!\[)`(wv\.(\w+)[^`\n]*)`(?!\])")
+TASK = re.compile(r"^\| (\w+-v\d) (?=\|)", re.MULTILINE)
 OUTSIDE = re.compile(r"\]\(\.\./([^)\s]+)\)")
 
 
@@ -53,14 +54,14 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
-    """Leave out the marks between which tables are made; link public names and files of the repository."""
+    """Leave out the marks between which tables are made; link public names, tasks and files of the repository."""
     parts = FENCE.split(MARK.sub("", markdown))
-    repository, public = config.extra["social"][0]["link"], api_pages.public_names()
-    for number in range(0, len(parts), 2):
-        text = NAME.sub(
-            lambda match: f"[{match[0]}][warpvox.{match[2]}]" if match[2] in public else match[0], parts[number]
-        )
-        if "/" not in page.file.src_uri:
-            text = OUTSIDE.sub(rf"]({repository}/blob/main/\1)", text)
-        parts[number] = text
+    parts[::2] = [NAME.sub(_name, part) for part in parts[::2]]
+    if "/" not in page.file.src_uri:
+        outside = rf"]({config.extra['social'][0]['link']}/blob/main/\1)"
+        parts[::2] = [OUTSIDE.sub(outside, TASK.sub(r"| [\1](tasks/\1.md) ", part)) for part in parts[::2]]
     return "".join(parts)
+
+
+def _name(match: re.Match[str]) -> str:
+    return f"[{match[0]}][warpvox.{match[2]}]" if match[2] in api_pages.public_names() else match[0]

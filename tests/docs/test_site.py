@@ -7,9 +7,11 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import is_dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -78,22 +80,40 @@ def test_every_key_is_in_the_repository() -> None:
             assert is_dataclass(key.default) or f"| `{name}` |" in section, f"{command} {name}"
 
 
-@pytest.mark.skipif(find_spec("mkdocs") is None or find_spec("material") is None, reason="the extra docs is missing")
-def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built site; a warning is an error."""
+    if find_spec("mkdocs") is None or find_spec("material") is None:
+        pytest.skip("the extra docs is missing")
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
     built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert built.returncode == 0, built.stderr
-    page = (tmp_path / "site" / "commands.html").read_text(encoding="utf-8")
+    return folder
+
+
+def test_the_site_has_commands_tasks_and_public_names(site: Path) -> None:
+    page = (site / "commands.html").read_text(encoding="utf-8")
     for name in COMMANDS:
         assert f'<h2 id="{name}"' in page
         assert f"usage: warpvox {name}" in page
     assert "<!-- help" not in page
-    assert not list((tmp_path / "site").rglob("*.py"))
+    assert not list(site.rglob("*.py"))
     addresses = set(re.findall(r'(?:src|href)="(https?://[^"]+)"', page))
     known = ("https://squidfunk.github.io", "https://github.com/warpvox/warpvox")
     assert not [address for address in addresses if not address.startswith(known)]
-    index = (tmp_path / "site" / "search" / "search_index.json").read_text(encoding="utf-8")
-    headings = {entry["title"].split("<")[0].strip() for entry in json.loads(index)["docs"]}
+    index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
+    headings = {entry["title"].split("<")[0].strip() for entry in index["docs"]}
     assert not set(warpvox.__all__) - headings, "the reference of the Python interface lacks public names"
     for task in task_ids():
-        assert "<h2" in (tmp_path / "site" / "tasks" / f"{task}.html").read_text(encoding="utf-8")
+        assert "<h2" in (site / "tasks" / f"{task}.html").read_text(encoding="utf-8")
+
+
+def test_the_site_is_searched_from_disk(
+    site: Path, open_page: Callable[..., Any], wait_for: Callable[..., None]
+) -> None:
+    page = open_page((site / "index.html").as_uri())
+    page.click("[data-md-component=search-query]")
+    page.keyboard.type("load_policy")
+    wait_for(page, "[...document.querySelectorAll('.md-search-result h2')].some(h => h.innerText == 'load_policy')")
+    assert not page.problems
