@@ -6,72 +6,75 @@ import copy
 import functools
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
+import yaml
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.types import Override, Quote, QuotedString
+from hydra.core.override_parser.types import Quote, QuotedString
+from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.configs.paper import design_of, shape_of
-from warpvox.configs.schema import COMMANDS
+from warpvox.configs.schema import COMMANDS, NODES, PRESET, PRESET_OF
+from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["composed", "opened", "quoted", "schema_of"]
+__all__ = ["composed", "hydras_errors", "quoted", "register"]
 
 
-def composed(
-    name: str, choices: Sequence[str] = (), changes: Sequence[Override] = (), config_dir: Path | None = None
-) -> DictConfig:
-    """What Hydra composes of the configuration ``name``.
+def composed(command: str, overrides: Sequence[str] = (), config_dir: Path | None = None) -> DictConfig:
+    """The configuration of a command as Hydra composes it.
 
-    Without a folder of the user's own the files of a name and its choices are composed once in a process, because that
-    takes a tenth of a second; each call gets a copy.
-
-    Args:
-        choices: overrides that choose the files of groups.
-        changes: those that set single values, checked.
+    Without a folder of the user's own it is composed once in a process, because that takes a tenth of a second; each
+    call gets a copy.
     """
     if config_dir is None:
-        config = copy.deepcopy(_from_package(name, tuple(choices)))
-    else:
-        with opened(config_dir) as (_, search):
-            config = compose(name, [*choices, *search])
-    for change in changes:
-        OmegaConf.update(config, change.key_or_group, change.value(), merge=True)
-    return config
+        return copy.deepcopy(_from_package(command, tuple(overrides)))
+    with _opened():
+        return compose(command, [*overrides, f"hydra.searchpath=[{quoted(f'file://{config_dir}')}]"])
 
 
 @functools.cache
-def _from_package(name: str, choices: tuple[str, ...]) -> DictConfig:
-    with opened():
-        return compose(name, list(choices))
-
-
-def schema_of(command: str) -> DictConfig:
-    """The schema of a command with its default values, the caller's own; made once in a process, as that is slow."""
-    return copy.deepcopy(_structured(command))
-
-
-@functools.cache
-def _structured(command: str) -> DictConfig:
-    return OmegaConf.structured(COMMANDS[command])
+def _from_package(command: str, overrides: tuple[str, ...]) -> DictConfig:
+    with _opened():
+        return compose(command, list(overrides))
 
 
 @contextmanager
-def opened(config_dir: Path | None = None) -> Iterator[tuple[Any, list[str]]]:
-    """Hydra on our configurations, and the overrides that add a folder of the user's own."""
-    _register()
-    search = [f"hydra.searchpath=[{quoted(f'file://{config_dir}')}]"] if config_dir else []
+def _opened() -> Iterator[None]:
+    """Hydra's global state on our configurations; a launcher that makes runs in this process has its own."""
+    register()
     shared = GlobalHydra.instance()
-    outer = shared.hydra  # a launcher that makes runs in this process has opened one
+    outer = shared.hydra
     shared.clear()
     try:
         with initialize_config_module("warpvox.configs", version_base="1.3"):
-            yield shared.hydra, search
+            yield
     finally:
         shared.hydra = outer
+
+
+@contextmanager
+def hydras_errors(beginning: str = "") -> Iterator[None]:
+    """Errors of Hydra and OmegaConf in one sentence: what is wrong and where, and of names the nearest."""
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        text = " ".join(lines if isinstance(error, yaml.YAMLError) else lines[:2])  # below are inner names
+        if isinstance(error, MissingConfigException) and error.options:
+            group, _, name = str(error.missing_cfg_file).rpartition("/")
+            key = PRESET_OF.get(group.partition("/")[2], PRESET) if group.startswith(f"{PRESET}/") else group
+            text = f"{key} must be one of {listing(error.options)}, got '{name}'.{did_you_mean(name, error.options)}"
+        elif getattr(error, "full_key", None):
+            fields = getattr(error.object_type, "__dataclass_fields__", {})
+            hint = "" if error.key in fields else did_you_mean(error.key, fields)
+            where = "" if beginning.startswith(error.full_key) else f"{error.full_key}: "
+            text = f"{where}{lines[0]}.{hint}"
+        raise ConfigError(f"{beginning}{text}") from None
 
 
 def quoted(text: str) -> str:
@@ -80,10 +83,14 @@ def quoted(text: str) -> str:
 
 
 @functools.cache
-def _register() -> None:
-    """Make the schemas known to Hydra; once, because it takes as long as a small command."""
+def register() -> None:
+    """Make the schemas and the nodes of groups known to Hydra; once, because it takes as long as a small command."""
     store = ConfigStore.instance()
     for command, schema in COMMANDS.items():
-        store.store(name=f"{command}_schema", node=schema)
+        own = (files("warpvox.configs") / f"{command}.yaml").is_file()
+        store.store(name=f"{command}_schema" if own else command, node=schema)
+    for group, nodes in NODES.items():
+        for name, node in nodes.items():
+            store.store(group=group, name=name, node=node)
     for name, resolver in {"paper_shape": shape_of, "paper_design": design_of}.items():
         OmegaConf.register_new_resolver(name, resolver, replace=True)

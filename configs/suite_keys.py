@@ -1,27 +1,21 @@
-"""The keys of ``warpvox suite``: those of its own, and those of ``warpvox codesign`` that hold for all members."""
+"""The keys of ``warpvox suite``: which design searches it makes, and how many at a time."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass, field, make_dataclass
-from typing import Any, get_type_hints
+from dataclasses import dataclass
+from typing import Any
 
+from warpvox.algos.training.settings import DEVICES, MOST_THREADS
 from warpvox.keys import key
 
-__all__ = ["OF_RECIPES", "suite_config"]
-
-THREADS = "threads of a member's simulation; null: cores / workers (executor=ray: one)"
-BY_MEMBER = ("preset", "task", "seed")
-"""Keys of a design search that a suite sets for each member."""
-OF_RECIPES = ("evaluation", "finalists", "screening", "dtype")
-"""Keys that the file of a search may set besides ``search.*``; what the suite says of them holds for all searches."""
+__all__ = ["SuiteConfig"]
 
 
 @dataclass
-class _SuiteKeys:
-    """Keys of ``warpvox suite`` that a single design search does not have, or has with another meaning."""
+class SuiteConfig:
+    """Keys of ``warpvox suite``; those of ``warpvox codesign`` that are given as well hold for all of its searches."""
 
     suite: str = key(
         "quick", "a named set of tasks, searches, seeds and budgets, which the keys that are given override"
@@ -40,69 +34,37 @@ class _SuiteKeys:
     shape: Any = key(
         None, "rows and columns of the bodies, or by task; null: the paper's, [5,5] and [5,7] for Lifter-v0"
     )
+    codesign: list[str] = key(
+        [],
+        "keys of `warpvox codesign` for all searches that have them, given by themselves (training.envs=16) or here",
+    )
     executor: str = key(
         "local",
-        "where members run: in processes of this machine (local) or in tasks of Ray (ray)",
+        "where searches run: in processes of this machine (local) or in tasks of Ray (ray)",
         choices=("local", "ray"),
+    )
+    address: str | None = key(
+        None, "address of a running Ray cluster: auto or host:port; null: start Ray on this machine"
     )
     workers: int | None = key(
         None,
-        "members that run at the same time; null: one per core as far as memory allows (device=cuda: one;"
+        "searches that run at the same time; null: one per core as far as memory allows (device=cuda: one;"
         " executor=ray: as many as there is room for)",
         low=1,
+    )
+    device: str = key("auto", DEVICES)
+    threads: int | None = key(
+        None, "threads of a search's simulation; null: cores / workers (executor=ray: one)", low=1, high=MOST_THREADS
     )
     resume: str | None = key(
         None, "continue a suite: latest or its folder; tasks, searches and seeds may be added", path="read"
     )
-    retry: bool = key(False, "with resume: run failed members again")
+    retry: bool = key(False, "with resume: run failed searches again")
     report: str | None = key(
         None, "only make curves.csv and the report of a suite again: latest or its folder", path="read"
     )
     name: str | None = key(None, "name of the suite's folder; null: date and time")
-
-
-def suite_config(codesign: type, search: type) -> type:
-    """The dataclass of a suite's keys.
-
-    Args:
-        codesign: that of a design search.
-        search: that of the settings of all searches.
-    """
-    types, fields = get_type_hints(codesign), []
-    own = {item.name for item in dataclasses.fields(_SuiteKeys)} | set(BY_MEMBER)
-    for item in dataclasses.fields(codesign):
-        if item.name == "search":
-            settings = _optional(search)
-            fields.append(("search", settings, key(settings, "settings for the searches that have them")))
-        elif item.name in OF_RECIPES:
-            fields.append(_open(item, types[item.name]))
-        elif item.name not in own:
-            meaning = {"help": THREADS} if item.name == "threads" else {}
-            copied = field(
-                default=item.default, default_factory=item.default_factory, metadata={**item.metadata, **meaning}
-            )
-            fields.append((item.name, types[item.name], copied))
-    return make_dataclass("SuiteConfig", fields, bases=(_SuiteKeys,), namespace={"__module__": codesign.__module__})
-
-
-def _open(item: dataclasses.Field, kind: Any) -> tuple[str, Any, Any]:
-    """A field of a recipe: null leaves it to the file of each search."""
-    if dataclasses.is_dataclass(kind):
-        types = get_type_hints(kind)
-        fields = [_open(inner, types[inner.name]) for inner in dataclasses.fields(kind)]
-        settings = make_dataclass(f"Suite{kind.__name__}", fields, namespace={"__module__": kind.__module__})
-        return item.name, settings, field(default_factory=settings, metadata=item.metadata)
-    usual = "" if item.default is None else f" (null: that of the search's file, or {item.default})"
-    meaning = f"{item.metadata['help']}{usual}"
-    return item.name, kind | None, field(default=None, metadata={**item.metadata, "help": meaning})
-
-
-def _optional(search: type) -> type:
-    """The settings of searches, of which a suite has several: null leaves them to the file of each search."""
-    types = get_type_hints(search)
-    fields = [
-        (item.name, types[item.name] | None, field(default=None, metadata=item.metadata))
-        for item in dataclasses.fields(search)
-        if item.name not in ("algorithm", "max_evaluations")
-    ]
-    return make_dataclass("SuiteSearchConfig", fields, namespace={"__module__": search.__module__})
+    output_dir: str = key("outputs", "folder that runs are written to", path="written")
+    config: str | None = key(
+        None, "file to take values from, such as a suite's config.yaml; keys that are given override them", path="read"
+    )

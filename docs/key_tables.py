@@ -7,17 +7,13 @@ command that the page does not mention. ``tests/docs`` says when a page is not u
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import io
 import re
-import textwrap
 from pathlib import Path
 
-from warpvox.cli import COMMANDS, main
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, help_rows
-from warpvox.configs.schema import COMMANDS as SCHEMAS
+from warpvox.configs.schema import COMMANDS
 from warpvox.io.writing import write_text
 
 END = "<!-- end of help -->"
@@ -42,24 +38,13 @@ def with_tables(text: str) -> str:
 
 
 def table_of(command: str) -> str:
-    """The keys of a command as a table; of one without keys what it prints as its help."""
-    if command not in SCHEMAS:
-        return textwrap.indent(_help_of(command), "    ")
+    """The keys of a command as a table."""
     values = flat_values(dataclasses.asdict(load(command, [])))
-    lines = [f"`usage: warpvox {command} [KEY=VALUE ...]`", "", "| key | default | meaning |", "|---|---|---|"]
-    for row in help_rows(command, values):
-        default = "" if row.is_group else _code(row.value)
-        lines.append(f"| {_code(row.name)} | {default} | {_prose(row.meaning)} |")
+    lines = [f"`usage: warpvox {command} [KEY=VALUE ...]`"]
+    for name, value, meaning in help_rows(command, values):
+        lines += ["", "| key | default | meaning |", "|---|---|---|"] if len(lines) == 1 else []
+        lines.append(f"| {_code(name)} | {_code(value or '')} | {_prose(meaning)} |")
     return "\n".join(lines)
-
-
-def _help_of(command: str) -> str:
-    text = io.StringIO()
-    with contextlib.redirect_stdout(text):
-        code = main([command, "--help"])
-    if code:
-        raise ValueError(f"warpvox {command} --help failed")
-    return text.getvalue().strip()
 
 
 def _code(text: str) -> str:

@@ -11,9 +11,9 @@ from pathlib import Path
 import yaml
 
 from warpvox.algos.checkpoints.files import load_checkpoint, save_checkpoint
-from warpvox.cli.evaluations import STEPS
-from warpvox.cli.pretrained import UNIVERSAL_FILE
-from warpvox.cli.runs import CONFIG
+from warpvox.algos.codesign.evaluations.common import STEPS
+from warpvox.algos.training.pretrained import UNIVERSAL_FILE
+from warpvox.runs import CONFIG
 
 
 def main(run: str) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from warpvox.cli.build import prepare
+from warpvox.cli.process import prepare
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.io.writing import atomic_path
 from warpvox.robots.entry import Robot, zoo, zoo_tasks

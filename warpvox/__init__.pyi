@@ -1,6 +1,26 @@
 """The public names, for type checkers and for loading on first use."""
 
-from .api import TrainedRun as TrainedRun, load_policy as load_policy, train as train
+from .algos.codesign.api import codesign as codesign
+from .algos.codesign.evaluations import (
+    Evaluation as Evaluation,
+    FewShot as FewShot,
+    Gaits as Gaits,
+    Shared as Shared,
+    Specialist as Specialist,
+)
+from .algos.codesign.found import Found as Found
+from .algos.codesign.settings import Codesign as Codesign
+from .algos.search.settings import (
+    BO as BO,
+    GA as GA,
+    CppnNeat as CppnNeat,
+    MapElites as MapElites,
+    RandomDesigns as RandomDesigns,
+)
+from .algos.settings import DesignTraining as DesignTraining, Ppo as Ppo
+from .algos.training.loading import TrainedRun as TrainedRun, load_policy as load_policy
+from .algos.training.settings import Training as Training
+from .api import evaluate as evaluate, train as train
 from .batch.options import SimOptions as SimOptions
 from .code import Code as Code
 from .design import (

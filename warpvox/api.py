@@ -1,177 +1,196 @@
-"""The command line's work from Python: train a policy, load one."""
+"""Training and evaluation of policies."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+import dataclasses
+import inspect
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, did_you_mean, listing
 
 if TYPE_CHECKING:
-    from warpvox.algos.checkpoints.policy import Policy
+    from warpvox.algos.training.loading import TrainedRun
+    from warpvox.algos.training.policy_table import PolicyTable
+    from warpvox.algos.training.settings import Training
+    from warpvox.batch.options import SimOptions
+    from warpvox.envs.spec import TaskSpec
 
-__all__ = ["TrainedRun", "load_policy", "train"]
+__all__ = ["evaluate", "train"]
 
-
-@dataclass(frozen=True)
-class TrainedRun:
-    """A run that has been trained.
-
-    Attributes:
-        folder: of the run, as ``warpvox play run=FOLDER`` takes it.
-        summary: what ``summary.json`` says: ``status``, ``iterations``, ``steps``, ``best_iteration``, ...
-    """
-
-    folder: Path
-    summary: Mapping[str, Any]
-
-    @property
-    def best_return(self) -> float | None:
-        """The best mean return of a deterministic evaluation; None: there was none."""
-        return self.summary["best_return"]
-
-    def policy(self, checkpoint: str = "best", device: str = "cpu") -> Policy:
-        """The policy of ``checkpoint``: best, last or an iteration; see :func:`load_policy`."""
-        return load_policy(self.folder, checkpoint=checkpoint, device=device)
-
-    def metrics(self) -> dict[str, np.ndarray]:
-        """The columns of ``metrics.csv``, float64 ``[iterations]`` each; NaN where an iteration has no such value."""
-        from warpvox.algos.training.metrics import read_metrics
-
-        rows = read_metrics(self.folder)
-        return {name: np.array([row.get(name, np.nan) for row in rows]) for name in (rows[0] if rows else {})}
+AUTO = "auto"
+PLAYED = ("device", "dtype", "arithmetic", "threads", "memory_check")
+"""Options of an evaluation by name."""
 
 
-def train(overrides: str | Mapping[str, Any] | None = None, /, *, progress: bool = True, **keys: Any) -> TrainedRun:
-    """Train a policy as ``warpvox train KEY=VALUE ...`` does, and wait for it.
-
-    Keys, defaults, files and results are those of the command (``warpvox train --help``): the same seed gives the same
-    policy. Groups take a preset's name or single values: ``ppo="evogym"``, ``ppo={"steps": 64}``; keys with a dot go
-    into ``overrides``: ``train({"ppo.steps": 64}, ppo="evogym")``. Bodies may be arrays. An interrupt (Ctrl-C, a
-    notebook's stop button) waits for the end of the iteration, saves, and raises KeyboardInterrupt;
-    ``resume="latest"`` goes on.
-
-    Args:
-        overrides: values by key, or the id of a task.
-        progress: show the command's messages and live line.
-        keys: further values.
-
-    Raises:
-        ConfigError: an unknown key, or a value that it does not take. WarpvoxError: as the command, in words.
-        KeyboardInterrupt: interrupted; the state has been saved.
-    """
-    from rich.console import Console
-
-    from warpvox.cli.commands.train import make_job, train as run
-    from warpvox.cli.runs import SUMMARY
-
-    overrides = {"task": overrides} if isinstance(overrides, str) else overrides
-    words = [word for key, value in {**(overrides or {}), **keys}.items() for word in _words(key, value)]
-    twice = sorted(set(overrides or {}) & set(keys))
-    if twice:
-        raise ConfigError(f"The key '{twice[0]}' is given twice: in the overrides and by name.")
-    with _own_torch():
-        folder = run(make_job(words), Console(quiet=not progress))
-    return TrainedRun(folder, json.loads((folder / SUMMARY).read_text(encoding="utf-8")))
-
-
-def load_policy(
-    source: str | Path = "latest",
+def train(
+    task: str | TaskSpec | Training | None = None,
+    design: Any = None,
     *,
-    checkpoint: str = "best",
-    output_dir: str | Path = "outputs",
-    device: str = "cpu",
-    policy: str | None = None,
-) -> Policy:
-    """A trained policy as a torch module: observations to actions that the environment takes, without exploration.
+    folder: str | Path | None = AUTO,
+    progress: bool = True,
+    resume: str | Path | None = None,
+    sim: SimOptions | None = None,
+    **settings: Any,
+) -> TrainedRun:
+    """Train a policy, and wait for it: what ``warpvox train`` does, with its defaults and its results.
 
-    The module can be scripted, traced and exported (see :class:`warpvox.algos.checkpoints.policy.Policy`). No file is
-    unpickled and none brings code: a run's task is not imported.
+    The same seed gives the same policy. An interrupt (Ctrl-C, a notebook's stop button) waits for the end of the
+    iteration, saves, and raises KeyboardInterrupt; ``resume="latest"`` goes on. torch's threads and random numbers are
+    as before when the call returns.
 
     Args:
-        source: ``latest``, the folder of a run or of a design search (its best design), a checkpoint file, a file
-            that ``warpvox export format=[onnx,jit]`` has written, or a robot of the zoo, ``zoo:Walker-v0``.
-        checkpoint: of a run: ``best``, ``last`` or an iteration.
-        output_dir: where ``latest`` is looked for.
-        device: where the module shall be.
-        policy: of a run with a network of your own, where its code is: ``FILE.py:Class``, ``module:Class``, or
-            ``stored`` for the copy in the run's folder. It is imported only if it is named here.
+        task: an id, ``file.py:NAME``, a specification of your own, or all settings as a :class:`warpvox.Training`.
+        design: a body: an array, a name, a file, or ``{robot: body}``; many bodies for one policy are ``designs``.
+        folder: of the run; ``auto``: a new one in ``output_dir``; None: nothing is written.
+        progress: show messages and a live line.
+        resume: a run to go on with: ``latest``, its folder, a checkpoint in it; settings are what changes.
+        sim: how environments are computed; also by name, ``device="cpu"``.
+        settings: fields of :class:`warpvox.Training`; ``ppo`` may be the name of a set, ``ppo="evogym"``.
 
     Raises:
-        RunError: there is no such run, checkpoint or file, or it holds no policy. DeviceError: no such device.
+        ConfigError: an unknown setting, or a value that it does not take. WarpvoxError: as the command, in words.
+        KeyboardInterrupt: interrupted; the state has been saved, if there is a folder.
     """
-    from warpvox.algos.checkpoints.export import read_exported
-    from warpvox.algos.checkpoints.policy import read_policy
-    from warpvox.cli.runs import find_run
-    from warpvox.cli.trust import STORED, allowed
-    from warpvox.code import Code
-    from warpvox.devices.names import resolve_device
+    from warpvox.algos.training.job import Job, Listener
+    from warpvox.algos.training.loading import TrainedRun
+    from warpvox.algos.training.progress import listener
+    from warpvox.algos.training.settings import Training
+    from warpvox.runs import TRAINING, find_run
+    from warpvox.trust import typed, with_code
 
-    network = None if policy is None else policy if policy == STORED else Code(policy)
-    device, path = resolve_device(device), Path(source).expanduser()
-    if str(source) != "latest" and path.is_file():
-        exported = read_exported(path)
-        if exported is not None:
-            return exported.to(device)
-        if not (path.parent / "config.yaml").is_file():  # a checkpoint by itself
-            return read_policy(path, device=device, network=network)
-    run = find_run(str(source), str(output_dir))
-    if run.robot is not None:
-        from warpvox.robots.replay import torch_policy
-
-        return torch_policy(run.robot, device)
-    known = {name: run.config.get(name) for name in ("task", "rules", "obs", "design")}
-    file = run.find_checkpoint(str(checkpoint))
-    network = allowed("policy", run.config.get("policy"), network, run.folder)
-    return read_policy(file, known | {"source": str(file)}, device, network)
-
-
-def _words(key: str, value: Any) -> Iterator[str]:
-    """A value from Python as ``KEY=VALUE``; a mapping for a group of keys as one word for each of them."""
-    from warpvox.configs.schema import GROUPS
-
-    if not isinstance(key, str):
-        raise ConfigError(f"The names of keys are texts, got {key!r:.80}.")
-    if isinstance(value, Mapping) and key in GROUPS:
-        for name, one in value.items():
-            yield from _words(f"{key}.{name}", one)
+    given = settings | {key: value for key, value in {"task": task, "design": design}.items() if value is not None}
+    base = given.pop("task") if isinstance(task, Training) else None
+    given |= {} if sim is None else _options(sim)
+    resume = base.resume if resume is None and base is not None else resume
+    if resume is not None and folder != AUTO:
+        raise ConfigError("A run that is resumed goes on in its folder: folder cannot be given with it.")
+    source = None
+    if resume is not None:
+        where = given.get("output_dir", Training.output_dir if base is None else base.output_dir)
+        source = find_run(str(resume), str(where), TRAINING, resume=True)
+        base = Training.of(source.config) if base is None else base
+        given["resume"] = str(source.folder)
+    elif base is None:
+        given = _named_ppo(given)
+    known = [item.name for item in dataclasses.fields(Training)]
+    for key in given:
+        if key not in known:
+            raise ConfigError(f"Unknown key '{key}'.{did_you_mean(key, known)} There are {listing(known, 40)}.")
+    config = Training(**given) if base is None else dataclasses.replace(base, **given)
+    if source is None:
+        config = with_code(config, typed(config))
     else:
-        yield f"{key}={_literal(value, key, top=True)}"
+        config = with_code(config, typed(config, given), source.config, source.folder)
+    job = Job(config, set(_dotted(given)), source)
+    place = None if folder in (AUTO, None) else Path(folder).expanduser()
+    job.train(listener() if progress else Listener(), write=folder is not None, place=place)
+    return TrainedRun.of(job)
 
 
-def _literal(value: Any, key: str, top: bool = False) -> str:
-    """A value as the command line reads it."""
-    from warpvox.configs.composition import quoted
+def _options(sim: SimOptions) -> dict[str, Any]:
+    """The settings that options of a simulation stand for.
 
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
-    if isinstance(value, int | float):
-        return repr(value)
-    if isinstance(value, str | Path):
-        return quoted(str(Path(value).expanduser() if isinstance(value, Path) else value))
-    if isinstance(value, list | tuple):
-        return f"[{','.join(_literal(item, key) for item in value)}]"
-    if isinstance(value, Mapping):
-        return "{" + ",".join(f"{name}:{_literal(item, key)}" for name, item in value.items()) + "}"
-    raise ConfigError(f"{key} cannot be a {type(value).__name__}: expected text, a number, a list or an array.")
+    Raises:
+        ConfigError: some that a training chooses itself.
+    """
+    values = {name: value for name, value in vars(sim).items() if value is not None}
+    if "layout" in values:
+        raise ConfigError("sim.layout cannot be given: a training chooses it.")
+    if "grid" in values:
+        raise ConfigError("sim.grid cannot be given: the room for bodies is designs={'grid': [rows, columns]}.")
+    return values
 
 
-@contextmanager
-def _own_torch() -> Iterator[None]:
-    """Training sets torch's threads and seed for its process; after a call from Python the caller's are restored."""
-    import torch
+def _named_ppo(given: dict[str, Any]) -> dict[str, Any]:
+    """Settings with the named set ``ppo`` in the place of its name, and what goes with it."""
+    if not isinstance(given.get("ppo"), str):
+        return given
+    from warpvox.configs.presets import ppo_preset
 
-    threads, state = torch.get_num_threads(), torch.get_rng_state()
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-        torch.set_rng_state(state)
+    return ppo_preset(given["ppo"]) | {key: value for key, value in given.items() if key != "ppo"}
+
+
+def _dotted(given: Mapping[str, Any]) -> Iterator[str]:
+    """The names of settings, those of parts as far as they are not the default."""
+    for name, value in given.items():
+        yield name
+        if isinstance(value, Mapping):
+            yield from (f"{name}.{key}" for key in value)
+        elif dataclasses.is_dataclass(value) and name != "task":
+            yield from (f"{name}.{key}" for key, own in vars(value).items() if own != getattr(type(value)(), key))
+
+
+def evaluate(
+    policies: Any,
+    task: str | TaskSpec | None = None,
+    design: Any = None,
+    *,
+    episodes: int = 32,
+    checkpoint: str = "best",
+    stochastic: bool = False,
+    seed: int = 1000,
+    level: float = 0.95,
+    obs: str | None = None,
+    output_dir: str | Path = "outputs",
+    **options: Any,
+) -> PolicyTable:
+    """Mean returns of policies over whole episodes, with confidence intervals.
+
+    Args:
+        policies: one or several: what :func:`warpvox.train` has returned, names of runs (folders, checkpoints,
+            ``latest``, patterns, ``zoo:Walker-v0``), or functions of observations, such as torch modules.
+        task: of functions, unless they are policies that know theirs; for a run with a task of your own, this task.
+        design: of functions; for runs over many bodies those to evaluate on; None: those held out.
+        episodes: of each policy, a multiple of its number of bodies.
+        checkpoint: of runs.
+        stochastic: of runs: sample actions as in training.
+        seed: of the episodes' random numbers and of sampled actions.
+        level: of the intervals.
+        obs: what functions observe, see :func:`warpvox.make_vec`.
+        output_dir: where ``latest`` is looked for.
+        options: ``device``, ``dtype``, ``arithmetic``, ``threads``, ``memory_check``.
+
+    Raises:
+        RunError: no such run. ConfigError: a function without a task, an unknown option. WarpvoxError: as
+            :func:`warpvox.make_vec`.
+    """
+    from warpvox.algos.training.bodies import load_bodies
+    from warpvox.algos.training.job import own_torch
+    from warpvox.algos.training.loading import Playing, TrainedRun, is_alone, load_policy
+    from warpvox.algos.training.policy_table import EvaluatedPolicy, PolicyTable, evaluate_run
+    from warpvox.code import Code, is_code
+    from warpvox.envs.vec_env import make_vec
+    from warpvox.runs import find_runs
+
+    names = [*inspect.signature(evaluate).parameters, *PLAYED]
+    for key in options:
+        if key not in PLAYED:
+            raise ConfigError(
+                f"evaluate has no argument {key!r}.{did_you_mean(key, names)} Options: {listing(PLAYED)}."
+            )
+    several = isinstance(policies, Sequence) and not isinstance(policies, str)
+    own = Code(task) if is_code(task) else task
+    how = Playing(episodes, checkpoint, stochastic, seed, task=own, **options)
+    rows = []
+    with own_torch(1):
+        for number, policy in enumerate(policies if several else [policies]):
+            if isinstance(policy, TrainedRun):
+                policy = policy.folder or policy.policy
+            if isinstance(policy, str | Path) and is_alone(Path(policy).expanduser()):
+                policy = load_policy(policy)
+            if isinstance(policy, str | Path):
+                for run in find_runs([str(policy)], str(output_dir)):
+                    rows.append(evaluate_run(run, how, design if run.is_many else None, level))
+                continue
+            about: Mapping[str, Any] = getattr(policy, "metadata", {})
+            where, body = own or about.get("task"), about.get("design") if design is None else design
+            if not callable(policy) or where is None or body is None:
+                what = "a run, or a function of observations with task=... and design=..."
+                raise ConfigError(f"Policy {number} must be {what}; got {policy!r:.80}.")
+            given = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
+            env = make_vec(where, load_bodies(body, seed), episodes, seed=seed, auto_reset=False, **given, **options)
+            name = getattr(policy, "__name__", f"policy {number}")
+            rows.append(EvaluatedPolicy.of(name, env, policy, level))
+    return PolicyTable(rows)

@@ -16,6 +16,7 @@ import sys
 import sysconfig
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -24,7 +25,10 @@ from typing import Any
 
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["Code", "is_code", "load_code", "sources_of"]
+__all__ = ["Code", "invocation", "is_code", "load_code", "sources_of"]
+
+invocation: ContextVar[tuple[str, ...]] = ContextVar("invocation", default=())
+"""The command line without the program's name, for advice that can be pasted."""
 
 INSTALLED = tuple({sysconfig.get_paths()[name] for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 """Folders of Python's own and of installed modules."""

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+from collections.abc import Collection, Mapping
 from dataclasses import field
-from typing import Any
+from numbers import Integral, Real
+from typing import Any, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["MISSING", "check_values", "key"]
+__all__ = ["MISSING", "check_values", "convert", "key", "plain"]
 
 MISSING: Any = "???"
 """A key without a value of its own: one of the group's YAML files must set it."""
@@ -35,7 +40,7 @@ def key(
     metadata = {"help": meaning} | {name: limit for name, limit in limits.items() if limit is not None}
     if isinstance(default, list):
         return field(default_factory=lambda: list(default), metadata=metadata)
-    if isinstance(default, type):
+    if callable(default):
         return field(default_factory=default, metadata=metadata)
     return field(default=default, metadata=metadata)
 
@@ -74,3 +79,71 @@ def _check_entry(name: str, value: Any, limits: Any) -> None:
     ):
         if bound in limits and not valid(limits[bound]):
             raise ConfigError(f"{name} must be {words} {limits[bound]}, got {value!r}.")
+
+
+KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "text", list: "a list"}
+ACCEPTED = {int: Integral, float: Real, bool: bool | np.bool_, str: str | os.PathLike, list: list | tuple | np.ndarray}
+
+
+def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> None:
+    """Give the values of a dataclass the types of its fields, but for ``without``: numpy's numbers, tuples, mappings.
+
+    Raises:
+        ConfigError: a value of another type, or a part that has no field of a name.
+    """
+    hints = get_type_hints(type(config))
+    for item in dataclasses.fields(config):
+        if item.name not in without:
+            value = getattr(config, item.name)
+            if isinstance(value, Mapping) and item.default_factory is not dataclasses.MISSING:
+                value = _changed(item.default_factory(), value, prefix + item.name)
+            setattr(config, item.name, _converted(value, hints[item.name], prefix + item.name))
+
+
+def _changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
+    """The part of a configuration that ``usual`` is with some of its values changed."""
+    known = [item.name for item in dataclasses.fields(usual)]
+    for key in values:
+        if key not in known:
+            hint = did_you_mean(f"{name}.{key}", [f"{name}.{one}" for one in known])
+            raise ConfigError(f"Unknown key '{name}.{key}'.{hint}")
+    return dataclasses.replace(usual, **values)
+
+
+def _converted(value: Any, kind: Any, name: str) -> Any:
+    optional = type(None) in get_args(kind)
+    kind = get_args(kind)[0] if optional else kind
+    if kind is Any or (optional and isinstance(value, type(None))):
+        return value
+    if dataclasses.is_dataclass(kind):
+        if not isinstance(value, kind):
+            raise ConfigError(f"{name} must be {kind.__name__}(...) or values by name, got {value!r:.80}.")
+        convert(value, name + ".")
+        return value
+    plain = get_origin(kind) or kind
+    if not isinstance(value, ACCEPTED[plain]) or (plain is not bool and isinstance(value, bool)):
+        raise ConfigError(f"{name} must be {KINDS[plain]}{' or None' if optional else ''}, got {value!r:.80}.")
+    if plain is list:
+        return [_converted(entry, get_args(kind)[0], name) for entry in value]
+    if plain is str:
+        return value if isinstance(value, str) else os.path.expanduser(value)
+    return plain(value)
+
+
+def plain(value: Any, name: str) -> Any:
+    """``value`` as lists, mappings, texts and numbers, in place of arrays, tuples and paths.
+
+    Raises:
+        ConfigError: it is or holds anything else.
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry, name) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry, name) for entry in value]
+    if isinstance(value, os.PathLike):
+        return os.path.expanduser(value)
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    raise ConfigError(f"{name} cannot be a {type(value).__name__}: expected text, a number, a list or an array.")

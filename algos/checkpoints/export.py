@@ -48,7 +48,7 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
     Raises:
         RunError: the file does not do what the policy does; it is not kept. StorageError: it cannot be written.
     """
-    policy, whole = copy.deepcopy(policy).cpu(), io.BytesIO()
+    policy, whole = _copied(policy), io.BytesIO()
     with atomic_path(path) as temporary, _quiet():
         torch.jit.save(_program(policy), whole, _extra_files={CARD: policy_text(policy)})
         temporary.write_bytes(whole.getbuffer())  # of a full disk torch's own writer says little
@@ -56,6 +56,12 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
         apart = _compare(policy, lambda obs: module(torch.from_numpy(obs)).numpy(), path)
         _check_card(policy, temporary, path)
     return f"within {apart:.1e} of the policy"
+
+
+def _copied(policy: Policy) -> Policy:
+    if policy.spec.rnn is not None:
+        raise RunError("A recurrent policy is not exported: warpvox.load_policy() gives it as a torch module.")
+    return copy.deepcopy(policy).cpu()
 
 
 def _program(policy: Policy) -> torch.jit.ScriptModule:
@@ -78,7 +84,7 @@ def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
         raise RunError("ONNX needs the packages onnx and onnxscript: pip install 'warpvox[export]'.")
     import onnx
 
-    policy = copy.deepcopy(policy).cpu()
+    policy = _copied(policy)
     with atomic_path(path) as temporary, _quiet():
         program = torch.onnx.export(
             policy,

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from rsl_rl.models import MLPModel
+from rsl_rl.models import MLPModel, RNNModel
 from tensordict import TensorDict
 from torch import nn
 from torch.func import functional_call
@@ -27,8 +27,10 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["Controller", "PolicySpec", "load_checkpoint", "load_controller", "read_tensors", "save_checkpoint"]
 
-KINDS = ("voxels", "gait")
+KINDS = ("voxels", "gait", "rnn")
 """Of :class:`PolicySpec`: what a policy of fully connected layers has not."""
+RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}
+"""Settings of rsl-rl's ``RNNModel``, with its defaults."""
 WIDEST = 1 << 16
 """Observations, actions or units of a layer that a policy may have."""
 
@@ -41,6 +43,7 @@ class PolicySpec:
     :class:`warpvox.algos.policies.model.VoxelModel` takes; None: fully connected layers.
     ``gait``: of an open-loop gait, the ``stages``, ``rows`` and ``columns`` that
     :class:`warpvox.algos.policies.gait.GaitModel` takes.
+    ``rnn``: of recurrent layers before the others, what rsl-rl's ``RNNModel`` takes (:data:`RNN`).
     """
 
     num_obs: int
@@ -51,6 +54,7 @@ class PolicySpec:
     action_scale: float
     voxels: dict[str, Any] | None = None
     gait: dict[str, int] | None = None
+    rnn: dict[str, Any] | None = None
 
 
 class Controller:
@@ -67,10 +71,15 @@ class Controller:
 
     def __init__(self, actor: MLPModel, spec: PolicySpec) -> None:
         self.actor, self.spec = actor, spec
+        self.reset()
         parts = {**dict(actor.named_parameters()), **dict(actor.named_buffers())}  # tables that are not saved, too
         self._state = {
             name: value.detach().double() if value.is_floating_point() else value for name, value in parts.items()
         }
+
+    def reset(self) -> None:
+        """Episodes begin: a recurrent policy forgets."""
+        self._hidden = None
 
     @torch.no_grad()
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
@@ -82,7 +91,14 @@ class Controller:
         if next(iter(self._state.values())).device != obs.device:
             self._state = {name: value.to(obs.device) for name, value in self._state.items()}
         group = TensorDict({OBS_GROUP: obs.double()}, batch_size=[len(obs)])
-        return functional_call(self.actor, self._state, (group,)).float()
+        if self.spec.rnn is None:
+            return functional_call(self.actor, self._state, (group,)).float()
+        in_training = self.actor.get_hidden_state()
+        self.actor.reset(hidden_state=self._hidden)
+        out = functional_call(self.actor, self._state, (group,)).float()
+        self._hidden = self.actor.get_hidden_state()
+        self.actor.reset(hidden_state=in_training)
+        return out
 
     def check(self, env: VoxelVecEnv) -> None:
         """Raise RunError unless ``env`` has this policy's sizes."""
@@ -97,6 +113,11 @@ class Controller:
 def actions_of(outputs: torch.Tensor, scale: float) -> torch.Tensor:
     """Outputs of a policy as actions in [0.6, 1.6]."""
     return (ACTION_CENTER + scale * outputs).clamp(ACTION_LOW, ACTION_HIGH)
+
+
+def rnn_of(settings: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Entry ``rnn`` of a specification, of the settings that rsl-rl makes an actor by."""
+    return None if settings["class_name"] is not RNNModel else {name: settings.get(name, RNN[name]) for name in RNN}
 
 
 def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
@@ -193,7 +214,10 @@ def check_sizes(spec: PolicySpec) -> None:
     layout = {
         key: size for key, size in (spec.voxels or {}).get("layout", {}).items() if key not in ("timed", "periods")
     }
-    sizes = [spec.num_obs, spec.num_actions, *spec.hidden, *(spec.gait or {}).values(), *layout.values()]
+    rnn = dict(spec.rnn or {})
+    if rnn and (rnn.keys() != RNN.keys() or rnn.pop("rnn_type") not in ("lstm", "gru")):
+        raise ValueError(f"recurrent layers must be described by {', '.join(RNN)}, got {spec.rnn!r:.100}")
+    sizes = [spec.num_obs, spec.num_actions, *spec.hidden, *(spec.gait or {}).values(), *layout.values(), *rnn.values()]
     if not all(type(size) is int and 0 <= size <= WIDEST for size in sizes):
         raise ValueError(f"sizes must be integers up to {WIDEST:,}, got {sizes!r:.100}")
     if spec.voxels is not None:
@@ -249,12 +273,13 @@ def _build_actor(spec: PolicySpec) -> MLPModel | GaitModel:
     if spec.voxels is not None:
         normalize, noise = spec.normalize_obs, {"std_type": "log"}
         return VoxelModel(*places, **spec.voxels, obs_normalization=normalize, distribution_cfg=noise)
-    return MLPModel(
+    return (RNNModel if spec.rnn else MLPModel)(
         *places,
         hidden_dims=list(spec.hidden),
         activation=spec.activation,
         obs_normalization=spec.normalize_obs,
         distribution_cfg={"class_name": "GaussianDistribution", "std_type": "log"},
+        **(spec.rnn or {}),
     )
 
 
@@ -272,7 +297,7 @@ def spec_of(values: Mapping[str, Any]) -> PolicySpec:
 def check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:
     """Raise RunError unless a pretrained policy has the sizes of ``ours``, which is one for other environments."""
     names = ["action_scale", "normalize_obs"]
-    names += ["num_obs", "num_actions", "hidden", "activation"] if ours.voxels is None else []
+    names += ["num_obs", "num_actions", "hidden", "activation", "rnn"] if ours.voxels is None else []
     sizes = [(name, getattr(ours, name), getattr(pretrained, name)) for name in names]
     if ours.voxels is not None:
         sizes.insert(0, ("layout", ours.voxels["layout"], (pretrained.voxels or {}).get("layout")))

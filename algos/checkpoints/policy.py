@@ -129,17 +129,35 @@ class GaitPolicy(Policy):
         return torch.randint(0, 1000, (rows, self.num_obs), generator=generator).float()
 
 
+class RecurrentPolicy(Policy):
+    """A policy with recurrent layers: as :class:`Policy`, for observations ``[n, num_obs]`` one step after another."""
+
+    def _build(self) -> None:
+        self.model = build_actor(self.spec)
+
+    def reset(self, done: torch.Tensor | None = None) -> None:
+        """New episodes begin, where ``done`` (bool ``[n]``) says so or everywhere."""
+        self.model.reset(done)
+
+    def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        """Observations ``[n, num_obs]`` to actions ``[n, num_actions]``, float32."""
+        out = self.model({OBS_GROUP: obs.to(torch.float32)})
+        return (self.center + self.scale * out).clamp(self.low, self.high)
+
+
 def make_policy(spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> Policy:
     """A policy of the kind that ``spec`` describes, with fresh weights."""
     if spec.gait is not None:
         return GaitPolicy(spec, metadata)
+    if spec.rnn is not None:
+        return RecurrentPolicy(spec, metadata)
     return (Policy if spec.voxels is None else VoxelPolicy)(spec, metadata)
 
 
 def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None) -> Policy:
     """The policy of a checkpoint's controller; its numbers are copies."""
     policy = make_policy(controller.spec, metadata)
-    if isinstance(policy, VoxelPolicy | GaitPolicy):
+    if isinstance(policy, VoxelPolicy | GaitPolicy | RecurrentPolicy):
         state = controller.actor.state_dict()
         policy.model.load_state_dict(state)
         return policy.to(next(iter(state.values())).device)
@@ -201,7 +219,7 @@ def parse_policy(text: str, source: object) -> Policy:
 
 def _on_meta(spec: PolicySpec) -> nn.Module:
     """The module whose weights the text of a policy holds, without memory for them."""
-    if spec.voxels is not None or spec.gait is not None:
+    if spec.voxels is not None or spec.gait is not None or spec.rnn is not None:
         return build_actor(spec, "meta")
     with torch.device("meta"):
         return Policy(spec)

@@ -22,7 +22,7 @@ class SampledController:
     """
 
     def __init__(self, controller: Controller, seed: int = 0) -> None:
-        self.controller, self.spec = controller, controller.spec
+        self.controller, self.spec, self.reset = controller, controller.spec, controller.reset
         if self.spec.gait is not None:
             raise ConfigError("stochastic=true goes with a trained policy; this one is an open-loop gait.")
         distribution = controller.actor.distribution

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -16,14 +16,17 @@ from warpvox.algos.codesign.population_evaluator import describe, read_evaluatio
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import Evaluation, evaluate
-from warpvox.algos.policies.registry import CPG, layout_for
-from warpvox.algos.settings import PpoConfig, ScreeningConfig
+from warpvox.algos.policies.registry import layout_for
+from warpvox.algos.settings import CPG, Ppo
 from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import ActionError, ConfigError, DivergenceError
+from warpvox.errors import ActionError, DivergenceError
 from warpvox.io.writing import writing
+
+if TYPE_CHECKING:
+    from warpvox.algos.codesign.evaluations.common import CommonPolicy
 
 __all__ = ["FewShotEvaluator", "SharedEvaluator"]
 
@@ -40,26 +43,17 @@ class SharedEvaluator:
 
     Attributes:
         factory: makes environments with ``obs="voxel"`` and a grid that has room for all designs.
-        settings: how the policy is trained; ``settings.ppo`` has all values of :class:`PpoConfig`.
+        settings: how the policy is trained; ``settings.ppo`` has all values of :class:`Ppo`.
         seed: of the experiment.
 
-    Raises:
-        ConfigError: a learning rate that decays, in a training whose length is not known.
     """
 
     factory: EnvFactory
-    settings: ScreeningConfig
+    settings: CommonPolicy
     seed: int = 0
 
     def __post_init__(self) -> None:
         self._learned: dict[str, Any] | None = None
-        if self.settings.ppo["schedule"] == "linear":
-            raise ConfigError(
-                "evaluation=shared: one policy learns all the time, so that its learning rate cannot decay linearly to"
-                " 0: screening.ppo={schedule:adaptive}, or fixed."
-            )
-        if self.settings.iterations < 1:
-            raise ConfigError("evaluation=shared: the policy must learn, screening.iterations=1 or more.")
 
     def evaluate(
         self,
@@ -106,7 +100,7 @@ class FewShotEvaluator:
     """
 
     factory: EnvFactory
-    settings: ScreeningConfig
+    settings: CommonPolicy
     seed: int
     pretrained: Mapping[str, Any]
 
@@ -136,21 +130,21 @@ class _Course:
     def __init__(
         self,
         factory: EnvFactory,
-        settings: ScreeningConfig,
+        settings: CommonPolicy,
         seed: int,
         candidates: Sequence[Candidate],
         learned: Mapping[str, Any] | None,
         fresh: bool = False,
     ) -> None:
         self.factory, self.settings, self.candidates = factory, settings, list(candidates)
-        self.ppo = PpoConfig(**settings.ppo)
+        self.ppo = Ppo(**settings.ppo)
         self.seed, self.seeds = seed, [candidate_seed(seed, candidate.id) for candidate in candidates]
         self.learned, self.fresh = learned, fresh
         start = None if learned is None else policy_sha256(learned["actor_state_dict"])
         self.about = describe(factory, settings, seed, candidates) | {"start": start}
         self.hint = (
-            f"Take less at once: screening.envs is {settings.envs} for each of {len(candidates)} designs, the steps of"
-            f" screening.ppo are {self.ppo.steps}."
+            f"Take less at once: evaluation.envs is {settings.envs} for each of {len(candidates)} designs, the steps of"
+            f" evaluation.ppo are {self.ppo.steps}."
         )
 
     def run(self, report: Report | None, checkpoint: Path | None) -> list[Outcome]:
@@ -165,7 +159,7 @@ class _Course:
             except (DivergenceError, ActionError) as error:
                 raise DivergenceError(
                     f"The policy of all designs has diverged in generation {self.candidates[0].generation}: begin a"
-                    " new search with a lower learning rate, screening.ppo={learning_rate:1e-4}."
+                    " new search with a lower learning rate, evaluation.ppo={learning_rate:1e-4}."
                 ) from error
 
     def _runner(self, report: Report | None, checkpoint: Path | None) -> Runner:

@@ -90,8 +90,8 @@ class GaitEvaluator:
             return []
         most = max(self.count, self.beam if self.passes else 0)
         hint = (
-            f"Take less at once: {most} gaits are tried with each of {len(candidates)} designs (screening.gaits,"
-            " screening.beam, batch)."
+            f"Take less at once: {most} gaits are tried with each of {len(candidates)} designs (evaluation.gaits,"
+            " evaluation.beam, batch)."
         )
         with enough_memory(hint):
             return _Rounds(self, candidates, parents).run(report, checkpoint and checkpoint.with_suffix(".gaits.json"))

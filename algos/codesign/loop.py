@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text
 from warpvox.algos.codesign.executors import Batch, Executor, batches
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
 from warpvox.errors import DivergenceError, RunError
+
+if TYPE_CHECKING:
+    from warpvox.algos.codesign.run import SearchRun
 
 __all__ = ["Listener", "Loop", "PolicyStore"]
 
@@ -34,7 +37,13 @@ class PolicyStore(Protocol):
 
 
 class Listener:
-    """Callbacks of the loop; the methods of this class do nothing."""
+    """Callbacks of a search; the methods of this class do nothing."""
+
+    def begun(self, run: SearchRun) -> None:
+        """The search begins, or goes on."""
+
+    def ended(self, summary: Mapping[str, Any]) -> None:
+        """The search has ended; ``summary`` is what ``summary.json`` says, empty if it could not be written."""
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
         """``waiting`` of the ``total`` candidates of a generation will be trained."""
@@ -62,7 +71,7 @@ class Loop:
         batch: designs trained together; None: all of a generation.
         reuse: a body that was evaluated before is not trained again.
         inherit: a training may start from the policies of the parents.
-        listener: receives the callbacks.
+        listeners: receive the callbacks, one after another.
     """
 
     def __init__(
@@ -77,12 +86,12 @@ class Loop:
         batch: int | None = None,
         reuse: bool = True,
         inherit: bool = False,
-        listener: Listener | None = None,
+        listeners: Sequence[Listener] = (),
     ) -> None:
         self.search, self.executor, self.archive = search, executor, archive
         self.seed, self.batch, self.reuse, self.inherit = seed, batch, reuse, inherit
         self.policies, self.checkpoints = policies, checkpoints
-        self.listener = listener or Listener()
+        self.listeners = listeners
         self.generation = 0
 
     def run(self) -> None:
@@ -108,11 +117,15 @@ class Loop:
                 self._evaluate(asked, interrupt)
                 self.search.tell([record.fitness for record in self.archive.records(self.generation)])
                 self.archive.back_up()
-                self.listener.told(self.generation, fresh=True)
+                self._tell("told", self.generation, True)
                 self.generation += 1
                 self._clear()
                 if interrupt:
                     interrupt.stop()
+
+    def _tell(self, what: str, *news: Any) -> None:
+        for listener in self.listeners:
+            getattr(listener, what)(*news)
 
     def _replay(self) -> None:
         """Restore the state of the search from the archive."""
@@ -124,7 +137,7 @@ class Loop:
         if history:
             self.search.replay(history)
         for self.generation in range(len(history)):
-            self.listener.told(self.generation, fresh=False)
+            self._tell("told", self.generation, False)
         self.generation = len(history)
 
     # ------------------------------------------------------------------------------------------ a generation
@@ -141,7 +154,7 @@ class Loop:
         # batches are cut before what is done is left out: a resumed generation trains the same designs together
         work = batches([item for item in asked if item.id not in originals], self.batch, self.checkpoints)
         work = [batch for batch in work if any(item.id not in done for item in batch.candidates)]
-        self.listener.proposed(self.generation, [item for batch in work for item in batch.candidates], len(asked))
+        self._tell("proposed", self.generation, [item for batch in work for item in batch.candidates], len(asked))
         self._train(work, interrupt)
         copies = [
             self._copy(candidate, originals[candidate.id])
@@ -150,7 +163,7 @@ class Loop:
         ]
         self.archive.finish(copies)
         self._rank_diverged()
-        self.listener.finished([self.archive.record(copy.id) for copy in copies])
+        self._tell("finished", [self.archive.record(copy.id) for copy in copies])
 
     def _rank_diverged(self) -> None:
         """Rank diverged candidates below all others.
@@ -192,7 +205,7 @@ class Loop:
 
     def _train(self, work: Sequence[Batch], interrupt: Interrupt) -> None:
         def report(place: int, event: dict[str, Any]) -> None:
-            self.listener.progress(work[place].candidates, event)
+            self._tell("progress", work[place].candidates, event)
             if interrupt:
                 interrupt.stop()
 
@@ -207,7 +220,7 @@ class Loop:
             began = now
             if batch.checkpoint is not None:
                 batch.checkpoint.unlink(missing_ok=True)
-            self.listener.finished([self.archive.record(result.id) for result in results])
+            self._tell("finished", [self.archive.record(result.id) for result in results])
             if interrupt:
                 interrupt.stop()
 

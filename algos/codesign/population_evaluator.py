@@ -15,11 +15,11 @@ from warpvox.algos.codesign.inheritance import BodyLayout, copy_weights
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.population.training import Networks, PopulationTraining
-from warpvox.algos.settings import TrainingConfig
+from warpvox.algos.settings import DesignTraining
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import RunError
+from warpvox.errors import ConfigError, RunError
 from warpvox.io.writing import writing
 
 __all__ = [
@@ -34,7 +34,7 @@ __all__ = [
 
 Report = Callable[[dict[str, Any]], None]
 
-VERSION = 2
+VERSION = 3
 """Of the checkpoints of trainings under way; others are refused."""
 
 
@@ -49,11 +49,18 @@ class PopulationEvaluator:
         factory: where they are trained.
         settings: how.
         seed: of the experiment; all designs are evaluated in the episodes of this seed.
+
+    Raises:
+        ConfigError: settings of ``ppo`` for rsl-rl alone.
     """
 
     factory: EnvFactory
-    settings: TrainingConfig
+    settings: DesignTraining
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.settings.ppo.rnn or self.settings.ppo.extra:
+            raise ConfigError("training.ppo.rnn and training.ppo.extra need training.method=sequential.")
 
     def evaluate(
         self,
@@ -247,7 +254,7 @@ def read_evaluation(path: Path, about: dict[str, Any]) -> dict[str, Any]:
     return content
 
 
-def memory_hint(settings: TrainingConfig, count: int) -> str:
+def memory_hint(settings: DesignTraining, count: int) -> str:
     """Advice for when the training of ``count`` designs takes too much memory."""
     fewer = f"batch={-(-count // 2)} trains {-(-count // 2)} designs at once instead of {count}; " if count > 1 else ""
     return f"Take less at once: {fewer}training.envs is {settings.envs}, training.ppo.steps {settings.ppo.steps}."

@@ -26,7 +26,7 @@ from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import Evaluation, evaluator
 from warpvox.algos.policies.registry import layout_for
 from warpvox.algos.population.training import Networks
-from warpvox.algos.settings import TrainingConfig
+from warpvox.algos.settings import DesignTraining
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -44,11 +44,12 @@ class SequentialEvaluator:
             ``factory`` must make environments with ``obs="voxel"``; None: fully connected layers.
 
     Raises:
-        ConfigError: ``settings.rungs``: successive halving compares designs in training at the same time.
+        ConfigError: ``settings.rungs``: successive halving compares designs in training at the same time; or
+            ``settings.inherit`` with recurrent networks.
     """
 
     factory: EnvFactory
-    settings: TrainingConfig
+    settings: DesignTraining
     seed: int = 0
     network: str | None = None
     network_settings: Mapping[str, Any] = field(default_factory=dict)
@@ -56,6 +57,8 @@ class SequentialEvaluator:
     def __post_init__(self) -> None:
         if self.settings.rungs:
             raise ConfigError("training.rungs needs training.method=population: designs must be trained side by side.")
+        if self.settings.inherit and self.settings.ppo.rnn:
+            raise ConfigError("training.inherit does not go with training.ppo.rnn: recurrent layers are not inherited.")
 
     def evaluate(
         self,
@@ -98,7 +101,7 @@ class SequentialEvaluator:
                 if value > outcome.fitness:
                     state = policy.actor.state_dict()
                     outcome.fitness = value
-                    outcome.spec = None if self.network is None else spec_dict(policy.spec)
+                    outcome.spec = spec_dict(policy.spec)
                     outcome.policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
                 return result
 

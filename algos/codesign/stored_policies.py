@@ -11,7 +11,7 @@ import torch
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import PolicySpec, load_checkpoint, save_checkpoint, spec_dict
-from warpvox.algos.settings import PpoConfig
+from warpvox.algos.settings import Ppo
 from warpvox.algos.training.runner import BEST
 from warpvox.io.writing import check_folder, write_text, writing
 
@@ -30,7 +30,7 @@ class StoredPolicies:
         config: gives the text of ``config.yaml`` for a body with such a policy.
     """
 
-    def __init__(self, folder: Path, ppo: PpoConfig, config: Callable[[Candidate, Outcome], str]) -> None:
+    def __init__(self, folder: Path, ppo: Ppo, config: Callable[[Candidate, Outcome], str]) -> None:
         self.folder, self.ppo, self.config = folder, ppo, config
         with writing(folder / DESIGNS):
             (folder / DESIGNS).mkdir(exist_ok=True)

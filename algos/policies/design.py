@@ -17,7 +17,7 @@ from torch import nn
 
 from warpvox.algos.policies.layout import VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
-from warpvox.algos.training.networks import observations
+from warpvox.algos.policies.network import observations
 from warpvox.envs.adapters.design_rsl_rl import RslRlDesignEnv
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.design_episodes import NUM_TYPES, DesignLayout
@@ -155,7 +155,7 @@ class DesignDistribution(Distribution):
     @property
     def std(self) -> torch.Tensor:
         """``[rows, control]``."""
-        return self.gaussian.row_std
+        return self.gaussian.std
 
     @property
     def entropy(self) -> torch.Tensor:

@@ -1,20 +1,30 @@
-"""The distribution of actions of bodies that differ: one deviation for each type of actuator, and masked actions."""
+"""Gaussian distributions of actions; of bodies that differ with a deviation for each type of actuator, and masked."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
+from rsl_rl.modules import GaussianDistribution
 
-from warpvox.algos.training.networks import HALF_LOG_2PI, Gaussian
+__all__ = ["HALF_LOG_2PI", "KINDS", "Gaussian", "VoxelGaussian"]
 
-__all__ = ["KINDS", "VoxelGaussian"]
+HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 
 KINDS = 2
 """Types of actuators, horizontal and vertical: each has a deviation."""
 
 
-class VoxelGaussian(Gaussian):
+class Gaussian(GaussianDistribution):
+    """rsl-rl's distribution that draws nothing while learning, where rsl-rl's PPO drops what is drawn."""
+
+    def sample(self) -> torch.Tensor:
+        """``[rows, actions]``: drawn, or the mean where gradients are wanted."""
+        return self.mean if torch.is_grad_enabled() else super().sample()
+
+
+class VoxelGaussian(GaussianDistribution):
     """A Gaussian distribution of the actions that a body has.
 
     Actions that a body has not are 0 and take no part: nothing is drawn for them, and they add nothing to likelihood,
@@ -42,29 +52,24 @@ class VoxelGaussian(Gaussian):
     def update(self, mlp_output: torch.Tensor) -> None:
         """Make ``mlp_output`` ``[rows, actions]`` the mean; what it says of absent actions does not matter."""
         self._mean = torch.where(self._is_present, mlp_output, 0.0)
-        self._log_kinds = self.log_std_param.clamp(*self.log_std_range)
-        self._log_std = self.by_kind(self._log_kinds, 0.0)
+        self._log_std = self.by_kind(self.log_std_param.clamp(*self.log_std_range), 0.0)
         self._std = self._log_std.exp()
 
     def sample(self) -> torch.Tensor:
-        """``[rows, actions]``, without a gradient."""
-        noise = torch.randn_like(self._mean).mul_(self._std)
-        return torch.where(self._is_present, noise.add_(self._mean), 0.0).detach()
+        """As :meth:`Gaussian.sample`."""
+        if torch.is_grad_enabled():
+            return self._mean
+        return torch.where(self._is_present, torch.randn_like(self._mean).mul_(self._std).add_(self._mean), 0.0)
 
     @property
-    def params(self) -> tuple[torch.Tensor, ...]:
-        """Mean and deviation, ``[rows, actions]`` each: what rsl-rl keeps."""
-        return self._mean, self._std
+    def mean(self) -> torch.Tensor:
+        """``[rows, actions]``."""
+        return self._mean
 
     @property
-    def row_std(self) -> torch.Tensor:
+    def std(self) -> torch.Tensor:
         """``[rows, actions]``, 1 for absent actions."""
         return self._std
-
-    @property
-    def kept_std(self) -> torch.Tensor:
-        """``[kinds]``: what :meth:`mean_divergence` needs of an earlier distribution."""
-        return self._log_kinds.exp()
 
     @property
     def entropy(self) -> torch.Tensor:
@@ -73,22 +78,5 @@ class VoxelGaussian(Gaussian):
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
         """``[rows]`` of actions ``[rows, actions]``."""
-        outputs = torch.where(self._is_present, outputs, 0.0)
-        return self.log_prob_of(((outputs - self._mean) / self._std).square())
-
-    def log_prob_of(self, squares: torch.Tensor) -> torch.Tensor:
-        """``[rows]`` of actions so many squared deviations from the mean, ``[rows, actions]``."""
+        squares = ((outputs - self._mean) / self._std).square()
         return -((squares * 0.5 + self._log_std + HALF_LOG_2PI) * self._present).sum(-1)
-
-    def gradient(self, of_log_std: torch.Tensor, entropy_coef: float) -> torch.Tensor:
-        """See :meth:`Gaussian.gradient`; ``[kinds]``."""
-        of_log_std = (of_log_std - entropy_coef / len(of_log_std)) * self._present
-        vertical = (of_log_std * self._vertical).sum()
-        return torch.stack([of_log_std.sum() - vertical, vertical]) * self.std_is_free
-
-    def mean_divergence(self, old_mean: torch.Tensor, old_std: torch.Tensor) -> torch.Tensor:
-        """The mean over the rows of KL(old || current), from means ``[rows, actions]`` and :attr:`kept_std`."""
-        old = self.by_kind(old_std, 1.0)
-        ratio = (old / self._std).square()
-        terms = (old_mean - self._mean).div_(self._std).square_().add_(ratio).sub_(1).sub_(ratio.log())
-        return (terms * self._present).sum() * (0.5 / len(terms))

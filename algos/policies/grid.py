@@ -6,7 +6,6 @@ import torch
 from torch import nn
 
 from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelLayout
-from warpvox.algos.training.layers import fast_tanh, tanh_products
 
 __all__ = ["GridNetwork"]
 
@@ -59,7 +58,11 @@ class GridNetwork(nn.Module):
         encoded = ((flat[:, :MOVING] @ self.moving) * weights).reshape(-1, count * self.moving.shape[1])
         of_voxels, of_rest = self.pool.weight.t().split([encoded.shape[1], rest.shape[1]])
         pooled = torch.addmm(torch.addmm(self.pool.bias, rest, of_rest), encoded, of_voxels)
-        summary = fast_tanh(self.hidden(fast_tanh(pooled)))
+        summary = torch.tanh(self.hidden(torch.tanh(pooled)))
         if self.critic:
             return self.value(summary)[:, 0]
-        return tanh_products(flat, self.query.weight, self.cell + self.query.bias, 0.25 * summary + self.local)
+        # tanh x = 1 - 2 sigmoid(-2 x), of which the sigmoid takes a tenth of the time of torch's tanh on a CPU
+        query = (flat @ (-2 * self.query.weight.t())).view(-1, *self.cell.shape)
+        query = query.add_(-2 * (self.cell + self.query.bias)).sigmoid_()
+        wanted = (0.25 * summary + self.local)[..., None]
+        return torch.baddbmm(wanted.sum(1, keepdim=True), query, -2 * wanted)[..., 0]

@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch import nn
 
 from warpvox.algos.policies.distribution import VoxelGaussian
 from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelInputs, VoxelLayout
+from warpvox.algos.policies.network import Network, observations
 from warpvox.algos.policies.registry import make_network
-from warpvox.algos.training.networks import observations
 
 __all__ = ["VoxelModel", "VoxelNormalizer"]
 
@@ -85,8 +84,8 @@ class VoxelNormalizer(nn.Module):
         return torch.cat([sums.double(), present.sum().double()[None], sums.new_full((1,), len(obs)).double()])
 
 
-class VoxelModel(MLPModel):
-    """Actor or critic for observations with ``obs="voxel"``; rsl-rl's PPO and ours train it.
+class VoxelModel(Network):
+    """Actor or critic for observations with ``obs="voxel"``; rsl-rl's PPO trains it.
 
     Args:
         obs, obs_groups, obs_set, output_dim, obs_normalization, distribution_cfg: as of rsl-rl's models; a model with a
@@ -120,10 +119,6 @@ class VoxelModel(MLPModel):
         cells, count = self.layout.cells, self.layout.cells * FEATURES
         self._parts = [count, self.layout.rest, cells, self.layout.actions]
 
-    def get_latent(self, obs: TensorDict, masks: object = None, hidden_state: object = None) -> torch.Tensor:
-        """See :meth:`scaled`."""
-        return self.scaled(observations(self, obs))
-
     def scaled(self, obs: torch.Tensor) -> torch.Tensor:
         """What :meth:`run` takes, ``[rows, inputs]``, of observations ``[rows, num_obs]``."""
         return self.obs_normalizer(obs)
@@ -131,7 +126,7 @@ class VoxelModel(MLPModel):
     def unpack(self, latent: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Inputs ``[rows, inputs]`` in parts: voxels ``[rows, cells, 26]``, the rest, order of actions.
 
-        Tells the distribution which actions the bodies have. Actor and critic can share the parts.
+        Tells the distribution which actions the bodies have.
         """
         features, rest, actions, kinds = latent.split(self._parts, dim=1)
         if self.distribution is not None:
@@ -148,18 +143,6 @@ class VoxelModel(MLPModel):
         # cells without an actuator share the last column, which is dropped
         means = values.new_zeros(values.shape[0], self.layout.actions + 1).scatter(1, actions.long(), values)
         return means[:, : self.layout.actions]
-
-    def forward(
-        self, obs: TensorDict, masks: object = None, hidden_state: object = None, stochastic_output: bool = False
-    ) -> torch.Tensor:
-        """As of rsl-rl's models."""
-        latent = self.get_latent(obs)
-        return self.sample(latent) if self.distribution is not None and stochastic_output else self.run(latent)
-
-    def sample(self, latent: torch.Tensor) -> torch.Tensor:
-        """Actions ``[rows, actions]`` drawn for inputs ``[rows, inputs]``."""
-        self.distribution.update(self.run(latent))
-        return self.distribution.sample()
 
     def update_normalization(self, obs: TensorDict) -> None:
         """Learn how observations are scaled."""

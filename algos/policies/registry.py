@@ -12,16 +12,13 @@ from warpvox.algos.policies.cpg import CpgNetwork
 from warpvox.algos.policies.grid import GridNetwork
 from warpvox.algos.policies.layout import CLOCK, VoxelLayout, layout_of
 from warpvox.algos.policies.transformer import TransformerNetwork
+from warpvox.algos.settings import CPG, MLP
 from warpvox.code import is_code, load_code
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["CPG", "MLP", "POLICIES", "check_policy", "layout_for", "make_network"]
+__all__ = ["POLICIES", "check_policy", "layout_for", "make_network"]
 
-MLP = "mlp"
-"""The policy that is no network for voxels: fully connected layers on the whole observation."""
-CPG = "cpg"
-"""The policy without feedback, which gradients through the physics train."""
 NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork, CPG: CpgNetwork}
 POLICIES = (MLP, *NETWORKS)
 

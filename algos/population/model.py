@@ -8,15 +8,31 @@ from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel
+from rsl_rl.modules import EmpiricalNormalization
 from tensordict import TensorDict
 from torch import nn
 
-from warpvox.algos.training.layers import tanh_layers
-from warpvox.algos.training.networks import Gaussian, Normalizer, observations
+from warpvox.algos.policies.network import observations
+from warpvox.algos.population.gaussian import StackedGaussian
+from warpvox.algos.population.layers import tanh_layers
 
 __all__ = ["PopulationModel"]
 
 MOMENTS = ("_mean", "_var", "_std")
+
+
+class Normalizer(EmpiricalNormalization):
+    """rsl-rl's normaliser of observations, for many designs."""
+
+    def update(self, x: torch.Tensor) -> None:
+        """Learn from observations ``[designs, rows, entries]``."""
+        mean = x.mean(-2, keepdim=True)
+        var = (x - mean).square_().mean(-2, keepdim=True)
+        self.count += x.shape[-2]
+        rate, moved = x.shape[-2] / self.count, mean - self._mean
+        self._mean += rate * moved
+        self._var += rate * (var - self._var + moved * (mean - self._mean))
+        self._std = self._var.sqrt()
 
 
 class PopulationModel(nn.Module):
@@ -50,10 +66,9 @@ class PopulationModel(nn.Module):
             self.weights.append(nn.Parameter(_padded([layer.weight.T for layer in column])))
             self.biases.append(nn.Parameter(_padded([layer.bias[None] for layer in column])))
         if first.distribution is not None:
-            self.distribution: Gaussian = copy.deepcopy(first.distribution)
             log_std = [model.distribution.log_std_param[None] for model in models]
-            self.distribution.log_std_param = nn.Parameter(_padded(log_std))
-            self.distribution.mask = _padded([torch.ones_like(one) for one in log_std])
+            mask = _padded([torch.ones_like(one) for one in log_std])
+            self.distribution = StackedGaussian(_padded(log_std), mask, first.distribution.log_std_range)
         self.obs_normalizer: nn.Module = nn.Identity()
         if first.obs_normalization:
             sources = [model.obs_normalizer for model in models]
@@ -68,22 +83,12 @@ class PopulationModel(nn.Module):
         """Number of stacked models."""
         return len(self.inputs)
 
-    def _apply(self, fn: Callable[[torch.Tensor], torch.Tensor], recurse: bool = True) -> nn.Module:
-        super()._apply(fn, recurse)
-        if self.distribution is not None:
-            self.distribution.mask = fn(self.distribution.mask)
-        return self
-
     # ----------------------------------------------------------------- forward
 
     def scaled(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[..., num_obs]``, sorted by design, as inputs ``[designs, rows, num_obs]`` of the networks."""
         obs = obs.reshape(self.num_designs, -1, obs.shape[-1])
         return self.obs_normalizer(obs)
-
-    def unpack(self, latent: torch.Tensor) -> torch.Tensor:
-        """What actor and critic can share of scaled inputs: these as they are."""
-        return latent
 
     def run(self, latent: torch.Tensor) -> torch.Tensor:
         """Scaled inputs to outputs ``[designs, rows, outputs]``."""
@@ -109,12 +114,7 @@ class PopulationModel(nn.Module):
         """Actions ``[rows, actions]`` drawn for scaled inputs."""
         out = self.run(latent)
         self.distribution.update(out)
-        return (self.noise(out.shape[1]) * self.distribution.row_std + out).flatten(0, 1)
-
-    @property
-    def output_mean(self) -> torch.Tensor:
-        """Means of the actions as rows."""
-        return self.distribution.mean.flatten(0, 1)
+        return (self.noise(out.shape[1]) * self.distribution.std + out).flatten(0, 1)
 
     def reset(self, dones: Any = None, hidden_state: Any = None) -> None:
         """Nothing: these networks are not recurrent."""
@@ -153,9 +153,7 @@ class PopulationModel(nn.Module):
             "biases": nn.ParameterList(map(cut, self.biases)),
         }
         if self.distribution is not None:
-            part.distribution = copy.copy(self.distribution)
-            part.distribution._parameters = {"log_std_param": cut(self.distribution.log_std_param)}
-            part.distribution.mask = self.distribution.mask[share]
+            part.distribution = self.distribution.part(cut(self.distribution.log_std_param), share)
         if isinstance(self.obs_normalizer, Normalizer):
             part.obs_normalizer = copy.copy(self.obs_normalizer)
             part.obs_normalizer._buffers = {name: value[share] for name, value in self.obs_normalizer._buffers.items()}
@@ -165,15 +163,13 @@ class PopulationModel(nn.Module):
         """Keep these designs, in this order; parameters remain the same objects."""
         self.inputs, self.outputs = [[sizes[d] for d in index] for sizes in (self.inputs, self.outputs)]
         inputs, outputs, rows = max(self.inputs), max(self.outputs), list(index)
-        for parameter in self.parameters():
+        for parameter in (*self.weights, *self.biases):
             parameter.data = parameter.data[rows]
         self.weights[0].data = self.weights[0].data[:, :inputs]
         for last in (self.weights[-1], self.biases[-1]):
             last.data = last.data[..., :outputs]
         if self.distribution is not None:
-            log_std = self.distribution.log_std_param
-            log_std.data = log_std.data[..., :outputs]
-            self.distribution.mask = self.distribution.mask[rows, :, :outputs]
+            self.distribution.keep(rows, outputs)
         if isinstance(self.obs_normalizer, Normalizer):
             for name in MOMENTS:
                 setattr(self.obs_normalizer, name, getattr(self.obs_normalizer, name)[rows, :, :inputs])

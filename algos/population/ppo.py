@@ -5,29 +5,46 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import nn
 
-from warpvox.algos.population.model import PopulationModel
+from warpvox.algos.policies.network import observations
+from warpvox.algos.population.adam import VectorAdam
+from warpvox.algos.population.gaussian import StackedGaussian
+from warpvox.algos.population.model import Normalizer, PopulationModel
 from warpvox.algos.population.streams import Streams
-from warpvox.algos.training.adam import VectorAdam
-from warpvox.algos.training.ppo import LOSSES, PPO, Samples
+from warpvox.algos.training.ppo import PPO
 
 __all__ = ["PopulationPPO"]
 
 BLOCK = 16
 """Most designs that learn in one go; fewer cost more overhead, more leave threads without work."""
+SLOWEST, FASTEST = 1e-5, 1e-2
+"""Bounds of the learning rate in rsl-rl's adaptive schedule."""
+
+
+class Samples(NamedTuple):
+    """Rollouts, or parts of them: inputs, actions and their mean ``[designs, samples, ...]``, the rest without more."""
+
+    inputs: torch.Tensor
+    actions: torch.Tensor
+    mean: torch.Tensor
+    log_prob: torch.Tensor
+    values: torch.Tensor
+    returns: torch.Tensor
+    advantages: torch.Tensor
 
 
 class PopulationPPO(PPO):
     """Our PPO with an axis for designs: losses, gradients' norms, learning rates and random numbers are per design.
 
     Rows of the storage are sorted by design. Each design learns what :class:`warpvox.algos.training.ppo.PPO` would
-    teach it alone, up to rounding. The same batch gives the same bits.
+    teach it alone, up to rounding, in fewer operations: values and log-probabilities are computed for the whole rollout
+    at once, and gradients of the losses by hand. The same batch gives the same bits.
 
     Args:
         actor, critic: stacked networks.
@@ -38,8 +55,11 @@ class PopulationPPO(PPO):
 
     Attributes:
         rates: float64 ``[designs]``, learning rates.
-        losses: ``{name: [designs]}`` of the last update.
     """
+
+    actor: PopulationModel
+    critic: PopulationModel
+    optimizer: VectorAdam
 
     def __init__(
         self,
@@ -50,56 +70,173 @@ class PopulationPPO(PPO):
         threads: int = 1,
         **settings: Any,
     ) -> None:
-        # rsl-rl would normalise advantages over all rows: `_in_random_order` does it for each design
+        # rsl-rl would normalise advantages over all rows: `_shuffled` does it for each design
         super().__init__(actor, critic, storage, normalize_advantage_per_mini_batch=True, **settings)
-        self.streams, self._pool = streams, None
+        self.optimizer = VectorAdam([actor, critic], self.adam_eps)
+        self.rates = torch.full((self.num_designs,), self.learning_rate, dtype=torch.float64, device=self.device)
+        self.streams, self._pool, self._inputs = streams, None, None
         if threads > 1:  # torch's own number of threads is a setting of every thread
             own = {"initializer": torch.set_num_threads, "initargs": (torch.get_num_threads(),)}
             self._pool = ThreadPoolExecutor(threads, **own)
-        self.losses: dict[str, torch.Tensor] = {}
 
     @property
     def num_designs(self) -> int:
         """Number of designs."""
         return self.actor.num_designs
 
-    def _optimizer(self) -> VectorAdam:
-        return VectorAdam([self.actor, self.critic], self.initial_learning_rate, self.adam_eps, stacked=True)
+    # ------------------------------------------------------------- collection
 
-    def _rate_shape(self) -> tuple[int, ...]:
-        return (self.num_designs,)
+    @torch.no_grad()
+    def act(self, obs: TensorDict) -> torch.Tensor:
+        """Draw actions. What else learning needs to know of them is computed for the whole rollout at once."""
+        storage, step = self.storage, self.storage.step
+        inputs = self.actor.scaled(observations(self.actor, obs))
+        rows = inputs.flatten(0, 1)
+        if storage.distribution_params is None:
+            storage.distribution_params = (torch.zeros_like(storage.actions),)
+            self._inputs = rows.new_empty(storage.num_transitions_per_env, *rows.shape)
+        # the normaliser learns after the update only: scaled once, the inputs serve all epochs
+        self._inputs[step] = rows
+        for name, values in obs.items():
+            storage.observations[name][step] = values
+        storage.actions[step] = self.actor.sample(inputs)
+        storage.distribution_params[0][step] = self.actor.distribution.mean.flatten(0, 1)
+        return storage.actions[step]
 
-    def _optimise(self, data: Samples) -> dict[str, float]:
-        """Threads share the work block by block, so that their number changes no result."""
-        count = -(-self.num_designs // BLOCK)
-        ends = [self.num_designs * k // count for k in range(count + 1)]
-        blocks = [slice(*pair) for pair in itertools.pairwise(ends)]
-        run = self._pool.map if self._pool else map
-        losses = torch.cat(list(run(lambda block: self._learn(block, data), blocks)), dim=1)
-        self.losses = dict(zip(LOSSES, losses, strict=True))
-        return {name: values.mean().item() for name, values in self.losses.items()}
+    @torch.no_grad()
+    def process_env_step(
+        self, obs: TensorDict, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any]
+    ) -> None:
+        """Record a step; where only the time limit has ended an episode, add the value of its final state."""
+        storage = self.storage
+        if "time_outs" in extras:
+            rewards = self._bootstrap_time_limit(rewards, extras["time_outs"], extras["final_obs"])
+        storage.rewards[storage.step, :, 0] = rewards
+        storage.dones[storage.step, :, 0] = dones
+        storage.step += 1
 
-    def _learn(self, block: slice, data: Samples) -> torch.Tensor:
-        part = Samples(*(values[block] for values in data))
-        return self._epochs(part, self.actor.part(block), self.critic.part(block), block)
+    def _bootstrap_time_limit(
+        self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict
+    ) -> torch.Tensor:
+        # looking first saves the forward pass of nearly all steps; on CUDA looking would wait for the device
+        if time_outs.device.type == "cpu" and not bool(time_outs.any()):
+            return rewards
+        return rewards + self.gamma * self.critic(final_obs)[:, 0] * time_outs
+
+    @torch.no_grad()
+    def compute_returns(self, obs: TensorDict) -> None:
+        """Values and log-probabilities of the rollout, then returns and advantages; ``obs`` are those after it."""
+        st, policy, parts = self.storage, self.actor.distribution, []
+        rows = [self._samples(values) for values in (self._inputs, st.distribution_params[0], st.actions)]
+        size = -(-rows[0].shape[1] // self.num_mini_batches)  # no more memory than learning takes
+        for inputs, mean, actions in zip(*(values.split(size, dim=1) for values in rows), strict=True):
+            policy.update(mean)
+            parts.append((self.critic.run(inputs), policy.log_prob(actions)[..., None]))
+        for target, part in zip((st.values, st.actions_log_prob), zip(*parts, strict=True), strict=True):
+            by_step = torch.cat(part, dim=1).unflatten(1, (st.num_transitions_per_env, -1)).transpose(0, 1)
+            target.copy_(by_step.flatten(1, 2))
+        super().compute_returns(obs)
 
     def _samples(self, values: torch.Tensor) -> torch.Tensor:
         """``[steps, rows, ...]`` of the storage as ``[designs, steps * envs, ...]``."""
-        steps, rows = values.shape[:2]
-        split = values.view(steps, self.num_designs, rows // self.num_designs, *values.shape[2:])
-        return split.transpose(0, 1).flatten(1, 2)
+        return values.unflatten(1, (self.num_designs, -1)).transpose(0, 1).flatten(1, 2)
 
-    def _store(self, target: torch.Tensor, values: torch.Tensor) -> None:
-        steps = self.storage.num_transitions_per_env
-        by_step = values.unflatten(1, (steps, -1)).transpose(0, 1)
-        target.copy_(by_step.flatten(1, 2))
+    # ---------------------------------------------------------------- learning
 
-    def _in_random_order(self, rows: Samples, count: int) -> Samples:
-        """Each design's samples in an order of its own; its advantages get a mean of 0 and a deviation of 1."""
+    def update(self) -> dict[str, float]:
+        """One iteration's optimisation; returns the mean losses.
+
+        Threads share the work block by block, so that their number changes no result.
+        """
+        if self.decays:
+            self.rates.fill_(self.decayed_rate)
+        data, count = self._shuffled(), -(-self.num_designs // BLOCK)
+        ends = [self.num_designs * k // count for k in range(count + 1)]
+        blocks = [slice(*pair) for pair in itertools.pairwise(ends)]
+        run = self._pool.map if self._pool else map
+        losses = torch.cat(list(run(lambda block: self._learn(block, data), blocks)), dim=1).mean(1)
+        self.optimizer.steps += self.num_learning_epochs * self.num_mini_batches
+        if isinstance(self.actor.obs_normalizer, Normalizer):
+            self.actor.obs_normalizer.update(self._samples(observations(self.actor, self.storage.observations)))
+        self.storage.clear()
+        self.updates += 1
+        return dict(zip(("value", "surrogate", "entropy"), losses.tolist(), strict=True))
+
+    @torch.no_grad()
+    def _shuffled(self) -> Samples:
+        """Each design's rollout in the order, of its own, in which all epochs take it.
+
+        Its advantages get a mean of 0 and a deviation of 1.
+        """
+        st = self.storage
+        rows = Samples(
+            self._samples(self._inputs),
+            self._samples(st.actions),
+            self._samples(st.distribution_params[0]),
+            *(self._samples(values)[..., 0] for values in (st.actions_log_prob, st.values, st.returns, st.advantages)),
+        )
         centred = rows.advantages - rows.advantages.mean(1, keepdim=True)
         rows = rows._replace(advantages=centred / (rows.advantages.std(1, keepdim=True) + 1e-8))
+        count = rows.returns.shape[1] // self.num_mini_batches * self.num_mini_batches
         order, designs = self.streams.permutations(count), torch.arange(self.num_designs, device=self.device)
         return Samples(*(values[designs[:, None], order] for values in rows))
+
+    def _learn(self, block: slice, data: Samples) -> torch.Tensor:
+        """All epochs of some designs; returns the mean value loss, surrogate loss and entropy ``[3, designs]``."""
+        actor, critic = self.actor.part(block), self.critic.part(block)
+        size, times = data.returns.shape[1] // self.num_mini_batches, self.num_learning_epochs * self.num_mini_batches
+        policy, rate = actor.distribution, self.rates[block]
+        layers = [*actor.weights, *actor.biases], [*critic.weights, *critic.biases]
+        policy.update(data.mean[block])
+        old_std, sums = policy.std.detach(), 0
+        for k in range(times):
+            first = k % self.num_mini_batches * size
+            part = Samples(*(values[block, first : first + size] for values in data))
+            mean, values = actor.run(part.inputs), critic.run(part.inputs)[..., 0]
+            with torch.no_grad():
+                policy.update(mean)
+                if self.schedule == "adaptive":
+                    self._adapt(rate, policy.mean_divergence(part.mean, old_std))
+                surrogate, of_mean, of_log_std = self._surrogate(policy, part)
+                value, of_values = self._value_loss(values, part)
+                entropy = policy.entropy
+            gradients = torch.autograd.grad([mean, values], [*layers[0], *layers[1]], [of_mean, of_values])
+            count = len(layers[0])
+            gradient = self.optimizer.flat([*gradients[:count], of_log_std, *gradients[count:]])
+            self.optimizer.descend(gradient, self.max_grad_norm, rate, self.optimizer.steps + k + 1, block)
+            sums += torch.stack([value, surrogate, entropy])
+        return sums / times
+
+    def _surrogate(self, policy: StackedGaussian, part: Samples) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """PPO's clipped loss, and the gradients of it and of the entropy's part by mean and logarithmic deviation."""
+        noise = (part.actions - policy.mean).div_(policy.std)
+        squares = noise.square()
+        ratio = policy.log_prob_of(squares).sub_(part.log_prob).exp_()
+        free = -part.advantages * ratio
+        bounded = -part.advantages * ratio.clamp(1 - self.clip_param, 1 + self.clip_param)
+        # of the larger of the two losses; where they are equal, within the bounds, both have the same gradient
+        of_log_prob = free.mul(free >= bounded).div_(free.shape[-1])
+        of_mean = noise.mul_(of_log_prob[..., None]).div_(policy.std)
+        of_log_std = policy.gradient(squares.sub_(1).mul_(of_log_prob[..., None]), self.entropy_coef)
+        return torch.max(free, bounded).mean(-1), of_mean, of_log_std
+
+    def _value_loss(self, values: torch.Tensor, part: Samples) -> tuple[torch.Tensor, torch.Tensor]:
+        """The mean squared error of the values, and the gradient of its part of the loss by them."""
+        error = values - part.returns
+        squares, slope = error.square(), error * (2 * self.value_loss_coef / error.shape[-1])
+        if self.use_clipped_value_loss:
+            moved = values - part.values
+            clipped = (part.values + moved.clamp(-self.clip_param, self.clip_param) - part.returns).square()
+            # beyond the bounds the clipped error does not depend on the value; within them both errors are the same
+            slope *= (squares >= clipped) | (moved.abs() <= self.clip_param)
+            squares = torch.max(squares, clipped)
+        return squares.mean(-1), slope
+
+    def _adapt(self, rate: torch.Tensor, kl: torch.Tensor) -> None:
+        """rsl-rl's adaptive schedule; changes ``rate``."""
+        lower, higher = (rate / 1.5).clamp_(min=SLOWEST), (rate * 1.5).clamp_(max=FASTEST)
+        far, near = kl > 2 * self.desired_kl, (kl < self.desired_kl / 2) & (kl > 0)
+        rate.copy_(torch.where(far, lower, torch.where(near, higher, rate)))
 
     # ------------------------------------------------------------ state, parts
 
@@ -122,11 +259,15 @@ class PopulationPPO(PPO):
 
     def save(self) -> dict[str, Any]:
         """Networks, optimiser, learning rates and random streams, for :meth:`load`."""
-        return super().save() | {"rates": self.rates, "streams": self.streams.state()}
+        parts = {"actor": self.actor.state_dict(), "critic": self.critic.state_dict(), "updates": self.updates}
+        own = {"optimizer": self.optimizer.state(), "rates": self.rates, "streams": self.streams.state()}
+        return parts | own
 
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
         """Restore :meth:`save` of the same designs and settings."""
-        result = super().load(loaded_dict, load_cfg, strict)
-        self.rates = loaded_dict["rates"].to(self.device)
+        self.actor.load_state_dict(loaded_dict["actor"])
+        self.critic.load_state_dict(loaded_dict["critic"])
+        self.optimizer.set_state(loaded_dict["optimizer"])
+        self.updates, self.rates = loaded_dict["updates"], loaded_dict["rates"].to(self.device)
         self.streams.set_state(loaded_dict["streams"])
-        return result
+        return True

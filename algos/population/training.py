@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,7 +21,7 @@ from warpvox.algos.evaluate import evaluate
 from warpvox.algos.population.model import PopulationModel
 from warpvox.algos.population.ppo import PopulationPPO
 from warpvox.algos.population.streams import Streams
-from warpvox.algos.settings import PpoConfig, TrainingConfig
+from warpvox.algos.settings import DesignTraining, Ppo
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import adapt
 from warpvox.design import Design
@@ -38,11 +40,11 @@ class Networks:
     random_state: torch.Tensor
 
 
-def fresh_networks(ppo: PpoConfig, num_obs: int, num_actions: int, seed: int) -> Networks:
+def fresh_networks(ppo: Ppo, num_obs: int, num_actions: int, seed: int) -> Networks:
     """What a separate training with ``seed`` begins with, made by rsl-rl itself; torch's generator stays as it was."""
     config = rsl_rl_config(ppo, total_iterations=1) | {"multi_gpu": None}
     obs = TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])
-    with torch.random.fork_rng(devices=[]):
+    with torch.random.fork_rng(devices=[]), contextlib.redirect_stdout(io.StringIO()):
         torch.random.default_generator.manual_seed(seed)
         algorithm = PPO.construct_algorithm(obs, SimpleNamespace(num_envs=1, num_actions=num_actions), config, "cpu")
         return Networks(algorithm.actor, algorithm.critic, torch.random.default_generator.get_state())
@@ -73,7 +75,7 @@ class PopulationTraining:
         factory: EnvFactory,
         bodies: Sequence[Design],
         seeds: Sequence[int],
-        settings: TrainingConfig,
+        settings: DesignTraining,
         prepare: Callable[[int, Any, Networks], None] | None = None,
         eval_seed: int = 0,
     ) -> None:

@@ -2,7 +2,7 @@
 
 All implement :class:`warpvox.algos.candidate.Search`::
 
-    search = make_search(GaSettings(max_evaluations=100), shape=(5, 5), seed=0)
+    search = make_search(GA(max_evaluations=100), shape=(5, 5), seed=0)
     while candidates := search.ask():
         search.tell([fitness_of(candidate.body) for candidate in candidates])
 
@@ -13,26 +13,26 @@ from warpvox.algos.search.base import BaseSearch, Proposal
 from warpvox.algos.search.factory import make_search
 from warpvox.algos.search.settings import (
     ALGORITHMS,
-    BoSettings,
-    CppnNeatSettings,
-    CustomSettings,
-    GaSettings,
-    MapElitesSettings,
-    RandomSettings,
+    BO,
+    GA,
+    CppnNeat,
+    CustomSearch,
+    MapElites,
+    RandomDesigns,
     SearchSettings,
     settings_from,
 )
 
 __all__ = [
     "ALGORITHMS",
+    "BO",
+    "GA",
     "BaseSearch",
-    "BoSettings",
-    "CppnNeatSettings",
-    "CustomSettings",
-    "GaSettings",
-    "MapElitesSettings",
+    "CppnNeat",
+    "CustomSearch",
+    "MapElites",
     "Proposal",
-    "RandomSettings",
+    "RandomDesigns",
     "SearchSettings",
     "make_search",
     "settings_from",

@@ -12,7 +12,7 @@ from warpvox.algos.search.base import BaseSearch, Proposal
 from warpvox.algos.search.bo_acquire import ascend, climb_posterior, improve, log_improvement, thompson_starts
 from warpvox.algos.search.bo_model import fit_model, own_torch
 from warpvox.algos.search.bodies import body_key, mutate
-from warpvox.algos.search.settings import BoSettings
+from warpvox.algos.search.settings import BO
 from warpvox.design import are_valid, draw_bodies
 
 __all__ = ["BayesianSearch", "Pool"]
@@ -62,7 +62,7 @@ class BayesianSearch(BaseSearch):
     the climb has begun at a mutant of a design, this is the parent.
     """
 
-    settings: BoSettings
+    settings: BO
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
         """Random bodies first, then the maximisers of the acquisition."""

@@ -22,7 +22,7 @@ from gpytorch.mlls import ExactMarginalLogLikelihood
 from gpytorch.priors import LogNormalPrior
 
 from warpvox.algos.search.bodies import CELL_TYPES
-from warpvox.algos.search.settings import BoSettings
+from warpvox.algos.search.settings import BO
 from warpvox.errors import SearchError
 
 __all__ = ["fit_model", "from_one_hot", "make_model", "one_hot", "own_torch"]
@@ -57,7 +57,7 @@ def from_one_hot(points: torch.Tensor, shape: tuple[int, int]) -> np.ndarray:
     return points.detach().view(len(points), *shape, CELL_TYPES).argmax(-1).numpy().astype(np.int8)
 
 
-def make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BoSettings) -> SingleTaskGP:
+def make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:
     """The process before its fit: Matern 5/2 with one variance and one length scale, fitness standardised.
 
     The priors are there for the restarts, which draw from them; without any, all would start alike.
@@ -76,7 +76,7 @@ def make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BoSetting
     return SingleTaskGP(one_hot(bodies), targets, covar_module=kernel.double(), outcome_transform=Standardize(1))
 
 
-def fit_model(bodies: np.ndarray, fitness: Sequence[float], settings: BoSettings) -> SingleTaskGP:
+def fit_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:
     """The process with the largest marginal likelihood that L-BFGS finds from several starts.
 
     Raises:

@@ -18,7 +18,7 @@ import numpy as np
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.base import BaseSearch, Proposal
 from warpvox.algos.search.bodies import CELL_TYPES
-from warpvox.algos.search.settings import CppnNeatSettings
+from warpvox.algos.search.settings import CppnNeat
 from warpvox.design import are_valid
 from warpvox.errors import ConfigError, SearchError
 
@@ -42,7 +42,7 @@ def own_random(seed: int) -> Generator[None]:
         random.setstate(state)
 
 
-def neat_config(settings: CppnNeatSettings) -> neat.Config:
+def neat_config(settings: CppnNeat) -> neat.Config:
     """neat-python's configuration: Table 5, or the file of ``settings.neat_config``; population of the settings.
 
     Raises:
@@ -92,10 +92,10 @@ class CppnNeatSearch(BaseSearch):
         ids: of the candidates that they painted, by the same key.
     """
 
-    settings: CppnNeatSettings
+    settings: CppnNeat
     takes_start = False  # it breeds networks, and knows none that paints a given body
 
-    def __init__(self, settings: CppnNeatSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
+    def __init__(self, settings: CppnNeat, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
         super().__init__(settings, shape, seed)
         self.config = neat_config(settings)
         self.reporters = neat.reporting.ReporterSet()

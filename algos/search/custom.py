@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from warpvox.algos.candidate import Search
-from warpvox.algos.search.settings import CustomSettings
+from warpvox.algos.search.settings import CustomSearch
 from warpvox.code import load_code
 from warpvox.errors import ConfigError, listing
 
@@ -14,12 +14,18 @@ __all__ = ["make_custom"]
 VERBS = ("ask", "tell", "replay")
 
 
-def make_custom(settings: CustomSettings, shape: tuple[int, int], seed: int) -> Search:
+def make_custom(settings: CustomSearch, shape: tuple[int, int], seed: int) -> Search:
     """Call what ``settings.make`` names with settings, shape and seed.
 
     Raises:
         ConfigError: no such file, module or name, or what it makes does not ask, tell and replay.
     """
+    place, _, name = (settings.make or "").rpartition(":")
+    if not place or not name.isidentifier():
+        raise ConfigError(
+            "The search 'custom' needs make=FILE.py:NAME or make=MODULE:NAME, where NAME makes a search of settings,"
+            f" shape and seed; got {settings.make!r}."
+        )
     search: Any = load_code(settings.make)(settings, shape, seed)
     missing = [verb for verb in VERBS if not callable(getattr(search, verb, None))]
     if missing:

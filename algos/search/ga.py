@@ -10,12 +10,12 @@ import numpy as np
 
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.base import BaseSearch, Proposal
-from warpvox.algos.search.settings import GaSettings
+from warpvox.algos.search.settings import GA
 
 __all__ = ["GeneticSearch", "last_generation", "survivors_of"]
 
 
-def survivors_of(settings: GaSettings, generation: int, last: int) -> int:
+def survivors_of(settings: GA, generation: int, last: int) -> int:
     """Survivors that ``generation`` >= 1 takes over, of ``last`` generations after the first (Algorithm 1).
 
     ``ceil(population * x)`` with a survival rate x that goes linearly from 0.6 at generation 0 to 0 at the last,
@@ -28,7 +28,7 @@ def survivors_of(settings: GaSettings, generation: int, last: int) -> int:
     return min(max(settings.min_survivors, count), settings.population - 1)
 
 
-def last_generation(settings: GaSettings) -> int:
+def last_generation(settings: GA) -> int:
     """N_max of Algorithm 1: with it, the generations after the first just use up ``max_evaluations``.
 
     The paper limits evaluations rather than generations (section D.1), and survivors cost none.
@@ -50,9 +50,9 @@ class GeneticSearch(BaseSearch):
         last: number of the last generation, N_max of Algorithm 1.
     """
 
-    settings: GaSettings
+    settings: GA
 
-    def __init__(self, settings: GaSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
+    def __init__(self, settings: GA, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
         super().__init__(settings, shape, seed)
         self.last = last_generation(settings)
         self.population: list[int] = []

@@ -9,7 +9,7 @@ import numpy as np
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.base import BaseSearch, Proposal
 from warpvox.algos.search.descriptors import describe
-from warpvox.algos.search.settings import MapElitesSettings
+from warpvox.algos.search.settings import MapElites
 from warpvox.errors import ConfigError
 
 try:
@@ -27,9 +27,9 @@ class MapElitesSearch(BaseSearch):
         archive: of pyribs; its field ``id`` holds the candidate of each cell.
     """
 
-    settings: MapElitesSettings
+    settings: MapElites
 
-    def __init__(self, settings: MapElitesSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
+    def __init__(self, settings: MapElites, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
         super().__init__(settings, shape, seed)
         axes = len(settings.descriptors)
         self.archive = GridArchive(

@@ -1,29 +1,29 @@
-"""Settings of the search algorithms: frozen dataclasses whose defaults are the paper's values (section D).
+"""Settings of the search algorithms: dataclasses whose defaults are the paper's values (section D).
 
-``configs/search/*.yaml`` holds the same values for the command line; ``search.NAME=VALUE`` changes one.
+They are what ``search=NAME`` stands for on the command line. One differs, because it finds more: ``acquisition``.
 """
+
+# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
 from __future__ import annotations
 
 import dataclasses
-import types
-import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from warpvox.errors import ConfigError, did_you_mean, listing
-from warpvox.keys import check_values, key
+from warpvox.keys import check_values, convert, key
 
 __all__ = [
     "ALGORITHMS",
+    "BO",
     "DESCRIPTORS",
-    "BoSettings",
-    "CppnNeatSettings",
-    "CustomSettings",
-    "GaSettings",
-    "MapElitesSettings",
-    "RandomSettings",
+    "GA",
+    "CppnNeat",
+    "CustomSearch",
+    "MapElites",
+    "RandomDesigns",
     "SearchSettings",
     "settings_from",
 ]
@@ -32,7 +32,7 @@ DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", 
 """What MAP-Elites can sort bodies by, each a number from 0 to 1; see :mod:`warpvox.algos.search.descriptors`."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class SearchSettings:
     """What every search has (paper section D.1, Table 2).
 
@@ -40,28 +40,27 @@ class SearchSettings:
         ConfigError: a value of the wrong type or out of range.
     """
 
-    algorithm: ClassVar[str]
-
+    algorithm: str = key("", "which search")
     population: int = key(25, "designs of a generation", low=2)
     max_evaluations: int = key(250, "number of different designs to evaluate; in the paper 250, 500 or 750", low=1)
 
     def __post_init__(self) -> None:
-        _check_types(self)
+        convert(self)
         check_values(self)
 
 
-@dataclass(frozen=True)
-class RandomSettings(SearchSettings):
+@dataclass
+class RandomDesigns(SearchSettings):
     """Random search, the baseline: designs by EvoGym's sampling rule."""
 
-    algorithm: ClassVar[str] = "random"
+    algorithm: str = key("random", "which search", choices=("random",))
 
 
-@dataclass(frozen=True)
-class GaSettings(SearchSettings):
+@dataclass
+class GA(SearchSettings):
     """Genetic algorithm (paper Algorithm 1, Table 3)."""
 
-    algorithm: ClassVar[str] = "ga"
+    algorithm: str = key("ga", "which search", choices=("ga",))
 
     mutation_rate: float = key(0.1, "probability that a mutation changes a voxel", above=0, high=1)
     survivor_rate: float = key(0.6, "fraction of the population that survives, at the start", low=0, high=1)
@@ -77,14 +76,14 @@ class GaSettings(SearchSettings):
             )
 
 
-@dataclass(frozen=True)
-class BoSettings(SearchSettings):
+@dataclass
+class BO(SearchSettings):
     """Bayesian optimisation (paper Algorithm 2, Table 4)."""
 
-    algorithm: ClassVar[str] = "bo"
+    algorithm: str = key("bo", "which search", choices=("bo",))
 
     acquisition: str = key(
-        "paper",
+        "pathwise",
         "how designs are proposed: pathwise (hill climbing on samples of the posterior, over valid designs),"
         " paper (expected improvement by L-BFGS, then voxel by voxel over new valid designs), lbfgs (expected"
         " improvement by L-BFGS alone)",
@@ -97,66 +96,53 @@ class BoSettings(SearchSettings):
     candidates: int = key(1000, "number of designs among which the starts of climbs are chosen", low=1)
 
 
-@dataclass(frozen=True)
-class CppnNeatSettings(SearchSettings):
+@dataclass
+class CppnNeat(SearchSettings):
     """CPPN-NEAT (paper section C.3, Table 5); Table 5 itself is ``cppn_neat.cfg`` beside this module."""
 
-    algorithm: ClassVar[str] = "cppn_neat"
+    algorithm: str = key("cppn_neat", "which search", choices=("cppn_neat",))
 
     neat_config: str | None = key(
         None, "another configuration file of neat-python; null: Table 5 of the paper", path="read"
     )
 
 
-@dataclass(frozen=True)
-class MapElitesSettings(SearchSettings):
+@dataclass
+class MapElites(SearchSettings):
     """MAP-Elites: the best design of every kind of body."""
 
-    algorithm: ClassVar[str] = "map_elites"
+    algorithm: str = key("map_elites", "which search", choices=("map_elites",))
 
     mutation_rate: float = key(0.1, "probability that a mutation changes a voxel", above=0, high=1)
-    descriptors: tuple[str, ...] = key(
-        ("actuators", "empty"), "descriptors that span the cells of the archive", choices=DESCRIPTORS
+    descriptors: list[str] = key(
+        ["actuators", "empty"], "descriptors that span the cells of the archive", choices=DESCRIPTORS
     )
     bins: int = key(5, "bins of each descriptor", low=1)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "descriptors", _as_tuple(self.descriptors))
         super().__post_init__()
         if not self.descriptors or len(set(self.descriptors)) < len(self.descriptors):
             raise ConfigError(f"descriptors must name one or more different ones, got {listing(self.descriptors)}.")
 
 
-@dataclass(frozen=True)
-class CustomSettings(SearchSettings):
+@dataclass
+class CustomSearch(SearchSettings):
     """A search of your own; see docs/search.md."""
 
-    algorithm: ClassVar[str] = "custom"
+    algorithm: str = key("custom", "which search", choices=("custom",))
 
     make: str | None = key(
         None, "a search of your own: FILE.py:NAME or MODULE:NAME, called with settings, shape and seed", path="read"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        place, _, name = (self.make or "").rpartition(":")
-        if not place or not name.isidentifier():
-            raise ConfigError(
-                "The search 'custom' needs make=FILE.py:NAME or make=MODULE:NAME, where NAME makes a search of"
-                f" settings, shape and seed; got {self.make!r}."
-            )
-
 
 ALGORITHMS: dict[str, type[SearchSettings]] = {
-    settings.algorithm: settings
-    for settings in (
-        GaSettings,
-        BoSettings,
-        CppnNeatSettings,
-        MapElitesSettings,
-        RandomSettings,
-        CustomSettings,
-    )
+    "ga": GA,
+    "bo": BO,
+    "cppn_neat": CppnNeat,
+    "map_elites": MapElites,
+    "random": RandomDesigns,
+    "custom": CustomSearch,
 }
 """The settings of each algorithm, by its name."""
 
@@ -178,28 +164,10 @@ def settings_from(values: Mapping[str, Any] | object) -> SearchSettings:
     if algorithm not in ALGORITHMS:
         hint = did_you_mean(algorithm, ALGORITHMS)
         raise ConfigError(f"algorithm must be one of {listing(ALGORITHMS)}; got {algorithm!r}.{hint}")
-    known = [item.name for item in dataclasses.fields(ALGORITHMS[algorithm])]
+    known = [item.name for item in dataclasses.fields(ALGORITHMS[algorithm]) if item.name != "algorithm"]
     for name in given:
         if name not in known:
             owners = [other for other, kind in ALGORITHMS.items() if name in kind.__dataclass_fields__]
             whose = f" It is a setting of {listing(owners)}." if owners else did_you_mean(name, known)
             raise ConfigError(f"The search '{algorithm}' has no setting '{name}'.{whose} It has: {listing(known)}.")
     return ALGORITHMS[algorithm](**given)
-
-
-def _as_tuple(value: Any) -> Any:
-    return tuple(value) if isinstance(value, (list, tuple)) else value
-
-
-def _check_types(settings: SearchSettings) -> None:
-    """Integers where integers are meant: a generation of 2.5 designs must not get as far as a search."""
-    hints = typing.get_type_hints(type(settings))
-    for item in dataclasses.fields(settings):
-        value, hint = getattr(settings, item.name), hints[item.name]
-        kinds = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
-        allowed = tuple(tuple if typing.get_origin(kind) is tuple else kind for kind in kinds)
-        if float in allowed:
-            allowed = (*allowed, int)
-        if not isinstance(value, allowed) or (isinstance(value, bool) and bool not in allowed):
-            words = {int: "an integer", float: "a number", str: "text", tuple: "a list of names"}
-            raise ConfigError(f"{item.name} must be {words[allowed[0]]}, got {value!r}.")

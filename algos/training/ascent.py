@@ -52,13 +52,15 @@ class Ascent(PPO):
 
     learner: CpgNetwork
 
-    def _optimizer(self) -> torch.optim.Optimizer:
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
         if not isinstance(getattr(self.actor, "network", None), CpgNetwork):
             raise ConfigError("method=gradients trains policy=cpg: what other policies observe is not differentiated.")
         self.learner, self.steps = copy.deepcopy(self.actor.network), 0
         self.learner.response = self.actor.network.response  # known responses are known to both
-        rate, betas = self.initial_learning_rate, (0.9, 0.99)
-        return torch.optim.AdamW(self.learner.parameters(), rate, betas, self.adam_eps, weight_decay=DECAY)
+        parameters, betas = self.learner.parameters(), (0.9, 0.99)
+        self.optimizer = torch.optim.AdamW(parameters, self.learning_rate, betas, weight_decay=DECAY)
+        self._configure_adam()
 
     def look(self, obs: Any) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """What does not move in the inputs of the network, its weights for the bodies, and the actions of the cells:
@@ -70,9 +72,8 @@ class Ascent(PPO):
 
     def ascend(self, targets: Targets) -> float:
         """Fit the learner; returns the mean squared distance to the targets."""
-        self._decay()
-        for group in self.optimizer.param_groups:
-            group["lr"] = self.learning_rate
+        if self.decays:
+            self.set_learning_rate(self.decayed_rate)
         total, times = 0.0, self.num_learning_epochs * self.num_mini_batches
         for _ in range(times):
             bodies, wanted = targets.draw(min(BATCH, len(targets)))
@@ -160,8 +161,14 @@ class AscentRunner(Runner):
         returns = total.detach().masked_fill(stopped, 0.0)
         return returns, slope.masked_fill(stopped[:, None, None], 0.0), stopped
 
-    def _collect(self) -> tuple[list[dict[str, torch.Tensor]], torch.Tensor]:
-        """Roll out, and give the bodies targets; returns logs, and that all episodes have ended."""
+    def _improve(self) -> None:
+        self._collect()
+        distance = self.alg.ascend(self._targets) if len(self._targets) else 0.0
+        self.logger.losses = {"value": distance, "surrogate": -self._found["return"], "entropy": 0.0}
+        self._exchange()
+
+    def _collect(self) -> None:
+        """Roll out, and give the bodies targets; all episodes have ended then."""
         bodies, weights, actions = self.alg.look(self.env.reset())
         returns, slope, stopped = self._roll_out(weights, actions, self.ppo.steps)
         norm = slope.flatten(1).norm(dim=1)
@@ -171,12 +178,8 @@ class AscentRunner(Runner):
         if bool(known.any()):
             self._targets.add(bodies[known], targets[known])
         self._found = {"return": float(returns.mean()), "unstable": int(stopped.sum())}
-        logs = {"Gradient/norm": norm.median(), "Episode/unstable": stopped.float().mean()}
-        return [logs], torch.ones_like(stopped)
-
-    def _update(self) -> dict[str, float]:
-        distance = self.alg.ascend(self._targets) if len(self._targets) else 0.0
-        return {"value": distance, "surrogate": -self._found["return"], "entropy": 0.0}
+        self.logger.means = {"Gradient/norm": float(norm.median()), "Episode/unstable": float(stopped.float().mean())}
+        self.logger.ended = torch.ones_like(stopped)
 
     def state(self) -> dict[str, Any]:
         """See :meth:`Runner.state`."""

@@ -1,23 +1,173 @@
-"""Bodies that a policy is trained over, and how others take their place while it is trained."""
+"""Bodies of a training: how they are named, and how others take their place while a policy is trained."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from warpvox.design import Design, sample_design
+from warpvox.algos.settings import REFRESH
+from warpvox.algos.training.settings import Training
+from warpvox.batch.options import lanes_for
+from warpvox.design import Design, load_design, sample_design
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, DesignError
+from warpvox.runs import CONFIG
 
-__all__ = ["Bodies", "draw_bodies"]
+__all__ = ["Bodies", "TrainingBodies", "draw_bodies", "has_designs", "load_bodies", "read_bodies", "training_bodies"]
 
+RANDOM = re.compile(r"random:(\d+)(?::(\d+)x(\d+))?")
+SHAPE = (5, 5)
+"""Rows and columns of random bodies that none are given for."""
+HELD_OUT_SEED = 1_000_003
+"""Held-out random bodies do not depend on the seed of a training, so that trainings can be compared."""
+HELD_OUT = 32
+"""Random bodies that are held out where none are named."""
+FILES = (".json", ".npz", ".npy")
+MOST = 1_000_000
 RECENT = 0.3
 """Weight of an episode's return in the mean return of its body."""
+
+
+def load_bodies(spec: Any, seed: int) -> list[np.ndarray | dict[str, np.ndarray]]:
+    """The bodies that the key ``design`` names: one, or one an entry for a list of names, files or bodies.
+
+    A mapping ``{robot name: body}`` is a design for a task with several robots.
+
+    Raises:
+        DesignError: not valid or not readable.
+    """
+    if isinstance(spec, Mapping):
+        return [{name: load_design(body, seed=seed + number) for number, (name, body) in enumerate(spec.items())}]
+    if isinstance(spec, str):
+        return [load_design(spec, seed=seed)]
+    if isinstance(spec, list) and spec and all(isinstance(item, Mapping) for item in spec):
+        return [body for number, item in enumerate(spec) for body in load_bodies(item, seed + number)]
+    if isinstance(spec, np.ndarray):
+        spec = spec.tolist()
+    if not isinstance(spec, list) or not spec:
+        raise DesignError(f"design must be a name, a file or rows of cells such as [[3,3],[4,4]]; got {spec!r}.")
+    several = all(isinstance(item, str) or _is_body(item) for item in spec)
+    if not several:
+        return [load_design(spec, seed=seed)]
+    return [load_design(item, seed=seed + number) for number, item in enumerate(spec)]
+
+
+def _is_body(item: Any) -> bool:
+    return isinstance(item, list) and bool(item) and all(isinstance(row, list) for row in item)
+
+
+def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) -> list[Design]:
+    """Bodies that a key names.
+
+    Args:
+        spec: ``random:64`` or ``random:64:5x7`` (drawn with ``seed``), a folder with design files, the folder of a
+            design search (its bodies, the best first), or whatever the key ``design`` takes.
+        key: the name of the key, for errors.
+        without: bodies that random ones shall not be.
+
+    Raises:
+        DesignError, ConfigError: nothing of the kind.
+    """
+    if isinstance(spec, str):
+        found = RANDOM.fullmatch(spec.strip())
+        if found is not None:
+            count, shape = int(found[1]), tuple(map(int, found.groups()[1:])) if found[2] else SHAPE
+            if not 1 <= count <= MOST:
+                raise ConfigError(f"{key} can be 1 to {MOST:,} random bodies, got {count:,}.")
+            return draw_bodies(count, shape, np.random.default_rng(seed), without)
+        if spec.startswith("random:") and spec.count(":") > 1:
+            raise ConfigError(f"{key}: random bodies are random:64 or random:64:5x7, got {spec!r:.80}.")
+        folder = Path(spec).expanduser()
+        if folder.is_dir():
+            return _of_folder(folder, key)
+    bodies = load_bodies(spec, seed)
+    if any(isinstance(body, dict) for body in bodies):
+        raise ConfigError(f"{key} are bodies of one robot; for several robots use design.")
+    return bodies
+
+
+def _of_folder(folder: Path, key: str) -> list[Design]:
+    from warpvox.algos.codesign.archive import FILE, Archive
+
+    if (folder / FILE).is_file():
+        with Archive.read(folder / FILE) as archive:
+            best = [record.candidate.body for record in archive.best(MOST)]
+        if not best:
+            raise DesignError(f"{key}: the search in {folder} has evaluated no body yet.")
+        return best
+    files = _files(folder)
+    if not files:
+        raise DesignError(f"{key}: {folder} is neither a design search nor a folder of designs ({', '.join(FILES)}).")
+    return [load_design(path) for path in files]
+
+
+def has_designs(folder: Path) -> bool:
+    """Whether a folder holds design files, and is not that of a run."""
+    return bool(_files(folder)) and not (folder / CONFIG).is_file()
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in FILES)
+
+
+@dataclass(frozen=True)
+class TrainingBodies:
+    """The bodies of a training.
+
+    Attributes:
+        trained: those that a policy is trained on.
+        judged: those that it is evaluated on.
+        grid: rows and columns that there is room for, where one policy is trained on many bodies; else None.
+        own: of many bodies, whether it is evaluated on those that it is trained on, as the user has named them.
+    """
+
+    trained: list[Any]
+    judged: list[Any]
+    grid: tuple[int, int] | None = None
+    own: bool = False
+
+    def lanes(self, settings: Training, device: str) -> int | None:
+        """The lanes that a training on them uses: evaluations with as many need no kernels of their own."""
+        if device != "cpu" or settings.lanes is not None or settings.is_many:
+            return settings.lanes if device == "cpu" else None
+        return lanes_for(settings.num_envs // len(self.trained))
+
+
+def training_bodies(settings: Training) -> TrainingBodies:
+    """The bodies that settings name.
+
+    Raises:
+        DesignError: a body that is not valid, or that there is no room for. ConfigError: nothing of the kind.
+    """
+    designs, seed = settings.designs, settings.seed
+    if designs.bodies is None:
+        bodies = load_bodies(settings.design, seed)
+        return TrainingBodies(bodies, bodies)
+    trained = judged = read_bodies(designs.bodies, seed, "designs")
+    shape = _shape(trained)
+    drawn = designs.refresh == "new" or (isinstance(designs.bodies, str) and designs.bodies.startswith("random:"))
+    own = designs.held_out is None and not drawn
+    if not own:
+        spec = f"random:{HELD_OUT}:{shape[0]}x{shape[1]}" if designs.held_out is None else designs.held_out
+        judged = read_bodies(spec, HELD_OUT_SEED, "designs.held_out")
+        trained = read_bodies(designs.bodies, seed, "designs", without=judged)
+    largest = _shape([*trained, *judged])
+    rows, columns = designs.grid or largest
+    if largest[0] > rows or largest[1] > columns:
+        raise DesignError(f"There are bodies of {largest[0]}x{largest[1]}, and designs.grid is {rows}x{columns}.")
+    return TrainingBodies(trained, judged, (rows, columns), own)
+
+
+def _shape(bodies: Sequence[Design]) -> tuple[int, int]:
+    return max(body.shape[0] for body in bodies), max(body.shape[1] for body in bodies)
 
 
 def draw_bodies(
@@ -81,6 +231,23 @@ class Bodies:
         self._digests = {_digest(body) for body in [*self.bodies, *self.without]}
         self._which = np.zeros(0, np.int64)
         self.shape = tuple(max(body.shape[axis] for body in self.bodies) for axis in (0, 1))
+
+    @classmethod
+    def of(cls, bodies: TrainingBodies, settings: Training, seed: int) -> Bodies:
+        """Those of a training; ``seed``: of the order in which they come, which differs between processes.
+
+        Raises:
+            ConfigError: settings that do not go together.
+        """
+        count, refresh = len(bodies.trained), settings.designs.refresh
+        if refresh not in REFRESH[:2] and count < 2:
+            raise ConfigError(f"designs.refresh={refresh} chooses among bodies, and there is only one.")
+        if refresh == "none" and count > settings.num_envs:
+            raise ConfigError(
+                f"{count} bodies need as many environments, or others take their place while the policy learns:"
+                f" num_envs={count}, or designs.refresh=random."
+            )
+        return cls(bodies.trained, refresh, np.random.default_rng([seed, 1]), bodies.judged)
 
     def first(self, num_envs: int) -> list[Design]:
         """The body of each environment at the beginning."""

@@ -1,14 +1,10 @@
-"""Metrics of a training run: ``metrics.csv``, TensorBoard events, Weights & Biases, Neptune."""
+"""Metrics of a training run: ``metrics.csv``, and rsl-rl's writers for TensorBoard, Weights & Biases and Neptune."""
 
 from __future__ import annotations
 
 import csv
 import io
-import itertools
 import math
-import os
-import socket
-import time
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +13,7 @@ from typing import Any
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.writing import write_text, writing
 
-__all__ = ["COLUMNS", "Events", "Metrics", "check_logger", "read_metrics"]
+__all__ = ["COLUMNS", "Metrics", "check_logger", "read_metrics"]
 
 COLUMNS = (
     "iteration",  # iterations complete
@@ -84,9 +80,13 @@ class Metrics:
         kept = [row for row in read_metrics(folder) if row["iteration"] <= iteration]
         text = "".join([_line(COLUMNS), *(_line(_cells(row)) for row in kept)])
         write_text(self.path, text, make_folders=False)
-        self._events = self._writer = None
+        self._writer: Any = None
+        # these imports take half a second
         if logger == "tensorboard":
-            self._events = Events(folder, purge_step=iteration + 1)
+            from torch.utils.tensorboard import SummaryWriter
+
+            with writing(folder):
+                self._writer = SummaryWriter(str(folder), purge_step=iteration + 1)
         elif logger in WRITERS:
             from rsl_rl.utils import resolve_callable
 
@@ -100,71 +100,25 @@ class Metrics:
             file.write(_line(_cells(row)))
         known = {tag: row[name] for name, tag in TAGS.items() if _known(row.get(name))}
         scalars, step = known | dict(log or {}), int(row["iteration"])
-        if self._events is not None:
-            self._events.write(scalars, step)
         if self._writer is not None:
-            for tag, value in scalars.items():
-                self._writer.add_scalar(tag, value, step)
+            with writing(self.path.parent):
+                for tag, value in scalars.items():
+                    self._writer.add_scalar(tag, value, step)
+                self._writer.flush()
 
     def close(self) -> None:
         """Close the files and the run of the logger."""
-        if self._events is not None:
-            self._events.close()
         if self._writer is not None:
-            self._writer.stop()
+            with writing(self.path.parent):
+                self._writer.close()
+            if hasattr(self._writer, "stop"):  # of the logger's service
+                self._writer.stop()
 
 
 def check_logger(name: str) -> None:
     """Raise ConfigError if a logger needs a package that is not installed."""
     if name in WRITERS and find_spec(name) is None:
         raise ConfigError(f"logger={name} needs the package {name}, which is not installed: pip install {name}")
-
-
-class Events:
-    """TensorBoard's file of scalars, written in the thread that calls.
-
-    TensorBoard's own writer has a thread, which on a full disk would die with a traceback, and take with it what had
-    not been written.
-
-    Args:
-        purge_step: what other files of the folder say of this step and later ones no longer holds.
-    """
-
-    def __init__(self, folder: Path, purge_step: int) -> None:
-        # the import takes half a second
-        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
-        from tensorboard.compat.proto.summary_pb2 import Summary
-        from tensorboard.summary.writer.record_writer import RecordWriter
-
-        self._event, self._summary = Event, Summary
-        name = f"events.out.tfevents.{time.time_ns() // 10**9:010}.{socket.gethostname()}.{os.getpid()}"
-        self.path = next(path for k in itertools.count() if not (path := folder / f"{name}.{k}").exists())
-        with writing(self.path):
-            # without a buffer: what cannot be written would be tried again, and complained of, at the end of Python
-            self._file = self.path.open("wb", buffering=0)
-        self._buffer = io.BytesIO()
-        self._records = RecordWriter(self._buffer)
-        self._add(file_version="brain.Event:2", step=purge_step)
-        self._add(session_log=SessionLog(status=SessionLog.START), step=purge_step)
-
-    def write(self, scalars: Mapping[str, float], step: int) -> None:
-        """Add values by their tags."""
-        values = [self._summary.Value(tag=tag, simple_value=value) for tag, value in scalars.items()]
-        self._add(summary=self._summary(value=values), step=step)
-
-    def _add(self, **content: Any) -> None:
-        self._buffer.seek(0)
-        self._buffer.truncate()
-        self._records.write(self._event(wall_time=time.time(), **content).SerializeToString())
-        left = self._buffer.getbuffer()
-        with left, writing(self.path):
-            done = 0
-            while done < len(left):
-                done += self._file.write(left[done:])
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
 
 
 def read_metrics(folder: Path) -> list[dict[str, float]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -10,26 +12,29 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rsl_rl.runners import OnPolicyRunner
+from rsl_rl.utils.logger import Logger
 
 from warpvox.algos.checkpoints.files import (
     Controller,
     PolicySpec,
     check_fits,
     load_checkpoint,
+    rnn_of,
     save_checkpoint,
     spec_dict,
     spec_of,
 )
 from warpvox.algos.evaluate import Evaluation, Evaluator, StatefulEvaluator
 from warpvox.algos.interrupt import deferred_interrupts
-from warpvox.algos.settings import PpoConfig
+from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
 from warpvox.algos.training.metrics import Metrics
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
-from warpvox.errors import ActionError, DivergenceError, RunError
+from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
 
 __all__ = ["BEST", "STATE", "Runner", "Schedule", "adapt"]
@@ -53,7 +58,7 @@ class Schedule:
     stop_return: float | None = None
 
 
-def adapt(env: Any, ppo: PpoConfig, apart: bool = False) -> RslRlVecEnv:
+def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
     """Wrap a :class:`VoxelVecEnv` with the settings of ``ppo``; ``apart``: designs share no running moments."""
     return RslRlVecEnv(
         env,
@@ -65,8 +70,45 @@ def adapt(env: Any, ppo: PpoConfig, apart: bool = False) -> RslRlVecEnv:
     )
 
 
-class Runner:
-    """Trains one policy.
+class _Rollout(Logger):
+    """What rsl-rl's runner tells of an iteration, in the place of its logger.
+
+    Attributes:
+        means: of what the environments log.
+        ended: bool ``[num_envs]``, where episodes have ended.
+        losses: means of the losses.
+    """
+
+    writer = None
+
+    def __init__(self, bodies: Bodies | None) -> None:
+        self.bodies = bodies
+
+    def init_logging_writer(self) -> None:
+        """An iteration begins."""
+        self._logs: list[dict[str, torch.Tensor]] = []
+        self.ended: torch.Tensor | bool = False
+
+    def process_env_step(
+        self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict, intrinsic_rewards: object = None
+    ) -> None:
+        """A control step is done."""
+        self._logs.append(extras["log"])
+        self.ended = dones | self.ended
+        if self.bodies is not None:
+            self.bodies.record(extras["whole"], extras["returns"])
+
+    def log(self, *, loss_dict: dict[str, float], **_: object) -> None:
+        """The update is done."""
+        self.losses = loss_dict
+        # copied from the device at once
+        steps = torch.stack([torch.stack([value.double() for value in log.values()]) for log in self._logs])
+        self.means = dict(zip(self._logs[0], steps.mean(0).tolist(), strict=True))
+        self.means |= {f"Loss/{name}": loss for name, loss in loss_dict.items() if name in ("rnd", "symmetry")}
+
+
+class Runner(OnPolicyRunner):
+    """rsl-rl's runner with evaluations, a table of metrics, atomic checkpoints and exact resumption.
 
     ``current_learning_iteration`` counts complete iterations. With ``folder`` the run leaves there
     ``model_<iteration>.pt``, ``model_best.pt`` (best evaluation), ``state.pt`` (for :meth:`resume`),
@@ -91,11 +133,13 @@ class Runner:
     """
 
     algorithm: type[PPO] = PPO
+    alg: PPO
+    env: RslRlVecEnv
 
     def __init__(
         self,
         env: RslRlVecEnv,
-        ppo: PpoConfig,
+        ppo: Ppo,
         schedule: Schedule,
         folder: Path | None = None,
         evaluator: Evaluator | None = None,
@@ -109,15 +153,19 @@ class Runner:
         trained_on: Mapping[str, Any] | None = None,
     ) -> None:
         ppo.check(env.num_envs)
-        self.env, self.ppo, self.schedule, self.folder = env, ppo, schedule, folder
+        self.ppo, self.schedule, self.folder = ppo, schedule, folder
         self.evaluator, self.report, self.group, self.on_save = evaluator, report, group, on_save
         self.bodies, self.trained_on = bodies, dict(trained_on or {})
         self._judged: Evaluation | None = None
-        self.device, self.logger = str(env.device), logger
         config = rsl_rl_config(ppo, schedule.total, voxels, self.algorithm)
-        ranks = {"global_rank": group.rank, "local_rank": group.local_rank, "world_size": group.size}
-        config["multi_gpu"] = ranks if group.size > 1 else None
-        self.alg = PPO.construct_algorithm(env.get_observations(), env, config, self.device)
+        try:
+            with contextlib.redirect_stdout(io.StringIO()):  # rsl-rl prints both networks
+                super().__init__(env, config, None, str(env.device))
+        except (TypeError, ValueError, LookupError, AttributeError) as error:
+            if not (ppo.rnn or ppo.extra):
+                raise
+            raise ConfigError(f"ppo.rnn or ppo.extra is not what rsl-rl takes: {error}") from error
+        self.logger, self._writer = _Rollout(bodies), logger
         self.memory_hint = memory_hint or (
             f"Train with fewer environments (num_envs={max(1, env.num_envs // 2)} instead of {env.num_envs}) or a lower"
             " ppo.steps."
@@ -130,10 +178,18 @@ class Runner:
             normalize_obs=ppo.normalize_obs,
             action_scale=ppo.action_scale,
             voxels=None if voxels is None else dict(voxels),
+            rnn=rnn_of(config["actor"]),
         )
         self.current_learning_iteration, self.saved_iteration, self.elapsed = 0, None, 0.0
         self.best_return, self.best_iteration, self.last_return = -math.inf, 0, math.nan
         self._metrics: Metrics | None = None
+
+    def _configure_multi_gpu(self) -> None:
+        """As rsl-rl's, for processes that have met already, on CPUs, too."""
+        group = self.group
+        self.is_distributed, self.gpu_world_size, self.gpu_global_rank = False, group.size, group.rank
+        ranks = {"global_rank": group.rank, "local_rank": group.local_rank, "world_size": group.size}
+        self.cfg["multi_gpu"] = ranks if group.size > 1 else None
 
     @property
     def steps_per_iteration(self) -> int:
@@ -182,8 +238,7 @@ class Runner:
             lengths = torch.randint(int(self.env.max_episode_length), (self.env.num_envs,))
             self.env.episode_length_buf = lengths.to(self.env.device)
         if self.folder is not None and self.group.is_main_process:
-            self._metrics = Metrics(self.folder, self.current_learning_iteration, self.logger)
-        self.alg.train_mode()
+            self._metrics = Metrics(self.folder, self.current_learning_iteration, self._writer)
         if self.group.size > 1:
             self.alg.broadcast_parameters()
         try:
@@ -205,11 +260,12 @@ class Runner:
     def _iterate(self, end: int) -> None:
         """One iteration: collect, learn, then evaluate, log and save as scheduled."""
         started = time.perf_counter()
-        logs, ended = self._collect()
-        losses = self._update()
+        try:
+            self._improve()
+        except ActionError as error:
+            raise self._diverged(str(error)) from error
+        losses = self.logger.losses
         self._check(losses)
-        if self.bodies is not None:
-            self.bodies.exchange(self.env, ended)
         seconds = time.perf_counter() - started
         self.current_learning_iteration += 1
         done = self.current_learning_iteration
@@ -217,33 +273,23 @@ class Runner:
         self.elapsed += time.perf_counter() - started
         row = self._row(losses, seconds, evaluated)
         if self._metrics is not None:
-            self._metrics.write(row, _means(logs))
+            self._metrics.write(row, self.logger.means)
         if self.report is not None and self.group.is_main_process:
             self.report(row)
         if done % self.schedule.save == 0 and done != end:
             self.save_all()
 
-    @torch.no_grad()
-    def _collect(self) -> tuple[list[dict[str, torch.Tensor]], torch.Tensor]:
-        """Fill the storage; returns logs of the environments, a dictionary for each step, and where episodes ended."""
-        logs, ended = [], torch.zeros(self.env.num_envs, dtype=torch.bool, device=self.device)
-        obs = self.env.get_observations()
-        for _ in range(self.ppo.steps):
-            try:
-                obs, rewards, dones, extras = self.env.step(self.alg.act(obs))
-            except ActionError as error:
-                raise self._diverged(str(error)) from error
-            self.alg.process_env_step(obs, rewards, dones, extras)
-            logs.append(extras["log"])
-            ended |= dones
-            if self.bodies is not None:
-                self.bodies.record(extras["whole"], extras["returns"])
-        self.alg.compute_returns(obs)
-        return logs, ended
+    def _improve(self) -> None:
+        """Collect, learn and exchange bodies, once; :attr:`logger` is told what came of it."""
+        super().learn(1)
+        with torch.inference_mode():  # as the environments have made steps
+            self._exchange()
 
-    def _update(self) -> dict[str, float]:
-        """Learn from what was collected; returns the mean losses."""
-        return self.alg.update()
+    def _exchange(self) -> None:
+        if self.bodies is not None and self.bodies.refresh != "none":
+            self.bodies.exchange(self.env, self.logger.ended)
+            self.alg.actor.reset(self.logger.ended)
+            self.alg.critic.reset(self.logger.ended)
 
     def _check(self, losses: dict[str, float]) -> None:
         """Raise DivergenceError if losses, weights or moments are not finite."""
@@ -273,7 +319,6 @@ class Runner:
             except ActionError as error:
                 self.current_learning_iteration -= 1  # it is not complete
                 raise self._diverged(str(error)) from error
-            self.alg.train_mode()
         value = self.group.broadcast(value)
         if math.isnan(value):  # there is no evaluator
             return value
@@ -389,6 +434,7 @@ class Runner:
             "best_return": self.best_return,
             "best_iteration": self.best_iteration,
             "processes": self.group.size,
+            "memory": self.alg.memory(),
         }
         if self.bodies is not None:
             own["bodies"] = self.bodies.state(self.env)
@@ -435,7 +481,7 @@ class Runner:
             raise RunError(f"The pretrained policy has another kind of network: {str(error)[:200]}") from None
         self.alg.updates = 0
         if self.ppo.schedule != "adaptive":
-            self.alg.learning_rate = self.ppo.learning_rate
+            self.alg.set_learning_rate(self.ppo.learning_rate)
 
     def set_state(self, content: dict[str, Any]) -> None:
         """Go on from :meth:`state`, or with new episodes from the content of ``model_<iteration>.pt``."""
@@ -447,6 +493,8 @@ class Runner:
         if self.bodies is not None and "bodies" in content:
             self.bodies.set_state(content["bodies"], self.env)
         self.env.set_state(content["env"])
+        if "memory" in content:
+            self.alg.set_memory(content["memory"])
         torch.set_rng_state(content["random"]["cpu"].cpu())
         if "cuda" in content["random"] and torch.device(self.device).type == "cuda":
             torch.cuda.set_rng_state(content["random"]["cuda"].cpu(), self.device)
@@ -454,10 +502,3 @@ class Runner:
             self.evaluator.set_state(content["evaluator"])
         self.elapsed = content["elapsed"]
         self.best_return, self.best_iteration = content["best_return"], content["best_iteration"]
-
-
-def _means(logs: list[dict[str, torch.Tensor]]) -> dict[str, float]:
-    """Means over the steps of an iteration, copied from the device at once."""
-    names = list(logs[0])
-    columns = torch.stack([torch.stack([log[name].double() for log in logs]).mean() for name in names])
-    return dict(zip(names, columns.tolist(), strict=True))

@@ -79,6 +79,16 @@ class RslRlVecEnv(VecEnv):
         self._obs = env.reset()[0]
 
     @property
+    def unwrapped(self) -> RslRlVecEnv:
+        """Where rsl-rl looks for :attr:`step_dt`: this adapter."""
+        return self
+
+    @property
+    def step_dt(self) -> float:
+        """Seconds of a control step, by which rsl-rl multiplies the weight of intrinsic rewards."""
+        return self.env.sim.physics.substeps * self.env.sim.physics.dt
+
+    @property
     def episode_length_buf(self) -> torch.Tensor:
         """long ``[num_envs]``: control steps of the episode so far. rsl-rl assigns it to spread the ends."""
         return self.env.episode_length

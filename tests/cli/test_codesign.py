@@ -25,18 +25,20 @@ from rich.console import Console
 
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.checkpoints.files import load_controller
+from warpvox.algos.codesign import progress, results as results_of
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
-from warpvox.algos.search import settings_from
-from warpvox.cli import codesign_progress, fresh_seeds
-from warpvox.cli.cell_text import body_rows
-from warpvox.cli.codesign_progress import Results, SearchProgress
-from warpvox.cli.commands.codesign import _archive, resolve
+from warpvox.algos.codesign.progress import SearchProgress
+from warpvox.algos.codesign.results import Results
+from warpvox.algos.codesign.run import SearchRun, _archive
+from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.search import GA
 from warpvox.cli.config import load
-from warpvox.cli.runs import END
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError
+from warpvox.runs import END
 from warpvox.view.body_picture import cell_colour
+from warpvox.view.cell_text import body_rows
 
 TINY = (
     "shape=[3,3] search.population=5 search.max_evaluations=8 search.survivor_rate=0.3 training.envs=8"
@@ -111,7 +113,7 @@ def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) 
 def test_the_winner_of_a_random_task_is_judged_again_on_fresh_seeds(
     search: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fresh_seeds, "EPISODES", 12)  # of 64
+    monkeypatch.setattr(results_of, "FRESH", 12)  # of 64
     folder = search("task=Catcher-v0", "search.max_evaluations=5", "seed=3")
     fresh, text = summary(folder)["fresh_seeds"], (folder / "report.html").read_text()
     assert warpvox("evaluate", f"runs=[{folder}]", "episodes=12", "device=cpu", "threads=1").code == 0
@@ -230,13 +232,14 @@ def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
 def watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable:
     """``news(watch, seconds, iteration, steps, first)`` of two designs; returns what the last line says is left."""
     clock, output = [0.0], io.StringIO()
-    monkeypatch.setattr(codesign_progress.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(codesign_progress, "QUIET_SECONDS", 0.0)
-    config = load("codesign", ["search.max_evaluations=4"])
-    results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), config)
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(progress, "QUIET_SECONDS", 0.0)
+    results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), Codesign())
 
-    def watch(finalists: int = 0, costs: tuple[float, float] = (100.0, 1000.0)) -> SearchProgress:
-        return SearchProgress(results, 4 + finalists, Console(width=120, file=output), costs, finalists)
+    def watch(finalists: int = 0) -> SearchProgress:
+        shown = SearchProgress(Console(width=120, file=output))
+        shown.begun(SearchRun(results, 4 + finalists, finalists, (100.0, 1000.0), 0, False))
+        return shown
 
     def news(watch: SearchProgress, seconds: float, asked: list[Candidate], steps: int) -> str:
         clock[0] += seconds
@@ -284,11 +287,12 @@ def test_what_was_done_before_an_interrupt_does_not_count_as_fast(watched: Calla
 
 
 def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None:
-    config = load("codesign", ["search.max_evaluations=4", "top=2"])
     console = Console(force_terminal=True, color_system="truecolor", width=120, file=io.StringIO())
     bodies = [example_design("walker"), sample_design((5, 5), 0)]
-    results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), config)
-    with results.archive as archive, SearchProgress(results, 4, console, (500.0, 0.0)) as watch:
+    results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), Codesign(top=2))
+    watch = SearchProgress(console)
+    watch.begun(SearchRun(results, 4, 0, (500.0, 0.0), 0, False))
+    with results.archive as archive:
         asked = [Candidate(k, body) for k, body in enumerate(bodies)]
         archive.propose(asked, 0)
         watch.proposed(0, asked, 2)
@@ -300,6 +304,7 @@ def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None
         archive.finish([Finished(0, Outcome(2.5)), Finished(1, Outcome(0.5))])
         watch.finished(archive.records())
         watch.told(0, fresh=True)
+        watch.ended(results.write("done"))
     text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", console.file.getvalue())
     assert "generation 0 done: 2/4 designs  best 2.500  mean 1.500  best so far 2.500" in text
     rows = body_rows(bodies, ["2.500 #0", "0.500 #1"], console)
@@ -314,22 +319,12 @@ def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None
     ]
 
 
-def test_settings_that_an_algorithm_has_by_default_are_in_the_resolved_configuration() -> None:
-    for algorithm, name, value in (("bo", "acquisition", "paper"), ("ga", "survivor_rate", 0.6)):
-        asked = load("codesign", ["preset=paper", f"search.algorithm={algorithm}", "device=cpu"])
-        assert getattr(asked.search, name) is None
-        config = resolve(asked)
-        assert getattr(config.search, name) == value
-        assert config.search.descriptors is None  # of another search
-        assert settings_from(config.search) == settings_from(asked.search)
-
-
 def test_an_archive_of_other_settings_is_refused(tmp_path: Path) -> None:
-    config = resolve(load("codesign", ["search=paper", "device=cpu"]))
-    _archive(tmp_path, config).close()
-    _archive(tmp_path, dataclasses.replace(config, preset="paper")).close()  # it names values
+    settings = Codesign(device="cpu").resolved()
+    _archive(tmp_path, settings).close()
+    _archive(tmp_path, dataclasses.replace(settings, threads=3, name="other")).close()  # the same search
     with pytest.raises(RunError, match="another value of 'search'"):
-        _archive(tmp_path, resolve(load("codesign", ["search=paper", "search.mutation_rate=0.2", "device=cpu"])))
+        _archive(tmp_path, dataclasses.replace(settings, search=GA(mutation_rate=0.2)))
 
 
 def test_presets_are_those_of_the_paper() -> None:
@@ -338,8 +333,6 @@ def test_presets_are_those_of_the_paper() -> None:
     training = paper.training
     assert training.iterations * training.envs * training.ppo.steps == 512_000
     assert (training.iterations, training.eval_interval, training.rungs, training.inherit) == (1000, 50, [], False)
-    other = load("codesign", ["search=paper", "search.algorithm=random", "search.max_evaluations=750", "shape=[5,7]"])
-    assert (other.search.algorithm, other.search.max_evaluations, other.shape) == ("random", 750, [5, 7])
     quick = load("codesign", ["search=quick"])
     cost = quick.search.max_evaluations * quick.training.iterations * quick.training.envs * quick.training.ppo.steps
     assert cost < 250 * 512_000 / 5
@@ -382,7 +375,12 @@ def test_killed_three_times_the_real_search_is_the_undisturbed_one(tmp_path: Pat
 @pytest.mark.slow  # tests/algos/codesign/test_ray_executor.py compares in the default run
 @pytest.mark.usefixtures("whole_episodes")  # as in other processes
 @pytest.mark.parametrize(
-    "words", ["", "evaluation=gaits screening.gaits=4 screening.final_rounds=3 screening.final_passes=2 finalists=3"]
+    "words",
+    [
+        "",
+        "evaluation=gaits evaluation.gaits=4 evaluation.final_rounds=3 evaluation.final_passes=2"
+        " evaluation.finalists=3",
+    ],
 )
 def test_ray_finds_what_one_process_finds(search: Callable, words: str) -> None:
     pytest.importorskip("ray", reason="Ray is not installed")

@@ -85,18 +85,18 @@ def test_resuming_refuses_what_would_be_another_run(train: Callable, warpvox: Ca
 def test_an_interrupt_saves_and_the_run_goes_on(
     train: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch, number: int, code: int
 ) -> None:
-    from warpvox.cli.progress import TrainingProgress
+    from warpvox.algos.training.progress import Terminal
 
     whole = train("max_iterations=4")
-    shown = TrainingProgress.__call__
+    shown = Terminal.__call__
 
-    def interrupt(self: TrainingProgress, row: Mapping[str, float]) -> None:
+    def interrupt(self: Terminal, row: Mapping[str, float]) -> None:
         shown(self, row)
         if row["iteration"] == 2:
             signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
-        patch.setattr(TrainingProgress, "__call__", interrupt)
+        patch.setattr(Terminal, "__call__", interrupt)
         outcome = warpvox("train", f"config={whole}")
     assert outcome.code == code
     assert "interrupted, state saved" in outcome.out
@@ -158,7 +158,9 @@ def test_the_demo_trains_and_exports(warpvox: Callable) -> None:
     words = "design=mini num_envs=8 threads=1 ppo.steps=4 ppo.hidden=[8] max_iterations=1 export=[html]".split()
     outcome = warpvox("demo", *words)
     assert outcome.code == 0, outcome.err
-    (folder,) = Path("outputs/demo/Walker-v0").iterdir()
+    (folder,) = Path("outputs/train/Walker-v0").iterdir()
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    assert (config["preset"], config["stop_return"], config["export"]) == ("demo", 9.0, ["html"])
     assert (folder / "rollout.html").as_posix() in outcome.out
     assert (folder / "rollout.html").resolve().as_uri() in outcome.out
     assert warpvox("play", "run=latest", "steps=2", "threads=1").code == 0

@@ -14,12 +14,12 @@ from hypothesis import given, strategies as st
 from rich.console import Console
 from rich.table import Table
 
-from warpvox.cli.build import prepare
 from warpvox.cli.config import load
-from warpvox.cli.console import echo, escaped, literal, shell_argument
-from warpvox.cli.runs import LONGEST_BYTES, as_name
+from warpvox.cli.process import prepare
 from warpvox.devices.startup import LOGGER
 from warpvox.envs.vec_env import make_vec
+from warpvox.io.console import echo, escaped, literal, shell_argument
+from warpvox.runs import LONGEST_BYTES, as_name
 from warpvox.view.rollout import Rollout, record
 
 EVIL = "[/bold]\x1b]0;owned\x07\x1b[2J\r[link=x]a\u202eb\x9b31m"

@@ -13,20 +13,25 @@ from PIL import Image
 
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.training.bodies import Bodies, read_bodies, training_bodies
+from warpvox.algos.training.held_out import shades
 from warpvox.cli.commands.evaluate import evaluate_runs
 from warpvox.cli.commands.play import play
 from warpvox.cli.config import load
-from warpvox.cli.console import Console
-from warpvox.cli.designs import bodies_of, held_out_of, read_bodies, shades
 from warpvox.design import load_design, save_design
 from warpvox.errors import ConfigError, DesignError
+from warpvox.io.console import Console
 from warpvox.view.rollout import Rollout
 
-SMALL = {"ppo.steps": 4, "ppo.minibatches": 1, "ppo.epochs": 1}
+SMALL = {"steps": 4, "minibatches": 1, "epochs": 1}
 
 
 def config(*words: str):
     return load("train", [f"{word}" for word in words])
+
+
+def judged(settings):
+    return training_bodies(settings).judged
 
 
 def test_bodies_are_named_in_many_ways(tmp_path: Path) -> None:
@@ -56,7 +61,7 @@ def test_mistakes_are_explained(spec: object, error: type, says: str) -> None:
 
 
 def test_held_out_bodies_are_those_of_one_seed_that_the_docs_name() -> None:
-    held_out = held_out_of(config("designs=random:4:4x5", "designs.held_out=random:6:4x5", "seed=7"))
+    held_out = judged(config("designs=random:4:4x5", "designs.held_out=random:6:4x5", "seed=7"))
     assert all(np.array_equal(*pair) for pair in zip(held_out, read_bodies("random:6:4x5", 1000003, "x"), strict=True))
 
 
@@ -68,11 +73,11 @@ def test_a_folder_without_designs_is_refused(tmp_path: Path) -> None:
 def test_training_never_meets_what_is_held_out() -> None:
     given = config("designs=random:40:2x2", "designs.held_out=random:20:2x2")
     assert given.designs.bodies == "random:40:2x2"
-    held_out = {body.tobytes() for body in held_out_of(given)}
+    held_out = {body.tobytes() for body in judged(given)}
     assert len(held_out) == 20
-    assert not held_out & {body.tobytes() for body in bodies_of(given, 0).bodies}
+    assert not held_out & {body.tobytes() for body in training_bodies(given).trained}
     # the same whatever the seed of the training
-    assert held_out == {body.tobytes() for body in held_out_of(config("designs=random:40:2x2", "seed=7",
+    assert held_out == {body.tobytes() for body in judged(config("designs=random:40:2x2", "seed=7",
         "designs.held_out=random:20:2x2"))}  # fmt: skip
 
 
@@ -88,7 +93,7 @@ def test_bodies_that_one_names_are_what_the_policy_is_judged_on(train: Callable[
     alone = warpvox("play", f"run={run}", "designs=worm", "num_envs=1", "window=off", "device=cpu", "threads=1")
     assert alone.code == 0, alone.err
     for words, count in ((["designs.refresh=new"], 32), (["designs.held_out=[mini]"], 1)):
-        assert len(held_out_of(config("designs=[mini,worm]", *words))) == count
+        assert len(judged(config("designs=[mini,worm]", *words))) == count
 
 
 def test_the_picture_of_bodies_is_white_for_what_random_actions_reach() -> None:
@@ -99,20 +104,20 @@ def test_the_picture_of_bodies_is_white_for_what_random_actions_reach() -> None:
 def test_more_bodies_than_environments_have_to_be_exchanged() -> None:
     given = config("designs=random:40:3x3", "num_envs=8")
     with pytest.raises(ConfigError, match=r"num_envs=40, or designs\.refresh=random"):
-        bodies_of(given, 0)
+        Bodies.of(training_bodies(given), given, 0)
 
 
 def test_a_run_over_many_bodies_is_trained_evaluated_and_played(tmp_path: Path) -> None:
-    designs = {"designs": "random:6:3x3", "designs.refresh": "random", "designs.held_out": "random:3:3x3"}
+    designs = {"bodies": "random:6:3x3", "refresh": "random", "held_out": "random:3:3x3"}
     options = {"num_envs": 8, "max_iterations": 2, "eval_interval": 1, "device": "cpu", "lanes": 8, "threads": 1}
-    run = wv.train(designs | SMALL | options, policy="grid", output_dir=tmp_path, progress=False)
+    run = wv.train(**options, designs=designs, ppo=SMALL, policy="grid", output_dir=tmp_path, progress=False)
     rows = list(csv.DictReader((run.folder / "held_out.csv").read_text(encoding="utf-8").splitlines()))
     assert [len(row["cells"].replace("/", "")) for row in rows] == [9, 9, 9]
     last = [float(row["last_return"]) for row in rows]
-    assert run.metrics()["eval_return"][-1] == pytest.approx(sum(last) / 3, rel=1e-4)
-    assert run.metrics()["eval_q50"][-1] == pytest.approx(sorted(last)[1], rel=1e-4)
+    assert run.metrics["eval_return"][-1] == pytest.approx(sum(last) / 3, rel=1e-4)
+    assert run.metrics["eval_q50"][-1] == pytest.approx(sorted(last)[1], rel=1e-4)
     about = load_checkpoint(run.folder / "model_best.pt")["trained_on"]
-    assert about["designs"] == {"bodies": "random:6:3x3", "refresh": "random", "held_out": "random:3:3x3"}
+    assert about["designs"] == designs
     words = [f"output_dir={tmp_path}", "device=cpu", "threads=1"]
     console = Console(quiet=True)
     folder = evaluate_runs(load("evaluate", [*words, f"runs={run.folder}", "checkpoint=last"]), console)

@@ -15,8 +15,8 @@ from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.checkpoints.sampling import SampledController
 from warpvox.algos.statistics import difference, mean_interval
 from warpvox.cli.run_groups import group_runs
-from warpvox.cli.runs import Run, find_runs
 from warpvox.errors import RunError
+from warpvox.runs import Run, find_runs
 
 FAST = ("threads=1", "device=cpu")
 

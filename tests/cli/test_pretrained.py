@@ -90,9 +90,9 @@ def test_the_preset_tunes_by_gradients(warpvox: Callable, train: Callable) -> No
 
 
 def test_a_body_takes_the_place_of_those_of_a_preset() -> None:
-    assert make_job(["preset=universal"]).config.designs.bodies == "random:512:5x5"
+    assert make_job(["preset=universal"]).settings.designs.bodies == "random:512:5x5"
     job = make_job(["preset=universal", "design=worm"])
-    assert (job.config.designs.bodies, job.config.design) == (None, "worm")
+    assert (job.settings.designs.bodies, job.settings.design) == (None, "worm")
 
 
 @pytest.mark.parametrize(

@@ -20,19 +20,20 @@ import yaml
 from suite_jobs import act
 
 from warpvox.algos.candidate import Outcome
+from warpvox.algos.codesign import results, run as search_run
 from warpvox.algos.codesign.archive import FILE, Archive
+from warpvox.algos.codesign.evaluations.base import steps_of_training
 from warpvox.algos.interrupt import Terminated
-from warpvox.algos.settings import TrainingConfig
-from warpvox.cli import codesign_progress
-from warpvox.cli.commands import codesign, suite
-from warpvox.cli.config import load, load_values, to_yaml
-from warpvox.cli.costs import steps_of_design
-from warpvox.cli.suite.members import CURVES, MEMBERS
-from warpvox.cli.suite.plan import BENCHMARK10, plan, task_names
-from warpvox.cli.suite.pool import LOG, LocalPool
-from warpvox.devices import names
+from warpvox.algos.settings import DesignTraining
+from warpvox.algos.suite import run as making
+from warpvox.algos.suite.members import CURVES, MEMBERS
+from warpvox.algos.suite.pool import LOG, LocalPool
+from warpvox.cli.commands import suite
+from warpvox.cli.config import load
+from warpvox.cli.suite_plan import BENCHMARK10, plan, task_names
+from warpvox.cli.suite_words import merged
 from warpvox.envs.registry import task_ids
-from warpvox.errors import ConfigError, DivergenceError, StorageError, WarpvoxError
+from warpvox.errors import DivergenceError, StorageError, WarpvoxError
 
 TINY = (
     "tasks=[Walker-v0,Thrower-v0] searches=[ga] seeds=2 shape=[3,3] evaluations=8 search.population=5"
@@ -62,7 +63,9 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def members(*words: str) -> list[Any]:
-    return plan(load("suite", list(words)))
+    own, typed = suite.split(list(words))
+    config = load("suite", own)
+    return plan(dataclasses.replace(config, codesign=merged(config.codesign, typed, "outputs")))
 
 
 @pytest.fixture(scope="module")
@@ -75,13 +78,13 @@ def test_presets_name_the_tasks_of_the_paper_and_a_quick_look() -> None:
     paper = members("suite=paper")
     assert {member.task for member in paper} == set(BENCHMARK10) <= set(task_ids())
     assert len(paper) == 10 * 3 * 3
-    assert {tuple(member.config.shape) for member in paper if member.task == "Lifter-v0"} == {(5, 7)}
-    assert {tuple(member.config.shape) for member in paper if member.task != "Lifter-v0"} == {(5, 5)}
-    budgets = {member.task: member.config.search.max_evaluations for member in paper}
+    assert {tuple(member.settings.shape) for member in paper if member.task == "Lifter-v0"} == {(5, 7)}
+    assert {tuple(member.settings.shape) for member in paper if member.task != "Lifter-v0"} == {(5, 5)}
+    budgets = {member.task: member.settings.search.max_evaluations for member in paper}
     assert [budgets[task] for task in ("Walker-v0", "Climber-v0", "Lifter-v0")] == [250, 500, 750]
     table6 = load("codesign", ["training=paper"]).training
-    assert all(member.config.training == table6 for member in paper)
-    assert {member.config.search.acquisition for member in paper if member.search == "bo_paper"} == {"paper"}
+    assert all(member.settings.training == table6 for member in paper)
+    assert {member.settings.search.acquisition for member in paper if member.search == "bo_paper"} == {"paper"}
     assert len(task_names(["all"])) == 32
     assert len(members("suite=quick")) == 3 * 2 * 3
 
@@ -91,45 +94,46 @@ def test_every_key_of_codesign_reaches_the_members() -> None:
     (member,) = members(*words, "tasks=[Climber-v0]", "searches=[random]", "seeds=[7]")
     alone = load("codesign", [*words, "task=Climber-v0", "search=random", "seed=7"])
     for name in ("rules", "reuse", "dtype", "top", "physics", "task", "seed", "executor", "shape"):
-        assert getattr(member.config, name) == getattr(alone, name), name
-    assert member.config.training.ppo.gamma == 0.9
+        assert getattr(member.settings, name) == getattr(alone, name), name
+    assert member.settings.training.ppo.gamma == 0.9
 
 
 def test_settings_go_to_the_searches_that_have_them() -> None:
     found = members("searches=[ga,random]", "search.mutation_rate=0.3", "search.population=6", "seeds=[4]")
-    rates = {member.search: member.config.search.mutation_rate for member in found}
-    assert rates == {"ga": 0.3, "random": None}
-    assert {member.config.search.population for member in found} == {6}
+    assert [member.settings.search.mutation_rate for member in found if member.search == "ga"] == [0.3] * 3
+    assert not hasattr(found[1].settings.search, "mutation_rate")
+    assert {member.settings.search.population for member in found} == {6}
 
 
-@pytest.mark.parametrize("words", [["finalists=4", "dtype=float32", "screening.gaits=3"], ["evaluation=specialist"]])
+@pytest.mark.parametrize(
+    "words", [["evaluation.finalists=4", "dtype=float32", "evaluation.gaits=3"], ["evaluation=specialist"]]
+)
 def test_what_a_suite_says_holds_against_the_file_of_a_search(words: list[str]) -> None:
-    config = load("suite", ["searches=[auto]", "tasks=[Climber-v0]", "seeds=[2]", *words])
-    assert load_values("suite", yaml.safe_load(to_yaml(config))) == config  # when it is resumed
-    (member,), alone = plan(config), load("codesign", ["search=auto", *words])
-    for name in ("evaluation", "finalists", "screening", "dtype"):
-        assert getattr(member.config, name) == getattr(alone, name), name
+    (member,) = members("searches=[auto]", "tasks=[Climber-v0]", "seeds=[2]", *words)
+    alone = load("codesign", ["search=auto", *words])
+    for name in ("evaluation", "dtype"):
+        assert getattr(member.settings, name) == getattr(alone, name), name
 
 
 @pytest.mark.usefixtures("whole_episodes")
 def test_budgets_by_task() -> None:
     words = ["tasks=[Walker-v0,Climber-v0,Lifter-v0]", "searches=[ga]", "seeds=[0]"]
     found = members(*words, "evaluations={easy:10,default:20,Lifter-v0:30}")
-    assert [member.config.search.max_evaluations for member in found] == [10, 20, 30]
-    training = load("suite", []).training
-    cost = steps_of_design(training, 8)
+    assert [member.settings.search.max_evaluations for member in found] == [10, 20, 30]
+    training = found[0].settings.training
+    cost = steps_of_training(training, 8)
     found = members(*words, f"control_steps={int(cost * 12.5)}", "search.population=8")
-    assert [member.config.search.max_evaluations for member in found] == [12] * 3
+    assert [member.settings.search.max_evaluations for member in found] == [12] * 3
     # of search=auto the finalists take gaits and trainings; Walker-v0 has 500, Catcher-v0 400 steps, four at random
     words = ["tasks=[Walker-v0,Catcher-v0]", "searches=[auto,ga]", "seeds=[0]", "control_steps=5000000"]
     walker, _, catcher, plain = members(
         *words,
-        *(f"screening.{key}" for key in ("gaits=10", "rounds=2", "final_rounds=5", "final_passes=0")),
+        *(f"evaluation.{key}" for key in ("gaits=10", "rounds=2", "final_rounds=5", "final_passes=0")),
     )
-    last = [2 * (5 * 10 * steps + steps_of_design(training, 2)) for steps in (500, 4 * 400)]
+    last = [2 * (5 * 10 * steps + steps_of_training(training, 2)) for steps in (500, 4 * 400)]
     budgets = [int((5_000_000 - spent) // (2 * 10 * steps)) for spent, steps in zip(last, (500, 4 * 400), strict=True)]
-    assert [walker.config.search.max_evaluations, catcher.config.search.max_evaluations] == budgets
-    assert (walker.config.evaluation, plain.config.evaluation) == ("gaits", "specialist")
+    assert [walker.settings.search.max_evaluations, catcher.settings.search.max_evaluations] == budgets
+    assert (walker.settings.evaluation.name, plain.settings.evaluation.name) == ("gaits", "specialist")
 
 
 @pytest.mark.parametrize(
@@ -145,7 +149,9 @@ def test_budgets_by_task() -> None:
         ({"evaluations": {"hard": 3}}, "says nothing of Walker-v0"),
         ({"evaluations": 0}, "evaluations must be an integer >= 1"),
         ({"control_steps": 10}, "must be at least"),
-        ({"control_steps": 10**6, "evaluation": "shared"}, "evaluation=specialist or gaits"),
+        ({"codesign": ["search.mutation_rate=0.1"]}, "It is a setting of search=ga and search=map_elites"),
+        ({"codesign": ["seed=3"]}, "seed is set by the suite for each search. Did you mean 'seeds'"),
+        ({"codesign": ["training.iteration=3"]}, "Did you mean 'training.iterations'"),
         ({"shape": [5]}, "shape must be two integers"),
     ],
 )
@@ -154,17 +160,11 @@ def test_mistakes_in_what_members_are(quick_keys: Any, changes: dict[str, Any], 
         plan(dataclasses.replace(quick_keys, **changes))
 
 
-def test_a_setting_that_no_search_has(quick_keys: Any) -> None:
-    settings = dataclasses.replace(quick_keys.search, mutation_rate=0.1)
-    with pytest.raises(ConfigError, match="None of the searches random has the setting"):
-        plan(dataclasses.replace(quick_keys, searches=["random"], search=settings))
-
-
 def test_what_a_design_costs_with_successive_halving() -> None:
-    settings = TrainingConfig(envs=8, iterations=40, eval_interval=10, rungs=[0.25, 0.5], keep=0.5)
+    settings = DesignTraining(envs=8, iterations=40, eval_interval=10, rungs=[0.25, 0.5], keep=0.5)
     settings.ppo.steps = 16
     # of 5 designs all train 10 iterations, 3 ten more, 2 the last 20
-    assert steps_of_design(settings, 5) == (5 * 10 + 3 * 10 + 2 * 20) * 8 * 16 / 5
+    assert steps_of_training(settings, 5) == (5 * 10 + 3 * 10 + 2 * 20) * 8 * 16 / 5
 
 
 # ------------------------------------------------------------------------------------------------ without training
@@ -198,10 +198,10 @@ class HerePool:
 @pytest.fixture
 def quick(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> Callable:
     """``warpvox suite`` whose members take a moment, on 2 tasks x 1 search x 2 seeds unless told otherwise."""
-    monkeypatch.setattr(codesign, "make_evaluator", lambda *_: Evaluator())
-    monkeypatch.setattr(codesign_progress, "write_bodies", lambda path, *_: path)
-    monkeypatch.setattr(codesign_progress, "write_report", lambda archive, path, facts: path)
-    monkeypatch.setattr(suite, "LocalPool", HerePool)
+    monkeypatch.setattr(search_run, "make_evaluator", lambda *_: Evaluator())
+    monkeypatch.setattr(results, "write_bodies", lambda path, *_: path)
+    monkeypatch.setattr(results, "write_report", lambda archive, path, facts: path)
+    monkeypatch.setattr(making, "LocalPool", HerePool)
 
     def call(*words: str) -> Any:
         keys = [word.split("=")[0] for word in words]
@@ -213,15 +213,15 @@ def quick(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> Callable:
 
 def failing(monkeypatch: pytest.MonkeyPatch, fails: Callable[[Any], Exception | None]) -> None:
     """Members for which ``fails`` gives an error end with it."""
-    made = codesign.codesign
+    made = making.run_codesign
 
-    def make(job: Any, console: Any) -> Path:
-        error = fails(job.config)
+    def make(settings: Any, *given: Any, **named: Any) -> Any:
+        error = fails(settings)
         if error is not None:
             raise error
-        return made(job, console)
+        return made(settings, *given, **named)
 
-    monkeypatch.setattr(codesign, "codesign", make)
+    monkeypatch.setattr(making, "run_codesign", make)
 
 
 def test_a_suite_leaves_one_folder(quick: Callable) -> None:
@@ -261,7 +261,7 @@ def test_a_suite_leaves_one_folder(quick: Callable) -> None:
     ("words", "phrase"),
     [
         ("training.inherit=true", "auto: training.inherit does not go with evaluation=gaits"),
-        ("evaluation=few_shot", "few_shot and pretrained go together"),
+        ("evaluation=few_shot", "evaluation=few_shot needs evaluation.pretrained"),
     ],
 )
 def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(
@@ -275,9 +275,10 @@ def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(
 def test_a_suite_counts_environments_as_its_members_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """With device=auto: 16 environments for each training, and of gaits 32 designs x 8 gaits x 4 episodes."""
     asked = []
-    monkeypatch.setattr(names, "resolve_device", lambda device, envs: asked.append(envs) or "cpu")
-    config = load("suite", ["tasks=[Catcher-v0]", "searches=[ga,auto]", "search.population=32", "workers=1"])
-    suite._pool(config, [member.config for member in plan(config)])[0].close()
+    monkeypatch.setattr(making, "resolve_device", lambda device, envs: asked.append(envs) or "cpu")
+    words = "tasks=[Catcher-v0]", "searches=[ga,auto]", "search.population=32"
+    found = [member.settings for member in members(*words)]
+    making._pool(load("suite", ["workers=1"]), found)[0].close()
     assert asked == [32 * 8 * 4]
 
 

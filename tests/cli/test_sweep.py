@@ -11,8 +11,7 @@ import pytest
 
 import warpvox as wv
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.cli.config import Arguments
-from warpvox.cli.sweep import LONGEST_LABEL, Member, members
+from warpvox.cli.sweep import LONGEST_LABEL, label_of
 from warpvox.design import example_design
 from warpvox.devices.startup import LOGGER
 from warpvox.errors import DivergenceError
@@ -27,22 +26,13 @@ def table() -> list[dict[str, str]]:
         return list(csv.DictReader(text))
 
 
-def test_what_runs_differ_by() -> None:
-    words = ["seed=1,2", "ppo.gamma=0.9,0.99", "task=Walker-v0,Climber-v0", "num_envs=8"]
-    runs = members(Arguments(words, multirun=True), "train")
-    assert len(runs) == 8
-    assert runs[0].varied == {"seed": "1", "ppo.gamma": "0.9", "task": "Walker-v0"}
-    assert runs[0].label == "seed-1_ppo.gamma-0.9"
-    assert len({run.label for run in runs}) == 4
-    assert members(Arguments(["seed=1"], multirun=True), "train")[0].label == ""
-
-
 @pytest.mark.parametrize("value", ["a/b/body (1).json", "[[3,3],[4,4]]", "läufe", "", "../..", "x" * 400])
 def test_labels_are_short_and_safe(value: str) -> None:
-    label = Member([], {"design": value, "ppo.hidden": "[64,64]"}).label
+    label = label_of({"design": value, "ppo.hidden": "[64,64]"})
     assert len(label) <= LONGEST_LABEL
     assert set(label) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._+-")
     assert label.startswith("design-")
+    assert label_of({"seed": "1", "ppo.gamma": "0.9", "task": "Walker-v0"}) == "seed-1_ppo.gamma-0.9"
 
 
 def test_a_sweep_leaves_a_table(warpvox: Callable) -> None:

@@ -12,9 +12,10 @@ import pytest
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.codesign.archive import Archive, Finished
-from warpvox.api import load_policy
+from warpvox.algos.codesign.robots import trained
+from warpvox.algos.training.loading import load_policy
 from warpvox.cli.config import load
-from warpvox.cli.robot_entries import command_of, trained
+from warpvox.cli.robot_entries import command_of
 from warpvox.design import full_connections, load_design
 from warpvox.robots.entry import Robot, read_robot, save_robot, zoo, zoo_tasks
 from warpvox.robots.gait import Gait
@@ -105,8 +106,9 @@ def test_a_gait_is_listed_shown_played_and_loaded(warpvox: Callable) -> None:
 
 @pytest.mark.slow
 def test_a_search_by_gaits_becomes_an_open_loop_entry(warpvox: Callable) -> None:
-    small = "search.max_evaluations=8 search.population=4 screening.gaits=4 screening.final_rounds=2 finalists=1"
-    small += " training.iterations=1 training.envs=4 training.ppo.steps=4 device=cpu threads=1 shape=[3,3]"
+    small = "search.max_evaluations=8 search.population=4 evaluation.gaits=4 evaluation.final_rounds=2"
+    small += " evaluation.finalists=1 training.iterations=1"
+    small += " training.envs=4 training.ppo.steps=4 device=cpu threads=1 shape=[3,3]"
     found = warpvox("codesign", "evaluation=gaits", "task=UpStepper-v0", *small.split())
     assert found.code == 0, found.err
     added = warpvox("zoo", "add=outputs/codesign/UpStepper-v0/*", "folder=mine")

@@ -11,8 +11,8 @@ import torch
 import warp as wp
 
 from warpvox.algos.env_factory import EnvFactory
+from warpvox.algos.training.job import resolved
 from warpvox.batch.options import SimOptions
-from warpvox.cli.build import resolve
 from warpvox.cli.config import load
 from warpvox.devices import names
 from warpvox.devices.names import resolve_device
@@ -49,7 +49,7 @@ def test_auto_is_the_cpu_where_there_is_no_gpu(monkeypatch: pytest.MonkeyPatch) 
 def test_environments_and_commands_choose_by_their_number() -> None:
     assert make_vec("Walker-v0", num_envs=2, threads=1, lanes=8).device == "cpu"
     for count, device in ((names.enough() - 1, "cpu"), (names.enough(), "cuda:0")):
-        assert resolve(load("train", [f"num_envs={count}"])).device == device
+        assert resolved(load("train", [f"num_envs={count}"])).device == device
 
 
 @pytest.mark.usefixtures("gpu")

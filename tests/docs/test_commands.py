@@ -8,7 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from warpvox.cli.config import expand, load, read_arguments
+from warpvox.cli.application import read_words
+from warpvox.cli.commands.suite import split
+from warpvox.cli.config import load
+from warpvox.cli.overrides import expand, read_overrides
+from warpvox.cli.suite_words import merged
 from warpvox.configs.schema import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,6 +36,10 @@ def test_there_are_command_lines() -> None:
 def test_a_command_line_is_taken(line: str) -> None:
     assert not re.search(r"[][*?{}]", QUOTED.sub("", line)), "a shell such as zsh takes this for a pattern: quote it"
     command, *words = (word for word in shlex.split(line) if word != "...")
-    arguments = read_arguments(words)
-    for overrides in expand(arguments, command)[:1]:
-        load(command, overrides, arguments.config_dir)
+    words = [f"task={word}" if command == "tasks" and "=" not in word else word for word in words]
+    given = read_words(command, words)
+    overrides = [word for word in given.overrides if not word.startswith("hydra")]
+    if command == "suite":
+        overrides, typed = split(overrides)
+        assert all("=" in word for word in merged([], [word for word in typed if "pretrained" not in word], "outputs"))
+    load(command, expand(read_overrides(command, overrides, given.multirun))[0], given.config_dir)

@@ -15,11 +15,11 @@ from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import save_checkpoint
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.cli.config import load, to_yaml
-from warpvox.cli.runs import END
 from warpvox.design import sample_design
 from warpvox.envs.known_returns import known_returns
 from warpvox.envs.registry import task_ids
 from warpvox.robots import Gait, zoo, zoo_tasks
+from warpvox.runs import END
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 SPEC = importlib.util.spec_from_file_location("results", DOCS / "results.py")

@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 
 import warpvox
-from warpvox.cli import COMMANDS
 from warpvox.cli.help import flat_keys
 from warpvox.configs.schema import COMMANDS as SCHEMAS
 from warpvox.envs.registry import task_ids
@@ -77,7 +76,7 @@ def test_every_key_is_in_the_repository() -> None:
     for command, schema in SCHEMAS.items():
         section = text.split(f"\n## {command}\n")[1].split("\n## ")[0]
         for name, key in flat_keys(schema):
-            assert is_dataclass(key.default) or f"| `{name}` |" in section, f"{command} {name}"
+            assert is_dataclass(key.default) or len(key.choices) == 1 or f"| `{name}` |" in section, f"{command} {name}"
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +93,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_site_has_commands_tasks_and_public_names(site: Path) -> None:
     page = (site / "commands.html").read_text(encoding="utf-8")
-    for name in COMMANDS:
+    for name in SCHEMAS:
         assert f'<h2 id="{name}"' in page
         assert f"usage: warpvox {name}" in page
     assert "<!-- help" not in page

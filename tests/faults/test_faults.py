@@ -205,8 +205,8 @@ def test_a_folder_that_vanishes_is_told_of_and_not_made_again(
     def remove(*_: Any) -> None:
         shutil.rmtree(tmp_path / "outputs", ignore_errors=True)
 
-    monkeypatch.setattr("warpvox.cli.progress.TrainingProgress.__call__", remove)
-    monkeypatch.setattr("warpvox.cli.codesign_progress.SearchProgress.progress", remove)
+    monkeypatch.setattr("warpvox.algos.training.progress.Terminal.__call__", remove)
+    monkeypatch.setattr("warpvox.algos.codesign.progress.SearchProgress.progress", remove)
     check_complaint(warpvox(*COMMANDS[command]), "outputs")
     assert list(tmp_path.iterdir()) == []
 
@@ -215,10 +215,10 @@ def test_a_folder_that_vanishes_is_told_of_and_not_made_again(
 def test_what_vanishes_from_a_search_is_told_of(
     name: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from warpvox.cli.codesign_progress import SearchProgress
+    from warpvox.algos.codesign.progress import SearchProgress
 
     def remove(self: SearchProgress, generation: int, fresh: bool) -> None:
-        place = self.results.folder / name
+        place = self.run.results.folder / name
         shutil.rmtree(place) if place.is_dir() else place.unlink()
 
     with monkeypatch.context() as patched:
@@ -263,7 +263,7 @@ def test_a_signal_waits_for_the_iteration_and_a_second_one_does_not(
             signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpvox.cli.progress.TrainingProgress.__call__", send)
+        patch.setattr("warpvox.algos.training.progress.Terminal.__call__", send)
         outcome = warpvox(*TRAIN)
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -349,7 +349,7 @@ def test_a_damaged_training_of_designs_is_to_be_removed_and_made_again(
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpvox.cli.codesign_progress.SearchProgress.progress", stop)
+        patch.setattr("warpvox.algos.codesign.progress.SearchProgress.progress", stop)
         assert warpvox(*CODESIGN).code == 130
     run = only(tmp_path, "codesign")
     (saved,) = (run / "training").iterdir()

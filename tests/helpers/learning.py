@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from warpvox.algos.settings import PpoConfig
+from warpvox.algos.settings import Ppo
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.runner import Runner
 from warpvox.cli.config import load
@@ -17,7 +17,7 @@ ENVS = 8
 TIMING = {"steps_per_second", "elapsed"}
 
 
-def ppo_settings(**changes: object) -> PpoConfig:
+def ppo_settings(**changes: object) -> Ppo:
     """The settings of ``ppo=parallel`` with a short rollout, small networks and these changes."""
     ppo = load("train", []).ppo
     for name, value in {"steps": 6, "hidden": [8], "epochs": 2, "minibatches": 2, **changes}.items():

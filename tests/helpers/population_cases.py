@@ -6,7 +6,7 @@ import numpy as np
 
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.env_factory import EnvFactory
-from warpvox.algos.settings import TrainingConfig
+from warpvox.algos.settings import DesignTraining
 from warpvox.batch.options import SimOptions
 from warpvox.configs.presets import training_preset
 from warpvox.design import sample_design
@@ -14,7 +14,7 @@ from warpvox.design import sample_design
 LIMIT = 16  # control steps of an episode
 
 
-def small(preset: str = "fast", **changes: object) -> TrainingConfig:
+def small(preset: str = "fast", **changes: object) -> DesignTraining:
     """Few environments, short rollouts, small networks."""
     quick = {"steps": 4, "epochs": 2, "minibatches": 2, "hidden": [32]}
     return training_preset(preset, quick, **({"envs": 4, "iterations": 6, "eval_interval": 2} | changes))

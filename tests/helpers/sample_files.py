@@ -71,6 +71,6 @@ def archive_bytes() -> bytes:
 def config_text() -> str:
     """The configuration of a run as it is stored."""
     from warpvox.cli.config import load, to_yaml
-    from warpvox.cli.runs import END
+    from warpvox.runs import END
 
     return to_yaml(load("train", [])) + END

@@ -23,14 +23,13 @@ from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.report.tree import family_tree
+from warpvox.algos.training.pretrained import check_learned
 from warpvox.cli.config import load_values
-from warpvox.cli.plain_yaml import parse_yaml
-from warpvox.cli.pretrained import check_learned
-from warpvox.cli.runs import find_run
 from warpvox.design import check_design, full_connections, load_design, save_design
 from warpvox.errors import ConfigError, DesignError, RolloutError, RunError, WorldError
-from warpvox.io.reading import Unreadable
+from warpvox.io.reading import Unreadable, parse_yaml
 from warpvox.robots.entry import Robot, read_robot, save_robot
+from warpvox.runs import find_run
 from warpvox.view.rollout import Rollout
 from warpvox.world import LARGEST_GRID, World, WorldObject
 

@@ -7,7 +7,7 @@ import pins
 import pytest
 import torch
 
-from warpvox.api import load_policy
+from warpvox.algos.training.loading import load_policy
 from warpvox.design import load_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import DesignError, RunError

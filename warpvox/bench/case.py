@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.cli.build import load_bodies
+from warpvox.algos.training.bodies import load_bodies
 from warpvox.design import sample_design
 from warpvox.errors import ConfigError, DesignError
 from warpvox.types import Cell

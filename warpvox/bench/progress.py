@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import Any
 
 from warpvox.bench.report import Report
-from warpvox.cli.console import echo
-from warpvox.cli.runs import write_summary
+from warpvox.io.console import echo
+from warpvox.runs import write_summary
 
 __all__ = ["Progress"]
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.cli.console import echo
 from warpvox.errors import ConfigError
+from warpvox.io.console import echo
 from warpvox.system import python_of
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 

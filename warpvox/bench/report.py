@@ -11,8 +11,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from warpvox.cli.console import echo, literal
 from warpvox.errors import ConfigError
+from warpvox.io.console import echo, literal
 from warpvox.io.writing import atomic_path, write_text
 
 __all__ = ["Document", "Report", "middle", "number", "spread"]

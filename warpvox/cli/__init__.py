@@ -12,20 +12,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from contextvars import ContextVar
 from importlib import import_module
 
 import warpvox
 from warpvox.algos.interrupt import Terminated, terminable
 from warpvox.cli.streams import lasting_output, redirect
+from warpvox.code import invocation
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.errors import ConfigError, WarpvoxError, did_you_mean
 from warpvox.io.writing import OF_DISKS, complaint
 
-__all__ = ["COMMANDS", "invocation", "main"]
-
-invocation: ContextVar[tuple[str, ...]] = ContextVar("invocation", default=())
-"""The command line without the program's name, for advice that can be pasted."""
+__all__ = ["COMMANDS", "main"]
 
 COMMANDS = {
     "train": "train a controller for a body on a task",
@@ -36,7 +33,7 @@ COMMANDS = {
     "evaluate": "mean returns of trained policies with confidence intervals, and how they compare",
     "curves": "draw the learning curves of runs as one picture",
     "design": "paint a body or a world in the browser, save it, try it out",
-    "demo": "train a walker in a minute or two and export it",
+    "demo": "train a walker in a minute or two and export it: warpvox train preset=demo",
     "bench": "measure speed, beside the reference",
     "zoo": "list the trained robots that come with warpvox, show one, add some",
     "tasks": "list the tasks, or show one in detail",
@@ -94,7 +91,7 @@ def _dispatch(arguments: list[str]) -> int:
         print(f"warpvox {warpvox.__version__}")
         return DONE
     if command in ("-sc", "--shell-completion"):
-        from warpvox.cli.hydra_parts import complete
+        from warpvox.cli.hydra_app import complete
 
         complete(rest)
         return DONE
@@ -117,7 +114,7 @@ def _help() -> str:
 
 
 def _complain(error: WarpvoxError | str) -> int:
-    from warpvox.cli.console import escaped
+    from warpvox.io.console import escaped
 
     # one line, with the blanks of paths as they are
     text = " ".join(line.strip() for line in str(error).splitlines())

@@ -2,39 +2,51 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import functools
-import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from rich.console import Console
 
 from warpvox.cli import COMMANDS
-from warpvox.cli.config import Arguments, composition, expand, load, parse_overrides, read_arguments, to_yaml
-from warpvox.cli.help import command_help, flat_values
-from warpvox.cli.hydra_parts import multirun, show
-from warpvox.cli.runs import check_output
-from warpvox.cli.sweep import Member, Sweep, attempt, member_of, members
-from warpvox.errors import RunError
-from warpvox.io.writing import write_text
+from warpvox.cli.config import load
+from warpvox.cli.help import add_keys, flat_values
+from warpvox.cli.hydra_app import run_hydra
+from warpvox.cli.overrides import expand, read_overrides
+from warpvox.cli.sweep import make_runs
+from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.runs import check_output
 
-__all__ = ["prepared", "run_command"]
+__all__ = ["prepared", "read_words", "run_command"]
 
 Prepare = Callable[[Any, list[str], "Path | None"], Any]
 Do = Callable[[Any, Console], "Path | None"]
-
-
-def _as_it_is(config: Any, overrides: list[str], config_dir: Path | None) -> Any:
-    return config
+INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
+PLUGINS = ("hydra/launcher", "hydra/sweeper", "hydra.launcher", "hydra.sweeper")
+MULTIRUN = (
+    "run all combinations of listed values: seed=1,2,3 task=Walker-v0,Climber-v0; hydra/launcher=NAME and"
+    " hydra/sweeper=NAME take plugins of Hydra that are installed"
+)
+CFG, HOW = "print what Hydra composes: job, hydra or all", f"print how Hydra composes it: {', '.join(INFO)}"
+FOLDER = "folder with YAML files of your own, for instance FOLDER/ppo/mine.yaml for ppo=mine"
+OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
+    ("-h", "--help"): {"action": "store_true", "help": "this text"},
+    ("-m", "--multirun"): {"action": "store_true", "help": MULTIRUN},
+    ("-c", "--cfg"): {"choices": ("job", "hydra", "all"), "metavar": "WHAT", "help": CFG},
+    ("-i", "--info"): {"choices": INFO, "nargs": "?", "const": "all", "metavar": "WHAT", "help": HOW},
+    ("-cd", "--config-dir"): {"type": Path, "metavar": "FOLDER", "help": FOLDER},
+}
+FLAGS = [flag for flags in OPTIONS for flag in flags]
 
 
 def run_command(
     command: str,
     words: list[str],
     do: Do,
-    prepare: Prepare = _as_it_is,
+    prepare: Prepare = lambda config, *_: config,
     check: Callable[[Any], object] | None = None,
 ) -> None:
     """Do what a command line asks for. All runs of a sweep are checked before the first begins.
@@ -49,92 +61,90 @@ def run_command(
         WarpvoxError: something that is asked for is not valid, or a run has failed.
         KeyboardInterrupt: interrupted; runs that have not begun are not made.
     """
-    arguments = read_arguments(words)
-    if arguments.help:
-        defaults = dataclasses.asdict(load(command, []))
-        print(command_help(command, COMMANDS[command], flat_values(defaults)))
-    elif arguments.info or arguments.cfg in ("hydra", "all"):
-        for overrides in expand(arguments, command):
-            name, words = composition(command, overrides, arguments.config_dir)
-            show(name, [*words, *arguments.plugins], arguments.config_dir, arguments.cfg, arguments.info)
-    elif arguments.cfg:
-        for overrides in expand(arguments, command):
-            print(to_yaml(load(command, overrides, arguments.config_dir)), end="")
-    elif arguments.plugins:
-        _launch(command, arguments, do, prepare, check)
+    given = read_words(command, words)
+    plugins = [word for word in given.overrides if word.startswith(PLUGINS)]
+    overrides = [word for word in given.overrides if word not in plugins]
+    views = [flag for name in ("cfg", "info") if (kind := getattr(given, name)) for flag in (f"--{name}", kind)]
+    for word in plugins:
+        if "_target_" in word:
+            raise ConfigError(f"'{word:.200}': plugins are chosen by name, such as hydra/launcher=joblib.")
+        if not (given.multirun or views):
+            raise ConfigError(f"'{word}' is about sweeps: add --multirun.")
+    if given.help:
+        _parser(command, flat_values(dataclasses.asdict(load(command, [])))).print_help()
+    elif views:
+        if any(word.startswith("config=") for word in overrides):
+            raise ConfigError("--cfg and --info show what Hydra composes, which config=FILE is no part of.")
+        load(command, overrides, given.config_dir)
+        views += ["--resolve"] if given.cfg else []
+        run_hydra(command, views, [*plugins, *expand(read_overrides(command, overrides))[0]], given.config_dir)
     else:
-        _run_here(command, arguments, do, prepare, check)
+        parsed = read_overrides(command, overrides, given.multirun)
+        swept = any("sweeper" in word for word in plugins)  # which may have values of its own
+        runs = [] if swept else expand(parsed)
+        jobs = [prepared(command, run, given.config_dir, prepare) for run in runs]
+        if len(jobs) == 1 and not plugins:
+            do(jobs[0], Console())
+            return
+        for job in jobs if check else []:  # a mistake in the last run should not show after a day
+            check(job)
+        make = functools.partial(_make, command, given.config_dir, do, prepare)
+        make_runs(command, parsed, plugins, given.config_dir, make, len(jobs))
 
 
 def prepared(command: str, overrides: list[str], config_dir: Path | None, prepare: Prepare) -> Any:
     """What the ``do`` of a command gets for a run with these overrides."""
-    config = load(command, overrides, config_dir)
+    keys = {word.partition("=")[0]: word for word in overrides}
+    # what else is given may be about parts that only the run has which goes on, and which `prepare` finds
+    words = [keys[key] for key in ("resume", "output_dir") if key in keys] if "resume" in keys else overrides
+    config = load(command, words, config_dir)
     check_output(config)
     return prepare(config, overrides, config_dir)
 
 
-def _run_here(command: str, arguments: Arguments, do: Do, prepare: Prepare, check: Callable | None) -> None:
-    """Make the runs one after another in this process."""
-    runs, jobs = _jobs(command, arguments, prepare, check)
-    console = Console()
-    if len(jobs) == 1:
-        do(jobs[0], console)
-        return
-    config = load(command, runs[0].overrides, arguments.config_dir)
-    with Sweep(command, console, config.output_dir, len(jobs)) as sweep:
-        for number, (run, job) in enumerate(zip(runs, jobs, strict=True), start=1):
-            sweep.rows.append({"run": number})
-            attempt(sweep.rows[-1], run, functools.partial(do, job, console), console, f" of {len(jobs)}")
-            sweep.write()
+def _make(command: str, config_dir: Path | None, do: Do, prepare: Prepare, run: list[str], console: Console) -> Any:
+    """Make a run of a sweep, in this process or in one of a launcher."""
+    return do(prepared(command, run, config_dir, prepare), console)
 
 
-def _jobs(
-    command: str, arguments: Arguments, prepare: Prepare, check: Callable | None
-) -> tuple[list[Member], list[Any]]:
-    """The runs that are asked for, and what ``do`` gets for each."""
-    runs = members(arguments, command)
-    jobs = [prepared(command, run.overrides, arguments.config_dir, prepare) for run in runs]
-    for job in jobs if check and len(jobs) > 1 else []:  # a mistake in the last run should not show after a day
-        check(job)
-    return runs, jobs
+def read_words(command: str, words: list[str]) -> argparse.Namespace:
+    """Sort options from overrides.
+
+    Raises:
+        ConfigError: an unknown option or value of one, or a folder of configurations that does not exist.
+    """
+    given, unknown = _parser(command).parse_known_intermixed_args(words)
+    if unknown:
+        raise ConfigError(
+            f"Unknown option '{unknown[0]}'; there are {listing(FLAGS)}.{did_you_mean(unknown[0], FLAGS)}"
+        )
+    if given.config_dir is not None:
+        if not given.config_dir.is_dir():
+            raise ConfigError(f"--config-dir needs an existing folder, got '{given.config_dir}'.")
+        given.config_dir = given.config_dir.resolve()
+    return given
 
 
-def _launch(command: str, arguments: Arguments, do: Do, prepare: Prepare, check: Callable | None) -> None:
-    """Have Hydra's launcher and sweeper make the runs: in other processes, on a cluster, in an order of their own."""
-    parsed = parse_overrides(arguments, command)
-    fixed = [str(override.input_line) for override in parsed if not override.is_sweep_override()]
-    swept = [str(override.input_line) for override in parsed if override.is_sweep_override()]
-    config = load(command, fixed, arguments.config_dir)
-    if not any("sweeper" in word for word in arguments.plugins):  # which may have values of its own
-        _jobs(command, arguments, prepare, check)
-    with Sweep(command, Console(), config.output_dir) as sweep:
-        folder = sweep.file.with_suffix("")
-        task = functools.partial(_run_there, command, fixed, arguments.config_dir, folder.absolute(), do, prepare)
-        try:
-            multirun(command, [*arguments.plugins, *swept], folder, arguments.config_dir, task)
-        except RunError:
-            pass  # of a run; its row has the error
-        finally:
-            rows = [json.loads(file.read_text(encoding="utf-8")) for file in folder.glob("run_*.json")]
-            sweep.rows = sorted(rows, key=lambda row: row["run"])
+def _parser(command: str, values: dict[str, Any] | None = None) -> argparse.ArgumentParser:
+    """The options of a command; with the defaults of its keys also these, for its help."""
+    summary = COMMANDS[command]
+    parser = argparse.ArgumentParser(
+        usage=f"warpvox {command} [KEY=VALUE ...]",
+        description=f"{summary[0].upper()}{summary[1:]}.",
+        add_help=False,
+        allow_abbrev=False,
+        formatter_class=lambda prog: argparse.HelpFormatter(prog, max_help_position=34),
+    )
+    parser.error = _complain
+    if values is None:
+        parser.add_argument("overrides", nargs="*")
+    else:
+        add_keys(parser, command, values)
+    options = parser.add_argument_group("options")
+    for flags, settings in OPTIONS.items():
+        options.add_argument(*flags, **settings)
+    return parser
 
 
-def _run_there(
-    command: str, fixed: list[str], config_dir: Path | None, folder: Path, do: Do, prepare: Prepare, _: Any
-) -> float | None:
-    """Make one run of a launcher, with the overrides that Hydra gives it; returns what an optimiser looks at."""
-    from hydra.core.hydra_config import HydraConfig
-
-    hydra = HydraConfig.get()
-    words, row, console = [*fixed, *hydra.overrides.task], {"run": hydra.job.num + 1}, Console()
-
-    def make() -> Path | None:
-        return do(prepared(command, words, config_dir, prepare), console)
-
-    try:
-        attempt(row, member_of(words, fixed), make, console)
-    finally:
-        write_text(folder / f"run_{row['run']}.json", json.dumps(row))
-    if row["status"] == "failed":
-        raise RunError(row["error"])
-    return next((row[name] for name in ("best_return", "best_fitness", "mean_return") if name in row), None)
+def _complain(message: str) -> NoReturn:
+    raise ConfigError(f"{message[0].upper()}{message[1:]}.")

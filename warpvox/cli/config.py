@@ -3,142 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, field
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import yaml
-from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.types import Override
-from hydra.errors import HydraException
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf import DictConfig, OmegaConf
 
 from warpvox.algos.interrupt import uninterrupted
-from warpvox.cli.config_file import read_config_file
-from warpvox.cli.help import MAPPINGS, flat_keys, options_of, presets_of
-from warpvox.cli.hydra_parts import CFG, INFO, is_plugin_key, one_line
-from warpvox.cli.quoting import as_list, parse, readable
-from warpvox.cli.trust import check_address, typed, with_code
-from warpvox.code import Code
-from warpvox.configs.composition import composed, schema_of
-from warpvox.configs.schema import COMMANDS, GROUPS, GROUPS_OF, PRESET, PRESET_OF
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.cli.help import flat_keys, flat_values, groups_of
+from warpvox.cli.overrides import key_and_value, read_overrides
+from warpvox.configs.composition import composed, hydras_errors, quoted
+from warpvox.configs.schema import COMMANDS, NODES, PRESET
+from warpvox.errors import ConfigError, did_you_mean
+from warpvox.io.plain_yaml import to_yaml
+from warpvox.io.reading import Unreadable, parse_yaml, read_text
 from warpvox.keys import check_values
+from warpvox.runs import CONFIG, LARGEST_CONFIG
+from warpvox.trust import check_address, typed, with_code
 
-__all__ = [
-    "Arguments",
-    "check_values",
-    "composition",
-    "expand",
-    "load",
-    "load_values",
-    "parse_overrides",
-    "read_arguments",
-    "to_yaml",
-]
+__all__ = ["load", "load_values", "to_yaml"]
 
-# the first that occurs in the name of a type
-TYPES = {
-    "list[int]": "a list of integers",
-    "list": "a list",
-    "int": "an integer",
-    "float": "a number",
-    "bool": "true or false",
-    "str": "text",
-}
-
-
-ALIASES = {
-    "env": "task",
-    "lr": "learning_rate",
-    "steps": "max_iterations",
-    "timesteps": "max_iterations",
-    "total_timesteps": "max_iterations",
-    "n_envs": "num_envs",
-    "batch_size": "minibatches",
-}
+ALIASES = {"env": "task", "lr": "learning_rate", "n_envs": "num_envs", "batch_size": "minibatches"}
+ALIASES |= dict.fromkeys(("steps", "timesteps", "total_timesteps"), "max_iterations")
 """Names that other libraries have for a key, by the last part of ours: for hints."""
-FLAGS = {"-h": "help", "-m": "multirun", "-c": "cfg", "-i": "info", "-cd": "config_dir"}
-FLAGS |= {f"--{name.replace('_', '-')}": name for name in FLAGS.values()}
-CHOICES = {"cfg": CFG, "info": INFO}
-
-
-@dataclass
-class Arguments:
-    """The words after a command: overrides of keys, those of Hydra's launcher and sweeper, options."""
-
-    overrides: list[str] = field(default_factory=list)
-    plugins: list[str] = field(default_factory=list)
-    help: bool = False
-    multirun: bool = False
-    cfg: str | None = None
-    info: str | None = None
-    config_dir: Path | None = None
-
-
-def read_arguments(words: list[str]) -> Arguments:
-    """Sort options from overrides.
-
-    Raises:
-        ConfigError: an unknown option, or a folder of configurations that does not exist.
-    """
-    arguments, rest = Arguments(), list(words)
-    while rest:
-        word = rest.pop(0)
-        flag, _, value = word.partition("=")
-        name = FLAGS.get(flag)
-        if not word.startswith("-"):
-            (arguments.plugins if is_plugin_key(word) else arguments.overrides).append(word)
-        elif name in CHOICES:
-            if not value:
-                value = rest.pop(0) if rest and rest[0] in CHOICES[name] else CHOICES[name][0]
-            if value not in CHOICES[name]:
-                raise ConfigError(f"{flag} takes {listing(CHOICES[name])}, got '{value}'.")
-            setattr(arguments, name, value)
-        elif name == "config_dir":
-            folder = value or (rest.pop(0) if rest else "")
-            if not folder or not Path(folder).is_dir():
-                raise ConfigError(f"--config-dir needs an existing folder, got '{folder}'.")
-            arguments.config_dir = Path(folder).resolve()
-        elif name is not None and not value:
-            setattr(arguments, name, True)
-        else:
-            raise ConfigError(f"Unknown option '{word}'; there are {listing(FLAGS)}.{did_you_mean(word, FLAGS)}")
-    for word in arguments.plugins:
-        if "_target_" in word.partition("=")[0]:
-            raise ConfigError(
-                f"'{word:.200}': launchers and sweepers are chosen by name, such as hydra/launcher=joblib."
-            )
-    if arguments.plugins and not (arguments.multirun or arguments.cfg):
-        raise ConfigError(f"'{arguments.plugins[0]}' is about sweeps: add --multirun.")
-    return arguments
-
-
-def expand(arguments: Arguments, command: str) -> list[list[str]]:
-    """The overrides of each run: one list, or with ``--multirun`` one per combination of listed values.
-
-    Raises:
-        ConfigError: an override that cannot be read, an unknown key, several values without ``--multirun``.
-    """
-    runs: list[list[str]] = [[]]
-    for override in parse_overrides(arguments, command):
-        text = str(override.input_line)
-        if not override.is_sweep_override():
-            runs = [[*run, text] for run in runs]
-            continue
-        key = override.key_or_group
-        if not arguments.multirun:
-            raise ConfigError(
-                f"'{text}' lists several values: add --multirun to run them one after another"
-                f" (a value that is itself a list is written {key}=[a,b])."
-            )
-        if override.is_interval_sweep():
-            raise ConfigError(f"'{text}': an interval has no end of values; use range(...) or choice(...).")
-        values = list(override.sweep_string_iterator())
-        runs = [[*run, f"{key}={value}"] for run in runs for value in values]
-    return runs
+NOT_TAKEN = ("resume", "report", "config")
+"""Keys of ``config=FILE`` that say what the run did that the file has come from, not with what."""
 
 
 def load(
@@ -152,234 +41,121 @@ def load(
 
     Args:
         overrides: of a single run.
-        base: values that lie below the overrides, instead of those of the YAML files.
+        base: stored values, above the defaults and below what the overrides change.
         home: the folder whose ``config.yaml`` the base is; code that it names is only let through if the overrides
-            name it again (:func:`warpvox.cli.trust.with_code`).
+            name it again (:func:`warpvox.trust.with_code`).
 
     Raises:
         ConfigError: anything wrong with keys, values or YAML files; code that the user has not named.
     """
-    result, stored, named = _composed(command, overrides, config_dir, base)
-    file = named.get("config")
-    check_values(result)
-    result = dataclasses.replace(result, config=None) if file else result
-    if file is not None:
-        home = Path(file) if Path(file).is_dir() else Path(file).parent
-    if stored is None:
-        return with_code(result, typed(result))
-    check_address(result, stored, named)
-    return with_code(result, typed(result, named), stored, home or Path.cwd())
-
-
-def composition(command: str, overrides: list[str], config_dir: Path | None) -> tuple[str, list[str]]:
-    """What Hydra composes for one run: the name of a configuration (the command's or a preset's) and its overrides.
-
-    Raises:
-        ConfigError: a key or value that is not valid, or ``config``, whose values are no part of Hydra's composition.
-    """
-    parsed = _checked(command, overrides, config_dir)
-    if any(override.key_or_group == "config" and override.value() is not None for override in parsed):
-        raise ConfigError("--info and --cfg hydra|all do not show the values of config=FILE; --cfg job does.")
-    name, given = _entry(command, parsed, config_dir)
-    return name, [str(override.input_line) for override in given]
-
-
-@uninterrupted()  # OmegaConf's clean-up turns an interrupt into errors of its own
-def _composed(
-    command: str, overrides: list[str], config_dir: Path | None, base: dict | None
-) -> tuple[Any, dict | None, dict[str, Any]]:
-    """The dataclass of a command, unchecked; the stored values that lie below it; the values of the overrides."""
-    parsed = _checked(command, overrides, config_dir)
+    parsed = read_overrides(command, overrides)
     named = {override.key_or_group: override.value() for override in parsed}
-    key_of_preset, _ = PRESET_OF.get(command, (PRESET, None))
-    file, stored = named.get("config"), base
-    if file is not None and key_of_preset in named:
-        raise ConfigError(f"config={file} and {key_of_preset} both say where to start from: give one of them.")
-    # Hydra would take a mapping for changes of the one that a file has
-    whole = {key: value for key, value in named.items() if isinstance(value, dict) and key in MAPPINGS}
-    try:
-        name, given = _entry(command, [item for item in parsed if item.key_or_group not in whole], config_dir)
-        groups = GROUPS_OF.get(command, GROUPS)
-        choices = [str(item.input_line) for item in given if item.key_or_group in groups]
-        changes = [item for item in given if item.key_or_group not in groups]
-        config = composed(name, choices, changes, config_dir)
-        missing = OmegaConf.missing_keys(config)
-        defaults = composed(name, config_dir=config_dir) if missing or file is not None else None
-        for key, value in whole.items():
-            OmegaConf.update(config, key, value, merge=False)
-        for key in missing:  # what a file of the user's own leaves open
-            OmegaConf.update(config, key, OmegaConf.select(defaults, key))
-        if file is not None:
-            stored = read_config_file(file, command)
-            below = OmegaConf.merge(defaults, stored)
-            config = _changed(below, config, parsed, _brought(parsed, defaults, config))
-        elif base is not None:
-            below = OmegaConf.merge(schema_of(command), base)
-            config = _changed(below, config, parsed, [])
-        result = OmegaConf.to_object(config)
-    except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
-        raise ConfigError(f"{file}: {one_line(error)}" if file else one_line(error)) from None
-    return result, stored, named
+    file = named.get("config")
+    if file is not None:
+        if f"{PRESET}/{command}" in named:
+            raise ConfigError(f"config={file} and preset both say where to start from: give one of them.")
+        base, home = _read_file(Path(file).expanduser())
+    # OmegaConf's clean-up turns an interrupt into errors of its own
+    with hydras_errors(f"{file}: " if file else ""), uninterrupted():
+        result = OmegaConf.to_object(_composed(command, parsed, config_dir, base))
+    check_values(result)
+    if base is None:
+        return with_code(result, typed(result))
+    result = dataclasses.replace(result, config=None) if file else result
+    check_address(result, base, named)
+    return with_code(result, typed(result, named), base, home or Path.cwd())
 
 
-@uninterrupted()
 def load_values(command: str, values: dict[str, Any]) -> Any:
     """The dataclass of a command from the values of a stored ``config.yaml``; unknown ones are left out.
 
-    The code that they name cannot be imported before :func:`warpvox.cli.trust.with_code`.
+    The code that they name cannot be imported before :func:`warpvox.trust.with_code`.
 
     Raises:
         ConfigError: values of the wrong type or out of range.
     """
-    names = {item.name for item in dataclasses.fields(COMMANDS[command])}
-    try:
-        known = {name: value for name, value in values.items() if name in names}
-        result = OmegaConf.to_object(OmegaConf.merge(schema_of(command), known))
-    except (OmegaConfBaseException, OverflowError) as error:
-        raise ConfigError(f"The stored configuration is not valid: {one_line(error)}") from None
+    known = {item.name: values[item.name] for item in dataclasses.fields(COMMANDS[command]) if item.name in values}
+    with hydras_errors("The stored configuration is not valid: "), uninterrupted():
+        result = OmegaConf.to_object(OmegaConf.merge(composed(command, _nodes_of(command, known)), known))
     check_values(result)
     return result
 
 
-def _changed(below: Any, config: Any, parsed: list[Override], brought: list[str]) -> Any:
-    """``below`` with what the overrides change; a group that is named brings all its values."""
-    for key in [*(override.key_or_group for override in parsed if override.key_or_group in GROUPS), *brought]:
-        OmegaConf.update(below, key, OmegaConf.select(config, key), merge=True)
+def _read_file(path: Path) -> tuple[dict[str, Any], Path]:
+    """The values of ``config=FILE``, which is a YAML file or the folder of a run, and the folder that it lies in."""
+    path = path / CONFIG if path.is_dir() else path
+    try:
+        values = parse_yaml(read_text(path, LARGEST_CONFIG))
+    except Unreadable as error:
+        raise ConfigError(f"config must be a YAML file or the folder of a run; {path}: {error}.") from None
+    if not isinstance(values, dict) or not values:
+        raise ConfigError(f"config must be a YAML file or the folder of a run; {path} holds no KEY: VALUE.")
+    return {name: value for name, value in values.items() if name not in NOT_TAKEN}, path.parent
+
+
+def _composed(command: str, parsed: list[Override], config_dir: Path | None, stored: dict | None) -> DictConfig:
+    """The configuration of a command, unchecked."""
+    groups = [override for override in parsed if override.key_or_group in groups_of(command)]
+    choices = [f"{override.get_key_element()}={quoted(key_and_value(override)[1])}" for override in groups]
+    named = {override.key_or_group for override in groups}
+    stored = stored and {key: value for key, value in stored.items() if key not in NODES or key not in named}
+    nodes = [choice for choice in choices if choice.partition("=")[0] in NODES] + _nodes_of(command, stored or {})
+    config = composed(command, list(dict.fromkeys(choices + nodes)), config_dir)
     for override in parsed:
-        if override.key_or_group not in GROUPS:
-            OmegaConf.update(below, override.key_or_group, OmegaConf.select(config, override.key_or_group), merge=False)
+        if override not in groups:
+            _set(config, override, command)
+    if stored is None:
+        return config
+    defaults = composed(command, nodes, config_dir)
+    for key in flat_values(stored):
+        if not _has(defaults, key):
+            raise _unknown(command, key, defaults)
+    now, usual = (flat_values(OmegaConf.to_container(one)) for one in (config, defaults))
+    below = OmegaConf.merge(defaults, stored)
+    changed = [key for key in now if now[key] != usual.get(key)]
+    for key in [*changed, *(override.key_or_group for override in parsed if _has(config, override.key_or_group))]:
+        OmegaConf.update(below, key, OmegaConf.select(config, key), merge=False)
     return below
 
 
-def _brought(parsed: list[Override], defaults: Any, config: Any) -> list[str]:
-    """Keys outside of a named group that it has changed, such as num_envs by ppo=evogym."""
-    if not any(override.key_or_group in GROUPS for override in parsed):
-        return []
-    return [
-        key
-        for key in config
-        if key not in GROUPS and not OmegaConf.is_config(config[key]) and config[key] != defaults[key]
-    ]
+def _nodes_of(command: str, values: dict[str, Any]) -> list[str]:
+    """The overrides that choose the nodes of stored values, by their names."""
+    known = [group for group in groups_of(command) if group in NODES]
+    sections = {group: values[group] for group in known if isinstance(values.get(group), dict)}
+    names = {group: one.get("name", one.get("algorithm")) for group, one in sections.items()}
+    return [f"{group}={quoted(str(name))}" for group, name in names.items() if name]
 
 
-def to_yaml(config: Any) -> str:
-    """A configuration as YAML; lists of plain values take one line."""
-    return yaml.dump(dataclasses.asdict(config), Dumper=_Dumper, sort_keys=False, width=110)
+def _set(config: DictConfig, override: Override, command: str) -> None:
+    """Set the value of a key."""
+    key, keys = override.key_or_group, dict(flat_keys(COMMANDS[command]))
+    if override.package is not None or not _has(config, key):
+        raise _unknown(command, override.get_key_element(), config)
+    if dataclasses.is_dataclass(keys[key].type):
+        hint = did_you_mean(key, [name for name in keys if "." not in name and name != key])
+        raise ConfigError(f"{key} is set by {key}.NAME=VALUE, got '{override.get_value_string()}'.{hint}")
+    with hydras_errors(f"{key}={override.get_value_string():.40}: "):
+        OmegaConf.update(config, key, override.value(), merge=False)
 
 
-class _Dumper(yaml.SafeDumper):
-    """Rows of a body on one line each."""
+def _has(config: DictConfig, key: str) -> bool:
+    """Whether a composed configuration has a key."""
+    parent, _, name = key.rpartition(".")
+    section = OmegaConf.select(config, parent) if parent else config
+    return isinstance(section, DictConfig) and name in set(section)
 
 
-def _represent_list(dumper: _Dumper, values: list) -> yaml.Node:
-    flat = not any(isinstance(value, list | dict) for value in values)
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=flat)
-
-
-_Dumper.add_representer(list, _represent_list)
-_Dumper.add_representer(Code, lambda dumper, code: dumper.represent_str(str(code)))
-
-
-# ----------------------------------------------------------------------------------------------- overrides
-
-
-def _checked(command: str, overrides: list[str], config_dir: Path | None) -> list[Override]:
-    """The overrides of a single run, each with a known key and a value of its type."""
-    parsed = parse_overrides(Arguments(overrides), command)
-    scratch = schema_of(command)
-    for override in parsed:
-        _check_override(override, command, scratch, config_dir)
-    return parsed
-
-
-def _entry(command: str, parsed: list[Override], config_dir: Path | None) -> tuple[str, list[Override]]:
-    """The name of the configuration that the overrides start from, and those that change it."""
-    key, preset = PRESET_OF.get(command, (PRESET, None))
-    preset = next((override.value() for override in parsed if override.key_or_group == key), preset)
-    name = command if preset is None else _preset_config(preset, command, config_dir)
-    return name, [override for override in parsed if override.key_or_group != key]
-
-
-def _preset_config(preset: str, command: str, config_dir: Path | None) -> str:
-    """The name of the configuration that a preset is; one without ``defaults`` has those of the command."""
-    file = presets_of(command, config_dir)[preset]
-    try:
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"The preset {file} cannot be read: {one_line(error)}.") from None
-    if not isinstance(content, dict):
-        raise ConfigError(f"The preset {file} must hold keys with their values.")
-    own = yaml.safe_load((files("warpvox.configs") / f"{command}.yaml").read_text(encoding="utf-8"))
-    content = {"defaults": own["defaults"]} | content | {PRESET_OF.get(command, (PRESET,))[0]: preset}
-    name = f"{command}_{PRESET}_{preset}"
-    ConfigStore.instance().store(name=name, node=OmegaConf.create(content))
-    return name
-
-
-@uninterrupted()
-def parse_overrides(arguments: Arguments, command: str) -> list[Override]:
-    """Read overrides and check their keys."""
-    keys = dict(flat_keys(COMMANDS[command]))
-    known = list(keys)
-    parsed = []
-    for word in arguments.overrides:
-        name, given, _ = word.partition("=")
-        if name == "designs" and "designs.bodies" in keys:  # short for the bodies
-            name, word = "designs.bodies", f"designs.bodies{word[len(name) :]}"
-        elif name == "designs" and name not in keys and "design" in keys:
-            name, word = "design", f"design{word[len(name) :]}"
-        text = readable(word, keys[name], arguments.multirun) if given and name in keys else word
-        override = parse(text)
-        if override is None:
-            raise ConfigError(f"'{word:.200}' is not KEY=VALUE, or its value has unbalanced brackets or quotes.")
-        key = override.key_or_group
-        if override.is_delete() or override.is_add() or override.is_force_add():
-            raise ConfigError(f"'{text}': keys cannot be added or removed; write {key}=VALUE.")
-        if override.package is not None or key not in known:
-            hint = _hint(key, known)
-            given = override.get_key_element()
-            raise ConfigError(f"Unknown key '{given}'.{hint} `warpvox {command} --help` lists all keys.")
-        parsed.append(as_list(override, keys[key]))
-    named = [override.key_or_group for override in parsed]
-    twice = [key for key in dict.fromkeys(named) if named.count(key) > 1]
-    if twice:
-        raise ConfigError(f"The key '{twice[0]}' is given more than once.")
-    return parsed
-
-
-def _hint(key: str, known: list[str]) -> str:
-    """The key that an unknown one may mean."""
-    last = key.split(".")[-1]
-    meant = [name for name in known if name.split(".")[-1] == ALIASES.get(last)]
-    return did_you_mean(meant[0], meant) if meant else did_you_mean(key, known) or did_you_mean(last, known)
-
-
-def _check_override(override: Override, command: str, scratch: Any, config_dir: Path | None) -> None:
-    """Check the name of a group's file or of a preset, or the type of a value: errors name key and value.
-
-    ``scratch`` is a configuration of the schema that takes the value.
-    """
-    key, value, given = override.key_or_group, override.value(), override.get_value_string()
-    is_group = key in GROUPS_OF.get(command, GROUPS)
-    if is_group or (key == PRESET_OF.get(command, (PRESET,))[0] and value is not None):
-        options = options_of(key, config_dir) if is_group else list(presets_of(command, config_dir))
-        if value not in options:
-            more = f" Single values are set by {key}.NAME=VALUE." if key in GROUPS else ""
-            null = "" if is_group or command in PRESET_OF else " or null"
-            hint = did_you_mean(value, options) if isinstance(value, str) else ""
-            raise ConfigError(f"{key} must be one of {listing(options)}{null}, got '{value}'.{hint}{more}")
-        return
-    try:
-        OmegaConf.update(scratch, key, value)
-    except (OmegaConfBaseException, OverflowError) as error:
-        kind = dict(flat_keys(COMMANDS[command]))[key].type
-        if dataclasses.is_dataclass(kind):
-            others = [item.name for item in dataclasses.fields(COMMANDS[command]) if item.name != key]
-            hint = did_you_mean(key, others)
-            raise ConfigError(f"{key} is set by {key}.NAME=VALUE, got '{given}'.{hint}") from None
-        kind = str(kind)
-        expected = next((text for name, text in TYPES.items() if name in kind), kind)
-        optional = " or null" if "None" in kind else ""
-        if "Unsupported interpolation" in str(error):
-            expected = "a plain value"
-        raise ConfigError(f"{key} must be {expected}{optional}, got '{given}'.") from None
+def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
+    """The error that names the nearest key of a composed configuration."""
+    keys, last = dict(flat_keys(COMMANDS[command])), key.split(".")[-1]
+    known = [name for name in keys if _has(config, name)]
+    hint = did_you_mean(key, known) or did_you_mean(last, known)
+    if key in keys:
+        group, _, name = key.partition(".")
+        owners = [one for one, node in NODES[group].items() if name in node.__dataclass_fields__]
+        hint = f" It is a setting of {' and '.join(f'{group}={one}' for one in owners)}."
+    for name in known:
+        if name.split(".")[-1] == ALIASES.get(last):
+            hint = f" Did you mean '{name}'?"
+            break
+    return ConfigError(f"Unknown key '{key}'.{hint} `warpvox {command} --help` lists all keys.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from importlib import import_module
 from pathlib import Path
@@ -10,19 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
+from rich.table import Table
 
-from warpvox.cli.console import echo, shown
-from warpvox.cli.runs import Run
-from warpvox.errors import ConfigError
+from warpvox.io.console import echo, literal, shown
+from warpvox.runs import Run
 
 if TYPE_CHECKING:
-    from warpvox.robots.entry import Robot
     from warpvox.view.rollout import Rollout
 
 __all__ = [
     "ROLLOUT",
-    "draws_at_random",
-    "load_run",
+    "print_returns",
     "record_agent",
     "record_run",
     "tiles_of",
@@ -30,6 +27,8 @@ __all__ = [
 ]
 
 ROLLOUT = "rollout.npz"
+ROWS = 20
+"""Environments that a table of returns shows at most."""
 # format -> file, module, function
 WRITERS = {
     "usd": ("rollout.usd", "warpvox.view.usd", "write_usd"),
@@ -52,91 +51,6 @@ LARGE = (960, 540)
 """Size of pictures of more than :data:`TILES`, in pixels."""
 
 
-def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[Any, Any]:
-    """Environments and policy of a run as play's configuration ``config`` wants them.
-
-    Args:
-        run: the run.
-        config: of play.
-        designs: bodies for a policy over many bodies; None: those held out, as many as there are environments.
-        every: of such a policy, all bodies, the same number of environments for each.
-
-    Raises:
-        RunError: no checkpoint, or one that does not fit. ConfigError, DeviceError: ``config`` asks too much, or the
-            run has a task of somebody's own that the user has not named.
-    """
-    if run.robot is not None:
-        return _load_robot(run.robot, config, run.folder)
-    from warpvox.algos.checkpoints.files import load_controller
-    from warpvox.cli.build import make_env, training_lanes
-    from warpvox.cli.config import load_values
-    from warpvox.cli.designs import grid_of, held_out_of, is_many, read_bodies
-    from warpvox.cli.trust import with_code
-    from warpvox.devices.names import resolve_device
-
-    device = resolve_device(config.device, config.num_envs)
-    path = run.find_checkpoint(config.checkpoint)
-    given = {"task": config.task, "policy": config.policy}
-    trained = with_code(load_values("train", run.config), given, run.config, run.folder)
-    changes = {"device": device, "threads": config.threads, "lanes": training_lanes(trained, device)}
-    changes["memory_check"] = config.memory_check
-    if config.dtype is not None:
-        changes |= {"dtype": config.dtype, "arithmetic": None}
-    if config.arithmetic is not None:
-        changes["arithmetic"] = config.arithmetic
-    if config.seed is not None:
-        changes["seed"] = config.seed
-    count = config.num_envs
-    if is_many(trained):
-        bodies = held_out_of(trained) if designs is None else read_bodies(designs, config.seed or 0, "designs")
-        if every:
-            count = len(bodies) * max(1, count // len(bodies))
-        bodies = bodies[:count]
-        lanes = trained.lanes if device == "cpu" else None
-        changes |= {"lanes": lanes, "grid": grid_of(trained), "designs": bodies}
-    elif designs is not None:
-        raise ConfigError(
-            "Other bodies go with a run over many of them (warpvox train designs=...); this one has its own."
-        )
-    env = make_env(trained, count, auto_reset=False, **changes)
-    controller = load_controller(path, device, trained.policy)
-    controller.check(env)
-    if config.stochastic:
-        from warpvox.algos.checkpoints.sampling import SampledController
-
-        controller = SampledController(controller, trained.seed if config.seed is None else config.seed)
-    return env, controller
-
-
-def _load_robot(robot: Robot, config: Any, file: Path) -> tuple[Any, Any]:
-    """Environments and policy of a stored robot; exact, with the recorded seeds, unless asked otherwise."""
-    from warpvox.cli.trust import allowed
-    from warpvox.code import Code
-    from warpvox.devices.names import resolve_device
-    from warpvox.envs.registry import get_task, task_ids
-    from warpvox.robots.replay import SEEDS, robot_env
-
-    if config.stochastic:
-        raise ConfigError("stochastic=true goes with a run; a stored robot has no exploration to sample from.")
-    if robot.policy is None:
-        why = robot.about.get("no_policy", "there is a body alone.")
-        raise ConfigError(f"The robot has no policy: {why} play agent=sine task={robot.task} design=zoo:... moves it.")
-    task = allowed("task", robot.task, config.task, file)
-    if isinstance(config.task, Code) and task not in task_ids():  # an entry for a task of the user's own has its id
-        task = config.task
-    robot = dataclasses.replace(robot, task=task)
-    count = config.num_envs if get_task(robot.task).is_random else 1  # all episodes would be the same
-    options = {
-        name: getattr(config, name) for name in ("dtype", "arithmetic", "seed") if getattr(config, name) is not None
-    }
-    if config.arithmetic == "fast":
-        options.setdefault("dtype", "float32")
-    options |= {"threads": config.threads, "memory_check": config.memory_check}
-    options |= {"device": resolve_device(config.device, count), "num_envs": count}
-    seeds = [*SEEDS[:count], *range(SEEDS[-1] + 1, SEEDS[-1] + 1 + count - len(SEEDS))]
-    return robot_env(robot, seeds, **options), robot.policy
-
-
 def record_run(run: Run, env: Any, controller: Any, steps: int | None, stochastic: bool = False) -> Rollout:
     """One episode of every environment; of several bodies the best first.
 
@@ -148,21 +62,8 @@ def record_run(run: Run, env: Any, controller: Any, steps: int | None, stochasti
     if env.num_designs > 1:
         about["names"] = [f"body {design}" for design in env.design_index.tolist()]
     rollout = record(env, controller, steps, metadata=about)
-    rollout.metadata["drawn"] = stochastic or draws_at_random(env)
+    rollout.metadata["drawn"] = stochastic or env.spec.is_random
     return rollout.best_first() if env.num_designs > 1 else rollout
-
-
-def draws_at_random(env: Any) -> bool:
-    """Whether the episodes of a design begin differently; begins new ones to find out."""
-    import torch
-
-    obs, _ = env.reset()
-    for design in range(env.num_designs):
-        rows = torch.nonzero(env.design_index == design)[:, 0]
-        for values in (obs, *env.memory.values()):
-            if not torch.equal(values[rows], values[rows[:1]].expand_as(values[rows])):
-                return True
-    return False
 
 
 def record_agent(config: Any) -> Rollout:
@@ -171,7 +72,7 @@ def record_agent(config: Any) -> Rollout:
     Args:
         config: play's configuration with an agent.
     """
-    from warpvox.cli.build import load_bodies
+    from warpvox.algos.training.bodies import load_bodies
     from warpvox.envs.vec_env import make_vec
     from warpvox.view.rollout import record
 
@@ -250,3 +151,48 @@ class Estimate:
 def _size(path: Path) -> str:
     size = path.stat().st_size
     return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
+
+
+def print_returns(rollout: Rollout, console: Console) -> None:
+    """A table with a row for each environment (the first ones of many) and their mean."""
+    returns, lengths = rollout.returns[-1], rollout.lengths
+    several = len(rollout.scenes) > 1 and "names" not in rollout.metadata
+    agent = rollout.metadata.get("agent", "policy")
+    kind = "sampled actions" if rollout.metadata.get("stochastic") else "deterministic"
+    kind = kind if agent == "policy" else f"agent {agent}"
+    if rollout.metadata.get("diverged"):
+        kind = f"up to the step in which environment {rollout.metadata.get('environment')} diverged"
+    table = Table(title=literal(f"{rollout.title}, {kind}"))
+    for heading in ("environment", *(["design"] if several else []), "return", "steps", "end"):
+        table.add_column(heading, justify="left" if heading == "end" else "right")
+    for env in range(min(rollout.num_envs, ROWS)):
+        design = [str(rollout.design_index[env])] if several else []
+        table.add_row(rollout.names[env], *design, f"{returns[env]:.3f}", str(lengths[env]), _end(rollout, env))
+    if rollout.num_envs > ROWS:
+        table.add_row("...", *([""] if several else []), "", "", f"{rollout.num_envs - ROWS} more")
+    if rollout.num_envs > 1:
+        table.add_section()
+        mean = [f"{returns.mean():.3f}", f"{lengths.mean():.0f}", f"deviation {np.std(returns):.3f}"]
+        table.add_row("mean", *([""] if several else []), *mean)
+    console.print(table)
+    if agent == "policy" and rollout.num_envs > len(rollout.scenes) and rollout.metadata.get("drawn") is False:
+        echo(console, _about_one_episode(rollout))
+
+
+def _about_one_episode(rollout: Rollout) -> str:
+    """That a deterministic policy in a task without chance shows one episode a design, however many are asked for."""
+    several = len(rollout.scenes)
+    differ = any(len(np.unique(rollout.returns[-1][rollout.design_index == design])) > 1 for design in range(several))
+    alike = "differ by rounding alone (of batched matrix products)" if differ else "are identical"
+    return (
+        f"the {rollout.num_envs} episodes {alike}: the task draws nothing at random and the policy is deterministic;"
+        f" num_envs={several} shows as much, stochastic=true samples its actions"
+    )
+
+
+def _end(rollout: Rollout, env: int) -> str:
+    if not rollout.num_steps or not rollout.done[-1, env]:
+        return "still going"
+    if rollout.metadata.get("diverged"):
+        return "diverged"
+    return "task ended" if rollout.terminated[-1, env] else "time limit"

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from warpvox.cli.console import escaped
 from warpvox.errors import DisplayError
+from warpvox.io.console import escaped
 from warpvox.view.window import Window, why_no_window
 
 if TYPE_CHECKING:

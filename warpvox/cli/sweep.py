@@ -1,27 +1,32 @@
-"""Several runs one after another (``--multirun``): what they differ by, and their results."""
+"""Several runs by Hydra's sweeper and launcher (``--multirun``): what they differ by, and their results."""
 
 from __future__ import annotations
 
+import functools
 import hashlib
+import json
 import re
 import traceback
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.types import Override
 from rich.console import Console
 from rich.table import Table
 
-from warpvox.cli.config import Arguments, expand
-from warpvox.cli.console import echo, literal
-from warpvox.cli.quoting import parse
-from warpvox.cli.runs import STAMP, label, read_summary
+from warpvox.cli.config import load
+from warpvox.cli.hydra_app import run_hydra
+from warpvox.cli.overrides import key_and_value
+from warpvox.configs.composition import quoted
 from warpvox.errors import RunError, WarpvoxError
-from warpvox.io.writing import write_table
+from warpvox.io.console import echo, literal
+from warpvox.io.writing import write_table, write_text
+from warpvox.runs import STAMP, label, read_summary
 
-__all__ = ["INTERRUPTED", "Member", "Sweep", "attempt", "member_of", "members"]
+__all__ = ["INTERRUPTED", "attempt", "label_of", "make_runs"]
 
 LONGEST_LABEL = 80
 """Characters of a folder's name that say what its run differs by."""
@@ -30,26 +35,70 @@ INTERRUPTED = "interrupted"
 """Status of a run that was ended by a signal."""
 FIGURES = ("best_return", "best_fitness", "mean_return", "evaluations", "steps", "elapsed_seconds")
 """Entries of ``summary.json`` that the table shows, where there are any."""
+RESULTS = ("status", *FIGURES, "folder", "error")
+QUIET = ("hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null", "hydra.sweep.subdir=.")
+Make = Callable[[list[str], Console], "Path | None"]
 
 
-@dataclass(frozen=True)
-class Member:
-    """One run of a sweep.
+def make_runs(
+    command: str, overrides: Sequence[Override], plugins: list[str], config_dir: Path | None, make: Make, total: int
+) -> None:
+    """Have Hydra make the runs of a sweep; their table is ``<output_dir>/<command>/sweep_<date_time>.csv``.
 
-    ``overrides``: all of it; ``varied``: keys that have other values in other runs, with the values of this one.
+    Args:
+        overrides: those of all runs, and those that list several values.
+        plugins: words about Hydra's launcher and sweeper.
+        make: makes a run from its overrides.
+        total: number of runs; 0 if the sweeper chooses it.
+
+    Raises:
+        RunError: runs have failed; the others are made all the same.
     """
+    fixed = [str(override.input_line) for override in overrides if not override.is_sweep_override()]
+    output_dir = getattr(load(command, fixed, config_dir), "output_dir", "outputs")
+    folder, stamp = Path(output_dir).absolute() / command, datetime.now().strftime(STAMP)
+    names = (f"sweep_{stamp}{'' if number == 1 else f'-{number}'}" for number in range(1, 1000))
+    table = next(folder / name for name in names if not (folder / name).exists())
+    words = [*QUIET, f"hydra.sweep.dir={quoted(str(table))}", *plugins, *(str(one.input_line) for one in overrides)]
+    task = functools.partial(_run, frozenset(key_and_value(word)[0] for word in fixed), table, make, total)
+    try:
+        run_hydra(command, ["--multirun"], words, config_dir, task)
+    except RunError:
+        pass  # of a run; its row has the error
+    finally:
+        rows = _write(table)
+        if rows:
+            _print(rows, total, table)
+    failed = [row for row in rows if row["status"] == "failed"]
+    if failed:
+        raise RunError(
+            f"{len(failed)} of {total or len(rows)} runs failed, the first of them with:"
+            f" {failed[0]['error'].rstrip('.')}. All are listed in {table}.csv."
+        )
 
-    overrides: list[str]
-    varied: dict[str, str] = field(default_factory=dict)
 
-    @property
-    def label(self) -> str:
-        """``seed-1_ppo.gamma-0.9``: for the name of a folder, in which the task has a place already."""
-        parts = [f"{key}-{_safe(value)}" for key, value in self.varied.items() if key != "task"]
-        text = "_".join(parts)
-        if len(text) <= LONGEST_LABEL:
-            return text
-        return f"{text[: LONGEST_LABEL - 9]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+def _run(fixed: frozenset[str], table: Path, make: Make, total: int, _: Any) -> float | None:
+    """Make the run whose overrides Hydra gives; returns what a sweeper that optimises looks at."""
+    hydra, console = HydraConfig.get(), Console()
+    words = list(hydra.overrides.task)
+    row = {"run": hydra.job.num + 1}
+    varied = {key: value for key, value in map(key_and_value, words) if key not in fixed}
+    try:
+        attempt(row, varied, lambda: make(words, console), console, f" of {total}" if total else "")
+    finally:
+        write_text(table / f"run_{row['run']:05}.json", json.dumps(row))
+        _write(table)
+    if row["status"] == "failed" and hydra.runtime.choices["hydra/sweeper"] != "basic":
+        raise RunError(row["error"])
+    return next((row[name] for name in ("best_return", "best_fitness", "mean_return") if name in row), None)
+
+
+def label_of(varied: dict[str, str]) -> str:
+    """``seed-1_ppo.gamma-0.9``: for the name of a folder, in which the task has a place already."""
+    text = "_".join(f"{key}-{_safe(value)}" for key, value in varied.items() if key != "task")
+    if len(text) <= LONGEST_LABEL:
+        return text
+    return f"{text[: LONGEST_LABEL - 9]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def _safe(value: str) -> str:
@@ -58,38 +107,18 @@ def _safe(value: str) -> str:
     return UNSAFE.sub("-", short).strip("-") or "x"
 
 
-def members(arguments: Arguments, command: str) -> list[Member]:
-    """The runs that are asked for: one, or with ``--multirun`` one for each combination of listed values.
-
-    Raises:
-        ConfigError: see :func:`warpvox.cli.config.expand`.
-    """
-    runs = expand(arguments, command)
-    return [member_of(words, set(runs[0]).intersection(*runs[1:])) for words in runs]
-
-
-def member_of(overrides: Sequence[str], common: Collection[str]) -> Member:
-    """A run whose overrides are ``common`` to all runs but for some."""
-    return Member(list(overrides), {_key(word): _value(word) for word in overrides if word not in common})
-
-
-def _key(word: str) -> str:
-    return word.partition("=")[0]
-
-
-def _value(word: str) -> str:
-    value = parse(word).value()
-    return value if isinstance(value, str) else word.partition("=")[2]
-
-
 def attempt(
-    row: dict[str, Any], member: Member, do: Callable[[], Path | None], console: Console, total: str = ""
+    row: dict[str, Any], varied: dict[str, str], do: Callable[[], Path | None], console: Console, total: str = ""
 ) -> None:
-    """Make one run of several and note its result in ``row``; only an interrupt is passed on."""
-    values = " ".join(f"{key}={value}" for key, value in member.varied.items())
+    """Make one run of several and note its result in ``row``; only an interrupt is passed on.
+
+    Args:
+        varied: keys that have other values in other runs, with the values of this one.
+    """
+    values = " ".join(f"{key}={value}" for key, value in varied.items())
     console.rule(literal(f"run {row['run']}{total}: {values}"))
-    row |= {**member.varied, "status": INTERRUPTED}
-    token = label.set(member.label)
+    row |= {**varied, "status": INTERRUPTED}
+    token = label.set(label_of(varied))
     try:
         folder = do()
     except BrokenPipeError:
@@ -108,63 +137,24 @@ def attempt(
         label.reset(token)
 
 
-class Sweep:
-    """The runs of a sweep: a table at the end, and after every run ``<output_dir>/<command>/sweep_<date_time>.csv``.
-
-    A context manager; at its end the table is complete and printed.
-
-    Raises:
-        RunError: runs have failed; the others are made all the same.
-    """
-
-    def __init__(self, command: str, console: Console, output_dir: str, total: int | None = None) -> None:
-        self.console, self.total = console, total
-        self.rows: list[dict[str, Any]] = []
-        folder, stamp = Path(output_dir) / command, datetime.now().strftime(STAMP)
-        names = (f"sweep_{stamp}{'' if number == 1 else f'-{number}'}.csv" for number in range(1, 1000))
-        self.file = next(folder / name for name in names if not (folder / name).exists())
-
-    def __enter__(self) -> Sweep:
-        return self
-
-    def __exit__(self, kind: type | None, *_: object) -> None:
-        if not self.rows:
-            return
-        self.write()
-        self._print()
-        failed = [row for row in self.rows if row["status"] == "failed"]
-        if failed and kind is None:
-            raise RunError(
-                f"{len(failed)} of {self.total or len(self.rows)} runs failed, the first of them with:"
-                f" {failed[0]['error'].rstrip('.')}. All are listed in {self.file}."
-            )
-
-    @property
-    def columns(self) -> list[str]:
-        """Those that some row has something in, results behind settings."""
-        known = dict.fromkeys(name for row in self.rows for name in row)
-        last = ("status", *FIGURES, "folder", "error")
-        return [*(name for name in known if name not in last), *(name for name in last if name in known)]
-
-    def write(self) -> None:
-        """Write the table as CSV."""
-        columns = self.columns
-        write_table(self.file, columns, ([row.get(name) for name in columns] for row in self.rows))
-
-    def _print(self) -> None:
-        columns = [name for name in self.columns if name not in ("folder", "error")]
-        table = Table(title=f"{len(self.rows)} of {self.total or len(self.rows)} runs", title_justify="left")
-        for name in columns:
-            table.add_column(literal(name), justify="right" if name in ("run", *FIGURES) else "left", overflow="fold")
-        for row in self.rows:
-            table.add_row(*(literal(_shown(row.get(name))) for name in columns))
-        self.console.print(table)
-        echo(self.console, f"table: {self.file}")
+def _write(table: Path) -> list[dict[str, Any]]:
+    """Write the table of the runs that have been made, results behind settings; returns its rows."""
+    rows = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(table.glob("run_*.json"))]
+    names = dict.fromkeys(name for row in rows for name in row)
+    columns = sorted(names, key=lambda name: RESULTS.index(name) if name in RESULTS else -1)
+    rows = [{name: row.get(name) for name in columns} for row in rows]
+    if rows:
+        write_table(table.with_name(f"{table.name}.csv"), columns, (row.values() for row in rows))
+    return rows
 
 
-def _shown(value: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, float):
-        return f"{value:,.3f}"
-    return f"{value:,}" if isinstance(value, int) else str(value)
+def _print(rows: list[dict[str, Any]], total: int, file: Path) -> None:
+    table, console = Table(title=f"{len(rows)} of {total or len(rows)} runs", title_justify="left"), Console()
+    columns = [name for name in rows[0] if name not in ("folder", "error")]
+    for name in columns:
+        table.add_column(literal(name), justify="right" if name in FIGURES else "left", overflow="fold")
+    for row in rows:
+        values = ("" if row[name] is None else row[name] for name in columns)
+        table.add_row(*(literal(f"{value:,.3f}" if isinstance(value, float) else value) for value in values))
+    console.print(table)
+    echo(console, f"table: {file}.csv")

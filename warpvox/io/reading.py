@@ -19,11 +19,24 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+import yaml
 
 from warpvox.errors import did_you_mean, listing
 
-__all__ = ["ArrayFile", "Missing", "Unreadable", "parse_json", "read_bytes", "read_facts", "read_npy", "read_text"]
+__all__ = [
+    "ArrayFile",
+    "Missing",
+    "Unreadable",
+    "parse_json",
+    "parse_yaml",
+    "read_bytes",
+    "read_facts",
+    "read_npy",
+    "read_text",
+]
 
+DEEPEST = 32
+"""Levels of lists and mappings that a YAML text may have."""
 _HALF = re.compile(r"\\u[dD][89a-fA-F]")
 
 
@@ -79,6 +92,34 @@ def parse_json(text: str) -> Any:
     except ValueError as error:
         raise Unreadable(f"it is not valid JSON: {error}") from None
     return value
+
+
+def parse_yaml(text: str) -> Any:
+    """The value of a YAML text of mappings, lists, texts, numbers, true, false and null.
+
+    No tag makes an object. Aliases are refused (ten of them can stand for a billion entries once the value is copied),
+    and so is ``${...}``, which OmegaConf would look up elsewhere.
+
+    Raises:
+        Unreadable: anything else; the text is the reason.
+    """
+    depth = 0
+    try:
+        for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if isinstance(event, yaml.AliasEvent):
+                raise Unreadable("there is an alias")
+            if isinstance(event, yaml.ScalarEvent) and "${" in event.value:
+                raise Unreadable("there is a reference ${...}")
+            if depth > DEEPEST:
+                raise Unreadable("it is nested too deeply")
+        return yaml.safe_load(text)
+    except Unreadable:
+        raise
+    except yaml.YAMLError as error:
+        raise Unreadable(" ".join(str(error).split())[:200]) from None
+    except (ValueError, TypeError, LookupError, AttributeError) as error:  # odd dates and numbers
+        raise Unreadable(str(error)[:200] or type(error).__name__) from None
 
 
 def read_facts(path: str | os.PathLike[str], limit: int = 1 << 24) -> dict[str, Any]:

@@ -125,10 +125,9 @@ def policy_of_checkpoint(checkpoint: Path) -> Network | Gait:
         state = {name: value.numpy() for name, value in policy.model.state_dict().items()}
         by_cell = {name: state[name].reshape(len(state["begin"]), -1)[:, state["cells"]] for name in BY_CELL}
         return Gait(state["begin"], state["period"], **by_cell)
-    if policy.spec.voxels is not None:
-        raise RunError(
-            f"{checkpoint} holds a policy for voxels; the zoo has gaits and policies of fully connected layers (mlp)."
-        )
+    if policy.spec.voxels is not None or policy.spec.rnn is not None:
+        kind = "recurrent policy" if policy.spec.rnn else "policy for voxels"
+        raise RunError(f"{checkpoint} holds a {kind}; the zoo has gaits and policies of fully connected layers (mlp).")
     state = {name: value.numpy() for name, value in policy.state_dict().items()}
     layers = sorted((name for name in state if name.endswith(".weight")), key=lambda name: int(name.split(".")[1]))
     weights = tuple(state[name] for name in layers)

@@ -258,6 +258,8 @@ def record(
     """
     import torch
 
+    from warpvox.algos.evaluate import forget
+
     if not hasattr(env, "sim") or not hasattr(env, "max_episode_steps"):
         inner = getattr(env, "unwrapped", env)
         hint = " Here it is env.unwrapped.vec." if hasattr(inner, "vec") and hasattr(inner, "num_envs") else ""
@@ -270,6 +272,7 @@ def record(
     label = policy if isinstance(policy, str) else "policy"
     resets_itself, env.auto_reset = env.auto_reset, False
     try:
+        forget(act)
         with torch.no_grad():
             columns = _run(env, act, limit, gather)
     finally:

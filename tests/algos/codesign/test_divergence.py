@@ -16,11 +16,11 @@ from warpvox.algos.codesign.executors import LocalExecutor
 from warpvox.algos.codesign.loop import Loop
 from warpvox.algos.report import report_page
 from warpvox.algos.search import (
-    BoSettings,
-    CppnNeatSettings,
-    GaSettings,
-    MapElitesSettings,
-    RandomSettings,
+    BO,
+    GA,
+    CppnNeat,
+    MapElites,
+    RandomDesigns,
     make_search,
 )
 from warpvox.design import sample_design
@@ -111,10 +111,10 @@ def test_a_generation_of_nothing_else_ends_the_search_and_does_so_again(tmp_path
         loop.archive.close()
 
 
-@pytest.mark.parametrize("settings", [GaSettings, RandomSettings, BoSettings, CppnNeatSettings, MapElitesSettings])
+@pytest.mark.parametrize("settings", [GA, RandomDesigns, BO, CppnNeat, MapElites])
 def test_every_search_goes_on(tmp_path: Path, settings: type) -> None:
     """Whatever was told of them, the searches propose new valid bodies, and find the same again."""
-    if settings is MapElitesSettings:
+    if settings is MapElites:
         pytest.importorskip("ribs", reason="pyribs is not installed")
     digests = []
     for attempt in ("one", "other"):

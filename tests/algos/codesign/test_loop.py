@@ -136,7 +136,7 @@ def test_an_interrupt_keeps_what_is_finished(tmp_path: Path, undisturbed: str, s
                 signal.raise_signal(number)
 
     listener = Interrupting()
-    loop = make_loop(tmp_path, listener=listener)
+    loop = make_loop(tmp_path, listeners=[listener])
     with pytest.raises(KeyboardInterrupt):
         loop.run()
     done = [record.id for record in loop.archive.records() if record.fitness is not None]
@@ -153,7 +153,7 @@ def test_an_interrupt_reaches_an_evaluation_that_reports(tmp_path: Path) -> None
         def progress(self, batch: Sequence[Candidate], event: dict) -> None:
             signal.raise_signal(signal.SIGINT)
 
-    loop = make_loop(tmp_path, batch=None, listener=Interrupting())
+    loop = make_loop(tmp_path, batch=None, listeners=[Interrupting()])
     with pytest.raises(KeyboardInterrupt):
         loop.run()
     assert loop.executor.evaluator.trained == [0]
@@ -209,7 +209,7 @@ def test_another_search_is_refused_in_its_first_generation(tmp_path: Path) -> No
         def proposed(self, *words: Any) -> None:
             raise KeyboardInterrupt
 
-    loop = make_loop(tmp_path, listener=Interrupting())
+    loop = make_loop(tmp_path, listeners=[Interrupting()])
     with pytest.raises(KeyboardInterrupt):
         loop.run()
     loop.archive.close()
@@ -252,7 +252,7 @@ def test_the_listener_hears_of_everything_once(tmp_path: Path) -> None:
             self.heard.append(("told", generation, fresh))
 
     ear = Ear()
-    loop = make_loop(tmp_path, listener=ear)
+    loop = make_loop(tmp_path, listeners=[ear])
     loop.run()
     everyone = list(range(POPULATION * GENERATIONS))
     assert sorted(item[1] for item in ear.heard if item[0] == "finished") == everyone
@@ -261,7 +261,7 @@ def test_the_listener_hears_of_everything_once(tmp_path: Path) -> None:
     assert [item[1] for item in ear.heard if item[0] == "proposed"] == list(range(GENERATIONS))
     loop.archive.close()
     ear = Ear()
-    make_loop(tmp_path, listener=ear).run()
+    make_loop(tmp_path, listeners=[ear]).run()
     assert ear.heard == [("told", k, False) for k in range(GENERATIONS)]
 
 

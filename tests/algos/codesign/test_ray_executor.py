@@ -143,7 +143,7 @@ def test_two_nodes_with_dying_workers_give_the_results_of_one_process(
     heard: list[int] = []
     listener = LosingANode()
     listener.progress = lambda batch, event: heard.append(event["id"])
-    loop = make_loop(run, executor=executor, listener=listener)
+    loop = make_loop(run, executor=executor, listeners=[listener])
     loop.run()
     executor.close()
     assert loop.archive.digest() == undisturbed
@@ -167,7 +167,7 @@ def test_when_the_last_node_is_lost_the_wait_for_another_has_an_end(
             while nodes:
                 where.remove_node(nodes.pop(), allow_graceful=False)
 
-    loop = make_loop(tmp_path / "run", executor=executor, listener=LosingAllNodes())
+    loop = make_loop(tmp_path / "run", executor=executor, listeners=[LosingAllNodes()])
     with pytest.raises(RunError, match="No worker has come up for 5 s"):
         loop.run()
     assert loop.archive.count() == POPULATION

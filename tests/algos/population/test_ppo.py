@@ -7,7 +7,7 @@ import torch
 from population_cases import bodies, factory
 
 from warpvox.algos.population.training import PopulationTraining
-from warpvox.algos.settings import TrainingConfig
+from warpvox.algos.settings import DesignTraining
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.configs.presets import training_preset
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 class Stock:
     """A stock training of one design, with torch's random numbers to itself."""
 
-    def __init__(self, task: str, dtype: str, design: int, how: TrainingConfig) -> None:
+    def __init__(self, task: str, dtype: str, design: int, how: DesignTraining) -> None:
         body, seed = bodies(len(SEEDS))[design], SEEDS[design]
         with torch.random.fork_rng():
             torch.manual_seed(seed)
@@ -58,7 +58,7 @@ def differences(training: PopulationTraining, stocks: list[Stock]) -> dict[str, 
     return worst
 
 
-def make(task: str, dtype: str, how: TrainingConfig) -> tuple[PopulationTraining, list[Stock]]:
+def make(task: str, dtype: str, how: DesignTraining) -> tuple[PopulationTraining, list[Stock]]:
     stocks = [Stock(task, dtype, design, how) for design in range(len(SEEDS))]
     return PopulationTraining(factory(task, dtype), bodies(len(SEEDS)), SEEDS, how), stocks
 

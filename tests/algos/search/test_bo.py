@@ -10,7 +10,7 @@ import torch
 from botorch.acquisition import LogExpectedImprovement
 from gpytorch.kernels import MaternKernel, ScaleKernel
 
-from warpvox.algos.search import BoSettings, make_search
+from warpvox.algos.search import BO, make_search
 from warpvox.algos.search.bo import BayesianSearch
 from warpvox.algos.search.bo_acquire import ascend, climb, climb_posterior, improve, log_improvement, thompson_starts
 from warpvox.algos.search.bo_model import fit_model, from_one_hot, make_model, one_hot, own_torch
@@ -31,7 +31,7 @@ def some_fitness(bodies: np.ndarray) -> list[float]:
     return [float(((body >= 3) * np.arange(1, len(body) + 1)[:, None]).sum() + 10) for body in bodies]
 
 
-def searched(settings: BoSettings, shape: tuple[int, int] = (4, 4), seed: int = 0) -> list[list]:
+def searched(settings: BO, shape: tuple[int, int] = (4, 4), seed: int = 0) -> list[list]:
     """The generations of a search that is told :func:`some_fitness`."""
     search, generations = make_search(settings, shape, seed), []
     while asked := search.ask():
@@ -40,9 +40,9 @@ def searched(settings: BoSettings, shape: tuple[int, int] = (4, 4), seed: int = 
     return generations
 
 
-def hasty(**changes: object) -> BoSettings:
+def hasty(**changes: object) -> BO:
     """With a quick fit."""
-    return BoSettings(**({"optimizer_restarts": 1, "optimizer_iterations": 10, "candidates": 60} | changes))
+    return BO(**({"optimizer_restarts": 1, "optimizer_iterations": 10, "candidates": 60} | changes))
 
 
 def matern(one: np.ndarray, other: np.ndarray, variance: float, length: float) -> np.ndarray:
@@ -56,14 +56,14 @@ def matern(one: np.ndarray, other: np.ndarray, variance: float, length: float) -
 
 
 def test_settings_are_those_of_table_4() -> None:
-    settings = BoSettings(acquisition="paper")
+    settings = BO(acquisition="paper")
     assert (settings.kernel_variance, settings.kernel_length_scale) == (1.0, 1.0)
     assert (settings.optimizer_iterations, settings.optimizer_restarts) == (100, 5)
 
 
 def test_the_kernel_is_matern_5_2_with_variance_and_length_scale_1() -> None:
     bodies = some_bodies(12)
-    model = make_model(bodies, some_fitness(bodies), BoSettings())
+    model = make_model(bodies, some_fitness(bodies), BO())
     assert isinstance(model.covar_module, ScaleKernel)
     assert isinstance(model.covar_module.base_kernel, MaternKernel)
     assert model.covar_module.base_kernel.nu == 2.5
@@ -76,7 +76,7 @@ def test_the_posterior_is_that_of_the_text_book() -> None:
     bodies, others = some_bodies(20), some_bodies(15, seed=1)
     fitness = np.array(some_fitness(bodies))
     with own_torch(0):
-        model = fit_model(bodies, fitness, BoSettings(optimizer_restarts=1))
+        model = fit_model(bodies, fitness, BO(optimizer_restarts=1))
         posterior = model.posterior(one_hot(others))
     kernel, mean = model.covar_module, model.mean_module.constant.item()
     shape = (kernel.outputscale.item(), kernel.base_kernel.lengthscale.item())
@@ -104,7 +104,7 @@ def test_the_fit_uses_l_bfgs_with_its_limit_and_restarts(monkeypatch: pytest.Mon
     monkeypatch.setattr(fit, "scipy_minimize", watched)
     bodies = some_bodies(15)
     with own_torch(0):
-        fit_model(bodies, some_fitness(bodies), BoSettings(optimizer_restarts=3, optimizer_iterations=7))
+        fit_model(bodies, some_fitness(bodies), BO(optimizer_restarts=3, optimizer_iterations=7))
     assert len(calls) == 3
     for call in calls:
         assert call["options"] == {"maxiter": 7}
@@ -118,7 +118,7 @@ def test_more_starts_never_fit_worse() -> None:
     likelihoods = []
     for restarts in (1, 5):
         with own_torch(0):
-            settings = BoSettings(optimizer_restarts=restarts, optimizer_iterations=20)
+            settings = BO(optimizer_restarts=restarts, optimizer_iterations=20)
             model = fit_model(bodies, some_fitness(bodies), settings)
             model.train()
             value = ExactMarginalLogLikelihood(model.likelihood, model)(model(*model.train_inputs), model.train_targets)
@@ -142,7 +142,7 @@ def test_one_hot_there_and_back() -> None:
 def model():
     bodies = some_bodies(30)
     with own_torch(0):
-        return fit_model(bodies, some_fitness(bodies), BoSettings(optimizer_restarts=2))
+        return fit_model(bodies, some_fitness(bodies), BO(optimizer_restarts=2))
 
 
 def test_expected_improvement_is_that_of_the_text_book(model) -> None:
@@ -271,7 +271,7 @@ def test_climbing_ends_where_no_valid_neighbour_is_higher() -> None:
 def test_what_is_learned_leads_the_climb() -> None:
     bodies = some_bodies(150, (3, 3))
     with own_torch(1):
-        model = fit_model(bodies, some_fitness(bodies), BoSettings(optimizer_restarts=1))
+        model = fit_model(bodies, some_fitness(bodies), BO(optimizer_restarts=1))
         result = climb_posterior(model, bodies, 8)
     assert are_valid(result.summit).all()
     # the best there is has actuators wherever that counts, and every summit comes near
@@ -309,9 +309,7 @@ def test_of_the_papers_climbs_each_ends_at_a_body_of_its_own() -> None:
     """By L-BFGS alone hardly any does: where their ends are the same or not valid, starts are proposed."""
     climbed = {}
     for acquisition in ("paper", "lbfgs"):
-        settings = BoSettings(
-            acquisition=acquisition, population=12, max_evaluations=48, optimizer_restarts=1, candidates=100
-        )
+        settings = BO(acquisition=acquisition, population=12, max_evaluations=48, optimizer_restarts=1, candidates=100)
         generations = searched(settings, seed=3)
         assert len({body_key(candidate.body) for asked in generations for candidate in asked}) == 48
         origins = [candidate.origin for asked in generations[1:] for candidate in asked]
@@ -350,7 +348,7 @@ def test_with_l_bfgs_alone_proposals_are_ends_or_their_starts(monkeypatch: pytes
 
 
 def test_the_pool_has_random_bodies_and_mutants_of_the_best() -> None:
-    search = BayesianSearch(BoSettings(population=40, max_evaluations=80), seed=0)
+    search = BayesianSearch(BO(population=40, max_evaluations=80), seed=0)
     asked = search.ask()
     search.tell([float(candidate.id) for candidate in asked])
     pool = search.pool(np.random.default_rng(0), 50, 150)

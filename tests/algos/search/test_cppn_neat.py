@@ -9,7 +9,7 @@ import neat
 import numpy as np
 import pytest
 
-from warpvox.algos.search import CppnNeatSettings, make_search
+from warpvox.algos.search import CppnNeat, make_search
 from warpvox.algos.search.cppn_neat import CppnNeatSearch, inputs, neat_config, own_random, paint
 from warpvox.errors import ConfigError
 
@@ -58,18 +58,18 @@ TABLE_5 = {
 
 @pytest.mark.parametrize("name", TABLE_5)
 def test_a_value_of_table_5(name: str) -> None:
-    assert getattr(neat_config(CppnNeatSettings()).genome_config, name) == TABLE_5[name]
+    assert getattr(neat_config(CppnNeat()).genome_config, name) == TABLE_5[name]
 
 
 def test_compatibility_and_populations_of_tables_5_and_2(repository: Path) -> None:
-    config = neat_config(CppnNeatSettings())
+    config = neat_config(CppnNeat())
     assert config.species_set_config.compatibility_threshold == 3.0
     assert config.pop_size == 25
     assert "pop_size = 50" in (repository / "algos" / "search" / "cppn_neat.cfg").read_text(encoding="utf-8")
 
 
 def test_what_table_5_does_not_say_is_the_librarys_default() -> None:
-    config = neat_config(CppnNeatSettings())
+    config = neat_config(CppnNeat())
     reproduction, stagnation = config.reproduction_config, config.stagnation_config
     for part, kind in ((reproduction, neat.DefaultReproduction), (stagnation, neat.DefaultStagnation)):
         default = kind.parse_config({})
@@ -89,7 +89,7 @@ def test_inputs_are_x_y_and_distance_from_the_middle(shape: tuple[int, int]) -> 
 
 def test_a_voxel_is_of_the_type_with_the_largest_output() -> None:
     """A network made by hand: the weights of x and y to outputs 3 and 4 split the grid along a diagonal."""
-    search = CppnNeatSearch(CppnNeatSettings())
+    search = CppnNeatSearch(CppnNeat())
     with own_random(0):
         (genome,) = search.reproduction.create_new(neat.DefaultGenome, search.config.genome_config, 1).values()
     genome.connections.clear()
@@ -115,7 +115,7 @@ def test_own_random_gives_the_global_generator_back_even_after_an_error() -> Non
 
 
 def test_children_descend_from_the_networks_that_bred_them() -> None:
-    search = make_search(CppnNeatSettings(), seed=2)
+    search = make_search(CppnNeat(), seed=2)
     assert isinstance(search, CppnNeatSearch)
     for _ in range(5):
         asked = search.ask()
@@ -131,12 +131,12 @@ def test_children_descend_from_the_networks_that_bred_them() -> None:
         assert sorted(members) == sorted(search.population)
 
 
-def own_config(repository: Path, folder: Path, old: str, new: str) -> CppnNeatSettings:
+def own_config(repository: Path, folder: Path, old: str, new: str) -> CppnNeat:
     text = (repository / "algos" / "search" / "cppn_neat.cfg").read_text(encoding="utf-8")
     assert old in text
     file = folder / "own.cfg"
     file.write_text(text.replace(old, new), encoding="utf-8")
-    return CppnNeatSettings(neat_config=str(file), population=10, max_evaluations=60)
+    return CppnNeat(neat_config=str(file), population=10, max_evaluations=60)
 
 
 def test_an_elite_of_an_own_configuration_is_kept_and_not_proposed_again(repository: Path, tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_extinction_is_a_new_beginning(repository: Path, tmp_path: Path) -> None
 
 def test_mistakes_in_an_own_configuration(repository: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no configuration file of neat-python 'none\.cfg'"):
-        make_search(CppnNeatSettings(neat_config="none.cfg"))
+        make_search(CppnNeat(neat_config="none.cfg"))
     with pytest.raises(ConfigError, match="num_outputs = 5"):
         make_search(own_config(repository, tmp_path, "num_outputs = 5", "num_outputs = 4"))
     with pytest.raises(ConfigError, match=r"neat-python cannot read '.*own\.cfg': .*'conn_add_prob'"):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warpvox.algos.search import BaseSearch, CustomSettings, Proposal, make_search, settings_from
+from warpvox.algos.search import BaseSearch, CustomSearch, Proposal, make_search, settings_from
 from warpvox.code import Code
 from warpvox.errors import ConfigError, SearchError
 
@@ -41,7 +41,7 @@ def test_the_documentation_names_every_search(repository: Path) -> None:
 
 
 def test_a_file_with_a_search(mine: Path) -> None:
-    settings = CustomSettings(make=Code(f"{mine}:BestAndMutants"), population=10, max_evaluations=40)
+    settings = CustomSearch(make=Code(f"{mine}:BestAndMutants"), population=10, max_evaluations=40)
     search = make_search(settings, (4, 5), seed=3)
     assert isinstance(search, BaseSearch)
     while asked := search.ask():
@@ -52,7 +52,7 @@ def test_a_file_with_a_search(mine: Path) -> None:
 
 
 def test_a_module_with_a_search() -> None:
-    settings = CustomSettings(
+    settings = CustomSearch(
         make=Code("warpvox.algos.search.random_search:RandomSearch"), population=4, max_evaluations=4
     )
     custom, own = (make_search(s, seed=1) for s in (settings, settings_from({"algorithm": "random", "population": 4})))
@@ -73,7 +73,7 @@ def test_a_module_with_a_search() -> None:
 def test_mistakes(mine: Path, monkeypatch: pytest.MonkeyPatch, make: str | None, words: str) -> None:
     monkeypatch.chdir(mine.parent)
     with pytest.raises(ConfigError, match=words):
-        make_search(CustomSettings(make=make and Code(make)))
+        make_search(CustomSearch(make=make and Code(make)))
 
 
 def test_what_does_not_ask_is_no_search(tmp_path: Path) -> None:
@@ -82,21 +82,21 @@ def test_what_does_not_ask_is_no_search(tmp_path: Path) -> None:
         "class Half:\n    def __init__(self, *args): pass\n    def ask(self): return []\n", encoding="utf-8"
     )
     with pytest.raises(ConfigError, match="makes a Half, which cannot tell, replay"):
-        make_search(CustomSettings(make=Code(f"{path}:Half")))
+        make_search(CustomSearch(make=Code(f"{path}:Half")))
 
 
 def test_an_error_within_the_module_is_not_hidden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "lacking.py").write_text("import not_there_at_all\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ConfigError, match=r"ModuleNotFoundError: .*not_there_at_all"):
-        make_search(CustomSettings(make=Code("lacking:Mine")))
+        make_search(CustomSearch(make=Code("lacking:Mine")))
 
 
 class Careless(BaseSearch):
     """Proposes whatever it was given."""
 
     def __init__(self, proposals: list) -> None:
-        super().__init__(CustomSettings(make="here:Careless", population=4, max_evaluations=8))
+        super().__init__(CustomSearch(make="here:Careless", population=4, max_evaluations=8))
         self.proposals = proposals
 
     def propose(self, rng: np.random.Generator, count: int) -> list:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from warpvox.algos.search.ga import GeneticSearch, last_generation, survivors_of
-from warpvox.algos.search.settings import GaSettings
+from warpvox.algos.search.settings import GA
 
 SIGMAS = 5
 
@@ -23,13 +23,13 @@ def paper_survivors(population: int, generation: int, last: int) -> int:
 @pytest.mark.parametrize("last", [1, 3, 13, 27, 40])
 @pytest.mark.parametrize("population", [5, 25, 50])
 def test_survivors_of_every_generation(population: int, last: int) -> None:
-    settings = GaSettings(population=population)
+    settings = GA(population=population)
     for generation in range(1, last + 1):
         assert survivors_of(settings, generation, last) == paper_survivors(population, generation, last)
 
 
 def test_survivors_at_250_evaluations() -> None:
-    settings = GaSettings()
+    settings = GA()
     last = last_generation(settings)
     assert last == 13
     assert [survivors_of(settings, n, last) for n in range(1, last + 1)] == [14, 13, 12, 11, 10, 9, 7, 6, 5, 4, 3, 2, 2]
@@ -37,7 +37,7 @@ def test_survivors_at_250_evaluations() -> None:
 
 @pytest.mark.parametrize("evaluations", [10, 25, 26, 250, 500, 750, 100_000])
 def test_the_last_generation_is_the_first_that_uses_up_the_evaluations(evaluations: int) -> None:
-    settings = GaSettings(max_evaluations=evaluations)
+    settings = GA(max_evaluations=evaluations)
     last = last_generation(settings)
 
     def total(generations: int) -> int:
@@ -52,7 +52,7 @@ def fitness_of(body: np.ndarray) -> float:
 
 
 def test_the_best_survive_unevaluated_and_breed() -> None:
-    search = GeneticSearch(GaSettings(), seed=4)
+    search = GeneticSearch(GA(), seed=4)
     population: list[int] = []
     fitness: list[float] = []
     for generation in range(14):
@@ -76,7 +76,7 @@ def test_the_best_survive_unevaluated_and_breed() -> None:
 
 
 def test_all_survivors_breed_alike() -> None:
-    search = GeneticSearch(GaSettings(), seed=0)
+    search = GeneticSearch(GA(), seed=0)
     search.tell([fitness_of(candidate.body) for candidate in search.ask()])
     rng = np.random.default_rng(0)
     parents = [search.mutant(rng, [3, 8, 11, 20], 0.1).parents[0] for _ in range(800)]
@@ -86,7 +86,7 @@ def test_all_survivors_breed_alike() -> None:
 
 def test_children_differ_from_their_parent_as_the_mutation_rate_says() -> None:
     """A full body of actuators stays valid under nearly every mutation, so that validity hardly selects."""
-    search = GeneticSearch(GaSettings(mutation_rate=0.1), shape=(5, 5), seed=0)
+    search = GeneticSearch(GA(mutation_rate=0.1), shape=(5, 5), seed=0)
     search.tell([0.0] * len(search.ask()))
     search.bodies[0] = np.full((5, 5), 3, np.int8)
     assert search.claim(search.bodies[0])
@@ -99,6 +99,6 @@ def test_children_differ_from_their_parent_as_the_mutation_rate_says() -> None:
 
 
 def test_a_child_of_an_exhausted_family_is_random() -> None:
-    search = GeneticSearch(GaSettings(population=4, max_evaluations=8, mutation_rate=1e-9), shape=(5, 5), seed=0)
+    search = GeneticSearch(GA(population=4, max_evaluations=8, mutation_rate=1e-9), shape=(5, 5), seed=0)
     search.tell([0.0] * len(search.ask()))
     assert all(candidate.origin == "random" and candidate.parents == () for candidate in search.ask())

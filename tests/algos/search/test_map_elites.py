@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from warpvox.algos.search import MapElitesSettings, make_search
+from warpvox.algos.search import MapElites, make_search
 from warpvox.algos.search.descriptors import describe
 from warpvox.algos.search.settings import DESCRIPTORS
 from warpvox.design import sample_design
@@ -50,7 +50,7 @@ def test_descriptors_by_hand(seed: int, shape: tuple[int, int]) -> None:
 
 
 def test_the_grid_holds_the_best_of_every_kind_and_they_breed() -> None:
-    settings = MapElitesSettings(descriptors=("height", "symmetry"), bins=4, max_evaluations=150)
+    settings = MapElites(descriptors=("height", "symmetry"), bins=4, max_evaluations=150)
     search = make_search(settings, (5, 7), seed=0)
     best: dict[tuple[int, ...], int] = {}
     bodies, fitness = [], []
@@ -73,9 +73,9 @@ def test_the_grid_holds_the_best_of_every_kind_and_they_breed() -> None:
 
 def test_mistakes_in_descriptors() -> None:
     with pytest.raises(ConfigError, match=r"descriptors must be one of .* got 'actuator'\. Did you mean 'actuators'"):
-        MapElitesSettings(descriptors=("actuator",))
+        MapElites(descriptors=("actuator",))
     for wrong in ((), ("empty", "empty")):
         with pytest.raises(ConfigError, match="one or more different ones"):
-            MapElitesSettings(descriptors=wrong)
-    with pytest.raises(ConfigError, match="descriptors must be a list of names, got 'empty'"):
-        MapElitesSettings(descriptors="empty")  # type: ignore[arg-type]
+            MapElites(descriptors=wrong)
+    with pytest.raises(ConfigError, match="descriptors must be a list, got 'empty'"):
+        MapElites(descriptors="empty")  # type: ignore[arg-type]

@@ -1,8 +1,7 @@
-"""Settings: the paper's values, the YAML files of the command line, and mistakes."""
+"""Settings: the paper's values, the choices of the command line, and mistakes."""
 
 from __future__ import annotations
 
-import dataclasses
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -10,47 +9,28 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from warpvox.algos.search import (
     ALGORITHMS,
-    BoSettings,
-    CppnNeatSettings,
-    GaSettings,
-    MapElitesSettings,
-    RandomSettings,
+    BO,
+    GA,
+    CppnNeat,
+    MapElites,
+    RandomDesigns,
     SearchSettings,
     make_search,
     settings_from,
 )
 from warpvox.cli.config import load
+from warpvox.cli.help import options_of
 from warpvox.errors import ConfigError
 
 
-def values(settings: object) -> dict[str, Any]:
-    return {key: list(v) if isinstance(v, tuple) else v for key, v in dataclasses.asdict(settings).items()}
-
-
-OURS = [name for name in ALGORITHMS if name != "custom"]
-
-
-@pytest.mark.parametrize("algorithm", OURS)
-def test_the_yaml_file_says_every_setting_and_its_default(repository: Path, algorithm: str) -> None:
-    text = (repository / "configs" / "search" / f"{algorithm}.yaml").read_text(encoding="utf-8")
-    content = yaml.safe_load(text)
-    assert content.pop("algorithm") == algorithm
-    defaults = values(ALGORITHMS[algorithm]())
-    if algorithm == "bo":  # the one search whose YAML file is not the paper's; that is bo_paper.yaml
-        assert (content.pop("acquisition"), defaults.pop("acquisition")) == ("pathwise", "paper")
-    assert content == defaults
-
-
-def test_every_yaml_file_makes_a_search(repository: Path) -> None:
-    names = sorted(file.stem for file in (repository / "configs" / "search").glob("*.yaml"))
-    assert set(ALGORITHMS) < set(names)
-    for name in names:
+def test_every_choice_makes_a_search() -> None:
+    assert set(ALGORITHMS) < set(options_of("search"))
+    for name in options_of("search"):
         own = ["search.make=warpvox.algos.search.random_search:RandomSearch"] if name == "custom" else []
-        settings = settings_from(load("codesign", [f"search={name}", *own]).search)
+        settings = load("codesign", [f"search={name}", *own]).search
         if settings.algorithm != "map_elites" or find_spec("ribs") is not None:
             make_search(settings, (5, 7), seed=1)
 
@@ -58,11 +38,10 @@ def test_every_yaml_file_makes_a_search(repository: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "settings"),
     [
-        (["search=paper"], GaSettings(population=25, max_evaluations=250)),
-        (["search=paper", "search.algorithm=bo"], BoSettings(acquisition="paper")),
-        (["search=bo_paper"], BoSettings(acquisition="paper")),
-        (["search=bo_lbfgs"], BoSettings(acquisition="lbfgs")),
-        (["search=paper", "search.algorithm=cppn_neat", "search.max_evaluations=750"], CppnNeatSettings(25, 750)),
+        (["search=paper"], GA(population=25, max_evaluations=250)),
+        (["search=bo_paper"], BO(acquisition="paper")),
+        (["search=bo_lbfgs"], BO(acquisition="lbfgs")),
+        (["preset=paper", "search=cppn_neat", "search.max_evaluations=750"], CppnNeat(max_evaluations=750)),
     ],
 )
 @pytest.mark.parametrize(("task", "shape"), [("Walker-v0", [5, 5]), ("Lifter-v0", [5, 7])])
@@ -71,32 +50,27 @@ def test_the_papers_searches_have_its_settings_shape_and_training(
 ) -> None:
     """Tables 2 to 6: an algorithm of the paper is named, and nothing of it need be said besides."""
     config = load("codesign", [*words, f"task={task}"])
-    assert settings_from(config.search) == settings
+    assert config.search == settings
     assert config.shape == shape
     assert config.training == load("codesign", ["training=paper"]).training
 
 
-@pytest.mark.parametrize("algorithm", OURS)
+@pytest.mark.parametrize("algorithm", [name for name in ALGORITHMS if name != "custom"])
 def test_defaults_are_those_of_table_2(algorithm: str) -> None:
     settings = ALGORITHMS[algorithm]()
     assert (settings.population, settings.max_evaluations) == (25, 250)
 
 
 def test_ga_defaults_are_those_of_table_3() -> None:
-    settings = GaSettings()
+    settings = GA()
     assert settings.mutation_rate == 0.10
     assert (settings.final_survivor_rate, settings.survivor_rate) == (0.0, 0.6)
     assert settings.min_survivors == 2
 
 
-def test_settings_are_frozen() -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        GaSettings().population = 3  # type: ignore[misc]
-
-
 def test_none_stands_for_the_default() -> None:
-    assert settings_from({"algorithm": "ga", "population": None}) == GaSettings()
-    assert settings_from({"algorithm": "random", "population": 7}) == RandomSettings(population=7)
+    assert settings_from({"algorithm": "ga", "population": None}) == GA()
+    assert settings_from({"algorithm": "random", "population": 7}) == RandomDesigns(population=7)
 
 
 @pytest.mark.parametrize(
@@ -130,13 +104,13 @@ def test_without_pyribs_the_error_says_what_to_install(monkeypatch: pytest.Monke
     monkeypatch.delitem(sys.modules, "warpvox.algos.search.map_elites", raising=False)
     monkeypatch.setitem(sys.modules, "ribs.archives", None)
     with pytest.raises(ConfigError, match=r"map_elites needs the package ribs: pip install 'warpvox\[search\]'"):
-        make_search(MapElitesSettings())
+        make_search(MapElites())
 
 
 def test_settings_alone_load_no_library(tmp_path: Path) -> None:
     code = (
-        "import sys\nfrom warpvox.algos.search import ALGORITHMS, RandomSettings, make_search\n"
-        "make_search(RandomSettings()).ask()\n"
+        "import sys\nfrom warpvox.algos.search import ALGORITHMS, RandomDesigns, make_search\n"
+        "make_search(RandomDesigns()).ask()\n"
         "print(*{'torch', 'botorch', 'gpytorch', 'neat', 'ribs', 'scipy'} & set(sys.modules))"
     )
     run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)

@@ -13,9 +13,10 @@ from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.policies.layout import layout_of
 from warpvox.algos.training.bodies import Bodies, draw_bodies
+from warpvox.algos.training.held_out import HeldOut
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
-from warpvox.cli.designs import HeldOut
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError
 
 LIMIT, SHAPE = 8, (3, 3)
@@ -84,17 +85,20 @@ def test_bodies_stay_where_nothing_is_to_take_their_place() -> None:
 
 def test_a_rollout_is_of_one_body_and_episodes_begin_with_it() -> None:
     runner = make_runner("random", 9)
-    env = runner.env
-    for _ in range(3):
-        bodies = in_use(runner)
-        _, ended = runner._collect()
-        assert in_use(runner) == bodies
-        runner.alg.storage.clear()
-        runner.bodies.exchange(env, ended)
+    bodies, exchange = [in_use(runner)], runner.bodies.exchange
+
+    def watched(env: RslRlVecEnv, ended: torch.Tensor) -> None:
+        assert in_use(runner) == bodies[-1]
+        exchange(env, ended)
         lengths = env.episode_length_buf
         assert bool((lengths[ended] == 0).all())
         assert bool((lengths[~ended] > 0).all())
         assert torch.equal(env.get_observations()["policy"][ended], env.env.reset(mask=ended)[0][ended].float())
+        bodies.append(in_use(runner))
+
+    runner.bodies.exchange = watched
+    runner.learn(3)
+    assert len(bodies) == 4
 
 
 def test_bodies_on_which_the_policy_does_worse_come_more_often() -> None:

@@ -10,7 +10,7 @@ from learning import ENVS, assert_same_weights, ppo_settings, rows, small_env, w
 
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.evaluate import evaluate, evaluator
-from warpvox.algos.settings import PpoConfig
+from warpvox.algos.settings import Ppo
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
@@ -27,7 +27,7 @@ def make_env(num_envs: int = ENVS, **changes: object):
 
 
 def make_runner(
-    total: int, ppo: PpoConfig | None = None, folder: Path | None = None, task: str = "Walker-v0", **schedule: int
+    total: int, ppo: Ppo | None = None, folder: Path | None = None, task: str = "Walker-v0", **schedule: int
 ) -> Runner:
     ppo = ppo or ppo_settings()
     torch.manual_seed(0)

@@ -8,11 +8,10 @@ from learning import ENVS, ppo_settings, small_env
 from rsl_rl.algorithms import PPO as StockPPO
 from rsl_rl.models import MLPModel
 
-from warpvox.algos.settings import PpoConfig
+from warpvox.algos.settings import Ppo
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
-from warpvox.errors import ConfigError
 
 STEPS, LIMIT, UPDATES = 6, 10, 3
 ROUNDING = 1e-9
@@ -29,11 +28,11 @@ SIZES = {"hidden": [8, 8], "minibatches": 3}
 pytestmark = pytest.mark.usefixtures("double", "one_thread")
 
 
-def adapted(ppo: PpoConfig) -> RslRlVecEnv:
+def adapted(ppo: Ppo) -> RslRlVecEnv:
     return adapt(small_env(max_episode_steps=LIMIT), ppo)
 
 
-def algorithms(env: RslRlVecEnv, ppo: PpoConfig) -> tuple[PPO, StockPPO]:
+def algorithms(env: RslRlVecEnv, ppo: Ppo) -> tuple[PPO, StockPPO]:
     config = rsl_rl_config(ppo, 100) | {"multi_gpu": None}
     torch.manual_seed(1)
     ours = PPO.construct_algorithm(env.get_observations(), env, config, "cpu")
@@ -115,23 +114,3 @@ def test_checkpoints_are_exchanged_with_rsl_rls_ppo() -> None:
         algorithm.update()
     for name, value in fresh.actor.state_dict().items():
         torch.testing.assert_close(value, fresh_stock.actor.state_dict()[name], rtol=0, atol=ROUNDING, msg=name)
-
-
-def test_other_networks_are_refused() -> None:
-    ppo = ppo_settings(**SIZES)
-    env = adapted(ppo)
-    config = rsl_rl_config(ppo, 100) | {"multi_gpu": None}
-    config["critic"]["class_name"] = "MLPModel"
-    with pytest.raises(ConfigError, match="use rsl-rl's own"):
-        PPO.construct_algorithm(env.get_observations(), env, config, "cpu")
-
-
-def test_a_full_storage_refuses_another_step() -> None:
-    ppo = ppo_settings(**SIZES)
-    env = adapted(ppo)
-    ours, _ = algorithms(env, ppo)
-    obs = env.get_observations()
-    for _ in range(STEPS):
-        ours.process_env_step(*env.step(ours.act(obs)))
-    with pytest.raises(OverflowError, match=f"{STEPS} steps"):
-        ours.act(obs)

@@ -14,9 +14,9 @@ from rich.console import Console
 
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
-from warpvox.cli.console import echo
-from warpvox.cli.runs import new_folder, write_summary
 from warpvox.errors import SimulationError, listing
+from warpvox.io.console import echo
+from warpvox.runs import new_folder, write_summary
 
 __all__ = ["run"]
 
@@ -35,7 +35,7 @@ def measure(config: Any, console: Console) -> Path:
     with console.status("preparing"):
         from warpvox.bench.machine import machine, machine_line
         from warpvox.bench.report import Document, Report
-        from warpvox.cli.build import prepare
+        from warpvox.cli.process import prepare
         from warpvox.devices.names import resolve_device
 
         suite = import_module(f"warpvox.bench.{config.suite}")

@@ -8,9 +8,9 @@ from pathlib import Path
 from rich.console import Console
 
 from warpvox.cli.application import run_command
-from warpvox.cli.console import echo
 from warpvox.configs.schema import DesignConfig
 from warpvox.errors import ConfigError
+from warpvox.io.console import echo
 from warpvox.system import has_display
 
 __all__ = ["run"]
@@ -28,7 +28,7 @@ def _only_one(_: object) -> None:
 def serve(config: DesignConfig, console: Console) -> None:
     """Serve the editor until it is interrupted."""
     with console.status("starting"):
-        from warpvox.cli.build import prepare
+        from warpvox.cli.process import prepare
         from warpvox.editor.server import EditorServer
 
         prepare(1, 0)

@@ -11,10 +11,10 @@ from rich.console import Console
 from warpvox.cli.application import run_command
 from warpvox.cli.commands.play import check_source, play_run, write_results
 from warpvox.cli.config import to_yaml
-from warpvox.cli.console import echo, shown
-from warpvox.cli.runs import ZOO, as_name, new_folder, write_summary
 from warpvox.configs.schema import EXPORTS, POLICY_EXPORTS
 from warpvox.errors import ConfigError, listing
+from warpvox.io.console import echo, shown
+from warpvox.runs import ZOO, as_name, new_folder, write_summary
 
 if TYPE_CHECKING:
     from warpvox.algos.checkpoints.policy import Policy
@@ -54,7 +54,7 @@ def _export(config: Any, console: Console) -> Path:
 
 def _load_policy(config: Any, console: Console) -> Policy:
     with console.status("loading"):
-        from warpvox.api import load_policy
+        from warpvox.algos.training.loading import load_policy
 
         places = {"checkpoint": config.checkpoint, "output_dir": config.output_dir, "policy": config.policy}
         return load_policy(config.run if config.zoo is None else f"{ZOO}{config.zoo}", **places)

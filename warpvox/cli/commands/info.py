@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 import warpvox
-from warpvox.cli.console import literal
-from warpvox.errors import ConfigError
+from warpvox.cli.application import run_command
+from warpvox.io.console import literal
 from warpvox.system import processor_name, usable_cores
 
 __all__ = ["run"]
@@ -24,16 +24,15 @@ OLDEST = 7, 5
 
 
 def run(words: list[str]) -> None:
+    """Do what ``warpvox info`` is asked for."""
+    run_command("info", words, show)
+
+
+def show(_: object, console: Console) -> None:
     """Print the table."""
-    if words and words[0] in ("-h", "--help"):
-        print("usage: warpvox info\n\nVersions, devices and the kernel cache.")
-        return
-    if words:
-        raise ConfigError(f"`warpvox info` takes no arguments, got '{' '.join(words)}'.")
     table = Table(show_header=False, box=None, pad_edge=False)
     for name, value in [*_versions(), *_devices(), *_cache()]:
         table.add_row(literal(name), literal(value))
-    console = Console()
     if not console.is_terminal:
         console.width = 120
     console.print(table, highlight=False)

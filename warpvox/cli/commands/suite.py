@@ -2,68 +2,66 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import time
-from collections import deque
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
-from warpvox.algos.codesign.archive import FILE as ARCHIVE
-from warpvox.algos.interrupt import deferred_interrupts
-from warpvox.cli import sweep
+from warpvox.algos.suite.members import FAILED, MEMBERS, WAITING, Member, Table
+from warpvox.algos.suite.progress import results
 from warpvox.cli.application import run_command
-from warpvox.cli.commands import codesign
-from warpvox.cli.commands.train import check_unchanged
-from warpvox.cli.config import load, load_values, to_yaml
-from warpvox.cli.console import echo, shell_argument, shown
-from warpvox.cli.evaluations import resolve_evaluation
-from warpvox.cli.runs import STAMP, find_suite, going_on, make_folder
-from warpvox.cli.suite.members import DONE, FAILED, MEMBERS, RUNNING, WAITING, Table
-from warpvox.cli.suite.plan import Member, plan, seeds_of, task_names
-from warpvox.cli.suite.pool import LocalPool, Pool, RayPool
-from warpvox.cli.suite.progress import SuiteProgress, results
-from warpvox.cli.trust import as_stored, keep_code
-from warpvox.configs.schema import CodesignConfig, SuiteConfig
-from warpvox.errors import ConfigError, RunError, StorageError, listing
-from warpvox.io.writing import OF_FULL_DISKS, check_writable
-from warpvox.system import available_memory, usable_cores
+from warpvox.cli.config import load, load_values
+from warpvox.cli.suite_plan import plan, seeds_of, task_names
+from warpvox.cli.suite_words import gone_on_with, merged
+from warpvox.configs.suite_keys import SuiteConfig
+from warpvox.errors import ConfigError, RunError, listing
+from warpvox.io.console import echo, shell_argument, shown
+from warpvox.io.plain_yaml import to_yaml
+from warpvox.io.writing import check_writable
+from warpvox.runs import STAMP, check_unchanged, find_suite, going_on, make_folder
+from warpvox.trust import keep_code
 
-__all__ = ["Job", "make_member", "run", "suite"]
+__all__ = ["Job", "run", "split", "suite"]
 
 GROWING = ("tasks", "searches", "seeds")
 """Keys that may get more entries when a suite is resumed."""
-CHANGEABLE = (*GROWING, "retry", *codesign.CHANGEABLE)
-POLL_SECONDS = 0.5
-FULL = "full"
-"""Status of a member that has ended for lack of room on its disk: when there is some, it goes on."""
-PROCESS_BYTES = 1_000_000_000
-"""Of memory that a process should find free: PyTorch, Warp and a small search take half of it."""
+CHANGEABLE = (*GROWING, "retry", "executor", "address", "workers", "device", "threads", "name", "resume", "output_dir")
 
 
 @dataclass
 class Job:
-    """A suite to be made: its members; of the one that it goes on with ``folder`` and configuration."""
+    """A suite to be made: its members; of the one that it goes on with the folder, and the words that are stored."""
 
     config: SuiteConfig
     members: list[Member] = field(default_factory=list)
     folder: Path | None = None
-    stored: dict[str, Any] = field(default_factory=dict)
+    words: list[str] = field(default_factory=list)
 
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox suite`` is asked for."""
-    run_command("suite", words, suite, _prepare)
+    own, typed = split(words)
+    run_command("suite", own, suite, partial(_prepare, typed))
 
 
-def _prepare(config: SuiteConfig, overrides: list[str], config_dir: Path | None) -> Job:
+def split(words: list[str]) -> tuple[list[str], list[str]]:
+    """The words about the suite, and those about all of its design searches: keys that only these have."""
+    own = {*SuiteConfig.__dataclass_fields__, "hydra"}
+    typed = [word for word in words if "=" in word and word[0] != "-" and re.split("[.=/]", word)[0] not in own]
+    return [word for word in words if word not in typed], typed
+
+
+def _prepare(typed: list[str], config: SuiteConfig, overrides: list[str], config_dir: Path | None) -> Job:
     """The job of a configuration; with ``resume`` on top of that of the suite that it goes on with.
+
+    Args:
+        typed: overrides for all design searches.
 
     Raises:
         WarpvoxError: what is wrong with it, or with one of its members.
@@ -73,37 +71,35 @@ def _prepare(config: SuiteConfig, overrides: list[str], config_dir: Path | None)
         raise ConfigError("evaluations and control_steps are both a budget: give one of them.")
     if config.report is not None:
         return Job(config)
-    job = Job(config)
     if config.resume is not None:
-        job = _resumed(config, overrides, config_dir)
+        job = _resumed(config, typed, overrides, config_dir)
     elif config.retry:
         raise ConfigError("retry=true goes with resume=latest or resume=FOLDER.")
     elif config.name and _place(config).exists():
         raise RunError(
             f"{_place(config)} exists already: choose another name, or go on with it by resume={_place(config)}."
         )
+    else:
+        job = Job(dataclasses.replace(config, codesign=merged(config.codesign, typed, config.output_dir)))
     if config.executor == "local" and config.address is not None:
         raise ConfigError("address goes with executor=ray.")
     job.members = plan(job.config, config_dir)
     _check(job)
-    if job.config.pretrained is not None:  # by its place: the latest may be another one when members begin
-        checkpoint = resolve_evaluation(job.members[0].config, None).pretrained
-        job.config = dataclasses.replace(job.config, pretrained=checkpoint)
-        job.members = plan(job.config, config_dir)
     return job
 
 
-def _resumed(config: SuiteConfig, overrides: list[str], config_dir: Path | None) -> Job:
+def _resumed(config: SuiteConfig, typed: list[str], overrides: list[str], config_dir: Path | None) -> Job:
     source = find_suite(config.resume, config.output_dir)
     check_writable(source.folder)
     before = load_values("suite", source.config)
     config = load("suite", overrides, config_dir, base=source.config, home=source.folder)
-    check_unchanged(source.config, as_stored(config, source.config), CHANGEABLE)
+    check_unchanged(source.config, config, CHANGEABLE)
+    words, trusted = gone_on_with(before.codesign, typed, source.folder)
     for key, old, new in zip(GROWING, _parts(before), _parts(config), strict=True):
         lost = [entry for entry in old if entry not in new]
         if lost:
             raise ConfigError(f"{key} may only grow when a suite is resumed; {listing(lost)} would be left out.")
-    return Job(dataclasses.replace(config, resume=None), folder=source.folder, stored=source.config)
+    return Job(dataclasses.replace(config, resume=None, codesign=trusted), folder=source.folder, words=words)
 
 
 def _parts(config: SuiteConfig) -> tuple[list[str], list[str], list[int]]:
@@ -116,10 +112,12 @@ def _check(job: Job) -> None:
     Raises:
         ConfigError: keys that do not go together, and for which of several searches. WarpvoxError: another mistake.
     """
+    from warpvox.algos.codesign.run import check
+
     several = len({member.search for member in job.members}) > 1
     for member in {(member.task, member.search): member for member in job.members}.values():
         try:
-            codesign.check(dataclasses.replace(member.config, executor=job.config.executor))
+            check(dataclasses.replace(member.settings, executor=job.config.executor))
         except ConfigError as error:
             raise ConfigError(f"{member.search}: {error}" if several else str(error)) from None
 
@@ -138,17 +136,24 @@ def suite(job: Job, console: Console) -> Path:
         WarpvoxError: something cannot be made; RunError: members have failed, the others are made all the same.
         KeyboardInterrupt: interrupted; what the members had done has been saved.
     """
+    from warpvox.algos.suite.run import make_members
+
     if job.config.report is not None:
         return _write_again(job.config, console)
     config = dataclasses.replace(job.config, retry=False)
-    with _folder(job, to_yaml(as_stored(config, job.stored))) as folder:
-        keep_code(config, folder, console)
+    with _folder(job, to_yaml(dataclasses.replace(config, codesign=job.words or config.codesign))) as folder:
+        for member in {member.search: member for member in job.members}.values():
+            keep_code(member.settings, folder, console)
         table = Table.of_members(folder, job.members, job.config.retry)
         table.write()
         echo(console, f"{len(table.rows)} members{_counted(table)}")
         echo(console, f"folder: {shown(folder)}")
-        if table.of(WAITING):
-            _make(table, job.members, config, console)
+        try:
+            if table.of(WAITING):
+                make_members(table, job.members, config, console)
+        except BaseException:
+            _advise(table, console)
+            raise
         _write_report(table, config, console)
         return _conclude(table, console)
 
@@ -166,83 +171,6 @@ def _counted(table: Table) -> str:
     """What is known of the members of a suite that is resumed."""
     counts = {state: count for state, count in table.counts.items() if state != WAITING}
     return f", {', '.join(f'{count} {state}' for state, count in counts.items())} already" if counts else ""
-
-
-def _make(table: Table, members: list[Member], config: SuiteConfig, console: Console) -> None:
-    """Make those ``members`` whose rows in the table wait, several at a time.
-
-    Raises:
-        KeyboardInterrupt: interrupted; the members have saved their states. StorageError: the disk is full.
-    """
-    waiting, running = deque(number for number, row in enumerate(table.rows) if row.state == WAITING), {}
-    pool, threads = _pool(config, [members[number].config for number in waiting])
-    echo(console, f"{pool.size} at a time, each with {threads} thread{'s' * (threads > 1)}")
-    try:
-        with deferred_interrupts() as interrupt, SuiteProgress(table, console) as progress:
-            stopping, full = False, ""
-            while running or (waiting and not interrupt and not full):
-                while waiting and len(running) < pool.size and not interrupt and not full:
-                    number = waiting.popleft()
-                    row = table.rows[number]
-                    row.folder.mkdir(parents=True, exist_ok=True)
-                    pool.begin(number, dataclasses.replace(members[number].config, threads=threads), row.folder)
-                    row.state, row.began, running[number] = RUNNING, time.monotonic(), row
-                for number, outcome in pool.wait(POLL_SECONDS):
-                    row = running.pop(number)
-                    row.state = {"done": DONE, "failed": FAILED}.get(outcome["status"], WAITING)
-                    row.error = outcome.get("error", "") if row.state == FAILED else ""
-                    full = outcome["error"] if outcome["status"] == FULL else full
-                    table.write()
-                    table.write_curves()
-                    progress.ended(row)
-                if (interrupt or full) and not stopping:
-                    why = "the disk is full" if full else "interrupted"
-                    echo(console, f"{why}: waiting for the members to save their states")
-                    pool.stop()
-                    stopping = True
-                progress.refresh()
-            if stopping:
-                _stopped(table, console)
-            if interrupt:
-                interrupt.stop()
-            if full:
-                raise StorageError(full)
-    finally:
-        pool.close()
-
-
-def _pool(config: SuiteConfig, members: list[CodesignConfig]) -> tuple[Pool, int]:
-    """The processes that make the members, and the threads of each."""
-    if config.executor == "ray":
-        threads = config.threads or 1
-        gpus = 0 if config.device == "cpu" else None
-        return RayPool(make_member, config.workers, config.address, threads, gpus), threads
-    from warpvox.devices.names import resolve_device
-
-    cores, envs = usable_cores(), max(map(codesign.environments, members))
-    room = cores if resolve_device(config.device, envs) == "cpu" else 1
-    free = available_memory()
-    room = room if free is None else max(1, min(room, free // PROCESS_BYTES))
-    workers = min(config.workers or room, len(members))
-    return LocalPool(make_member, workers), config.threads or max(1, cores // workers)
-
-
-def make_member(config: CodesignConfig, folder: Path) -> dict[str, Any]:
-    """Make a design search in ``folder``, or go on with the one that is there; returns how it has ended."""
-    row, console, full = {"run": folder.name}, Console(), False
-
-    def make() -> Path:
-        nonlocal full
-        known = (folder / ARCHIVE).is_file()
-        try:
-            return codesign.codesign(codesign.Job(config, folder if known else None, place=folder), console)
-        except OSError as error:
-            full = error.errno in OF_FULL_DISKS
-            raise
-
-    with contextlib.suppress(KeyboardInterrupt):
-        sweep.attempt(row, sweep.Member([]), make, console)
-    return {"status": FULL if full else row["status"], "error": row.get("error", "")}
 
 
 # ---------------------------------------------------------------------------------------------------------- after
@@ -270,14 +198,6 @@ def _write_again(config: SuiteConfig, console: Console) -> Path:
     table = Table.stored(source.folder)
     _write_report(table, load_values("suite", source.config), console)
     return source.folder
-
-
-def _stopped(table: Table, console: Console) -> None:
-    for row in table.of(RUNNING):
-        row.state = WAITING
-    table.write()
-    echo(console, f"stopped, state saved; {len(table.of(DONE))} of {len(table.rows)} members are done")
-    _advise(table, console)
 
 
 def _advise(table: Table, console: Console, more: str = "") -> None:

@@ -12,69 +12,45 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from warpvox.cli.console import echo, literal
-from warpvox.code import Code, is_code
-from warpvox.errors import ConfigError, WorldError, did_you_mean, listing
+from warpvox.cli.application import run_command
+from warpvox.configs.schema import TasksConfig
+from warpvox.errors import ConfigError, WorldError, listing
+from warpvox.io.console import echo, literal
 
 __all__ = ["run"]
 
-USAGE = """\
-usage: warpvox tasks [ID] [KEY=VALUE ...]
-
-Lists the tasks; with an ID (or module:NAME, or file.py:NAME) shows that task in detail, with its world.
-
-keys:
-  rules=evogym    as released (evogym) or as printed (paper)
-  design=walker   the body that the world is shown with, and that the layout of the observation is for
-  picture=FILE    also write the world as a picture (.png)
-
-keys without an ID:
-  gallery=FILE    instead of the list write all worlds into one picture (.png)
-  design=walker   the body that stands in them"""
-KEYS = {"rules": "evogym", "design": "walker", "picture": None}
-ALL_KEYS = {"gallery": None, "design": "walker"}
-
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox tasks`` is asked for."""
-    if any(word in ("-h", "--help") for word in words):
-        print(USAGE)
-        return
-    name, keys = _read(words)
-    console = Console()
-    if not console.is_terminal and "COLUMNS" not in os.environ:
-        console.width = 120  # a pipe has no width of its own; 80 columns would cut the sentences
-    if name is None and keys["gallery"] is not None:
-        _write_gallery(keys, console)
-    elif name is None:
-        _print_all(console)
-    else:
-        _print_task(name, keys, console)
+    """Do what ``warpvox tasks`` is asked for; a word by itself is the task."""
+    plain = [word for word in words if "=" not in word and not word.startswith("-")]
+    run_command("tasks", [f"task={word}" if word in plain else word for word in words], show)
 
 
-def _read(words: list[str]) -> tuple[str | None, dict[str, Any]]:
-    """The task's id, if there is one, and all keys.
+def show(config: TasksConfig, console: Console) -> None:
+    """Print the table or a task, or write the gallery.
 
     Raises:
-        ConfigError: an unknown option or key, or several ids.
+        ConfigError: keys that do not go together, or a picture that is none.
     """
-    names = [word for word in words if "=" not in word]
-    if len(names) > 1 or any(word.startswith("-") for word in words):
-        raise ConfigError(f"`warpvox tasks` takes one task id at most, got '{' '.join(words)}'.")
-    keys = dict(KEYS if names else ALL_KEYS)
-    for word in words:
-        key, given, value = word.partition("=")
-        if not given:
-            continue
-        if key not in keys:
-            hint = did_you_mean(key, keys)
-            place = "`warpvox tasks ID`" if names else "Without an ID `warpvox tasks`"
-            raise ConfigError(f"{place} takes the keys {listing(keys)}, got '{word}'.{hint}")
-        keys[key] = value if key == "rules" else os.path.expanduser(value)
-    for key in ("picture", "gallery"):
-        if keys.get(key) is not None and Path(keys[key]).suffix.lower() != ".png":
-            raise ConfigError(f"{key} must be a file ending in .png, got '{keys[key]}'.")
-    return (names or [None])[0], keys
+    for key, value, goes in (
+        ("picture", config.picture, config.task is not None),
+        ("rules", None if config.rules == "evogym" else config.rules, config.task is not None),
+        ("gallery", config.gallery, config.task is None),
+    ):
+        if value is not None and not goes:
+            raise ConfigError(f"{key} goes {'without' if key == 'gallery' else 'with'} a task, `warpvox tasks ID`.")
+        if value is not None and key != "rules" and Path(value).suffix.lower() != ".png":
+            raise ConfigError(f"{key} must be a file ending in .png, got '{value}'.")
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = 120  # a pipe has no width of its own; 80 columns would cut the sentences
+    if config.gallery is not None:
+        from warpvox.algos.report.gallery import everywhere, write_gallery
+
+        echo(console, f"gallery: {write_gallery(config.gallery, everywhere(config.design))}")
+    elif config.task is None:
+        _print_all(console)
+    else:
+        _print_task(config.task, config, console)
 
 
 def _print_all(console: Console) -> None:
@@ -102,13 +78,6 @@ def _print_all(console: Console) -> None:
     echo(console, "`warpvox tasks ID` shows one in detail.")
 
 
-def _write_gallery(keys: dict[str, Any], console: Console) -> None:
-    from warpvox.algos.report.gallery import everywhere, write_gallery
-
-    path = write_gallery(keys["gallery"], everywhere(keys["design"]))
-    echo(console, f"gallery: {path}")
-
-
 @dataclass(frozen=True)
 class Row:
     """One observation term of a task and where it lies."""
@@ -131,19 +100,19 @@ def _layout(task: Any, points: dict[str, int]) -> Iterator[Row]:
         start += size
 
 
-def _print_task(name: str, keys: dict[str, Any], console: Console) -> None:
-    from warpvox.cli.cell_text import print_world
+def _print_task(name: str, config: TasksConfig, console: Console) -> None:
     from warpvox.design import load_design
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
+    from warpvox.view.cell_text import print_world
     from warpvox.view.world_picture import scene_of_world, write_world_png
 
-    whole = get_task(Code(name) if is_code(name) else name)
-    task = whole.under(keys["rules"])
-    world = task_world(task, load_design(keys["design"]))
+    whole = get_task(name)
+    task = whole.under(config.rules)
+    world = task_world(task, load_design(config.design))
     scene, _ = scene_of_world(world)
     points = {obj.name: obj.num_points for obj in scene.objects}
-    heading = literal(f" ({task.difficulty}, paper section {task.section}, rules={keys['rules']})")
+    heading = literal(f" ({task.difficulty}, paper section {task.section}, rules={config.rules})")
     console.print(Text.assemble(literal(task.id, "bold"), heading))
     echo(console, f"{task.summary}\n")
     echo(console, f"episode  {task.max_episode_steps} control steps at most")
@@ -155,13 +124,13 @@ def _print_task(name: str, keys: dict[str, Any], console: Console) -> None:
         moved = f"; every episode places {listing(task.randomized)} anew" if task.randomized else ""
         echo(console, f"memory   {listing(memory.name for memory in task.memory)}{moved}")
     if whole.paper:
-        other = {"evogym": "rules=paper changes", "paper": "different under rules=evogym"}[keys["rules"]]
+        other = {"evogym": "rules=paper changes", "paper": "different under rules=evogym"}[config.rules]
         echo(console, f"rules    {other}: {listing(key.replace('_', ' ') for key in whole.paper)}")
     echo(console, f"designs  {_designs(task)}")
-    _print_observation(task, keys["design"], points, console)
+    _print_observation(task, config.design, points, console)
     print_world(world, console)
-    if keys["picture"] is not None:
-        path = write_world_png(world, keys["picture"])
+    if config.picture is not None:
+        path = write_world_png(world, config.picture)
         echo(console, f"\npicture: {path}")
 
 

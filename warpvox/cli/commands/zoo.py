@@ -10,14 +10,14 @@ from rich.console import Console
 from rich.table import Table
 
 from warpvox.cli.application import run_command
-from warpvox.cli.cell_text import body_rows
-from warpvox.cli.console import duration, echo, figure, literal
 from warpvox.configs.schema import ZooConfig
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, WarpvoxError, did_you_mean, listing
+from warpvox.io.console import duration, echo, figure, literal
 from warpvox.robots.entry import FOLDER, Robot, read_robot
 from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
+from warpvox.view.cell_text import body_rows
 
 __all__ = ["run", "zoo"]
 
@@ -133,7 +133,7 @@ def _cells(robot: Robot) -> str:
 
 def _add(config: ZooConfig, folder: Path, console: Console) -> None:
     """Add what can be added and report each; raises the first error after all have been tried."""
-    from warpvox.cli.build import prepare
+    from warpvox.cli.process import prepare
     from warpvox.cli.robot_entries import add, find_sources
 
     sources, failed = find_sources(config.add), []

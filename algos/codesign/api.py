@@ -1,0 +1,106 @@
+"""Design search from Python."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from warpvox.algos.candidate import DesignEvaluator, Search
+from warpvox.algos.codesign.evaluations import Custom, Evaluation
+from warpvox.algos.codesign.executors import Executor
+from warpvox.algos.codesign.found import Found
+from warpvox.algos.codesign.loop import Listener
+from warpvox.algos.codesign.progress import SearchProgress
+from warpvox.algos.codesign.run import run_codesign
+from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.search.settings import CustomSearch, SearchSettings
+from warpvox.code import Code
+from warpvox.errors import ConfigError, did_you_mean
+from warpvox.trust import typed, with_code
+
+__all__ = ["codesign"]
+
+
+def codesign(
+    task: Any = "Walker-v0",
+    shape: Sequence[int] = (5, 5),
+    *,
+    search: str | SearchSettings | Search = "ga",
+    evaluation: str | Evaluation | DesignEvaluator = "specialist",
+    executor: str | Executor = "local",
+    folder: str | Path | None = "auto",
+    progress: bool = True,
+    listeners: Sequence[Listener] = (),
+    **settings: Any,
+) -> Found:
+    """Search for a body and its policy, and wait for it.
+
+    An interrupt (Ctrl-C, a notebook's stop button) saves the state and raises KeyboardInterrupt; the same call with
+    ``folder`` goes on.
+
+    Args:
+        task: id, ``FILE.py:NAME``, or a :class:`warpvox.envs.spec.TaskSpec`.
+        shape: rows and columns of the bodies.
+        search: ``GA(population=25)``, ..., a name, or a search of your own, which asks and tells.
+        evaluation: ``Specialist()``, ``Gaits(rounds=4)``, ..., a name, or an evaluator of your own with a method
+            ``evaluate(candidates, parents, report, checkpoint)``.
+        executor: ``local``, ``ray``, or one of your own.
+        folder: a search that is there is gone on with; ``auto``: a new one in ``outputs/codesign``, ``None``: a
+            temporary one, which goes with the process.
+        progress: show how the search goes.
+        listeners: objects with the callbacks of :class:`warpvox.algos.codesign.loop.Listener`.
+        settings: the others of :class:`Codesign`: ``training``, ``seed``, ``device``, ``start``, ...
+
+    Raises:
+        ConfigError: an unknown setting, or a value that it does not take. WarpvoxError: something cannot be made.
+        KeyboardInterrupt: interrupted; the state has been saved.
+    """
+    own = None if isinstance(search, str | Mapping | SearchSettings) else search
+    if own is not None:
+        sizes = {name: getattr(own, name) for name in ("population", "max_evaluations") if hasattr(own, name)}
+        search = CustomSearch(make=_name(own), **sizes)
+    if not isinstance(evaluation, str | Mapping | Evaluation):
+        evaluation = _Given(evaluation)
+    where = {} if not isinstance(executor, str) else {"executor": executor}
+    known = {item.name for item in dataclasses.fields(Codesign)}
+    for name in settings:
+        if name not in known:
+            raise ConfigError(f"codesign() takes no '{name}'.{did_you_mean(name, known)}")
+    job = Codesign(task=task, shape=list(shape), search=search, evaluation=evaluation, **where, **settings)
+    job = with_code(job, typed(job))
+    kept = tempfile.TemporaryDirectory(prefix="warpvox_") if folder is None else None
+    place = None if folder == "auto" else Path(kept.name if kept else folder).expanduser()
+    watching = [*([SearchProgress(Console())] if progress else []), *listeners]
+    made = None if isinstance(executor, str) else executor
+    found = run_codesign(job, place, watching, search=own, executor=made)
+    return dataclasses.replace(found, kept=kept)
+
+
+class _Given(Custom):
+    """An evaluator that was handed over as an object."""
+
+    def __init__(self, evaluator: DesignEvaluator) -> None:
+        super().__init__(make=_name(evaluator))
+        self.evaluator = evaluator
+
+    def check(self, search: Codesign) -> None:
+        """See :class:`Evaluation`."""
+        if not callable(getattr(self.evaluator, "evaluate", None)):
+            raise ConfigError(
+                f"evaluation must be Specialist(), Gaits(), ..., their name, or an object with a method evaluate; got"
+                f" {self.evaluator!r:.80}."
+            )
+
+    def build(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """See :class:`Evaluation`."""
+        return self.evaluator
+
+
+def _name(thing: object) -> Code:
+    """Where the class of an object is, as it is written on the command line."""
+    return Code(f"{type(thing).__module__}:{type(thing).__name__}")

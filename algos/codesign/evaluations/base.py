@@ -1,0 +1,220 @@
+"""How the designs of a search are compared: what every evaluation can be asked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpvox.algos.settings import MLP, DesignTraining, Ppo
+from warpvox.errors import ConfigError
+from warpvox.keys import check_values, key
+from warpvox.types import Cell
+
+if TYPE_CHECKING:
+    from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
+    from warpvox.algos.codesign.settings import Codesign
+    from warpvox.algos.env_factory import EnvFactory
+    from warpvox.algos.policies.layout import VoxelLayout
+    from warpvox.envs.spec import TaskSpec
+    from warpvox.envs.vec_env import VoxelVecEnv
+    from warpvox.robots.entry import Robot
+
+__all__ = [
+    "Evaluation",
+    "Workload",
+    "check_network",
+    "check_training",
+    "full_body",
+    "probe",
+    "steps_of_training",
+    "training_evaluator",
+    "training_workload",
+    "try_network",
+]
+
+
+@dataclass(frozen=True)
+class Workload:
+    """Designs that are simulated together, for estimates of memory.
+
+    ``envs`` environments for each of ``designs``; ``key`` with its ``value`` sets ``envs``, and ``fewer`` the
+    number of designs; ``ppo``: of a policy that learns.
+    """
+
+    designs: int
+    envs: int
+    key: str
+    value: int
+    obs: str = "task"
+    ppo: Ppo | None = None
+    fewer: str = "batch"
+
+
+@dataclass
+class Evaluation:
+    """The base of all evaluations, and of your own: ``build`` says how designs are evaluated, the rest has defaults.
+
+    Settings are fields made by :func:`warpvox.keys.key`. ``search`` are always the settings of the design search.
+
+    Raises:
+        ConfigError: a setting out of range.
+    """
+
+    name: str = key("", "how designs are compared")
+
+    finalists = 0
+    """Number of best designs that are evaluated once more at the end of a search (origin ``finalist``)."""
+    comparable = True
+    """Whether the returns of designs compare with those of finalists: each is that of a policy of its own."""
+
+    def __post_init__(self) -> None:
+        check_values(self, "evaluation.")
+
+    def build(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """The evaluator, made in the process that evaluates; ``known`` is what :meth:`begins_with` has returned."""
+        raise NotImplementedError
+
+    def check(self, search: Codesign) -> None:
+        """Find settings that do not go together.
+
+        Raises:
+            ConfigError: which, and what would.
+        """
+
+    def resolved(self, search: Codesign, folder: Path | None) -> Evaluation:
+        """A copy with what its names stand for; ``folder``: of a search that is resumed.
+
+        Raises:
+            WarpvoxError: what is named does not exist, or does not fit the task and the bodies.
+        """
+        return self
+
+    def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
+        """What the evaluator needs that was known before the search, such as a pretrained policy; can be pickled.
+
+        Args:
+            start: robots that the first generation contains.
+            folder: of a search that is resumed.
+        """
+        return None
+
+    def keep(self, known: Any, folder: Path) -> None:
+        """Write what :meth:`begins_with` has returned into the folder of a search, where a resumed one finds it."""
+
+    def pretraining_steps(self, known: Any) -> int | None:
+        """Control steps that were spent before the search; None: not known, or none."""
+        return None
+
+    def inherits(self, search: Codesign) -> bool:
+        """Whether candidates are evaluated with the policies of their parents at hand."""
+        return False
+
+    def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float] | None:
+        """Control steps that a design takes at most, and those of all finalists; None: not known beforehand."""
+        return None
+
+    def workloads(self, search: Codesign) -> list[Workload]:
+        """The largest batches that are simulated, for estimates of memory; none: not known."""
+        return []
+
+    def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
+        """Settings of a training run that differ from the search's own for the policy of a design, to play it by."""
+        return {}
+
+
+# --------------------------------------------------------------------------------------------- trainings of designs
+
+
+def check_training(search: Codesign) -> None:
+    """Find settings of a design's own training that do not go together.
+
+    Raises:
+        ConfigError: which, and what would.
+    """
+    from warpvox.algos.policies.registry import check_policy
+
+    training = search.training
+    training.ppo.check(training.envs, "training.ppo")
+    check_policy(search.policy)
+    if training.method == "sequential" and training.rungs:
+        raise ConfigError("training.rungs needs training.method=population: designs must be trained side by side.")
+    if search.policy == MLP and search.network is not None:
+        raise ConfigError(
+            "network has the settings of policy=grid, transformer or your own; mlp has training.ppo.hidden."
+        )
+    if search.policy != MLP and training.method != "sequential":
+        raise ConfigError(
+            f"policy={search.policy} needs training.method=sequential: designs that are trained side by side have"
+            " fully connected layers (policy=mlp)."
+        )
+
+
+def try_network(search: Codesign) -> None:
+    """Try the network of the designs' own policies.
+
+    Raises:
+        WarpvoxError: as :func:`check_network`.
+    """
+    if search.policy != MLP:
+        check_network(probe(search.factory("voxel"), search.shape), search.policy, search.network, "network")
+
+
+def training_evaluator(search: Codesign) -> DesignEvaluator:
+    """The evaluator that trains a policy for each design."""
+    from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
+    from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
+
+    if search.training.method == "population":
+        return PopulationEvaluator(search.factory(), search.training, search.seed)
+    if search.policy == MLP:
+        return SequentialEvaluator(search.factory(), search.training, search.seed)
+    network = search.policy, dict(search.network or {})
+    return SequentialEvaluator(search.factory("voxel"), search.training, search.seed, *network)
+
+
+def training_workload(search: Codesign, designs: int) -> Workload:
+    """The batch of so many designs' own trainings."""
+    training = search.training
+    together = 1 if training.method == "sequential" else min(search.batch or designs, designs)
+    obs = "task" if search.policy == MLP else "voxel"
+    return Workload(together, training.envs, "training.envs", training.envs, obs, training.ppo)
+
+
+def steps_of_training(training: DesignTraining, designs: int) -> float:
+    """Control steps that a design's training takes, the mean of a generation where successive halving stops some."""
+    ends = sorted({max(1, round(share * training.iterations)) for share in training.rungs} - {training.iterations})
+    left, before, iterations = designs, 0, 0
+    for end in [*ends, training.iterations]:
+        iterations += left * (end - before)
+        left, before = math.ceil(training.keep * left), end
+    return iterations * training.envs * training.ppo.steps / designs
+
+
+def probe(factory: EnvFactory, shape: Sequence[int]) -> VoxelVecEnv:
+    """One environment with the largest body, to try on what a search will need."""
+    return factory.computed(device="cpu", threads=1).make([full_body(shape)], 1, [0], auto_reset=False)
+
+
+def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str) -> VoxelLayout:
+    """The layout that a network for voxels has in a search, after its settings have been tried.
+
+    Raises:
+        ConfigError: settings that it does not have. WarpvoxError: a network or task that it is not for.
+    """
+    from warpvox.algos.policies.registry import layout_for, make_network
+
+    if settings is not None and not isinstance(settings, Mapping):
+        raise ConfigError(f"{key}: settings of a network have names, {{width:32}}; got {settings!r:.80}.")
+    layout = layout_for(name, env)
+    make_network(name, layout, False, settings)
+    return layout
+
+
+def full_body(shape: Sequence[int]) -> np.ndarray:
+    """A body of actuators that fills its grid, int8 ``shape``: the largest there is."""
+    return np.full(tuple(shape), Cell.H_ACT, np.int8)

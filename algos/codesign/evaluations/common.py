@@ -1,0 +1,270 @@
+"""One policy controls the designs of a generation: it goes on learning (shared), or is tuned for them (few-shot)."""
+
+# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpvox.algos.candidate import FINALIST
+from warpvox.algos.codesign.evaluations.base import (
+    Workload,
+    check_network,
+    probe,
+    steps_of_training,
+)
+from warpvox.algos.codesign.evaluations.screened import Screened
+from warpvox.algos.settings import CPG, MLP, Ppo
+from warpvox.code import is_code
+from warpvox.errors import ConfigError, did_you_mean
+from warpvox.keys import check_values, key
+
+if TYPE_CHECKING:
+    from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
+    from warpvox.algos.codesign.settings import Codesign
+    from warpvox.algos.env_factory import EnvFactory
+    from warpvox.envs.spec import TaskSpec
+    from warpvox.robots.entry import Robot
+
+__all__ = ["CommonPolicy", "FewShot", "Shared"]
+
+PRETRAINED = Path("training") / "pretrained" / "policy.pt"
+"""The copy of the pretrained policy in a run's folder: a search that is resumed does not depend on another run."""
+STEPS = "pretraining_steps"
+"""In this copy: control steps of the pretraining, if they are known."""
+
+
+@dataclass
+class CommonPolicy(Screened):
+    """Settings of a policy that controls all designs."""
+
+    comparable = False
+
+    policy: str = key("grid", "network of the policy: grid, transformer, cpg, module:Class, file.py:Class", path="read")
+    network: Any = key(None, "settings of this network, {width:32} for instance; null: its defaults")
+    envs: int = key(16, "training environments for each design", low=1)
+    iterations: int = key(10, "training iterations on the designs of each generation", low=0)
+    eval_envs: int = key(1, "evaluation environments for each design", low=1)
+    save_interval: int = key(10, "iterations between checkpoints of this training", low=1)
+    ppo: Any = key(None, "settings of PPO that differ from training.ppo: {epochs:4,schedule:adaptive}")
+
+    def check(self, search: Codesign) -> None:
+        """See :class:`Evaluation`."""
+        from warpvox.algos.policies.registry import check_policy
+
+        super().check(search)
+        check_policy(self.policy)
+        if self.policy == MLP:
+            raise ConfigError(
+                "evaluation.policy must see voxels to control many bodies: grid, transformer or your own."
+            )
+        self.ppo_of(search)
+
+    def ppo_of(self, search: Codesign) -> Ppo:
+        """PPO of the common policy: ``training.ppo`` with the changes of ``ppo``.
+
+        Raises:
+            ConfigError: no such setting, or a value that it cannot have.
+        """
+        given, known = self.ppo or {}, dataclasses.asdict(search.training.ppo)
+        if not isinstance(given, Mapping):
+            raise ConfigError(f"evaluation.ppo must be settings by name, such as {{epochs:4}}; got {given!r:.80}.")
+        for name, value in given.items():
+            if name not in known:
+                raise ConfigError(f"evaluation.ppo: PPO has no setting {name!r:.80}.{did_you_mean(str(name), known)}")
+            wanted = (int, float) if isinstance(known[name], float) else type(known[name])
+            if not isinstance(value, wanted) or isinstance(value, bool) != isinstance(known[name], bool):
+                raise ConfigError(f"evaluation.ppo: {name} must be like {known[name]!r}, got {value!r:.80}.")
+        ppo = dataclasses.replace(search.training.ppo, **given)
+        check_values(ppo, "evaluation.ppo.")
+        return ppo
+
+    def factory(self, search: Codesign, obs: str | None = None) -> EnvFactory:
+        """Makes environments for the policy; ``obs``: what a pretrained one observes."""
+        # gradients, which train the policy without feedback, go through the layout of lanes
+        without_feedback = self.policy == CPG
+        obs = obs or ("timed_voxel" if without_feedback else "voxel")
+        layout = "lanes" if without_feedback else None
+        return search.factory(obs).computed(grid=tuple(search.shape), layout=layout)
+
+    def layout(self, search: Codesign, obs: str | None = None) -> Any:
+        """The layout of the policy, after all that is named has been tried.
+
+        Raises:
+            WarpvoxError: a network, or settings of it, that are not to be had or do not fit the task.
+        """
+        from warpvox.algos.training.ascent import check_gradients
+
+        env = probe(self.factory(search, obs), search.shape)
+        found = check_network(env, self.policy, self.network, "evaluation.network")
+        if self.policy == CPG and self.iterations > 0:
+            check_gradients(env)
+        return found
+
+    def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
+        """See :class:`Evaluation`; the first is about as many."""
+        each = (self.ppo or {}).get("steps", search.training.ppo.steps) * self.iterations * self.envs
+        last = self.finalists * steps_of_training(search.training, self.finalists)
+        return each + self.eval_envs * task.max_episode_steps, last
+
+    def workloads(self, search: Codesign) -> list[Workload]:
+        """See :class:`Evaluation`."""
+        population, ppo = search.search.population, self.ppo_of(search)
+        batch = Workload(population, self.envs, "evaluation.envs", self.envs, "voxel", ppo, "search.population")
+        return [*super().workloads(search), batch]
+
+    def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
+        """See :class:`Evaluation`."""
+        if candidate.origin == FINALIST:
+            return {}
+        bodies = [candidate.body.tolist()]
+        return {
+            "policy": self.policy,
+            "network": self.network,
+            "ppo": self.ppo,
+            "num_envs": self.envs,
+            "max_iterations": max(1, self.iterations),
+            "eval_interval": max(1, self.iterations),
+            "eval_envs": self.eval_envs,
+            "lanes": search.factory().shared_lanes(self.eval_envs),
+            "designs": {"bodies": bodies, "refresh": "none", "held_out": bodies},
+        }
+
+
+@dataclass
+class Shared(CommonPolicy):
+    """One policy goes on learning from generation to generation, on all designs of each in one batch."""
+
+    name: str = key("shared", "one policy learns on all designs of each generation", choices=("shared",))
+    iterations: int = key(10, "training iterations on the designs of each generation", low=1)
+
+    def check(self, search: Codesign) -> None:
+        """See :class:`Evaluation`."""
+        super().check(search)
+        if search.executor == "ray":
+            raise ConfigError(
+                "evaluation=shared has one policy that learns in one process: executor=local, or evaluation=few_shot."
+            )
+        if search.batch is not None:
+            raise ConfigError("evaluation=shared takes all designs of a generation together: leave batch away.")
+        if self.ppo_of(search).schedule == "linear":
+            raise ConfigError(
+                "evaluation=shared: one policy learns all the time, so that its learning rate cannot decay linearly to"
+                " 0: evaluation.ppo={schedule:adaptive}, or fixed."
+            )
+
+    def resolved(self, search: Codesign, folder: Path | None) -> Shared:
+        """See :class:`Evaluation`."""
+        super().resolved(search, folder)
+        self.layout(search)
+        return dataclasses.replace(self, ppo=dataclasses.asdict(self.ppo_of(search)))
+
+    def screening(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """See :class:`Screened`."""
+        from warpvox.algos.codesign.common_policy import SharedEvaluator
+
+        return SharedEvaluator(self.factory(search), self, search.seed)
+
+
+@dataclass
+class FewShot(CommonPolicy):
+    """A pretrained policy is tuned for each generation, each time from the same weights."""
+
+    name: str = key("few_shot", "a pretrained policy is tuned for each generation", choices=("few_shot",))
+    iterations: int = key(10, "training iterations on the designs of each generation; 0: none", low=0)
+    pretrained: str | None = key(
+        None,
+        "the policy to start from: universal (comes with warpvox: bodies up to 5x5, Walker-v0), latest, the folder of a"
+        " run of `warpvox train designs=...` or a checkpoint in it; network and policy are its own, but for code, which"
+        " evaluation.policy must name",
+        path="read",
+    )
+
+    def check(self, search: Codesign) -> None:
+        """See :class:`Evaluation`."""
+        super().check(search)
+        if self.pretrained is None:
+            raise ConfigError(
+                "evaluation=few_shot needs evaluation.pretrained: universal, latest, the folder of a run of `warpvox"
+                " train designs=...` or a checkpoint in it."
+            )
+
+    def resolved(self, search: Codesign, folder: Path | None) -> FewShot:
+        """See :class:`Evaluation`."""
+        from warpvox.algos.policies.layout import VoxelLayout
+        from warpvox.algos.training.pretrained import find_pretrained, kept_name, observed_by
+
+        super().resolved(search, folder)
+        content = self._read(search, folder)
+        spec = content["policy"]
+        ppo = dataclasses.replace(
+            self.ppo_of(search), action_scale=spec["action_scale"], normalize_obs=spec["normalize_obs"]
+        )
+        changes: dict[str, Any] = {"network": dict(spec["voxels"]["settings"]), "ppo": dataclasses.asdict(ppo)}
+        if not is_code(spec["voxels"]["network"]):
+            changes["policy"] = spec["voxels"]["network"]
+        if folder is None:
+            file, _ = find_pretrained(self.pretrained, search.output_dir)
+            changes["pretrained"] = kept_name(self.pretrained, file)
+        resolved = dataclasses.replace(self, **changes)
+        layout, found = resolved.layout(search, observed_by(spec)), VoxelLayout(**spec["voxels"]["layout"])
+        if found != layout:
+            raise ConfigError(
+                f"The policy in {resolved.pretrained} is for bodies of {found.rows}x{found.columns} with {found.rest}"
+                f" other inputs; {search.task} with shape={list(search.shape)} has {layout.rows}x{layout.columns} with"
+                f" {layout.rest}."
+            )
+        return resolved
+
+    def _read(self, search: Codesign, folder: Path | None) -> dict[str, Any]:
+        """The checkpoint of the pretrained policy.
+
+        Raises:
+            RunError: no such run or file. ConfigError: a policy that cannot be tuned for other bodies.
+        """
+        from warpvox.algos.checkpoints.files import load_checkpoint
+        from warpvox.algos.training.pretrained import check_learned, find_pretrained
+
+        path, run = (folder / PRETRAINED, {}) if folder else find_pretrained(self.pretrained, search.output_dir)
+        content = load_checkpoint(path)
+        voxels = content["policy"].get("voxels") if isinstance(content["policy"], Mapping) else None
+        if not voxels:
+            raise ConfigError(
+                f"The policy in {path} is fully connected, which is about the bodies that it knows; few_shot takes one"
+                " that sees voxels: warpvox train designs=random:64 policy=grid."
+            )
+        if isinstance(voxels, Mapping) and is_code(voxels.get("network")) and not is_code(self.policy):
+            raise ConfigError(
+                f"The policy in {path} has a network of its own: name it, evaluation.policy=FILE.py:Class."
+            )
+        check_learned(path, content, self.policy)
+        if {"num_envs", "ppo"} <= run.keys():
+            content[STEPS] = int(content["iter"]) * int(run["num_envs"]) * int(run["ppo"]["steps"])
+        return content
+
+    def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> dict[str, Any]:
+        """See :class:`Evaluation`: the checkpoint of the pretrained policy."""
+        return self._read(search, folder)
+
+    def keep(self, known: Any, folder: Path) -> None:
+        """See :class:`Evaluation`."""
+        from warpvox.algos.checkpoints.files import save_checkpoint
+
+        if not (folder / PRETRAINED).is_file():
+            (folder / PRETRAINED).parent.mkdir(parents=True, exist_ok=True)
+            save_checkpoint(folder / PRETRAINED, dict(known))
+
+    def pretraining_steps(self, known: Any) -> int | None:
+        """See :class:`Evaluation`."""
+        return known.get(STEPS)
+
+    def screening(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """See :class:`Screened`."""
+        from warpvox.algos.codesign.common_policy import FewShotEvaluator
+        from warpvox.algos.training.pretrained import observed_by
+
+        return FewShotEvaluator(self.factory(search, observed_by(known["policy"])), self, search.seed, known)

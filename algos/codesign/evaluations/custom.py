@@ -1,0 +1,63 @@
+"""An evaluation of the user's own, by the name of a file or module."""
+
+# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from warpvox.algos.codesign.evaluations.base import Evaluation
+from warpvox.code import load_code
+from warpvox.errors import ConfigError
+from warpvox.keys import key
+
+if TYPE_CHECKING:
+    from warpvox.algos.candidate import DesignEvaluator
+    from warpvox.algos.codesign.settings import Codesign
+
+__all__ = ["Custom"]
+
+
+@dataclass
+class Custom(Evaluation):
+    """An evaluation of your own; see docs/search.md."""
+
+    name: str = key("custom", "an evaluation of your own", choices=("custom",))
+    make: str | None = key(
+        None,
+        "FILE.py:NAME or MODULE:NAME, called with the settings of the search and those below; makes an evaluator",
+        path="read",
+    )
+    settings: Any = key(None, "settings of your own, by name: {episodes:3}")
+
+    def check(self, search: Codesign) -> None:
+        """See :class:`Evaluation`."""
+        place, _, name = (self.make or "").rpartition(":")
+        if not place or not name.isidentifier():
+            raise ConfigError(
+                "evaluation=custom needs evaluation.make=FILE.py:NAME or MODULE:NAME, where NAME makes an evaluator of"
+                f" the search's settings; got {self.make!r}."
+            )
+        self.build(search, None)
+
+    def inherits(self, search: Codesign) -> bool:
+        """See :class:`Evaluation`."""
+        return search.training.inherit
+
+    def build(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """See :class:`Evaluation`.
+
+        Raises:
+            ConfigError: no such file, module or name, settings that it does not take, or it makes no evaluator.
+        """
+        try:
+            made = load_code(self.make)(search, **(self.settings or {}))
+        except TypeError as error:
+            raise ConfigError(f"'{self.make}' does not take these settings: {error}.") from error
+        if not callable(getattr(made, "evaluate", None)):
+            raise ConfigError(
+                f"'{self.make}' makes a {type(made).__name__}, which has no method"
+                " evaluate(candidates, parents, report, checkpoint)."
+            )
+        return made

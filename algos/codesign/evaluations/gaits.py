@@ -1,0 +1,135 @@
+"""Designs are compared by open-loop gaits, which evolve with them and take no training."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpvox.algos.candidate import FINALIST
+from warpvox.algos.codesign.evaluations.base import Workload, steps_of_training, training_evaluator
+from warpvox.algos.codesign.evaluations.screened import Screened
+from warpvox.algos.settings import MLP
+from warpvox.errors import ConfigError
+from warpvox.keys import key
+
+if TYPE_CHECKING:
+    from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
+    from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
+    from warpvox.algos.codesign.settings import Codesign
+    from warpvox.envs.spec import TaskSpec
+    from warpvox.robots.entry import Robot
+
+__all__ = ["Gaits"]
+
+EPISODES = 4
+"""Of a gait in tasks that draw at random, or the best of many returns would be a lucky one."""
+
+
+@dataclass
+class Gaits(Screened):
+    """The fitness of a design is the best return of some open-loop gaits, which are handed on to its descendants."""
+
+    name: str = key("gaits", "open-loop gaits evolve with the designs", choices=("gaits",))
+    gaits: int = key(8, "open-loop gaits that each design tries in a round", low=1)
+    rounds: int = key(2, "number of rounds; from the second on mutants of the best gait so far are tried", low=0)
+    stages: int = key(4, "parts of an episode in which a gait has a motion each", low=1, high=100)
+    passes: int = key(0, "beam searches before the rounds, in which a gait grows stage by stage", low=0)
+    beam: int = key(32, "motions that a design tries in each stage of a beam search", low=1)
+    stage_steps: int = key(
+        20, "control steps of a stage in the first beam search; others have longer and shorter ones", low=1
+    )
+    final_rounds: int = key(40, "number of rounds for finalists, before their training", low=0)
+    final_gaits: int | None = key(None, "gaits that a finalist tries in a round; null: as many as the others", low=1)
+    final_passes: int = key(14, "beam searches for finalists, before their rounds", low=0)
+    final_beam: int = key(64, "motions that a finalist tries in each stage of a beam search", low=1)
+
+    def check(self, search: Codesign) -> None:
+        """See :class:`Evaluation`."""
+        super().check(search)
+        for prefix, passes, rounds in ("", self.passes, self.rounds), ("final_", self.final_passes, self.final_rounds):
+            if passes + rounds == 0:
+                raise ConfigError(
+                    f"evaluation.{prefix}passes and evaluation.{prefix}rounds are both 0: one of them must be 1 or"
+                    " more, or no gait is tried."
+                )
+
+    def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
+        """See :class:`Evaluation`: the gaits of robots that have one, by the bytes of their bodies."""
+        from warpvox.algos.codesign.gaits import Gait
+        from warpvox.robots.gait import Gait as RobotGait
+        from warpvox.robots.replay import by_cell
+
+        return {
+            robot.body.tobytes(): Gait(robot.policy.begin, robot.policy.period, **by_cell(robot.policy, robot.body))
+            for robot in start
+            if isinstance(robot.policy, RobotGait)
+        }
+
+    def inherits(self, search: Codesign) -> bool:
+        """See :class:`Evaluation`."""
+        return True
+
+    def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
+        """See :class:`Evaluation`."""
+        steps = _episodes(search) * task.max_episode_steps
+        first = self.passes * self.beam + self.rounds * self.gaits
+        last = self.final_passes * self.final_beam + self.final_rounds * self._final_gaits
+        return first * steps, self.finalists * (last * steps + steps_of_training(search.training, self.finalists))
+
+    def workloads(self, search: Codesign) -> list[Workload]:
+        """See :class:`Evaluation`."""
+        first = {"evaluation.gaits": self.gaits, "evaluation.beam": self.beam if self.passes else 1}
+        last = {"evaluation.final_gaits": self._final_gaits}
+        last["evaluation.final_beam"] = self.final_beam if self.final_passes else 1
+        found = super().workloads(search)
+        for designs, keys in ((search.search.population, first), (self.finalists, last)):
+            name = max(keys, key=keys.__getitem__)
+            together = min(search.batch or designs, designs)
+            found.append(Workload(together, keys[name] * _episodes(search), name, keys[name]))
+        return found
+
+    @property
+    def _final_gaits(self) -> int:
+        return self.final_gaits or self.gaits
+
+    def screening(self, search: Codesign, known: Any) -> GaitEvaluator:
+        """See :class:`Screened`."""
+        from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
+
+        return GaitEvaluator(
+            search.factory(),
+            count=self.gaits,
+            rounds=self.rounds,
+            stages=self.stages,
+            seed=search.seed,
+            episodes=_episodes(search),
+            passes=self.passes,
+            beam=self.beam,
+            stage_steps=self.stage_steps,
+            known=known,
+        )
+
+    def final(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """See :class:`Screened`: more gaits, and a training."""
+        from warpvox.algos.codesign.finalists import BestOf
+
+        changes = {"count": self._final_gaits, "rounds": self.final_rounds, "passes": self.final_passes}
+        more = dataclasses.replace(self.screening(search, known), beam=self.final_beam, **changes)
+        return BestOf(more, training_evaluator(search))
+
+    def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
+        """See :class:`Evaluation`: a gait is played in simulations like those that have found its fitness."""
+        if not (outcome.spec and outcome.spec.get("gait")):
+            return {}
+        count = self._final_gaits if candidate.origin == FINALIST else self.gaits
+        lanes = search.factory().shared_lanes(count * _episodes(search))
+        return {"policy": MLP, "network": None, "obs": "timed", "lanes": lanes, "eval_envs": _episodes(search)}
+
+
+def _episodes(search: Codesign) -> int:
+    from warpvox.envs.registry import get_task
+
+    return EPISODES if get_task(search.task).is_random else 1

@@ -1,0 +1,254 @@
+"""What a design search shows on a terminal."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.text import Text
+
+from warpvox.algos.candidate import FINALIST, Candidate
+from warpvox.algos.codesign.archive import Record
+from warpvox.algos.codesign.loop import Listener
+from warpvox.algos.codesign.results import fresh_text
+from warpvox.algos.report import FILE as REPORT
+from warpvox.code import is_code
+from warpvox.io.console import duration, echo, figure, shell_argument, shown
+from warpvox.trust import STORED, again
+from warpvox.view.cell_text import body_rows
+
+if TYPE_CHECKING:
+    from warpvox.algos.codesign.run import SearchRun
+
+__all__ = ["SearchProgress"]
+
+QUIET_SECONDS = 30.0
+"""Without a terminal, seconds between lines."""
+
+
+class SearchProgress(Listener):
+    """Shows a search: a live block on a terminal, else a line now and then."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self._work: dict[int, _Training] = {}
+        self._live: Live | None = None
+
+    def begun(self, run: SearchRun) -> None:
+        """See :class:`warpvox.algos.codesign.loop.Listener`."""
+        self.run, self.archive = run, run.results.archive
+        self._began = self._printed = time.monotonic()
+        self._start = self.archive.trained()
+        self._resumed = self.archive.count() > 0  # until a generation is whole: trainings may go on
+        self._spent = 0  # control steps of trainings that have ended since the beginning
+        self._first: tuple[float, int] | None = None  # time and control steps of the first news of a stage
+        self._last = False  # the finalists are being evaluated
+        self._generation = 0
+        self._say_where()
+        columns = TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.fields[figures]}")
+        self._progress = Progress(*columns, console=self.console)
+        self._line = self._progress.add_task("", total=run.total, completed=self._start, figures="")
+        if self.console.is_terminal:
+            self._live = Live(console=self.console, refresh_per_second=4, transient=True)
+            self._live.start()
+            self._show()
+
+    def _say_where(self) -> None:
+        run, settings = self.run, self.run.results.settings
+        where = f"{run.workers} workers of Ray" if run.workers else settings.device
+        done = f", {self._start} of {run.total} designs done" if run.resumed else ""
+        echo(self.console, f"{run.results.search} on {settings.task}, rules {settings.rules}, on {where}{done}")
+        echo(self.console, f"run folder: {shown(run.results.folder)}")
+        lost = [one for one in self.archive.records() if one.policy and not (run.results.folder / one.policy).is_file()]
+        if lost:
+            echo(
+                self.console,
+                f"the policies of {len(lost)} designs are gone from {shown(run.results.folder / 'designs')}",
+            )
+        if run.resumed and self._start >= run.total:
+            echo(
+                self.console,
+                f"the search has spent its {settings.search.max_evaluations} evaluations: nothing is left to do. What"
+                " it proposes depends on them, so that more make another search (search.max_evaluations=N)",
+            )
+
+    def ended(self, summary: Mapping[str, Any]) -> None:
+        """See :class:`warpvox.algos.codesign.loop.Listener`: say how it has ended and what one can do next."""
+        if self._live is not None:
+            self._live.stop()
+        if not summary:
+            return
+        folder, best, status = self.run.results.folder, summary["best_design"], summary["status"]
+        words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
+        under_way = self.under_way if status == "interrupted" else ""
+        text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps{under_way}"
+        if best is not None:
+            text += f"; best fitness {summary['best_fitness']:.3f} (design {best})"
+        echo(self.console, text)
+        if summary.get("fresh_seeds"):
+            echo(self.console, f"the best on fresh seeds: {fresh_text(summary['fresh_seeds'])}")
+        if best is not None:
+            echo(self.console, f"report: {(folder / REPORT).resolve().as_uri()}")
+            task = f" task={STORED}" if is_code(self.run.results.settings.task) else ""
+            echo(self.console, f"look at the best: warpvox play {shell_argument('run', folder)}{task}")
+        if status != "done":
+            echo(
+                self.console,
+                f"go on: warpvox codesign {shell_argument('resume', folder)}{again(self.run.results.settings)}",
+            )
+
+    # ------------------------------------------------------------------------------------------ what happens
+
+    def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
+        """See :class:`warpvox.algos.codesign.loop.Listener`."""
+        self._generation, self._work = generation, {}
+        last = any(candidate.origin == FINALIST for candidate in waiting)
+        self._first = self._first if last == self._last else None
+        self._last = last
+        if self._live is None:
+            reused = f", {total - len(waiting)} known" if total > len(waiting) else ""
+            echo(self.console, f"generation {generation}: {len(waiting)} designs to evaluate{reused}")
+        self._show()
+
+    def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
+        """See :class:`warpvox.algos.codesign.loop.Listener`."""
+        training = self._work.setdefault(batch[0].id, _Training(len(batch), event["steps"] if self._resumed else 0))
+        training.event = event
+        now = time.monotonic()
+        self._first = self._first or (now, self._steps)
+        if self._live is None and now - self._printed >= QUIET_SECONDS:
+            self._printed = now
+            echo(self.console, f"  {self._inside()}  {self._figures()}")
+        self._show()
+
+    def finished(self, records: Sequence[Record]) -> None:
+        """See :class:`warpvox.algos.codesign.loop.Listener`."""
+        for record in records:
+            training = self._work.pop(record.id, None)
+            if training is not None:
+                self._spent += training.steps
+        self._show()
+
+    def told(self, generation: int, fresh: bool) -> None:
+        """See :class:`warpvox.algos.codesign.loop.Listener`."""
+        if not fresh:
+            return
+        self._resumed = False
+        row = self.archive.generations()[generation]
+        echo(
+            self.console,
+            f"generation {generation} done: {self.archive.trained()}/{self.run.total} designs  best {row['best']:.3f}"
+            f"  mean {row['mean']:.3f}  best so far {self.archive.best()[0].fitness:.3f}{self._diverged(generation)}"
+            f"  {self._figures()}",
+        )
+        if self._live is None:
+            self.console.print(self._bodies())
+        self._show()
+
+    # ------------------------------------------------------------------------------------------ what is shown
+
+    @property
+    def done(self) -> float:
+        """Designs trained, those under way in part."""
+        return self.archive.trained() + sum(training.share * training.designs for training in self._work.values())
+
+    @property
+    def steps_per_second(self) -> float:
+        """Control steps of training per second since the beginning."""
+        return self._steps / max(time.monotonic() - self._began, 1e-9)
+
+    @property
+    def _steps(self) -> int:
+        """Control steps of training since the beginning."""
+        return self._spent + sum(training.steps for training in self._work.values())
+
+    @property
+    def under_way(self) -> str:
+        """The designs that are being evaluated, for the end of a sentence; empty if nothing is."""
+        if not self._work:
+            return ""
+        designs = sum(training.designs for training in self._work.values())
+        steps = sum(training.event["steps"] for training in self._work.values())
+        return f"; {designs} more under way, {self._iteration()} and {steps:,} control steps"
+
+    def _figures(self) -> str:
+        return f"{self.steps_per_second:,.0f} steps/s  left {self._left()}"
+
+    def _diverged(self, generation: int) -> str:
+        """How many designs' learning gave nothing to judge."""
+        count = sum(record.diverged for record in self.archive.records(generation))
+        return f"  {count} diverged" if count else ""
+
+    def _left(self) -> str:
+        """The time until the search is done, or its finalists begin, which take another time for a control step."""
+        if self._first is None or self._steps <= self._first[1]:
+            return "-"
+        began, before = self._first
+        if self.run.costs is None:
+            return "-"
+        trained, cost = self.archive.trained(), self.run.costs[self._last]
+        if trained and not self._last:  # fewer than at most, where episodes end early
+            cost = sum(row["steps"] or 0 for row in self.archive.generations()) / trained
+        designs = self.run.total - trained - (0 if self._last else self.run.finalists)
+        steps = cost * designs - sum(training.event["steps"] for training in self._work.values())
+        left = duration((time.monotonic() - began) / (self._steps - before) * max(steps, 0.0))
+        return left if self._last or not self.run.finalists else f"{left}, then {self.run.finalists} finalists"
+
+    def _inside(self) -> str:
+        """The trainings under way in words."""
+        events = [training.event for training in self._work.values()]
+        if not events:
+            return "starting"
+        going = sum(sum(event["training"]) for event in events)
+        best = max((value for event in events for value in event["best"] if math.isfinite(value)), default=math.nan)
+        lost = sum(
+            math.isnan(value) and not training
+            for event in events
+            for value, training in zip(event["best"], event["training"], strict=True)
+        )
+        diverged = f", {lost} diverged" if lost else ""
+        return f"{self._iteration()}, {going} in training{diverged}, best of them {figure(best)}"
+
+    def _iteration(self) -> str:
+        events = [training.event for training in self._work.values()]
+        done, total = (min(event[name] for event in events) for name in ("iteration", "iterations"))
+        return f"iteration {done}/{total}"
+
+    def _show(self) -> None:
+        if self._live is None:
+            return
+        best = self.archive.best()
+        figures = f"{self.archive.trained()}/{self.run.total}  best {figure(best[0].fitness if best else math.nan)}  "
+        rows = [row for row in self.archive.generations() if row["evaluated"]]
+        figures += f"mean {figure(rows[-1]['mean'] if rows else math.nan)}  {self._figures()}"
+        self._progress.update(
+            self._line, completed=self.done, description=f"generation {self._generation}", figures=figures
+        )
+        parts = [self._progress, Text(f"  {self._inside()}", "dim")]
+        self._live.update(Group(*parts, *([Text(), self._bodies()] if best else [])))
+
+    def _bodies(self) -> Text:
+        best = self.run.results.best()
+        captions = [f"{record.fitness:.3f} #{record.id}" for record in best]
+        return body_rows([record.candidate.body for record in best], captions, self.console)
+
+
+class _Training:
+    """A batch under way; ``before``: steps that it had already spent when it was resumed."""
+
+    def __init__(self, designs: int, first: int) -> None:
+        self.designs, self.event = designs, {}
+        self.first = first
+
+    @property
+    def share(self) -> float:
+        return self.event["iteration"] / self.event["iterations"]
+
+    @property
+    def steps(self) -> int:
+        return self.event["steps"] - self.first

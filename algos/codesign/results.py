@@ -1,0 +1,176 @@
+"""Pictures and figures that a design search leaves in its folder, kept up to date while it runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpvox import __version__
+from warpvox.algos.candidate import FINALIST
+from warpvox.algos.codesign.archive import Archive, Record
+from warpvox.algos.codesign.loop import Listener
+from warpvox.algos.evaluate import evaluate
+from warpvox.algos.report import FILE as REPORT, write_report
+from warpvox.algos.statistics import Interval, mean_interval
+from warpvox.algos.training.loading import Playing, load_run
+from warpvox.checks import is_number
+from warpvox.code import is_code
+from warpvox.envs.registry import get_task
+from warpvox.io.console import duration
+from warpvox.runs import find_run, read_summary, write_summary
+from warpvox.view.body_picture import write_bodies
+
+if TYPE_CHECKING:
+    from warpvox.algos.codesign.settings import Codesign
+
+__all__ = ["FRESH", "Results", "evaluate_winner", "fresh_text"]
+
+FRESH = 64
+"""Episodes of a winner that its search never met, in tasks that draw at random."""
+FRESH_SEED = 1000
+"""That of `warpvox evaluate`, which finds the same returns with ``episodes=64``."""
+
+NAMES = {
+    "ga": "genetic algorithm",
+    "bo": "Bayesian optimisation",
+    "cppn_neat": "CPPN-NEAT",
+    "map_elites": "MAP-Elites",
+    "random": "random search",
+}
+
+
+class Results(Listener):
+    """Keeps ``generations/<n>.png``, ``report.html`` and ``summary.json`` up to date.
+
+    Args:
+        settings: of the search.
+        pretraining: control steps of the pretrained policy that it begins with; None: not known, or there is none.
+    """
+
+    def __init__(self, folder: Path, archive: Archive, settings: Codesign, pretraining: int | None = None) -> None:
+        self.folder, self.archive, self.settings, self.pretraining = folder, archive, settings, pretraining
+        self.search = NAMES.get(settings.search.algorithm, settings.search.algorithm)
+        summary = read_summary(folder)
+        before, self.fresh = summary.get("elapsed_seconds"), summary.get("fresh_seeds")
+        self._began, self._before = time.monotonic(), before if is_number(before) else 0.0
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds that the search has run, those before a resume included."""
+        return self._before + time.monotonic() - self._began
+
+    def told(self, generation: int, fresh: bool) -> None:
+        """See :class:`Listener`."""
+        self.draw(generation)
+        if fresh:
+            self.write("running")
+
+    def best(self, until: int | None = None) -> list[Record]:
+        """The best designs (up to and including a generation); finalists alone, once there are some."""
+        best = self.archive.best(self.settings.top, until)
+        finalists = [record for record in best if record.candidate.origin == FINALIST]
+        return finalists or best
+
+    def draw(self, generation: int) -> Path:
+        """The best designs up to and including a generation as PNG; one that is there already stays."""
+        path = self.folder / "generations" / f"{generation:03}.png"
+        best = self.best(generation)
+        if path.is_file() or not best:
+            return path
+        captions = [
+            (f"{record.fitness:.3f}", f"#{record.id}  generation {record.candidate.generation}") for record in best
+        ]
+        title = f"{self.settings.task} · {self.search} · best designs after generation {generation}"
+        return write_bodies(path, [record.candidate.body for record in best], captions, title)
+
+    def write(self, status: str) -> dict[str, Any]:
+        """Write report and summary; returns the summary."""
+        rows = self.archive.generations()
+        best = self.archive.best()
+        steps = sum(row["steps"] or 0 for row in rows)
+        summary = {
+            "command": "codesign",
+            "task": self.settings.task,
+            "search": self.settings.search.algorithm,
+            "status": status,
+            "seed": self.settings.seed,
+            "evaluations": self.archive.trained(),
+            "generations": sum(row["evaluated"] == row["designs"] for row in rows),
+            "steps": steps,
+            "best_fitness": best[0].fitness if best else None,
+            "best_design": best[0].id if best else None,
+            "design": best[0].candidate.body.tolist() if best else None,
+            **({"fresh_seeds": self.fresh} if self.fresh else {}),
+            **(self._screening() if self.settings.evaluation.finalists else {}),
+            "elapsed_seconds": round(self.elapsed, 3),
+            "steps_per_second": round(steps / self.elapsed, 1) if steps else None,
+        }
+        write_summary(self.folder, summary)
+        self.report(summary)
+        return summary
+
+    def _screening(self) -> dict[str, Any]:
+        """What there is to say of designs that were compared without a training for each."""
+        screened = [record for record in self.archive.records() if record.candidate.origin != FINALIST]
+        known = [record.fitness for record in screened if record.fitness is not None]
+        return {
+            "evaluation": self.settings.evaluation.name,
+            "screened_fitness": max(known, default=None),
+            "screening_steps": sum(record.steps or 0 for record in screened),
+            "pretraining_steps": self.pretraining,
+        }
+
+    def report(self, summary: Mapping[str, Any]) -> Path:
+        """Write the report alone."""
+        facts = {
+            "task": self.settings.task,
+            "search": self.search,
+            "status": str(summary.get("status", "unknown")),
+            "time": duration(float(summary.get("elapsed_seconds", 0.0))),
+            "seed": str(self.settings.seed),
+            "version": __version__,
+        }
+        if summary.get("fresh_seeds"):
+            facts["winner on fresh seeds"] = fresh_text(summary["fresh_seeds"])
+        if self.settings.evaluation.finalists:
+            facts["evaluation"] = self.settings.evaluation.name
+        if self.pretraining is not None:
+            facts["pretraining"] = f"{self.pretraining:,} control steps, not counted"
+        return write_report(self.archive, self.folder / REPORT, facts)
+
+
+def evaluate_winner(folder: Path, settings: Codesign) -> dict[str, Any]:
+    """Mean return of a search's best design over episodes that its training never met; empty if nothing is random.
+
+    Each design is judged by few episodes, always the same, and the best of many is chosen by them: that return is too
+    good for what else the task may draw.
+
+    Args:
+        folder: of a design search that has a result.
+        settings: resolved.
+
+    Returns:
+        ``mean``, ``low`` and ``high`` (95 % interval, Student's t), ``episodes``, ``seed``.
+    """
+    if not get_task(settings.task).under(settings.rules).is_random:
+        return {}
+    seed = FRESH_SEED + (settings.seed == FRESH_SEED)  # which the search has compared its designs by
+    play = Playing(
+        FRESH,
+        seed=seed,
+        device=settings.device if settings.executor == "local" else "cpu",
+        threads=settings.threads,
+        task=settings.task if is_code(settings.task) or not isinstance(settings.task, str) else None,
+        policy=settings.policy if is_code(settings.policy) else None,
+    )
+    env, policy = load_run(find_run(str(folder), settings.output_dir), play)
+    found = mean_interval(evaluate(env, policy).returns.tolist())
+    return {"mean": found.mean, "low": found.low, "high": found.high, "episodes": FRESH, "seed": seed}
+
+
+def fresh_text(facts: Mapping[str, Any]) -> str:
+    """The return of a winner in episodes of fresh seeds, in words."""
+    found = Interval(facts["mean"], facts["low"], facts["high"], facts["episodes"])
+    return f"{found} in {facts['episodes']} episodes"

@@ -1,0 +1,168 @@
+"""Robots that a design search begins with (``start``), and those that searches and trainings leave."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpvox.algos.candidate import FINALIST
+from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
+from warpvox.algos.training.bodies import has_designs, read_bodies
+from warpvox.design import check_design, full_connections
+from warpvox.errors import ConfigError, RunError
+from warpvox.robots.entry import Robot, find_robot, read_robot, save_robot
+from warpvox.robots.network import Network
+from warpvox.robots.replay import policy_of_checkpoint
+from warpvox.runs import ZOO, Run, find_codesign, find_run, read_summary
+
+if TYPE_CHECKING:
+    from warpvox.algos.codesign.settings import Codesign
+
+__all__ = ["keep_start", "read_start", "robots_of", "trained"]
+
+WEIGHT_BITS = 8
+"""Last bits of a weight's 23 that entries leave out, so that those of all tasks fit into a megabyte."""
+COPIES = Path("training") / "start"
+"""In a search's folder: a search that is resumed does not depend on a zoo or on other files."""
+
+
+def read_start(settings: Codesign, folder: Path | None = None) -> list[Robot]:
+    """The robots that the first generation contains.
+
+    Args:
+        folder: of the search, which has copies; None: there are none yet.
+
+    Raises:
+        RunError, DesignError: no such robot or body. ConfigError: one that the search cannot take.
+    """
+    if folder is not None:
+        return _copies(folder)
+    robots = []
+    for text in settings.start:
+        found = _robots(text, settings)
+        if not all(robot.fully_connected for robot in found):
+            raise ConfigError(f"start={text}: this robot lacks connections, which designs of a search have.")
+        robots += found
+    return robots
+
+
+def _robots(text: str, settings: Codesign) -> list[Robot]:
+    if text.startswith(ZOO):
+        return [find_robot(text.removeprefix(ZOO))]
+    folder = Path(text).expanduser()
+    if folder.is_dir() and not has_designs(folder):
+        robot = next(robots_of(folder, 1), None)
+        if robot is None:
+            raise ConfigError(f"start={text}: this search has evaluated no design yet.")
+        return [robot]
+    bodies = read_bodies(text, settings.seed, "start")
+    return [Robot(settings.task, body, full_connections(body).T, None) for body in bodies]
+
+
+def keep_start(robots: Sequence[Robot], folder: Path) -> None:
+    """Copy the robots into the folder of a search."""
+    for number, robot in enumerate(robots):
+        if not (folder / COPIES / f"{number}.npz").is_file():
+            save_robot(folder / COPIES / f"{number}.npz", robot)
+
+
+def _copies(folder: Path) -> list[Robot]:
+    """The robots that the search in ``folder`` began with."""
+    return [read_robot(path) for path in sorted((folder / COPIES).glob("*.npz"), key=lambda path: int(path.stem))]
+
+
+def _history(folder: Path) -> list[dict[str, Any]]:
+    """What the zoo tells of the robots that a search began with."""
+    return [
+        {
+            "task": robot.task,
+            "sha256": robot.sha256,
+            "return": robot.about.get("return"),
+            "control_steps": robot.about.get("control_steps"),
+            "wall_s": robot.about.get("wall_s"),
+            "processor": robot.about.get("processor"),
+        }
+        for robot in _copies(folder)
+    ]
+
+
+def robots_of(source: Path, top: int) -> Iterator[Robot]:
+    """The robots that a search or training has left, with what its files say of them.
+
+    Args:
+        source: folder of a design search, of a design in one (``designs/17``) or of a training, or a checkpoint in the
+            latter.
+        top: of a search the best designs, as many.
+
+    Raises:
+        RunError: no such search or run, or no policy that an entry can have.
+    """
+    if (source / ARCHIVE).is_file():
+        return _of_search(source, lambda archive: trained(archive)[:top])
+    search = source.absolute().parent.parent
+    if source.name.isdecimal() and (search / ARCHIVE).is_file():
+        return _of_search(search, lambda archive: [archive.record(int(source.name))])
+    return _of_run(source)
+
+
+def _of_search(folder: Path, choose: Callable[[Archive], list[Record]]) -> Iterator[Robot]:
+    run = find_codesign(str(folder), "")
+    with Archive.read(folder / ARCHIVE) as archive:
+        records = choose(archive)
+        steps = sum(row["steps"] or 0 for row in archive.generations())
+    about = _about(run) | {"control_steps": steps}
+    if start := _history(folder):  # what a robot has cost includes those that it was made from
+        about["start"] = start
+        for name in "control_steps", "wall_s":
+            about[name] = (about[name] or 0) + sum(known[name] or 0 for known in start)
+    for record in records:
+        if record.policy is None:
+            raise RunError(f"Design {record.id} of {folder} has no policy of its own.")
+        known = about | {"design": record.id, "design_steps": record.steps, "fitness": record.fitness}
+        yield _robot(run.config["task"], record.candidate.body, folder / record.policy, known)
+
+
+def trained(archive: Archive) -> list[Record]:
+    """The designs with a policy of their own, the best first; finalists alone, where others were only compared."""
+    records = [record for record in archive.best(max(1, archive.count())) if record.policy is not None]
+    return [record for record in records if record.candidate.origin == FINALIST] or records
+
+
+def _of_run(path: Path) -> Iterator[Robot]:
+    run = find_run(str(path), "")
+    if (run.config.get("designs") or {}).get("bodies") is not None or run.config.get("obs", "task") != "task":
+        raise RunError(
+            f"{path}: the zoo has robots with a body of their own that observe what the task has (obs=task)."
+        )
+    about = _about(run) | {"control_steps": read_summary(run.folder).get("steps")}
+    yield _robot(run.config["task"], check_design(run.config["design"]), run.find_checkpoint("best"), about)
+
+
+def _robot(task: str, body: np.ndarray, checkpoint: Path, about: dict[str, Any]) -> Robot:
+    policy = policy_of_checkpoint(checkpoint)
+    if isinstance(policy, Network):
+        arrays = {name: tuple(map(_shorter, getattr(policy, name))) for name in ("weights", "biases")}
+        policy = dataclasses.replace(policy, **arrays)
+    return Robot(task, body, full_connections(body).T, policy, about)
+
+
+def _shorter(values: np.ndarray) -> np.ndarray:
+    """float32 numbers whose last bits are zero."""
+    bits = np.ascontiguousarray(values, np.float32).view(np.uint32).astype(np.uint64) + (1 << (WEIGHT_BITS - 1))
+    return (bits & ~np.uint64((1 << WEIGHT_BITS) - 1)).astype(np.uint32).view(np.float32)
+
+
+def _about(run: Run) -> dict[str, Any]:
+    """What the files of a search or training say of it."""
+    summary = read_summary(run.folder)
+    return {
+        "wall_s": summary.get("elapsed_seconds"),
+        "version": summary.get("version"),
+        "commit": summary.get("commit"),
+        "processor": summary.get("processor"),
+        "config": {name: value for name, value in run.config.items() if name not in ("output_dir", "name")},
+    }

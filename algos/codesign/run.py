@@ -1,0 +1,326 @@
+"""A design search from its settings: everything is checked, then the loop runs with its archive in a folder."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+
+from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Search
+from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive
+from warpvox.algos.codesign.evaluations.base import full_body
+from warpvox.algos.codesign.executors import Executor, LocalExecutor
+from warpvox.algos.codesign.finalists import Finalists
+from warpvox.algos.codesign.found import Found
+from warpvox.algos.codesign.loop import Listener, Loop
+from warpvox.algos.codesign.results import Results, evaluate_winner
+from warpvox.algos.codesign.robots import keep_start, read_start
+from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
+from warpvox.algos.codesign.stored_policies import StoredPolicies
+from warpvox.algos.search import make_search
+from warpvox.algos.settings import MLP
+from warpvox.algos.training.job import own_torch, task_name
+from warpvox.algos.training.pretrained import observed_by
+from warpvox.algos.training.settings import Training
+from warpvox.batch.options import lanes_for
+from warpvox.devices.names import resolve_device
+from warpvox.devices.startup import start_warp
+from warpvox.envs.memory import ask, environment_bytes, fitting
+from warpvox.envs.registry import get_task
+from warpvox.envs.worlds import task_world
+from warpvox.errors import ConfigError, RunError, StorageError
+from warpvox.io.plain_yaml import to_yaml
+from warpvox.runs import CONFIG, END, going_on, new_folder
+from warpvox.trust import as_stored, keep_code
+
+__all__ = ["SearchRun", "check", "environments", "make_evaluator", "run_codesign"]
+
+OF_DESIGNS = (
+    "task", "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir", "policy",
+    "network",
+)  # fmt: skip
+"""Settings that the training of a design has from its search."""
+BEFORE = (CONFIG, "log.txt", "training", "code", "designs")
+"""Files and folders that a search has before its archive."""
+
+
+@dataclass(frozen=True)
+class SearchRun:
+    """A design search that is under way, as listeners see it.
+
+    Attributes:
+        results: its folder, archive and settings.
+        total: evaluations that it may spend, those of finalists included, which come last.
+        finalists: how many.
+        costs: control steps that a design takes at most, and a finalist; None: not known.
+        workers: of Ray; 0: this process.
+        resumed: it goes on with an archive.
+    """
+
+    results: Results
+    total: int
+    finalists: int
+    costs: tuple[float, float] | None
+    workers: int
+    resumed: bool
+
+
+def check(settings: Codesign, folder: Path | None = None, search: Search | None = None) -> None:
+    """Find mistakes before anything is made.
+
+    Args:
+        folder: of the search that is resumed.
+        search: in the place of the one that the settings name.
+
+    Raises:
+        WarpvoxError: a task, shape, setting, device or library that does not exist or does not go with the others.
+    """
+    task_world(get_task(settings.task), np.full(settings.shape, 3, np.int8))
+    start = [robot.body for robot in read_start(settings, folder)]
+    if search is None:
+        make_search(settings.search, tuple(settings.shape), settings.seed, start)
+    settings.sim  # noqa: B018  (constants out of range are found)
+    settings.evaluation.check(settings)
+    settings = dataclasses.replace(settings, evaluation=settings.evaluation.resolved(settings, folder))
+    if settings.executor == "local":
+        resolve_device(settings.device)
+        for key in ("address", "workers"):
+            if getattr(settings, key) is not None:
+                raise ConfigError(f"{key} goes with executor=ray.")
+        if settings.memory_check:
+            _ask_for_memory(settings)
+
+
+def environments(settings: Codesign) -> int:
+    """Environments that are stepped together at most; 1: not known."""
+    return max((batch.designs * batch.envs for batch in settings.evaluation.workloads(settings)), default=1)
+
+
+def _ask_for_memory(settings: Codesign) -> None:
+    """Raise MemoryLimitError, with what fits, where a search would take too much with bodies that fill their grid."""
+    spec = get_task(settings.task).under(settings.rules)
+    grid = None if settings.dtype == "float64" else tuple(settings.shape)
+    sim = dataclasses.replace(settings.sim, grid=grid).resolved(environments(settings))
+    worlds = [task_world(spec, full_body(settings.shape))]
+    for batch in settings.evaluation.workloads(settings):
+        designs, envs, value = batch.designs, batch.envs, batch.value
+        each = environment_bytes(spec, worlds, designs * envs, sim, obs=batch.obs, ppo=batch.ppo)
+        if fitting(each * envs, sim.device) < 1 or designs == 1:
+            what = f"({batch.key}) for each of {designs} designs"
+            ask(each * designs * envs / value, value, sim.device, batch.key, what)
+        ask(each * envs, designs, sim.device, batch.fewer, f"designs of {envs:,} environments each")
+
+
+def resolve(settings: Codesign, folder: Path | None = None) -> Codesign:
+    """A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
+
+    Args:
+        folder: of the search that is resumed.
+    """
+    settings = settings.resolved(folder)
+    if settings.executor != "local":  # designs on workers run on the devices of the workers
+        return settings
+    return dataclasses.replace(settings, device=resolve_device(settings.device, environments(settings)))
+
+
+def run_codesign(
+    settings: Codesign,
+    place: Path | None = None,
+    listeners: Sequence[Listener] = (),
+    *,
+    stored: Mapping[str, Any] | None = None,
+    search: Search | None = None,
+    executor: Executor | None = None,
+    console: Console | None = None,
+) -> Found:
+    """Make a search, or go on with one. Nothing is written before everything has been checked.
+
+    Args:
+        settings: of the search.
+        place: its folder; a search that is there is gone on with. None: a new one in ``output_dir``, named by the time.
+        stored: the configuration of the search that is gone on with, for the names of code in it.
+        search: proposes designs; None: the one that the settings name.
+        executor: evaluates them; None: the one that the settings name.
+        console: for what there is to say of the user's code.
+
+    Raises:
+        WarpvoxError: something asked for is not valid, an evaluation has failed, or nothing can be written; what was
+            finished is kept.
+        KeyboardInterrupt: interrupted; the state has been saved.
+    """
+    resumed = place if place is not None and (place / ARCHIVE).is_file() else None
+    with own_torch(settings.torch_threads), ExitStack() as opened:
+        check(settings, resumed, search)
+        settings = resolve(settings, resumed)
+        start = read_start(settings, resumed)
+        known = settings.evaluation.begins_with(settings, start, resumed)
+        if executor is None:
+            executor = make_executor(settings, known)
+            opened.callback(executor.close)
+        settings = dataclasses.replace(settings, batch=_batch(settings, executor))
+        written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), stored or {})
+        folder = opened.enter_context(_folder(place, written))
+        settings.evaluation.keep(known, folder)
+        keep_start(start, folder)
+        keep_code(settings, folder, console or Console(quiet=True))
+        if search is None:
+            bodies = [robot.body for robot in start]
+            search = make_search(settings.search, tuple(settings.shape), settings.seed, bodies)
+        archive = opened.enter_context(_archive(folder, written))
+        results = Results(folder, archive, written, settings.evaluation.pretraining_steps(known))
+        run, loop = _loop(settings, search, executor, results, listeners, resumed is not None)
+        summary = _search(run, loop, settings, listeners)
+    return Found(folder, written, summary)
+
+
+def _folder(place: Path | None, written: Codesign) -> AbstractContextManager[Path]:
+    """The folder of a search, new or one to go on with.
+
+    Raises:
+        RunError: it holds something else.
+    """
+    if place is None:
+        return new_folder(written.output_dir, "codesign", written.task, written.name, to_yaml(written))
+    place.mkdir(parents=True, exist_ok=True)
+    if not (place / ARCHIVE).is_file() and any(file.name not in BEFORE for file in place.iterdir()):
+        raise RunError(f"{place} holds something else than a design search: name another folder.")
+    return going_on(place, to_yaml(written))
+
+
+def _loop(
+    settings: Codesign,
+    search: Search,
+    executor: Executor,
+    results: Results,
+    listeners: Sequence[Listener],
+    resumed: bool,
+) -> tuple[SearchRun, Loop]:
+    """The loop, and what listeners see of it."""
+    how, folder = settings.evaluation, results.folder
+    total, finalists = settings.search.max_evaluations, how.finalists
+    cost = how.cost(settings, get_task(settings.task))
+    if finalists:
+        search, total = Finalists(search, finalists), total + finalists
+        cost = cost and (cost[0], cost[1] / finalists)
+    run_of_design = functools.partial(_run_of_design, settings, results.settings.task)
+    loop = Loop(
+        search,
+        executor,
+        results.archive,
+        seed=settings.seed,
+        policies=StoredPolicies(folder, settings.training.ppo, run_of_design),
+        checkpoints=folder / "training",
+        batch=settings.batch,
+        reuse=settings.reuse,
+        inherit=how.inherits(settings),
+        listeners=[results, *listeners],
+    )
+    workers = executor.size if settings.executor == "ray" else 0
+    return SearchRun(results, total, finalists, cost, workers, resumed), loop
+
+
+def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[Listener]) -> dict[str, Any]:
+    """Run the loop, and sum up however it ends."""
+    status, summary = "failed", {}
+    for listener in listeners:
+        listener.begun(run)
+    try:
+        loop.run()
+        status = "done"
+    except KeyboardInterrupt:
+        status = "interrupted"
+        raise
+    finally:
+        # a search that has failed may have failed because nothing can be written; that is the error to report
+        with suppress(StorageError, RunError) if status == "failed" else nullcontext():
+            summary = run.results.write(status)
+            if status == "done" and summary["best_design"] is not None:
+                run.results.fresh = evaluate_winner(run.results.folder, settings)
+                summary = run.results.write(status)
+        for listener in listeners:
+            listener.ended(summary)
+    return summary
+
+
+def _archive(folder: Path, settings: Codesign) -> Archive:
+    """The archive in ``folder``, made if there is none.
+
+    Raises:
+        RunError: it was made with other settings.
+    """
+    values = {name: value for name, value in dataclasses.asdict(settings).items() if name not in CHANGEABLE}
+    values["training"].pop("save_interval")
+    values = json.loads(json.dumps(values))
+    path = folder / ARCHIVE
+    if not path.is_file():
+        return Archive.create(path, values)
+    archive = Archive.open(path)
+    known = archive.settings
+    if known != values:
+        archive.close()
+        other = next(name for name in {**values, **known} if known.get(name) != values.get(name))
+        raise RunError(f"{path} was made with another value of '{other}' than {folder / CONFIG} has.")
+    return archive
+
+
+def _batch(settings: Codesign, executor: Executor) -> int | None:
+    """How many designs are trained together; see the key ``batch``."""
+    if settings.batch is not None:
+        return settings.batch
+    if settings.training.method == "sequential" and not settings.evaluation.finalists:
+        return 1
+    return -(-settings.search.population // executor.size) if settings.executor == "ray" else None
+
+
+def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome: Outcome) -> str:
+    """The text of ``config.yaml`` beside the policy of a design: that of a training which ``warpvox play`` can show."""
+    training = settings.training
+    values = {name: getattr(settings, name) for name in OF_DESIGNS} | {
+        "task": task,
+        "num_envs": training.envs,
+        "max_iterations": training.iterations,
+        "eval_interval": training.eval_interval,
+        "eval_envs": training.eval_envs,
+        "lanes": lanes_for(training.eval_envs),  # as in the evaluation that found the fitness
+        "physics": dataclasses.asdict(settings.physics),
+        "ppo": dataclasses.asdict(training.ppo),
+    }
+    values |= settings.evaluation.run_of(settings, candidate, outcome)
+    values.setdefault("obs", "task" if values["policy"] == MLP else observed_by(outcome.spec))
+    return to_yaml(Training(design=candidate.body, **values)) + END
+
+
+# -------------------------------------------------------------------------------------------------- evaluation
+
+
+def make_evaluator(settings: Codesign, known: Any) -> DesignEvaluator:
+    """The evaluator of resolved settings; called in the process that evaluates."""
+    start_warp()
+    torch.set_num_threads(settings.torch_threads)
+    torch.manual_seed(settings.seed)
+    device = resolve_device(settings.device, environments(settings))
+    return settings.evaluation.build(dataclasses.replace(settings, device=device), known)
+
+
+def make_executor(settings: Codesign, known: Any) -> Executor:
+    """Where designs are evaluated, by the settings.
+
+    Raises:
+        ConfigError, RunError: Ray is missing or cannot be reached.
+    """
+    if settings.executor == "local":
+        return LocalExecutor(make_evaluator(settings, known))
+    from warpvox.algos.codesign.ray_executor import RayExecutor
+
+    threads = settings.threads or 1
+    make = functools.partial(make_evaluator, dataclasses.replace(settings, threads=threads), known)
+    return RayExecutor(make, settings.workers, settings.address, threads, gpus=0 if settings.device == "cpu" else None)

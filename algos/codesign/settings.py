@@ -1,0 +1,167 @@
+"""The settings of a design search: what it looks for, how it proposes, how it compares, where it runs."""
+
+# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation, Specialist
+from warpvox.algos.physics import PhysicsConfig, physics_of, sim_of
+from warpvox.algos.search.settings import GA, SearchSettings, settings_from
+from warpvox.algos.settings import DesignTraining
+from warpvox.algos.training.settings import DEVICES, MOST_THREADS, arithmetic_key
+from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.keys import check_values, convert, key, plain
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from warpvox.algos.env_factory import EnvFactory
+    from warpvox.batch.options import SimOptions
+
+__all__ = ["CHANGEABLE", "Codesign"]
+
+CHANGEABLE = (
+    "executor", "address", "workers", "device", "threads", "torch_threads", "top", "name", "training.save_interval",
+    "memory_check", "output_dir",
+)  # fmt: skip
+"""Settings that do not change what is found: they may differ when a search is resumed.
+
+But for rounding: another device, or other ``torch_threads`` with ``training.method=sequential``.
+"""
+
+
+@dataclass
+class Codesign:
+    """All settings of a design search.
+
+    Raises:
+        ConfigError: a value that is not valid.
+    """
+
+    task: Any = key(
+        "Walker-v0",
+        "task id (`warpvox tasks` lists them), or a task of your own: module:NAME or file.py:NAME",
+        path="read",
+    )
+    shape: list[int] = key(
+        [5, 5], "rows and columns of the bodies; in the paper [5,5], for Lifter-v0 [5,7]", low=1, form="[rows,columns]"
+    )
+    rules: str = key(
+        "evogym",
+        "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)",
+        choices=("evogym", "paper"),
+    )
+    search: SearchSettings = key(GA, "how designs are proposed")
+    evaluation: Evaluation = key(Specialist, "how designs are compared")
+    training: DesignTraining = key(DesignTraining, "how a design's own policy is trained")
+    policy: str = key(
+        "mlp",
+        "network of a design's own policy: mlp (layers: training.ppo.hidden); with training.method=sequential"
+        " also grid, transformer, module:Class, file.py:Class",
+        path="read",
+    )
+    network: Any = key(None, "settings of a network other than mlp, {width:32} for instance; null: its defaults")
+    start: list[str] = key(
+        [],
+        "robots whose bodies the first generation contains, with evaluation=gaits also their gaits: zoo:TASK, zoo:FILE,"
+        " the folder of a search (its best design), of one of its designs or of a run, or bodies: random:100:5x5 (drawn"
+        " with seed as train's designs are), a folder of design files, or what design takes",
+        path="read",
+    )
+    reuse: bool = key(True, "take the result of a body that was evaluated before instead of training it again")
+    batch: int | None = key(
+        None, "designs trained in one batch; null: a whole generation (executor=ray: a worker's share of it)", low=1
+    )
+    seed: int = key(0, "seed of all random numbers", low=0)
+    device: str = key("auto", DEVICES)
+    dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
+    arithmetic: str | None = arithmetic_key("chosen by dtype")
+    physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the physics")
+    threads: int | None = key(
+        None, "CPU threads of the simulation; null: all cores (executor=ray: one)", low=1, high=MOST_THREADS
+    )
+    torch_threads: int = key(
+        1, "PyTorch threads; more than 1 slow down small networks and change rounding", low=1, high=MOST_THREADS
+    )
+    executor: str = key(
+        "local",
+        "where designs are trained: in this process (local) or on workers of Ray (ray)",
+        choices=("local", "ray"),
+    )
+    address: str | None = key(
+        None, "address of a running Ray cluster: auto or host:port; null: start Ray on this machine"
+    )
+    workers: int | None = key(
+        None, "number of workers of executor=ray; null: one for each GPU, or as many as the CPUs allow", low=1
+    )
+    top: int = key(5, "number of best designs that are shown and drawn for each generation", low=1)
+    memory_check: bool = key(True, "refuse, before allocating, what does not fit into free memory")
+    name: str | None = key(None, "appended to the name of the run's folder")
+    output_dir: str = key("outputs", "folder that runs are written to", path="written")
+
+    def __post_init__(self) -> None:
+        if isinstance(self.search, str | Mapping):
+            self.search = settings_from({"algorithm": self.search} if isinstance(self.search, str) else self.search)
+        if isinstance(self.evaluation, str | Mapping):
+            self.evaluation = _evaluation(self.evaluation)
+        if not isinstance(self.physics, Mapping | PhysicsConfig):
+            self.physics = PhysicsConfig.of(self.physics)
+        convert(self)
+        self.network = plain(self.network, "network")
+        check_values(self)
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Codesign:
+        """The settings that the configuration of a search holds; other keys are left out."""
+        names = {item.name for item in dataclasses.fields(Codesign)}
+        return Codesign(**{name: value for name, value in values.items() if name in names})
+
+    @property
+    def sim(self) -> SimOptions:
+        """How designs are simulated.
+
+        Raises:
+            ConfigError: a constant of the physics out of range.
+        """
+        return sim_of(self)
+
+    def factory(self, obs: str = "task") -> EnvFactory:
+        """Makes the environments; ``device`` may still be auto."""
+        from warpvox.algos.env_factory import EnvFactory
+
+        return EnvFactory(self.task, self.rules, obs, sim=self.sim)
+
+    def resolved(self, folder: Path | None = None) -> Codesign:
+        """A copy with what its names stand for: settings of the evaluation, and all constants.
+
+        Args:
+            folder: of the search that is resumed.
+
+        Raises:
+            WarpvoxError: see :meth:`Evaluation.resolved`.
+        """
+        constants = dataclasses.asdict(physics_of(self))
+        physics = PhysicsConfig(preset=constants.pop("name"), **constants)
+        return dataclasses.replace(self, evaluation=self.evaluation.resolved(self, folder), physics=physics)
+
+
+def _evaluation(values: str | Mapping[str, Any]) -> Evaluation:
+    """The evaluation that a name, or values with one, stand for."""
+    given = {"name": values} if isinstance(values, str) else dict(values)
+    kind = EVALUATIONS.get(given.get("name", ""))
+    if kind is None:
+        name = given.get("name")
+        raise ConfigError(
+            f"evaluation must be one of {listing(EVALUATIONS)}; got {name!r:.80}.{did_you_mean(name, EVALUATIONS)}"
+        )
+    known = [item.name for item in dataclasses.fields(kind)]
+    for key_ in given:
+        if key_ not in known:
+            hint = did_you_mean(f"evaluation.{key_}", [f"evaluation.{one}" for one in known])
+            raise ConfigError(f"evaluation={kind.name} has no setting evaluation.{key_}.{hint}")
+    return kind(**given)

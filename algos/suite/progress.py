@@ -1,0 +1,136 @@
+"""What a suite shows while its members are made, and the table at its end."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table as Grid
+from rich.text import Text
+
+from warpvox.algos.suite.members import DONE, FAILED, RUNNING, WAITING, Row, Table
+from warpvox.io.console import duration, echo, figure, literal
+
+__all__ = ["SuiteProgress", "results"]
+
+REFRESH_SECONDS = 2.0
+"""How often figures of members are read and written while they are made."""
+ENDED = 3
+"""Members that have ended last, which are shown besides those that run."""
+
+
+class SuiteProgress:
+    """Shows the members that run: a live table on a terminal, else a line when one ends. A context manager."""
+
+    def __init__(self, table: Table, console: Console) -> None:
+        self.table, self.console = table, console
+        self._began = self._shown = time.monotonic()
+        self._start = self._share()
+        self._ended: list[Row] = []
+        self._live = Live(console=console, refresh_per_second=4, transient=True) if console.is_terminal else None
+
+    def __enter__(self) -> SuiteProgress:
+        if self._live is not None:
+            self._live.start()
+            self._live.update(self._block())
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def ended(self, row: Row) -> None:
+        """A member has ended, or has been interrupted."""
+        if row.state != WAITING:
+            self._ended.append(row)
+        figures = row.figures()
+        best, designs = _number(figures["best_fitness"]), figures["evaluations"] or 0
+        state = "interrupted" if row.state == WAITING else row.state
+        end = f": {row.error}" if row.error else f", best {figure(best)} of {designs} designs"
+        echo(self.console, f"[{self._counted()}] {_name(row)} {state}{end}  left {self._left()}")
+
+    def refresh(self) -> None:
+        """Show and store how far members have come, now and then."""
+        if time.monotonic() - self._shown < REFRESH_SECONDS:
+            return
+        self._shown = time.monotonic()
+        self.table.write()
+        if self._live is not None:
+            self._live.update(self._block())
+
+    # -------------------------------------------------------------------------------------------- what is shown
+
+    def _counted(self) -> str:
+        """``5/18``: members that have ended, of all."""
+        return f"{len(self.table.of(DONE, FAILED))}/{len(self.table.rows)}"
+
+    def _share(self) -> float:
+        """How much of the evaluations of all members is done, from 0 to 1."""
+        spent = sum(
+            row.total if row.state in (DONE, FAILED) else row.figures()["evaluations"] or 0 for row in self.table.rows
+        )
+        return spent / sum(row.total for row in self.table.rows)
+
+    def _left(self) -> str:
+        share = self._share()
+        if share <= self._start:
+            return "-"
+        return duration((time.monotonic() - self._began) / (share - self._start) * (1 - share))
+
+    def _block(self) -> Group:
+        counts = self.table.counts
+        words = ", ".join(f"{counts[state]} {state}" for state in (DONE, RUNNING, WAITING, FAILED) if state in counts)
+        head = Grid.grid(padding=(0, 2))
+        head.add_row(ProgressBar(total=1.0, completed=self._share(), width=24), f"{words}", f"left {self._left()}")
+        grid = Grid(box=None, padding=(0, 2), header_style="dim")
+        for name in ("task", "search", "seed", "state", "designs", "control steps", "best", "time"):
+            grid.add_column(name, justify="left" if name in ("task", "search", "state") else "right")
+        for row in [*self.table.of(RUNNING), *self._ended[-ENDED:]]:
+            grid.add_row(*map(literal, _cells(row)), style="" if row.state == RUNNING else "dim")
+        return Group(head, grid)
+
+
+def _name(row: Row) -> str:
+    task, search, seed = row.key
+    return f"{task} {search} seed {seed}"
+
+
+def _cells(row: Row) -> Iterator[Any]:
+    figures = row.figures()
+    yield from (*row.key, row.state, f"{figures['evaluations'] or 0}/{row.total}")
+    yield from (f"{figures['control_steps'] or 0:,}", figure(_number(figures["best_fitness"])))
+    spent = _number(figures["wall_s"], 0.0)
+    yield duration(time.monotonic() - row.began if row.state == RUNNING and row.began else spent)
+
+
+def _number(value: Any, default: float = math.nan) -> float:
+    return float(value) if isinstance(value, int | float) else default
+
+
+def results(rows: Sequence[Row]) -> Grid:
+    """The best fitness by task and search, mean and standard deviation over the seeds that are done."""
+    searches = list(dict.fromkeys(row.search for row in rows))
+    grid = Grid(title="best fitness, mean ± standard deviation over seeds", title_justify="left")
+    grid.add_column("task")
+    for search in searches:
+        grid.add_column(literal(search), justify="right")
+    for task in dict.fromkeys(row.task for row in rows):
+        cells = [_spread([row for row in rows if (row.task, row.search) == (task, search)]) for search in searches]
+        grid.add_row(literal(task), *map(Text, cells))
+    return grid
+
+
+def _spread(rows: Sequence[Row]) -> str:
+    values = [_number(row.figures()["best_fitness"]) for row in rows if row.state == DONE]
+    if not values:
+        return "-"
+    deviation = f" ± {statistics.stdev(values):.3f}" if len(values) > 1 else ""
+    return f"{statistics.fmean(values):.3f}{deviation}" + (
+        f" ({len(values)} of {len(rows)})" * (len(values) < len(rows))
+    )

@@ -1,0 +1,96 @@
+"""Evaluation of a policy on many bodies, as a table and a picture in the folder of its run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from warpvox.design import Design
+from warpvox.envs.known_returns import known_returns
+from warpvox.io.writing import write_table
+
+if TYPE_CHECKING:
+    from warpvox.algos.evaluate import Evaluation, Evaluator
+
+__all__ = ["HeldOut", "shades"]
+
+
+def shades(task: str, returns: np.ndarray) -> list[float]:
+    """How good returns are: 0 for those of random actions and below, 1 for the best published one.
+
+    Of a task for which none is published 0 is a return of 0, and 1 the largest return by size.
+    """
+    known = known_returns().get(task)
+    if known is None or known.best is None:
+        return (returns.clip(min=0) / max(np.abs(returns).max(), 1e-9)).tolist()
+    return np.clip((returns - known.random) / (known.best - known.random), 0, 1).tolist()
+
+
+class HeldOut:
+    """An evaluator on many bodies, which writes the return of each to a table and a picture.
+
+    Args:
+        judge: evaluates a policy on the bodies.
+        bodies: those that it is evaluated on.
+        name: of the files, ``held_out.csv`` and ``held_out.png``.
+        task: its id, which says what returns are good.
+
+    Attributes:
+        folder: of the run; None: nothing is written.
+    """
+
+    def __init__(self, judge: Evaluator, bodies: Sequence[Design], name: str = "held_out", task: str = "") -> None:
+        self.judge, self.bodies, self.name, self.task = judge, list(bodies), name, task
+        self.folder: Path | None = None
+        self.best = np.full(len(self.bodies), -np.inf)
+
+    @property
+    def about(self) -> str:
+        """A description of the bodies in words."""
+        count = f"{len(self.bodies)} bod{'y' if len(self.bodies) == 1 else 'ies'}"
+        return f"the {count} trained on" if self.name == "bodies" else f"{count} held out from training"
+
+    def __call__(self, policy: Any) -> Evaluation:
+        """Evaluate ``policy``."""
+        result = self.judge(policy)
+        last = result.fitness.numpy()
+        self.best = np.maximum(self.best, last)
+        if self.folder is not None:
+            self._write(last)
+            self._draw(last)
+        return result
+
+    def state(self) -> dict[str, Any]:
+        """Best returns so far, as :class:`warpvox.algos.evaluate.StatefulEvaluator` has it."""
+        return {"best": torch.from_numpy(self.best.copy())}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from :meth:`state`."""
+        self.best = state["best"].cpu().numpy().copy()
+
+    def _draw(self, last: np.ndarray) -> None:
+        """The bodies, the best first, on paper that is the greener the better they are: see :func:`shades`."""
+        from warpvox.view.body_picture import write_bodies
+
+        order = np.argsort(-last, kind="stable")
+        low, middle, high = np.quantile(last, (0.1, 0.5, 0.9))
+        title = f"{self.about}: mean {last.mean():.2f}, quantiles 10, 50, 90 %: {low:.2f}, {middle:.2f}, {high:.2f}"
+        write_bodies(
+            self.folder / f"{self.name}.png",
+            [self.bodies[number] for number in order],
+            [(f"{last[number]:.2f}", f"body {number}") for number in order],
+            title,
+            cell=20,
+            shades=shades(self.task, last[order]),
+            columns=8,
+        )
+
+    def _write(self, last: np.ndarray) -> None:
+        cells = ["/".join("".join(map(str, row)) for row in body.tolist()) for body in self.bodies]
+        figures = [[f"{value:.6g}" for value in values] for values in (last, self.best)]
+        rows = zip(range(len(cells)), *figures, cells, strict=True)
+        write_table(self.folder / f"{self.name}.csv", ("body", "last_return", "best_return", "cells"), rows)

@@ -1,0 +1,356 @@
+"""A training from its settings to its result: environments, runner, folder, summary."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+
+from warpvox.algos.checkpoints.policy import Policy, policy_of
+from warpvox.algos.evaluate import Evaluation, Evaluator, evaluator
+from warpvox.algos.physics import physics_of, sim_of
+from warpvox.algos.policies.registry import MLP, check_policy, layout_for, make_network
+from warpvox.algos.training.ascent import AscentRunner
+from warpvox.algos.training.bodies import Bodies, TrainingBodies, load_bodies, read_bodies, training_bodies
+from warpvox.algos.training.distributed import ProcessGroup, join_process_group
+from warpvox.algos.training.held_out import HeldOut
+from warpvox.algos.training.metrics import WRITERS, check_logger
+from warpvox.algos.training.pretrained import OBS_OF_VOXELS, adopted
+from warpvox.algos.training.resumption import check_left, continued
+from warpvox.algos.training.runner import Runner, Schedule, adapt
+from warpvox.algos.training.settings import Designs, Training
+from warpvox.batch.options import SimOptions
+from warpvox.devices.names import resolve_device
+from warpvox.devices.out_of_memory import enough_memory
+from warpvox.devices.startup import start_warp
+from warpvox.envs.dumps import DivergenceDump
+from warpvox.envs.memory import ask, environment_bytes
+from warpvox.envs.registry import get_task
+from warpvox.envs.spec import TaskSpec
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.envs.worlds import task_world
+from warpvox.errors import ConfigError, StorageError
+from warpvox.io.plain_yaml import to_yaml
+from warpvox.runs import Run, run_folder, write_summary
+from warpvox.system import usable_cores
+from warpvox.trust import as_stored, keep_code
+
+__all__ = ["Job", "Listener", "own_torch", "resolved", "task_name"]
+
+PREPARING = "preparing the simulation (the first time on a machine its kernels are compiled)"
+
+
+class Listener:
+    """What a training reports to; this one says nothing."""
+
+    def __init__(self, console: Console | None = None) -> None:
+        self.console = console or Console(quiet=True, force_jupyter=False)  # whose spinners want widgets
+
+    def begin(self, job: Job) -> None:
+        """Learning begins; everything has been checked and made."""
+
+    def __call__(self, row: Mapping[str, float]) -> None:
+        """An iteration is complete; ``row``: of ``metrics.csv``."""
+
+    def end(self, job: Job) -> None:
+        """Learning has ended, one way or another; ``job.summary`` is empty before the first iteration is complete."""
+
+
+class Job:
+    """A training that is to be made, checked as far as that takes a moment.
+
+    Args:
+        settings: of the training; with ``source`` those of its run, but for what may change.
+        named: keys that the user has given, which must agree with a pretrained policy.
+        source: a run that goes on.
+
+    Raises:
+        ConfigError, RunError: something is wrong with it.
+    """
+
+    def __init__(self, settings: Training, named: Collection[str] = (), source: Run | None = None) -> None:
+        check_logger(settings.logger)
+        self.stored: dict[str, Any] = {} if source is None else source.config
+        self.folder = None if source is None else source.folder
+        self.checkpoint = self.learned = self.best = None
+        self.rows: list[Mapping[str, float]] = []
+        self.summary: dict[str, Any] = {}
+        if source is not None:
+            settings, self.checkpoint = continued(settings, source)
+        elif "design" in named and settings.is_many:  # a preset's many bodies, where the user names one
+            if any(key.startswith("designs") for key in named):
+                raise ConfigError("design is one body, designs are many for one policy: give one of the two.")
+            settings = dataclasses.replace(settings, designs=Designs())
+        if source is None and settings.pretrained is not None:
+            settings, self.learned = adopted(settings, named)
+        self.settings = settings
+
+    def check(self) -> None:
+        """Raise an error where a name in the settings stands for nothing."""
+        resolved(self.settings)
+
+    def train(
+        self, listener: Listener, *, write: bool = True, place: Path | None = None, command: str = "train"
+    ) -> None:
+        """Make the run. Nothing is written before everything has been checked.
+
+        Args:
+            write: whether there is a folder.
+            place: of a new run; None: it lies in ``output_dir`` and is named by the time.
+            command: that the summary names.
+
+        Raises:
+            WarpvoxError: something asked for does not exist or is not valid, or learning has diverged.
+            KeyboardInterrupt: interrupted; the state has been saved, if there is a folder.
+        """
+        if not write and (self.settings.nan_guard == "dump" or self.settings.logger in WRITERS):
+            raise ConfigError("nan_guard=dump and logger=wandb|neptune write files; folder=None writes none.")
+        with own_torch(self.settings.torch_threads):
+            self._prepare(listener)
+            if not write:
+                self.runner.evaluator = self.best = _Best(self.judge)
+                self._learn(listener, command)
+                return
+            with self._folder(place, command, listener):
+                self._learn(listener, command)
+
+    def _prepare(self, listener: Listener) -> None:
+        """Make environments and runner."""
+        with listener.console.status("loading"):
+            self.group = group = join_process_group(self.settings.device)
+            listener.console.quiet |= not group.is_main_process
+            start_warp()
+            torch.manual_seed(group.seed(self.settings.seed))
+            settings = resolved(_share(self.settings, group))
+            bodies = training_bodies(settings)
+            exchanged = Bodies.of(bodies, settings, group.seed(settings.seed)) if settings.is_many else None
+            designs = bodies.trained if exchanged is None else exchanged.first(settings.num_envs)
+            sim = dataclasses.replace(sim_of(settings), cuda_graph=settings.cuda_graph, grid=bodies.grid)
+            if settings.memory_check:
+                _ask_for_memory(settings, designs, sim)
+        count, runner = settings.num_envs, Runner
+        if settings.method == "gradients":
+            sim, runner = dataclasses.replace(sim, layout="lanes"), AscentRunner
+        advice = f"Train with fewer environments: num_envs={max(1, count // 2)} instead of {count}."
+        with listener.console.status(PREPARING), enough_memory(advice):
+            options: dict[str, Any] = {"rules": settings.rules, "obs": settings.obs}
+            seed = group.seed(settings.seed)
+            env = adapt(make_vec(settings.task, designs, count, seed=seed, sim=sim, **options), settings.ppo)
+            self.judge = self._make_judge(settings, bodies, options) if group.is_main_process else None
+            self.runner = runner(
+                env,
+                settings.ppo,
+                Schedule(settings.max_iterations, settings.save_interval, settings.eval_interval, settings.stop_return),
+                voxels=_voxels(settings, env.env),
+                bodies=exchanged,
+                trained_on=_trained_on(settings),
+                evaluator=self.judge,
+                group=group,
+                logger=settings.logger,
+            )
+            if self.checkpoint is not None:
+                self.runner.resume(self.checkpoint)
+                check_left(self.folder, self.runner)
+            elif self.learned is not None:
+                self.runner.begin_with(self.learned)
+        if group.size > 1:  # what the run was asked for, not the share of this process
+            device = settings.device.split(":")[0]
+            settings = dataclasses.replace(settings, num_envs=self.settings.num_envs, device=device)
+        self.settings = settings
+        self.written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), self.stored)
+
+    def _make_judge(self, settings: Training, bodies: TrainingBodies, options: dict[str, Any]) -> Evaluator:
+        """The evaluator: on the CPU, the same episodes every time, also after a resumption.
+
+        On a GPU a few environments would take the launches of ten iterations, one after another.
+        """
+        sim = dataclasses.replace(
+            sim_of(settings), device="cpu", lanes=bodies.lanes(settings, settings.device), grid=bodies.grid
+        )
+        count = settings.eval_envs * len(bodies.judged)
+        options = options | {"auto_reset": False, "seed": settings.seed, "sim": sim}
+        judge = evaluator(make_vec(settings.task, bodies.judged, count, **options), settings.seed)
+        if not settings.is_many:
+            return judge
+        return HeldOut(judge, bodies.judged, "bodies" if bodies.own else "held_out", str(task_name(settings.task)))
+
+    @contextmanager
+    def _folder(self, place: Path | None, command: str, listener: Listener) -> Iterator[None]:
+        """The folder of a new run, or that of the one which goes on; made by the first process."""
+        settings, group, runner = self.settings, self.group, self.runner
+        made = run_folder(self.folder, self.written, command, to_yaml(self.written), place)
+        with made if group.is_main_process else nullcontext() as folder:
+            self.folder = runner.folder = folder = Path(str(group.broadcast(folder and str(folder))))
+            if settings.nan_guard == "dump":
+                env = runner.env.env
+                env.dump = DivergenceDump(env, folder / ("dumps" if group.is_main_process else f"dumps_{group.rank}"))
+            if isinstance(self.judge, HeldOut):
+                self.judge.folder = folder
+            if group.is_main_process:
+                keep_code(settings, folder, listener.console)
+            yield
+
+    def _learn(self, listener: Listener, command: str) -> None:
+        """Learn, and sum up however it ends."""
+        runner, began, before, status = self.runner, time.perf_counter(), self.runner.steps, "failed"
+
+        def report(row: Mapping[str, float]) -> None:
+            self.rows.append(row)
+            listener(row)
+
+        runner.report = report
+        listener.begin(self)
+        try:
+            if runner.current_learning_iteration < runner.schedule.total:
+                runner.run()
+            status = "done"
+        except KeyboardInterrupt:
+            status = "interrupted"
+            raise
+        finally:
+            seconds = time.perf_counter() - began
+            if runner.current_learning_iteration and self.group.is_main_process:
+                about = {"command": command, "task": runner.env.cfg["task"], "status": status}
+                self.summary = about | {"seed": self.settings.seed, **self._bodies(), **runner.summary()}
+                self.summary["steps_per_second"] = round((runner.steps - before) / seconds, 1)
+                # a run that has failed may have failed because nothing can be written; that is the error to report
+                with suppress(StorageError) if status == "failed" else nullcontext():
+                    if self.folder is not None:
+                        write_summary(self.folder, self.summary)
+            listener.end(self)
+
+    def _bodies(self) -> dict[str, Any]:
+        """Entries of a summary about the bodies."""
+        if not isinstance(self.judge, HeldOut):
+            return {"design": self.settings.design}
+        designs = {"bodies": self.settings.designs.bodies, "refresh": self.settings.designs.refresh}
+        return {"designs": designs, "evaluated_on": self.judge.about}
+
+    @property
+    def policy(self) -> Policy:
+        """The policy with the best evaluation, of a training that writes nothing."""
+        policy = self.best.policy or policy_of(self.runner.controller)
+        policy.metadata |= self.runner.trained_on | {"obs": self.settings.obs}
+        return policy.to("cpu")
+
+
+class _Best:
+    """An evaluator that keeps the best policy in memory."""
+
+    def __init__(self, judge: Evaluator | None) -> None:
+        self.judge, self.value, self.policy = judge, -np.inf, None
+
+    def __call__(self, controller: Any) -> Evaluation:
+        found = self.judge(controller)
+        if found.mean_return > self.value:
+            with torch.random.fork_rng(devices=[]):  # a policy begins with random weights
+                self.value, self.policy = found.mean_return, policy_of(controller)
+        return found
+
+
+def resolved(settings: Training) -> Any:
+    """Settings with what their names stand for: bodies cell by cell, constants, device. Random bodies stay names.
+
+    Raises:
+        TaskError, DesignError, DeviceError, ConfigError: what does not exist or is not valid.
+    """
+    get_task(settings.task)
+    check_policy(settings.policy)
+    designs = {}
+    for name in ("bodies", "held_out"):
+        spec = getattr(settings.designs, name)
+        if spec is not None and not (isinstance(spec, str) and spec.startswith("random:")):
+            designs[name] = [body.tolist() for body in read_bodies(spec, settings.seed, f"designs.{name}")]
+    bodies = [_cells(body) for body in load_bodies(settings.design, settings.seed)]
+    return dataclasses.replace(
+        settings,
+        design=bodies[0] if len(bodies) == 1 else bodies,
+        designs=dataclasses.replace(settings.designs, **designs),
+        obs=settings.obs if settings.policy == MLP else OBS_OF_VOXELS.get(settings.obs, settings.obs),
+        physics=physics_of(settings),
+        device=resolve_device(settings.device, settings.num_envs),
+    )
+
+
+def _cells(design: Any) -> Any:
+    """A design as lists."""
+    return {name: _cells(body) for name, body in design.items()} if isinstance(design, dict) else design.tolist()
+
+
+def task_name(task: Any) -> str:
+    """A task by its name, in files."""
+    return task.id if isinstance(task, TaskSpec) else task
+
+
+def _trained_on(settings: Training) -> dict[str, Any]:
+    """What a checkpoint says of its training."""
+    known = {"task": str(task_name(settings.task)), "rules": settings.rules, "seed": settings.seed}
+    if not settings.is_many:
+        return known | {"design": settings.design}
+    designs = settings.designs
+    about = {"bodies": designs.bodies, "refresh": designs.refresh, "held_out": designs.held_out}
+    return known | {"design": None, "designs": about}
+
+
+def _voxels(settings: Training, env: VoxelVecEnv) -> dict[str, Any] | None:
+    """``network``, ``settings`` and ``layout`` of the policy that is trained; None: mlp.
+
+    Raises:
+        ConfigError: settings that it does not have, or environments that it is not for.
+    """
+    if settings.policy == MLP:
+        if settings.network is not None:
+            raise ConfigError("network has the settings of the other policies; those of policy=mlp are ppo.hidden.")
+        return None
+    if settings.network is not None and not isinstance(settings.network, Mapping):
+        raise ConfigError(f"network must be settings by name, such as {{width:32}}; got {settings.network!r:.80}.")
+    layout, own = layout_for(settings.policy, env), dict(settings.network or {})
+    make_network(settings.policy, layout, False, own)
+    return {"network": settings.policy, "settings": own, "layout": layout.dict()}
+
+
+def _ask_for_memory(settings: Training, designs: list[Any], sim: SimOptions) -> None:
+    """Raise MemoryLimitError, with the number of environments that fits, if a training does not.
+
+    Args:
+        designs: one for each block of environments; of many bodies one for each environment, whose number does not
+            restrict that of environments.
+    """
+    spec = get_task(settings.task).under(settings.rules)
+    worlds = [task_world(spec, design) for design in (designs if sim.grid is None else designs[:1])]
+    options = sim.resolved(settings.num_envs)
+    each = environment_bytes(spec, worlds, settings.num_envs, options, obs=settings.obs, ppo=settings.ppo)
+    ask(each, settings.num_envs, settings.device, step=len(worlds))
+
+
+def _share(settings: Training, group: ProcessGroup) -> Training:
+    """What a process of a group has to do of a training: its share of the environments, its own device and threads.
+
+    Raises:
+        ConfigError: the environments cannot be shared out evenly.
+    """
+    if group.size == 1:
+        return settings
+    if settings.num_envs % group.size:
+        raise ConfigError(f"num_envs={settings.num_envs} cannot be shared out evenly to {group.size} processes.")
+    threads = settings.threads or max(1, usable_cores() // group.local_size)
+    return dataclasses.replace(settings, num_envs=settings.num_envs // group.size, device=group.device, threads=threads)
+
+
+@contextmanager
+def own_torch(threads: int) -> Iterator[None]:
+    """Training sets torch's threads and seed for its process; the caller's are restored."""
+    known, state = torch.get_num_threads(), torch.get_rng_state()
+    torch.set_num_threads(threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(known)
+        torch.set_rng_state(state)

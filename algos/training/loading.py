@@ -1,0 +1,207 @@
+"""What a training has left, ready to act: policies, and environments to run them in."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from warpvox.algos.checkpoints.export import read_exported
+from warpvox.algos.checkpoints.files import load_controller
+from warpvox.algos.checkpoints.policy import Policy, read_policy
+from warpvox.algos.checkpoints.sampling import SampledController
+from warpvox.algos.physics import sim_of
+from warpvox.algos.training.bodies import read_bodies, training_bodies
+from warpvox.algos.training.metrics import read_metrics
+from warpvox.algos.training.settings import Training
+from warpvox.code import Code, is_code
+from warpvox.devices.names import resolve_device
+from warpvox.envs.registry import get_task, task_ids
+from warpvox.envs.spec import TaskSpec
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.errors import ConfigError
+from warpvox.robots.entry import Robot
+from warpvox.robots.replay import SEEDS, robot_env, torch_policy
+from warpvox.runs import CONFIG, Run, find_run
+from warpvox.trust import STORED, allowed, with_code
+
+if TYPE_CHECKING:
+    from warpvox.algos.training.job import Job
+
+__all__ = ["Playing", "TrainedRun", "is_alone", "load_policy", "load_run"]
+
+
+@torch.random.fork_rng(devices=[])  # networks begin with random weights
+def load_policy(
+    source: str | Path = "latest",
+    *,
+    checkpoint: str = "best",
+    output_dir: str | Path = "outputs",
+    device: str = "cpu",
+    policy: str | None = None,
+) -> Policy:
+    """A trained policy as a torch module: observations to actions that the environment takes, without exploration.
+
+    The module can be scripted, traced and exported (see :class:`warpvox.algos.checkpoints.policy.Policy`). No file is
+    unpickled and none brings code: a run's task is not imported.
+
+    Args:
+        source: ``latest``, the folder of a run or of a design search (its best design), a checkpoint file, a file
+            that ``warpvox export format=[onnx,jit]`` has written, or a robot of the zoo, ``zoo:Walker-v0``.
+        checkpoint: of a run: ``best``, ``last`` or an iteration.
+        output_dir: where ``latest`` is looked for.
+        device: where the module shall be.
+        policy: of a run with a network of your own, where its code is: ``FILE.py:Class``, ``module:Class``, or
+            ``stored`` for the copy in the run's folder. It is imported only if it is named here.
+
+    Raises:
+        RunError: there is no such run, checkpoint or file, or it holds no policy. DeviceError: no such device.
+    """
+    network = None if policy is None else policy if policy == STORED else Code(policy)
+    device, path = resolve_device(device), Path(source).expanduser()
+    if str(source) != "latest" and path.is_file():
+        exported = read_exported(path)
+        if exported is not None:
+            return exported.to(device)
+        if is_alone(path):
+            return read_policy(path, device=device, network=network)
+    run = find_run(str(source), str(output_dir))
+    if run.robot is not None:
+        return torch_policy(run.robot, device)
+    known = {name: run.config.get(name) for name in ("task", "rules", "obs", "design")}
+    file = run.find_checkpoint(str(checkpoint))
+    network = allowed("policy", run.config.get("policy"), network, run.folder)
+    return read_policy(file, known | {"source": str(file)}, device, network)
+
+
+def is_alone(path: Path) -> bool:
+    """Whether a policy is a file by itself, in no folder of a run."""
+    return path.is_file() and not (path.parent / CONFIG).is_file()
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainedRun:
+    """A training that is over.
+
+    Attributes:
+        folder: of the run, as ``warpvox play run=FOLDER`` takes it; None: nothing was written.
+        summary: what ``summary.json`` says: ``status``, ``iterations``, ``steps``, ``best_iteration``, ...
+        rows: of ``metrics.csv``.
+        policy: the one with the best return, on the CPU.
+    """
+
+    folder: Path | None
+    summary: Mapping[str, Any]
+    rows: list[Mapping[str, float]] = dataclasses.field(repr=False)
+    policy: Policy = dataclasses.field(repr=False)
+
+    @classmethod
+    def of(cls, job: Job) -> TrainedRun:
+        """What a training that has been made has left."""
+        if job.folder is None:
+            return cls(None, job.summary, job.rows, job.policy)
+        policy = load_policy(job.folder, policy=job.settings.policy if is_code(job.settings.policy) else None)
+        return cls(job.folder, job.summary, read_metrics(job.folder), policy)
+
+    @property
+    def best_return(self) -> float | None:
+        """The best mean return of a deterministic evaluation; None: there was none."""
+        return self.summary["best_return"]
+
+    @property
+    def metrics(self) -> dict[str, np.ndarray]:
+        """The columns of ``metrics.csv``, float64 ``[iterations]`` each; NaN where an iteration has no such value."""
+        return {name: np.array([row.get(name, np.nan) for row in self.rows]) for name in self.rows[0]}
+
+
+@dataclasses.dataclass(frozen=True)
+class Playing:
+    """How the policy of a run is played; None: as the run says.
+
+    Attributes:
+        task, policy: code of the user's own that the run names, see :func:`warpvox.trust.allowed`.
+        stochastic: sample actions as in training, instead of taking their mean.
+    """
+
+    num_envs: int = 1
+    checkpoint: str = "best"
+    stochastic: bool = False
+    seed: int | None = None
+    device: str = "cpu"
+    dtype: str | None = None
+    arithmetic: str | None = None
+    threads: int | None = None
+    memory_check: bool = True
+    task: Any = None
+    policy: str | None = None
+
+
+def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
+    """Environments and policy of a run.
+
+    Args:
+        run: the run.
+        config: :class:`Playing`, or the keys of a command that has the same.
+        designs: bodies for a policy over many bodies; None: those held out, as many as there are environments.
+        every: of such a policy, all bodies, the same number of environments for each.
+
+    Raises:
+        RunError: no checkpoint, or one that does not fit. ConfigError, DeviceError: ``config`` asks too much, or the
+            run has a task of somebody's own that the user has not named.
+    """
+    if run.robot is not None:
+        return _load_robot(run.robot, config, run.folder)
+    device = resolve_device(config.device, config.num_envs)
+    path = run.find_checkpoint(config.checkpoint)
+    own = config.task if isinstance(config.task, TaskSpec) else None
+    stored = run.config if own is None else run.config | {"task": own.id}
+    trained = with_code(Training.of(stored), {"task": config.task, "policy": config.policy}, stored, run.folder)
+    trained = trained if own is None else dataclasses.replace(trained, task=own)
+    named = {name: value for name in ("dtype", "arithmetic", "seed") if (value := getattr(config, name)) is not None}
+    if "dtype" in named:
+        named = {"arithmetic": None} | named
+    trained = dataclasses.replace(trained, threads=config.threads, memory_check=config.memory_check, **named)
+    bodies = training_bodies(trained)
+    count, judged = config.num_envs, bodies.judged
+    if trained.is_many:
+        judged = judged if designs is None else read_bodies(designs, config.seed or 0, "designs")
+        if every:
+            count = len(judged) * max(1, count // len(judged))
+        judged = judged[:count]
+    elif designs is not None:
+        raise ConfigError(
+            "Other bodies go with a run over many of them (warpvox train designs=...); this one has its own."
+        )
+    sim = dataclasses.replace(sim_of(trained), device=device, lanes=bodies.lanes(trained, device), grid=bodies.grid)
+    options: dict[str, Any] = {"rules": trained.rules, "obs": trained.obs, "seed": trained.seed, "sim": sim}
+    env = make_vec(trained.task, judged, count, auto_reset=False, **options)
+    controller = load_controller(path, device, trained.policy)
+    controller.check(env)
+    return env, SampledController(controller, trained.seed) if config.stochastic else controller
+
+
+def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv, Any]:
+    """Environments and policy of a stored robot; exact, with the recorded seeds, unless asked otherwise."""
+    if config.stochastic:
+        raise ConfigError("stochastic=true goes with a run; a stored robot has no exploration to sample from.")
+    if robot.policy is None:
+        why = robot.about.get("no_policy", "there is a body alone.")
+        raise ConfigError(f"The robot has no policy: {why} play agent=sine task={robot.task} design=zoo:... moves it.")
+    task = config.task if isinstance(config.task, TaskSpec) else allowed("task", robot.task, config.task, file)
+    if isinstance(config.task, Code) and task not in task_ids():  # an entry for a task of the user's own has its id
+        task = config.task
+    robot = dataclasses.replace(robot, task=task)
+    count = config.num_envs if get_task(robot.task).is_random else 1  # all episodes would be the same
+    options = {
+        name: getattr(config, name) for name in ("dtype", "arithmetic", "seed") if getattr(config, name) is not None
+    }
+    if config.arithmetic == "fast":
+        options.setdefault("dtype", "float32")
+    options |= {"threads": config.threads, "memory_check": config.memory_check}
+    options |= {"device": resolve_device(config.device, count), "num_envs": count}
+    seeds = [*SEEDS[:count], *range(SEEDS[-1] + 1, SEEDS[-1] + 1 + count - len(SEEDS))]
+    return robot_env(robot, seeds, **options), robot.policy

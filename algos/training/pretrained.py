@@ -1,0 +1,125 @@
+"""The key ``pretrained``: a policy that was trained before, which another training or a design search begins with."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpvox.algos import checkpoints
+from warpvox.algos.training.settings import Training
+from warpvox.errors import ConfigError, RunError
+from warpvox.runs import CONFIG, TRAINING, ZOO, find_run
+
+if TYPE_CHECKING:
+    from warpvox.algos.checkpoints.files import PolicySpec
+
+__all__ = ["OBS_OF_VOXELS", "UNIVERSAL_FILE", "adopted", "check_learned", "find_pretrained", "kept_name", "observed_by"]
+
+OBS_OF_VOXELS = {"task": "voxel", "timed": "timed_voxel"}
+"""What a policy for voxels observes in place of what ``obs`` says."""
+UNIVERSAL = "universal"
+"""The policy that comes with warpvox, made by ``preset=universal_cpg``: for bodies up to 5x5 on Walker-v0."""
+UNIVERSAL_FILE = Path(checkpoints.__file__).with_name("data") / f"{UNIVERSAL}.pt"
+
+
+def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]:
+    """The file that ``pretrained`` names, and the configuration of its run; empty for a file by itself.
+
+    Raises:
+        RunError: no such run or file. ConfigError: a stored robot.
+    """
+    if source == UNIVERSAL:
+        return UNIVERSAL_FILE, {"method": "gradients"}
+    path = Path(source).expanduser()
+    if path.is_file() and not (path.parent / CONFIG).is_file():
+        return path, {}
+    if source.startswith(ZOO):
+        raise ConfigError(f"pretrained={source}: robots of the zoo are stored without what it takes to learn on.")
+    run = find_run(source, output_dir, TRAINING)
+    return run.find_checkpoint("best"), run.config
+
+
+def kept_name(source: str, file: Path) -> str:
+    """How a configuration names a policy, as the latest run is another one later."""
+    return source if source == UNIVERSAL else str(file.absolute())
+
+
+def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -> PolicySpec:
+    """The policy of a checkpoint, all of which is checked, if a training can go on from it.
+
+    Args:
+        content: of the checkpoint.
+        network: where the code of a network of the user's own is.
+
+    Raises:
+        RunError: it holds something else. ConfigError: it has no value function.
+    """
+    from warpvox.algos.checkpoints.files import checked_weights, load_controller
+
+    spec = load_controller(path, network=network).spec
+    if "critic_state_dict" not in content or "optimizer_state_dict" not in content:
+        raise ConfigError(f"{path} holds no value function to learn with: take a checkpoint of `warpvox train`.")
+    try:
+        checked_weights(content["critic_state_dict"])
+    except ValueError as error:
+        raise RunError(f"{path} holds a value function of another kind ({error}).") from None
+    return spec
+
+
+def observed_by(spec: Mapping[str, Any] | None) -> str:
+    """What a policy for voxels observes, by its ``PolicySpec`` if that is known."""
+    voxels = (spec or {}).get("voxels") or {}
+    return "timed_voxel" if voxels.get("layout", {}).get("timed") else "voxel"
+
+
+def adopted(config: Training, named: Collection[str]) -> tuple[Training, dict[str, Any]]:
+    """The configuration of a training that begins with the policy ``config.pretrained``, and this policy's checkpoint.
+
+    Network, observations and method are those of the policy. One that sees voxels keeps its grid, which other bodies
+    lie in.
+
+    Args:
+        named: keys that the user has given, which must agree with the policy.
+
+    Raises:
+        ConfigError: they do not. RunError: no such policy.
+    """
+    from warpvox.algos.checkpoints.files import load_checkpoint
+
+    path, run = find_pretrained(config.pretrained, config.output_dir)
+    content = load_checkpoint(path)
+    spec = check_learned(path, content, config.policy)
+    ppo = {"action_scale": spec.action_scale, "normalize_obs": spec.normalize_obs}
+    changes: dict[str, Any] = {"policy": "mlp", "network": None}
+    changes |= {key: run[key] for key in ("obs", "method") if key in run}
+    if spec.voxels is None:
+        ppo |= {"hidden": list(spec.hidden), "activation": spec.activation}
+    else:
+        name, settings = spec.voxels["network"], dict(spec.voxels["settings"])
+        changes |= {"policy": name, "network": settings or None, "obs": observed_by(content["policy"])}
+        changes["designs"] = _on_the_grid(config, spec.voxels["layout"])
+    known = changes | {f"ppo.{key}": value for key, value in ppo.items()}
+    known.pop("designs", None)
+    for key in [key for key in known if key in named]:
+        given = getattr(config.ppo, key[4:]) if key.startswith("ppo.") else getattr(config, key)
+        if given != known[key] and (key != "obs" or OBS_OF_VOXELS.get(given) != known[key]):
+            raise ConfigError(f"{key}={given} is not that of the policy in {path}: {key}={known[key]}.")
+    changes |= {"ppo": dataclasses.replace(config.ppo, **ppo), "pretrained": kept_name(config.pretrained, path)}
+    return dataclasses.replace(config, **changes), content
+
+
+def _on_the_grid(config: Training, layout: dict[str, Any]) -> Any:
+    """``designs`` of the policy's grid; a training for one body has it alone, and is judged by it."""
+    from warpvox.algos.training.bodies import load_bodies  # and torch with it, for which mistakes in keys do not wait
+
+    designs, grid = config.designs, [layout["rows"], layout["columns"]]
+    if designs.bodies is None:
+        bodies = load_bodies(config.design, config.seed)
+        if any(isinstance(body, dict) for body in bodies):
+            raise ConfigError("A policy that sees voxels controls one robot; this design has several.")
+        designs = dataclasses.replace(designs, bodies=[body.tolist() for body in bodies])
+    if designs.grid not in (None, grid):
+        raise ConfigError(f"designs.grid={designs.grid}: the grid of the pretrained policy is {grid}.")
+    return dataclasses.replace(designs, grid=grid)

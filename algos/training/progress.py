@@ -1,0 +1,173 @@
+"""What people see of a training: lines and a live line on a terminal, an element of a notebook."""
+
+from __future__ import annotations
+
+import html
+import math
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from warpvox.algos.training.held_out import HeldOut
+from warpvox.algos.training.job import Job, Listener
+from warpvox.io.console import duration, echo, figure, shell_argument, shown
+from warpvox.runs import STATE
+from warpvox.trust import again
+
+__all__ = ["Notebook", "Terminal", "listener"]
+
+QUIET_SECONDS = 10.0
+"""Without a terminal, seconds between lines (an evaluation prints one in any case)."""
+WIDE = 110
+"""Columns from which on there is room for a bar."""
+
+
+def listener() -> Listener:
+    """What shows a training where this process is: in a notebook or on a terminal."""
+    return Notebook() if "ipykernel" in sys.modules else Terminal()
+
+
+class Figures:
+    """The figures of a line, from row to row."""
+
+    exploring = last_eval = math.nan
+    diverged = 0
+
+    def text(self, row: Mapping[str, float]) -> str:
+        """The line for a row of ``metrics.csv``."""
+        if math.isfinite(row["return_mean"]):
+            self.exploring = row["return_mean"]
+        if math.isfinite(row["eval_return"]):
+            self.last_eval = row["eval_return"]
+        self.diverged += int(row["diverged"])
+        return (
+            f"{row['steps_per_second']:,.0f} steps/s  return {figure(self.exploring, 2)}"
+            f"  eval {figure(self.last_eval, 2)}  best {figure(row['best_return'], 2)}"
+            + (f"  unstable {row['unstable']:.0f}" if row["unstable"] else "")
+            + (f"  diverged {self.diverged} in all" if self.diverged else "")
+        )
+
+
+class Terminal(Listener):
+    """Shows iterations, speed, returns, time left: a live line on a terminal, else a line now and then."""
+
+    def __init__(self, console: Console | None = None) -> None:
+        super().__init__(console or Console())
+        self._bar: Progress | None = None
+
+    def begin(self, job: Job) -> None:
+        """Say what is trained and where, and begin the live line."""
+        echo(self.console, _announcement(job))
+        self.start(job.runner.schedule.total, job.runner.current_learning_iteration)
+
+    def start(self, total: int, done: int = 0) -> None:
+        """Begin the live line: iterations of the whole run, and those complete."""
+        self._total, self._start, self._figures = total, done, Figures()
+        self._began = self._printed = time.monotonic()
+        if self.console.is_terminal:
+            wide = self.console.width >= WIDE
+            self._bar = Progress(
+                TextColumn("{task.completed}/{task.total}"),
+                *([BarColumn(bar_width=16)] if wide else []),
+                TextColumn("{task.fields[figures]}"),
+                *([TimeElapsedColumn()] if wide else []),
+                TextColumn("left"),
+                TimeRemainingColumn(),
+                console=self.console,
+                refresh_per_second=4,
+            )
+            self._line = self._bar.add_task("", total=total, completed=done, figures="")
+            self._bar.start()
+
+    def __call__(self, row: Mapping[str, float]) -> None:
+        """Show a row of ``metrics.csv``."""
+        figures, done = self._figures.text(row), row["iteration"]
+        if self._bar is not None:
+            self._bar.update(self._line, completed=done, figures=figures)
+            return
+        now = time.monotonic()
+        if math.isfinite(row["eval_return"]) or now - self._printed >= QUIET_SECONDS or done == self._total:
+            self._printed = now
+            left = duration((now - self._began) / max(done - self._start, 1) * (self._total - done))
+            echo(self.console, f"iteration {done}/{self._total}  {figures}  left {left}")
+
+    def stop(self) -> None:
+        """End the live line."""
+        if self._bar is not None:
+            self._bar.stop()
+
+    def end(self, job: Job) -> None:
+        """Say how the run has ended and what one can do next."""
+        self.stop()
+        if job.summary:
+            echo(self.console, _conclusion(job, time.monotonic() - self._began))
+
+
+class Notebook(Listener):
+    """Shows the same in an element of a notebook that changes in place; it needs no widgets."""
+
+    def begin(self, job: Job) -> None:
+        """See :meth:`Terminal.begin`."""
+        from IPython.display import HTML, display  # what has started the notebook
+
+        self._html, self._figures, self._began = HTML, Figures(), time.monotonic()
+        self._total, self._said = job.runner.schedule.total, _announcement(job)
+        self._place: Any = display(HTML(""), display_id=True)
+        self._show(job.runner.current_learning_iteration, "")
+
+    def __call__(self, row: Mapping[str, float]) -> None:
+        """Show a row of ``metrics.csv``."""
+        self._show(int(row["iteration"]), self._figures.text(row))
+
+    def _show(self, done: int, line: str) -> None:
+        bar = f"<progress value={done} max={self._total}></progress> {done}/{self._total} {html.escape(line)}"
+        self._place.update(self._html(f"<pre>{html.escape(self._said)}</pre>{bar}"))
+
+    def end(self, job: Job) -> None:
+        """See :meth:`Terminal.end`."""
+        if job.summary:
+            text = f"{self._said}\n{_conclusion(job, time.monotonic() - self._began)}"
+            self._place.update(self._html(f"<pre>{html.escape(text)}</pre>"))
+
+
+def _announcement(job: Job) -> str:
+    config, runner = job.written, job.runner
+    done = runner.current_learning_iteration
+    verb = f"resuming after iteration {done}" if done else "training"
+    where = config.device if runner.group.size == 1 else f"{runner.group.size} processes, {config.device}"
+    lines = [f"{verb}: {config.task}, {config.num_envs} environments on {where}, rules {config.rules}"]
+    if isinstance(job.judge, HeldOut):
+        lines.append(f"evaluated on {job.judge.about}")
+    if config.pretrained is not None and not done:
+        lines.append(f"beginning with the policy {shown(Path(config.pretrained))}")
+    if job.folder is not None:
+        lines.append(f"run folder: {shown(job.folder)}")
+    if done and done == runner.schedule.total:
+        lines.append(
+            f"all {done} iterations are made, only the summary was missing; for more of them resume with"
+            f" max_iterations={2 * done}"
+        )
+    return "\n".join(lines)
+
+
+def _conclusion(job: Job, seconds: float) -> str:
+    runner, folder, status, best = job.runner, job.folder, job.summary["status"], job.summary["best_return"]
+    words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
+    if status != "done" and (folder is None or runner.saved_iteration != runner.current_learning_iteration):
+        words = status if folder is None else f"{status}, the state of iteration {runner.saved_iteration} is kept,"
+    text = f"{words} after {runner.steps:,} control steps in {seconds:.0f} s"
+    if best is not None:
+        text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
+    if folder is None:
+        return text
+    keys = again(job.settings)
+    if status == "done" and job.summary["command"] == "train":
+        text += f"\nlook at it: warpvox play {shell_argument('run', folder)}{keys} 'export=[gif,html]'"
+    if status != "done" and (folder / STATE).is_file():
+        text += f"\ngo on: warpvox train {shell_argument('resume', folder)}{keys}"
+    return text

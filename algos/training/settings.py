@@ -1,0 +1,177 @@
+"""Settings of a training of one policy; checked when they are made."""
+
+# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from warpvox.algos.physics import PhysicsConfig
+from warpvox.algos.settings import LOGGERS, REFRESH, Ppo
+from warpvox.errors import ConfigError
+from warpvox.keys import check_values, convert, key, plain
+from warpvox.types import Physics
+
+__all__ = ["ARITHMETICS", "DEVICES", "MOST_THREADS", "OBSERVATIONS", "Designs", "Training", "arithmetic_key"]
+
+OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
+MOST_THREADS = 1024
+"""More than any machine has cores; a stored file may not make a process start a million."""
+ARITHMETICS = ("fast", "exact")
+DEVICES = "auto (CUDA where there is a device, from 100 environments per CPU core on), cpu, cuda, cuda:<index>"
+
+
+def arithmetic_key(default: str) -> Any:
+    """The key ``arithmetic``; ``default``: what null stands for."""
+    return key(None, f"fast, or exact (float64, bit for bit as released); null: {default}", choices=ARITHMETICS)
+
+
+@dataclass
+class Designs:
+    """Keys ``designs.*``: many bodies for one policy. ``designs=...`` is short for ``designs.bodies=...``."""
+
+    bodies: Any = key(
+        None,
+        "bodies to train one policy on, instead of design: random:64, random:64:5x7, a folder of designs or of a"
+        " design search, or a list of designs",
+        path="read",
+    )
+    refresh: str = key(
+        "none",
+        "what replaces a body at the end of its episode: nothing (none), a new random body (new), any of the"
+        " bodies (random), or any of them, more often those on which the policy does worse (performance)",
+        choices=REFRESH,
+    )
+    held_out: Any = key(
+        None,
+        "bodies for evaluation only, never trained on, given as designs; null: 32 random ones of the same size, or the"
+        " bodies themselves where these are named",
+        path="read",
+    )
+    grid: list[int] | None = key(
+        None, "rows and columns that bodies have room for; null: those of the largest", low=1, form="[rows,columns]"
+    )
+
+
+@dataclass
+class Training:
+    """A training of one policy: the keys of ``warpvox train``, whose defaults are these.
+
+    Values may be numpy's, bodies arrays, parts mappings (``ppo={"steps": 64}``).
+
+    Raises:
+        ConfigError: a value that is not valid.
+    """
+
+    task: str = key(
+        "Walker-v0",
+        "task id (`warpvox tasks` lists them), or a task of your own: module:NAME or file.py:NAME",
+        path="read",
+    )
+    design: Any = key(
+        "walker",
+        "body: the name of an example, random, random:5x7, zoo:TASK, a .json/.npz/.npy file, or rows of cells;"
+        " for a task with several robots {name:body}",
+        path="read",
+    )
+    rules: str = key(
+        "evogym",
+        "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)",
+        choices=("evogym", "paper"),
+    )
+    policy: str = key(
+        "mlp",
+        "network of the policy: mlp (layers: ppo.hidden), grid, transformer or cpg (all observe voxels: obs=task"
+        " becomes voxel, timed becomes timed_voxel), or your own: module:Class, file.py:Class",
+        path="read",
+    )
+    network: Any = key(None, "settings of a network other than mlp, {width:32} for instance; null: its defaults")
+    obs: str = key(
+        "task",
+        "observations: as the task has (task), by cell (voxel), with the time (timed, timed_voxel)",
+        choices=OBSERVATIONS,
+    )
+    num_envs: int = key(512, "environments stepped in parallel", low=1)
+    max_iterations: int = key(400, "training iterations in total, including those before a resume", low=1)
+    eval_interval: int = key(10, "iterations between deterministic evaluations", low=1)
+    eval_envs: int = key(1, "evaluation environments for each design", low=1)
+    stop_return: float | None = key(None, "stop as soon as an evaluation reaches this return; null: never")
+    save_interval: int = key(50, "iterations between checkpoints", low=1)
+    seed: int = key(0, "seed of all random numbers", low=0)
+    device: str = key("auto", DEVICES)
+    dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
+    arithmetic: str | None = arithmetic_key("chosen by dtype")
+    threads: int | None = key(None, "CPU threads of the simulation; null: all cores", low=1, high=MOST_THREADS)
+    lanes: int | None = key(
+        None, "environments that a thread advances at once, in SIMD lanes; null: chosen by their number"
+    )
+    cuda_graph: bool = key(False, "on CUDA: launch each control step, with rewards and resets, as one CUDA graph")
+    logger: str = key(
+        "tensorboard",
+        "where metrics are logged besides metrics.csv: tensorboard; wandb or neptune, by rsl-rl's writers; or none",
+        choices=LOGGERS,
+    )
+    nan_guard: str = key(
+        "on",
+        "what happens when an environment diverges: its episode ends (on), and its last 64 steps are also written"
+        " to the folder dumps of the run (dump)",
+        choices=("on", "dump"),
+    )
+    torch_threads: int = key(
+        1, "PyTorch threads; more than 1 slow down small networks and change rounding", low=1, high=MOST_THREADS
+    )
+    memory_check: bool = key(True, "refuse, before allocating, what does not fit into free memory")
+    resume: str | None = key(None, "continue a run: latest, its folder, or a checkpoint file in it", path="read")
+    name: str | None = key(None, "appended to the name of the run's folder")
+    output_dir: str = key("outputs", "folder that runs are written to", path="written")
+    physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the physics")
+    ppo: Ppo = key(Ppo, "settings of PPO")
+    designs: Designs = key(Designs, "many bodies for one policy")
+    pretrained: str | None = key(
+        None,
+        "policy to begin with instead of a new one: universal (comes with warpvox: bodies up to 5x5, Walker-v0),"
+        " latest, the folder of a run of `warpvox train` or a checkpoint in it; network, observations and method are"
+        " its own",
+        path="read",
+    )
+    method: str = key(
+        "ppo",
+        "how the policy learns: ppo, or gradients through the physics (policy=cpg; of ppo.* only steps, epochs,"
+        " minibatches, learning_rate, schedule, max_grad_norm, adam_eps and action_scale count)",
+        choices=("ppo", "gradients"),
+    )
+
+    def __post_init__(self) -> None:
+        if isinstance(self.designs, str | list | tuple):
+            self.designs = Designs(self.designs)
+        if isinstance(self.physics, str):
+            self.physics = PhysicsConfig(self.physics)
+        elif isinstance(self.physics, Physics):
+            constants = dataclasses.asdict(self.physics)
+            self.physics = PhysicsConfig(constants.pop("name"), **constants)
+        convert(self, without=("task",))  # or a specification of a task
+        self.design, self.network = plain(self.design, "design"), plain(self.network, "network")
+        for name in ("bodies", "held_out"):
+            setattr(self.designs, name, plain(getattr(self.designs, name), f"designs.{name}"))
+        check_values(self)
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Training:
+        """The settings that the configuration of a run holds; other keys are left out.
+
+        Raises:
+            ConfigError: values that are not valid.
+        """
+        names = {item.name for item in dataclasses.fields(Training)}
+        try:
+            return Training(**{name: value for name, value in values.items() if name in names})
+        except ConfigError as error:
+            raise ConfigError(f"The stored configuration is not valid: {error}") from None
+
+    @property
+    def is_many(self) -> bool:
+        """Whether one policy is trained on many bodies."""
+        return self.designs.bodies is not None

@@ -1,0 +1,149 @@
+"""Design search from Python: from objects, with parts of one's own, and as the command makes it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from codesign_toys import ToyEvaluator, ToySearch
+
+import warpvox as wv
+from warpvox.algos.candidate import Outcome
+from warpvox.algos.codesign.archive import FILE, Archive
+from warpvox.algos.codesign.executors import LocalExecutor
+from warpvox.algos.codesign.loop import Listener, Loop
+
+SMALL = dict(shape=(3, 3), device="cpu", threads=1, progress=False)
+TRAINING = {"envs": 8, "iterations": 1, "eval_interval": 1, "ppo": {"steps": 4, "hidden": [8], "epochs": 1}}
+GA = dict(population=3, max_evaluations=5, survivor_rate=0.3)
+COMMAND = (
+    "shape=[3,3] device=cpu threads=1 search.population=3 search.max_evaluations=5 search.survivor_rate=0.3"
+    " training.envs=8 training.iterations=1 training.eval_interval=1 training.ppo.steps=4 training.ppo.hidden=[8]"
+    " training.ppo.epochs=1"
+).split()
+
+
+def digest(folder: Path) -> str:
+    with Archive.read(folder / FILE) as archive:
+        return archive.digest()
+
+
+class Ear(Listener):
+    """Hears what happens."""
+
+    def __init__(self) -> None:
+        self.heard: list[str] = []
+
+    def begun(self, run: Any) -> None:
+        self.heard.append(f"begun {run.total}")
+
+    def told(self, generation: int, fresh: bool) -> None:
+        self.heard.append(f"told {generation}")
+
+    def ended(self, summary: Mapping[str, Any]) -> None:
+        self.heard.append(f"ended {summary['status']}")
+
+
+@pytest.mark.usefixtures("narrow_packs")
+def test_objects_make_the_search_that_the_command_makes(
+    warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    torch.manual_seed(7)
+    state, threads, ear = torch.get_rng_state(), torch.get_num_threads(), Ear()
+    found = wv.codesign(
+        "Walker-v0", search=wv.GA(**GA), training=TRAINING, folder=None, listeners=[ear], seed=3, **SMALL
+    )
+    assert not list(tmp_path.iterdir())
+    assert torch.equal(torch.get_rng_state(), state)
+    assert torch.get_num_threads() == threads
+    assert ear.heard[0] == "begun 5"
+    assert ear.heard[-1] == "ended done"
+    assert len(found.designs) == 5
+    assert found.best.fitness == found.summary["best_fitness"] == found.curve["best"][-1]
+    env = wv.make_vec("Walker-v0", found.best.candidate.body, 2, device="cpu")
+    assert found.policy(env.reset()[0]).shape == (2, env.num_actions)
+    assert f"{found.best.fitness:.3f}" in found._repr_html_()
+    assert warpvox("codesign", "seed=3", *COMMAND).code == 0
+    (folder,) = Path("outputs/codesign/Walker-v0").iterdir()
+    assert digest(folder) == digest(found.folder)
+    again = wv.codesign(search=wv.GA(**GA), training=TRAINING, folder=folder, seed=3, **SMALL)  # nothing is left
+    assert (again.summary["evaluations"], digest(folder)) == (5, digest(found.folder))
+    with pytest.raises(wv.RunError, match="another value of 'seed'"):
+        wv.codesign(search=wv.GA(**GA), training=TRAINING, folder=folder, seed=4, **SMALL)
+
+
+class Judge(ToyEvaluator):
+    """An evaluation without policies."""
+
+    def evaluate(self, *given: Any) -> list[Outcome]:
+        return [dataclasses.replace(outcome, policy=None) for outcome in super().evaluate(*given)]
+
+
+def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
+    found = wv.codesign(search=ToySearch(), evaluation=Judge(), folder=tmp_path / "run", **SMALL)
+    assert len(found.designs) == found.summary["evaluations"] > 20
+    assert found.summary["search"] == "custom"
+    # the same by a loop of one's own
+    with Archive.create(tmp_path / FILE, {}) as archive:
+        Loop(ToySearch(), LocalExecutor(Judge()), archive, seed=0).run()
+        known = {record.id: record.fitness for record in archive.records()}
+    assert {record.id: known[record.id] for record in found.designs} == {one.id: one.fitness for one in found.designs}
+    for wrong, says in [
+        ({"evaluation": "specialst"}, "Did you mean 'specialist'"),
+        ({"evaluation": 3}, "an object with a method evaluate"),
+        ({"search": "gaa"}, "Did you mean 'ga'"),
+        ({"sead": 3}, "Did you mean 'seed'"),
+        ({"evaluation": {"name": "gaits", "round": 3}}, "Did you mean 'evaluation.rounds'"),
+        ({"training": {"iterations": "many"}}, "training.iterations must be an integer"),
+        ({"seed": -1}, "seed must be at least 0"),
+        ({"evaluation": wv.Shared(), "training": {**TRAINING, "inherit": True}}, "training.inherit does not go with"),
+    ]:
+        with pytest.raises(wv.ConfigError, match=says):
+            wv.codesign(**{**SMALL, **wrong})
+
+
+OWN = '''
+import numpy as np
+from warpvox.algos.candidate import Outcome
+
+class Actuators:
+    """Fitness is the number of actuators."""
+
+    def __init__(self, search, weight=1):
+        self.weight, self.task = weight, search.task
+
+    def evaluate(self, candidates, parents, report=None, checkpoint=None):
+        return [Outcome(float(self.weight * np.isin(one.body, (3, 4)).sum()), steps=1) for one in candidates]
+'''
+
+
+@pytest.mark.usefixtures("narrow_packs")
+def test_an_evaluation_in_a_file(warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(OWN)
+    words = ["evaluation=custom", "evaluation.make=mine.py:Actuators", "evaluation.settings={weight:2}"]
+    outcome = warpvox("codesign", *words, *COMMAND)
+    assert outcome.code == 0, outcome.err
+    (folder,) = Path("outputs/codesign/Walker-v0").iterdir()
+    with Archive.read(folder / FILE) as archive:
+        for record in archive.records():
+            assert record.fitness == 2 * np.isin(record.candidate.body, (3, 4)).sum()
+    (folder / "summary.json").unlink()
+    refused = warpvox("codesign", f"resume={folder}")
+    assert (refused.code, "imported only if you name it" in refused.err) == (2, True)
+    assert warpvox("codesign", f"resume={folder}", "evaluation.make=stored").code == 0
+    for wrong, says in [
+        ("evaluation.make=mine.py:Actuator", "Actuator"),
+        ("evaluation.make=null", "evaluation=custom needs evaluation.make"),
+        ("evaluation.settings={wait:2}", "does not take these settings"),
+    ]:
+        keys = wrong.split("=")[0]
+        outcome = warpvox("codesign", *(word for word in words if not word.startswith(keys)), wrong, *COMMAND)
+        assert outcome.code == 2
+        assert says in " ".join(outcome.err.split())

@@ -1,0 +1,339 @@
+"""Design searches whose designs one policy compares, and policies for voxels, from end to end."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from warpvox.algos.candidate import FINALIST, START
+from warpvox.algos.codesign.archive import FILE, Archive, Record
+from warpvox.algos.codesign.evaluations import Shared
+from warpvox.algos.codesign.robots import read_start
+from warpvox.algos.codesign.run import check, environments
+from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.training.bodies import draw_bodies
+from warpvox.cli.config import load
+from warpvox.design import load_design, save_design
+from warpvox.envs import registry
+from warpvox.errors import ConfigError
+from warpvox.robots import read_robot
+from warpvox.system import processor_name
+
+pytestmark = pytest.mark.usefixtures("narrow_packs")
+TINY = (
+    "shape=[3,3] search.population=3 search.max_evaluations=5 search.survivor_rate=0.3 training.envs=8"
+    " training.iterations=1 training.eval_interval=1 training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1"
+    " device=cpu threads=1"
+).split()
+OF = {
+    "specialist": [],
+    "gaits": ["evaluation.finalists=2"],
+    "shared": ["evaluation.finalists=2", "evaluation.envs=8", "evaluation.iterations=1"],
+}
+ROUNDING = 1e-6
+ROUNDS = "evaluation.final_passes=0"
+"""Finalists of evaluation=gaits have rounds alone."""
+TRAINED = "designs=random:4:3x3", "policy=grid", "num_envs=8", "max_iterations=2", "network={width:8}", "lanes=8"
+
+
+def tiny(*words: str) -> list[str]:
+    """Words of a small search, those given last."""
+    given = dict(word.split("=", 1) for word in words)
+    usual = "shared" if "preset" in given else given.get("evaluation", "specialist").replace("few_shot", "shared")
+    return [*(word for word in [*TINY, *OF[usual]] if word.split("=")[0] not in given), *words]
+
+
+def search(warpvox: Callable, *words: str) -> Path:
+    outcome = warpvox("codesign", *tiny(*words))
+    assert outcome.code == 0, outcome.err
+    assert "generation 0: 3 designs to evaluate" in outcome.out
+    return max(Path("outputs/codesign/Walker-v0").iterdir())
+
+
+def settings(*words: str) -> Codesign:
+    return Codesign.of(vars(load("codesign", list(words))))
+
+
+def records_of(folder: Path) -> list[Record]:
+    with Archive.read(folder / FILE) as archive:
+        return archive.records()
+
+
+def summary(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+
+
+def played(warpvox: Callable, run: Path | str, episodes: int = 2) -> float:
+    """The mean return of a design's policy."""
+    before = set(Path("outputs").glob("play/*/*"))
+    outcome = warpvox("play", f"run={run}", f"num_envs={episodes}", "export=[]", "device=cpu")
+    assert outcome.code == 0, outcome.err
+    (folder,) = set(Path("outputs").glob("play/*/*")) - before
+    return summary(folder)["mean_return"]
+
+
+def test_a_search_by_one_shared_policy(warpvox: Callable) -> None:
+    folder = search(warpvox, "evaluation=shared", "evaluation.ppo={epochs:2}")
+    records = records_of(folder)
+    screened, finals = records[:5], records[5:]
+    assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
+    figures = summary(folder)
+    best = max(finals, key=lambda record: record.fitness)
+    assert (figures["best_design"], figures["best_fitness"]) == (best.id, best.fitness)
+    assert figures["screened_fitness"] == max(record.fitness for record in screened)
+    assert figures["steps"] == sum(record.steps for record in records)
+    assert all(record.steps == 8 * 4 for record in finals)
+    assert all(record.steps > 8 * 4 for record in screened)  # with their evaluations
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    assert (config["evaluation"]["ppo"]["epochs"], config["evaluation"]["ppo"]["steps"]) == (2, 4)
+    assert "policy of its own" in (folder / "report.html").read_text(encoding="utf-8")
+    # playing finds both kinds of fitness again
+    assert played(warpvox, folder) == pytest.approx(best.fitness, abs=ROUNDING)
+    one = max(screened, key=lambda record: abs(record.fitness))
+    assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
+    # and a search that is done stays so
+    outcome = warpvox("codesign", f"resume={folder}")
+    assert outcome.code == 0
+    assert "nothing is left to do" in outcome.out
+
+
+def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -> None:
+    run = train(*TRAINED, "designs.held_out=random:2:3x3", "obs=timed")
+    assert yaml.safe_load((run / "config.yaml").read_text())["obs"] == "timed_voxel"
+    words = "evaluation=few_shot", "evaluation.pretrained=latest", "evaluation.iterations=0"
+    folder = search(warpvox, *words, "search.max_evaluations=3")
+    assert summary(folder)["pretraining_steps"] == 2 * 8 * 4
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    assert Path(config["evaluation"]["pretrained"]) == (run / "model_best.pt").absolute()
+    assert config["evaluation"]["network"] == {"width": 8}
+    (run / "model_best.pt").unlink()  # the search has a copy
+    (folder / "summary.json").unlink()
+    assert warpvox("codesign", f"resume={folder}").code == 0
+    screened = records_of(folder)[:3]
+    one = max(screened, key=lambda record: abs(record.fitness))
+    assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
+
+
+def test_a_search_that_tunes_by_gradients(warpvox: Callable, train: Callable) -> None:
+    network = "network={width:8,heads:2,layers:1}"
+    how = (
+        "policy=cpg",
+        "method=gradients",
+        "obs=timed",
+        network,
+        "ppo.steps=4",
+        "ppo.epochs=1",
+        "designs.held_out=random:2:3x3",
+    )
+    train(*(word for word in TRAINED if not word.startswith(("policy", "network"))), *how)
+    words = (
+        "preset=universal_cpg",
+        "evaluation.pretrained=latest",
+        "evaluation.iterations=2",
+        "evaluation.ppo={steps:4}",
+        "evaluation.envs=1",
+    )
+    folder = search(warpvox, *words)
+    one = max(records_of(folder)[:5], key=lambda record: abs(record.fitness))
+    assert 2 * 4 < one.steps <= 2 * 4 + 500
+    assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
+    # on CUDA another layout would be chosen, through which gradients do not go
+    job = Codesign(evaluation="shared")
+    assert Shared(policy="cpg").factory(job).sim.layout == "lanes"
+    assert Shared().factory(job).sim.layout is None
+    refused = warpvox("codesign", *tiny("evaluation=shared", "evaluation.policy=cpg", "task=AreaMaximizer-v0"))
+    assert refused.code == 2
+    assert "those of AreaMaximizer-v0 are made of hull_area, too" in refused.err
+
+
+def test_a_search_by_gaits(warpvox: Callable) -> None:
+    folder = search(
+        warpvox, "evaluation=gaits", "evaluation.gaits=8", "evaluation.rounds=1", ROUNDS, "evaluation.final_rounds=2"
+    )
+    records, figures = records_of(folder), summary(folder)
+    assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
+    assert figures["screened_fitness"] == max(record.fitness for record in records[:5])
+    for record in records[5:]:
+        (parent,) = record.candidate.parents
+        assert record.fitness >= records[parent].fitness  # its gait is the first that is tried
+        assert record.steps == 2 * 8 * 50 + 8 * 4
+    # both kinds of policies are played
+    for record in records[0], max(records[5:], key=lambda one: one.fitness):
+        assert played(warpvox, folder / "designs" / str(record.id)) == pytest.approx(record.fitness, abs=ROUNDING)
+    outcome = warpvox("play", f"run={folder}/designs/0", "stochastic=true", "export=[]", "device=cpu")
+    assert "open-loop gait" in outcome.err
+    assert warpvox("export", f"run={folder}/designs/0", "format=[jit]").code == 0
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        f"evaluation=gaits evaluation.gaits=4 evaluation.rounds=2 evaluation.final_rounds=1 {ROUNDS}",
+        "evaluation=shared evaluation.eval_envs=3 training.eval_envs=2",
+    ],
+)
+def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(
+    warpvox: Callable, monkeypatch: pytest.MonkeyPatch, words: str
+) -> None:
+    short = dataclasses.replace(registry.get_task("BidirectionalWalker-v0"), max_episode_steps=50)
+    monkeypatch.setitem(registry._TASKS, short.id, short)
+    outcome = warpvox("codesign", *tiny("task=BidirectionalWalker-v0", "seed=3", *words.split()))
+    assert outcome.code == 0, outcome.err
+    (folder,) = Path("outputs/codesign/BidirectionalWalker-v0").iterdir()
+    for record in records_of(folder)[1::5]:  # one that is compared, one that is trained
+        run = folder / "designs" / str(record.id)
+        config = yaml.safe_load((run / "config.yaml").read_text())
+        assert config["seed"] == 3
+        again = played(warpvox, run, config["eval_envs"])
+        assert again == pytest.approx(record.fitness, abs=ROUNDING)
+
+
+def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
+    gaits = (
+        "evaluation=gaits",
+        "evaluation.gaits=8",
+        "evaluation.rounds=1",
+        "evaluation.final_rounds=2",
+        "dtype=float64",
+    )
+    first = search(warpvox, *gaits, ROUNDS)
+    assert warpvox("zoo", f"add={first}", "folder=mine").code == 0
+    file = Path("mine/Walker-v0.npz")
+    robot = read_robot(file)
+    passes = "evaluation.passes=1", "evaluation.beam=8", "evaluation.final_passes=1", "evaluation.final_beam=16"
+    folder = search(warpvox, *gaits, *passes, f"start=[zoo:{file}]", "evaluation.stages=6", "seed=1", "name=on")
+    records = records_of(folder)
+    assert [record.candidate.origin for record in records[:3]] == [START, "random", "random"]
+    assert (records[0].candidate.body == robot.body).all()
+    assert records[0].fitness >= robot.mean_return - ROUNDING
+    file.unlink()  # the search has a copy
+    (folder / "summary.json").unlink()
+    assert warpvox("codesign", f"resume={folder}").code == 0
+    assert warpvox("zoo", f"add={folder}", "folder=mine").code == 0
+    better = read_robot(file)
+    assert better.mean_return >= robot.mean_return
+    (known,) = better.about["start"]
+    assert (known["sha256"], known["return"]) == (robot.sha256, robot.mean_return)
+    assert (better.about["processor"], known["processor"]) == (processor_name(), robot.about["processor"])
+    assert better.about["control_steps"] == summary(folder)["steps"] + robot.about["control_steps"]
+    # a design of a search, which need not be its best
+    words = f"start=[{folder}/designs/{records[1].id},{first}]", "evaluation.stages=6", "search.max_evaluations=3"
+    again = search(warpvox, *gaits, ROUNDS, *words, "name=again")
+    known = records_of(again)[:2]
+    assert [record.candidate.origin for record in known] == [START] * 2
+    assert (known[0].candidate.body == records[1].candidate.body).all()
+    assert known[0].fitness >= records[1].fitness - ROUNDING
+    assert (known[1].candidate.body == robot.body).all()
+    assert "no design yet" not in warpvox("zoo", f"add={again}/designs/0", "folder=other").err
+    assert (read_robot(Path("other/Walker-v0.npz")).body == known[0].candidate.body).all()
+    # with trainings a body is one like any other
+    folder = search(warpvox, f"start=[zoo:{file}]", "search.max_evaluations=3", "name=trained")
+    assert records_of(folder)[0].candidate.origin == START
+    for words, says in [
+        (["shape=[3,4]"], "shape [3, 3]: expected [3, 4]"),
+        (["evaluation=gaits", "evaluation.rounds=0"], "evaluation.passes and evaluation.rounds are both 0"),
+        (
+            ["evaluation=gaits", "evaluation.final_rounds=0", "evaluation.final_passes=0"],
+            "evaluation.final_passes and evaluation.final_rounds are both 0",
+        ),
+        (["search=cppn_neat"], "makes all bodies itself"),
+    ]:
+        shape = [] if words[0].startswith("shape") else ["shape=[3,3]"]
+        outcome = warpvox("codesign", f"start=[zoo:{file}]", "threads=1", *shape, *words)
+        assert outcome.code == 2
+        assert says in " ".join(outcome.err.split())
+
+
+def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path) -> None:
+    folder = search(warpvox, "start=[random:3:3x3]", "search.max_evaluations=3", "seed=5")
+    records = records_of(folder)
+    drawn = draw_bodies(3, (3, 3), np.random.default_rng(5))  # as for `warpvox evaluate designs=random:3:3x3 seed=5`
+    assert [record.candidate.origin for record in records] == [START] * 3
+    assert all(np.array_equal(record.candidate.body, body) for record, body in zip(records, drawn, strict=True))
+    for number, body in enumerate(drawn[::-1]):
+        save_design(tmp_path / "robots" / f"{number}.json", body)
+    bodies = [robot.body for robot in read_start(settings(f"start=[{tmp_path / 'robots'},walker]"))]
+    assert all(np.array_equal(*pair) for pair in zip(bodies, [*drawn[::-1], load_design("walker")], strict=True))
+    outcome = warpvox("codesign", "start=[random:4]", "search.population=3", "threads=1")
+    assert (outcome.code, "start has 4 robots, the first generation 3 designs" in outcome.err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("words", "count"),
+    [
+        ("", 3 * 8),
+        ("evaluation=shared evaluation.envs=16", 3 * 16),
+        ("evaluation=gaits evaluation.gaits=7 evaluation.final_passes=0", 3 * 7),
+        (
+            "evaluation=gaits evaluation.gaits=7 task=Catcher-v0 evaluation.final_passes=0",
+            3 * 7 * 4,
+        ),  # a random task: four episodes of each gait
+        ("evaluation=gaits evaluation.gaits=9 evaluation.finalists=6 evaluation.final_passes=0", 6 * 9),
+        (
+            "evaluation=gaits evaluation.gaits=9 evaluation.finalists=6 batch=2 evaluation.final_passes=0",
+            2 * 9,
+        ),
+        (
+            "evaluation=gaits evaluation.gaits=7 evaluation.passes=1 evaluation.beam=20 evaluation.final_passes=0",
+            3 * 20,
+        ),
+        ("evaluation=gaits evaluation.final_passes=1 evaluation.final_beam=30 evaluation.finalists=2", 2 * 30),
+    ],
+)
+def test_environments_that_are_stepped_together(words: str, count: int) -> None:
+    assert environments(settings(*tiny(*words.split()))) == count
+
+
+@pytest.mark.slow
+def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
+    words = "policy=grid", "network={width:8}", "training.method=sequential", "training.inherit=true"
+    folder = search(warpvox, *words, "search.max_evaluations=3")
+    with Archive.read(folder / FILE) as archive:
+        best = archive.best()[0]
+    assert played(warpvox, folder) == pytest.approx(best.fitness, abs=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("policy=grid", "policy=grid needs training.method=sequential"),
+        ("network={width:8}", "mlp has training.ppo.hidden"),
+        ("policy=grd training.method=sequential", "Did you mean 'grid'"),
+        ("policy=grid network={widht:8} training.method=sequential", "Did you mean 'width'"),
+        ("evaluation=few_shot", "evaluation=few_shot needs evaluation.pretrained"),
+        ("evaluation.pretrained=latest", "Unknown key 'evaluation.pretrained'"),
+        ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
+        ("evaluation=gaits training.inherit=true", "training.inherit does not go with evaluation=gaits"),
+        ("evaluation=gaits evaluation.pretrained=latest", "Unknown key 'evaluation.pretrained'"),
+        ("evaluation=shared executor=ray", "one policy that learns in one process"),
+        ("evaluation=shared batch=2", "leave batch away"),
+        ("evaluation=shared evaluation.policy=mlp", "evaluation.policy must see voxels"),
+        ("evaluation=shared evaluation.ppo={epoch:2}", "Did you mean 'epochs'"),
+        ("evaluation=shared evaluation.ppo={epochs:two}", "epochs must be like 8, got 'two'"),
+        ("evaluation=shared evaluation.ppo={epochs:0}", r"evaluation\.ppo\.epochs"),
+        ("evaluation=shared training=paper", "cannot decay linearly"),
+        ("evaluation=shared evaluation.iterations=0", "evaluation.iterations must be at least 1"),
+    ],
+)
+def test_keys_that_do_not_go_together_are_refused(words: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        check(settings("shape=[3,3]", "threads=1", *words.split()))
+
+
+@pytest.mark.slow
+def test_a_pretrained_policy_that_does_not_fit_is_refused(warpvox: Callable, train: Callable) -> None:
+    train(*TRAINED, "designs.held_out=random:2:3x3")
+    words = [word for word in TINY if not word.startswith("shape")]
+    outcome = warpvox("codesign", *words, "shape=[4,3]", "evaluation=few_shot", "evaluation.pretrained=latest")
+    assert outcome.code == 2
+    assert "for bodies of 3x3" in outcome.err
+    train("max_iterations=1", "seed=1", "name=mlp")
+    outcome = warpvox("codesign", *words, "shape=[3,3]", "evaluation=few_shot", "evaluation.pretrained=latest")
+    assert "one that sees voxels" in outcome.err
+    assert not Path("outputs/codesign").exists()

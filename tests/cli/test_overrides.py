@@ -1,0 +1,164 @@
+"""What is typed reaches the configuration: paths of any letters, single values where lists are expected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from warpvox.cli.config import load, to_yaml
+from warpvox.cli.overrides import expand, read_overrides
+from warpvox.errors import ConfigError
+
+ODD = ["läufe (1)", "a=b", "~x", "it's", 'a"b,c', "[a]", "日本#;&!", "-a\\b", "$a", "007"]
+"""Names of folders that the grammar of Hydra refuses, or reads as something else."""
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_every_command_takes_odd_paths(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(name).mkdir()
+    (Path(name) / "body.json").touch()
+    (Path(name) / "t.py").touch()
+    assert load("play", [f"run={name}", f"output_dir={name}"]).run == name
+    assert load("train", [f"design={name}/body.json", f"task={name}/t.py:T"]).design == f"{name}/body.json"
+    if name[0] != "[":  # of a list
+        several = "," not in name
+        config = load("curves", [f"file={name}/x.png", f"runs=[{name},latest]" if several else f"runs={name}"])
+        assert (config.file, config.runs) == (f"{name}/x.png", [name, "latest"] if several else [name])
+
+
+def test_the_home_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    config = load("play", ["run=~/a", "output_dir=~"])
+    assert (config.run, config.output_dir) == (f"{tmp_path}/a", str(tmp_path))
+    assert load("curves", ["runs=[~/a,b]"]).runs == [f"{tmp_path}/a", "b"]
+
+
+def test_sweeps() -> None:
+    assert expand(read_overrides("train", ["seed=1,2", "task=Walker-v0", "num_envs=choice(4,8)"], True)) == [
+        ["seed=1", "task=Walker-v0", "num_envs=4"],
+        ["seed=1", "task=Walker-v0", "num_envs=8"],
+        ["seed=2", "task=Walker-v0", "num_envs=4"],
+        ["seed=2", "task=Walker-v0", "num_envs=8"],
+    ]
+    assert len(expand(read_overrides("train", ["seed=range(5)"], True))) == 5
+    for words, runs in (("run=a(1),ü", ["a(1)", "ü"]), ("run=choice(a,b)", ["a", "b"]), ("run='a,b'", ["a,b"])):
+        assert [load("play", run).run for run in expand(read_overrides("play", [words], True))] == runs
+    assert [load("train", run).preset for run in expand(read_overrides("train", ["preset=paper,universal"], True))] == [
+        "paper",
+        "universal",
+    ]
+    with pytest.raises(ConfigError, match="add --multirun"):
+        read_overrides("train", ["task=Walker-v0,Climber-v0"])
+
+
+def test_lists_are_values_not_sweeps() -> None:
+    words = ["design=[[3,3],[4,4]]", "ppo.hidden=[32,16]"]
+    assert expand(read_overrides("train", words)) == [words]
+    assert load("train", words).ppo.hidden == [32, 16]
+
+
+@pytest.mark.parametrize(
+    ("command", "word", "name", "value"),
+    [
+        ("play", "export=gif", "export", ["gif"]),
+        ("curves", "runs=latest", "runs", ["latest"]),
+        ("codesign", "export=csv", "export", ["csv"]),
+        ("train", "ppo.hidden=64", "ppo.hidden", [64]),
+        ("codesign", "training.rungs=0.5", "training.rungs", [0.5]),
+        ("bench", "tasks=Walker-v0", "tasks", ["Walker-v0"]),
+        ("train", "name=007", "name", "007"),
+        ("train", "name=1e3", "name", "1e3"),
+        ("play", "checkpoint=50", "checkpoint", "50"),
+    ],
+)
+def test_single_values_and_numbers_as_text(command: str, word: str, name: str, value: Any) -> None:
+    config = load(command, [word])
+    for part in name.split("."):
+        config = getattr(config, part)
+    assert config == value
+
+
+def test_a_sweep_of_single_values_where_lists_are_expected() -> None:
+    runs = expand(read_overrides("play", ["export=gif,usd"], True))
+    assert [load("play", words).export for words in runs] == [["gif"], ["usd"]]
+
+
+def test_texts_of_other_scripts_are_judged_by_their_content() -> None:
+    with pytest.raises(ConfigError, match="rules must be one of evogym, paper"):
+        load("train", ["rules=pàper"])
+
+
+# ------------------------------------------------------------------------------------------------ config=FILE
+
+
+def test_a_stored_configuration_runs_again(tmp_path: Path) -> None:
+    first = load("train", ["ppo=evogym", "seed=3", "design=[[3,3],[4,4]]", "physics.gravity=80", "name=x"])
+    file = tmp_path / "config (1).yaml"
+    file.write_text(to_yaml(first) + "...\n")
+    assert load("train", [f"config={file}"]) == first
+    again = load("train", ["seed=4", f"config={file}", "ppo.gamma=0.5"])
+    assert (again.seed, again.ppo.gamma, again.num_envs, again.physics.gravity) == (4, 0.5, 4, 80.0)
+    other = load("train", [f"config={file}", "ppo=parallel", "num_envs=16"])
+    assert (other.ppo, other.num_envs, other.seed) == (load("train", []).ppo, 16, 3)
+    assert load("train", [f"config={file}", "ppo=parallel"]).num_envs == 4  # of the file: the group has its default
+    mappings = ["network={width:8}", "evaluation.network={width:16}", "evaluation.ppo={epochs:2}"]
+    search = load("codesign", ["search=map_elites", "search.bins=3", "evaluation=shared", *mappings])
+    file.write_text(to_yaml(search))
+    assert load("codesign", [f"config={file}"]) == search
+
+
+def test_a_few_keys_in_a_file(tmp_path: Path) -> None:
+    (tmp_path / "few.yaml").write_text("seed: 9\nppo:\n  gamma: 0.5\n")
+    config = load("train", [f"config={tmp_path / 'few.yaml'}"])
+    assert (config.seed, config.ppo.gamma, config.ppo.steps) == (9, 0.5, load("train", []).ppo.steps)
+
+
+@pytest.mark.parametrize(
+    ("text", "phrase"),
+    [
+        ("sede: 1\n", "Unknown key 'sede'. Did you mean 'seed'?"),
+        ("ppo:\n  gama: 1\n", "'ppo.gama'"),
+        ("seed: abc\n", "seed"),
+        ("num_envs: 0\n", "at least 1"),
+        ("- 1\n", "holds no KEY: VALUE"),
+        ("task: !!python/name:os.system\n", "could not determine a constructor"),
+        ("search: {algorithm: ga}\n", "Unknown key 'search.algorithm'"),
+    ],
+)
+def test_files_that_do_not_fit(text: str, phrase: str, tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load("train", [f"config={tmp_path / 'c.yaml'}"])
+    assert phrase in str(caught.value)
+
+
+def test_a_file_and_a_preset_are_two_beginnings(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text("seed: 1\n")
+    with pytest.raises(ConfigError, match="give one of them"):
+        load("train", [f"config={tmp_path / 'c.yaml'}", "preset=paper"])
+
+
+def test_no_such_file() -> None:
+    with pytest.raises(ConfigError, match=r"config must be a YAML file or the folder of a run; nowhere\.yaml"):
+        load("train", ["config=nowhere.yaml"])
+
+
+# ----------------------------------------------------------------------------------------------- --config-dir
+
+
+@pytest.mark.parametrize("text", ["gamma: 0.5\n", "# @package _global_\nppo:\n  gamma: 0.5\nnum_envs: 8\n"])
+def test_a_file_of_ones_own_needs_no_more_than_what_it_changes(text: str, tmp_path: Path, warpvox: Callable) -> None:
+    folder = tmp_path / "my configs (ü)"
+    (folder / "ppo").mkdir(parents=True)
+    (folder / "ppo" / "mine.yaml").write_text(text)
+    config, default = load("train", ["ppo=mine"], folder), load("train", [])
+    assert (config.ppo.gamma, config.ppo.steps) == (0.5, default.ppo.steps)
+    assert config.num_envs == (8 if "num_envs" in text else default.num_envs)
+    outcome = warpvox("train", "--config-dir", str(folder), "ppo=mine", "--cfg", "job")
+    assert outcome.code == 0, outcome.err
+    assert yaml.safe_load(outcome.out)["ppo"]["gamma"] == 0.5

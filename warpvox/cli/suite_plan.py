@@ -1,0 +1,189 @@
+"""The members of a suite from its keys: tasks x searches x seeds, each with the settings of its design search."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.suite.members import Member
+from warpvox.checks import check_integer, check_shape, is_integer
+from warpvox.cli.config import load
+from warpvox.cli.help import options_of
+from warpvox.cli.suite_words import by_key
+from warpvox.configs.composition import quoted
+from warpvox.configs.paper import shape_of
+from warpvox.configs.suite_keys import SuiteConfig
+from warpvox.envs.registry import get_task, task_ids
+from warpvox.envs.spec import TaskSpec
+from warpvox.errors import ConfigError, did_you_mean, listing
+
+__all__ = ["BENCHMARK10", "plan", "seeds_of", "task_names"]
+
+BENCHMARK10 = (
+    "Walker-v0",
+    "BridgeWalker-v0",
+    "UpStepper-v0",
+    "Traverser-v0",
+    "Climber-v0",
+    "Carrier-v0",
+    "Thrower-v0",
+    "Catcher-v0",
+    "Lifter-v0",
+    "BeamSlider-v0",
+)
+"""The tasks of the paper's main comparison (section B)."""
+NAMED = {"all": task_ids, "benchmark10": lambda: BENCHMARK10}
+DIFFICULTIES, DEFAULT = ("easy", "medium", "hard"), "default"
+OF_SUITES = (
+    "task", "seed", "search", "device", "threads", "executor", "address", "workers", "resume", "report", "name",
+    "config", "shape", "output_dir", "preset", "export",
+)  # fmt: skip
+"""Keys of a design search that a suite has, too, or sets for each search."""
+
+
+def plan(config: SuiteConfig, config_dir: Path | None = None) -> list[Member]:
+    """All members, first those of the first seed, so that every task has a first result soon.
+
+    Args:
+        config_dir: the user's folder of YAML files, which may hold searches.
+
+    Raises:
+        WarpvoxError: a task, search, seed or budget that does not exist or does not go with the others.
+    """
+    tasks, seeds, searches = _tasks(config.tasks), seeds_of(config.seeds), _searches(config, config_dir)
+    members = []
+    for seed, (task, spec), (search, settings) in itertools.product(seeds, tasks.items(), searches.items()):
+        shape = _of_task("shape", config.shape, spec)
+        shape = shape_of(spec.id) if shape is None else list(check_shape("shape", shape))
+        settings = dataclasses.replace(settings, task=task, shape=shape, seed=seed)
+        budget = dataclasses.replace(settings.search, max_evaluations=_evaluations(config, spec, settings))
+        members.append(Member(spec.id, search, seed, dataclasses.replace(settings, search=budget)))
+    return members
+
+
+def task_names(names: list[str]) -> list[str]:
+    """The tasks that ``tasks`` stands for, each once.
+
+    Raises:
+        ConfigError: none at all, or a misspelt name of several.
+    """
+    chosen = list(dict.fromkeys(task for name in names for task in (NAMED[name]() if name in NAMED else [name])))
+    for name in chosen:
+        if hint := did_you_mean(name, NAMED):
+            raise ConfigError(f"tasks must be {listing(NAMED)}, or a list of task ids; got '{name}'.{hint}")
+    if not chosen:
+        raise ConfigError(f"tasks must be {listing(NAMED)}, or a list of task ids; got [].")
+    return chosen
+
+
+def _tasks(names: list[str]) -> dict[str, TaskSpec]:
+    """The tasks by the names that they are given by.
+
+    Raises:
+        TaskError, ConfigError: a task that does not exist, or two with one id.
+    """
+    tasks = {name: get_task(name) for name in task_names(names)}
+    ids = [spec.id for spec in tasks.values()]
+    twice = next((name for name in ids if ids.count(name) > 1), None)
+    if twice:
+        raise ConfigError(f"tasks names {twice} more than once.")
+    return tasks
+
+
+def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesign]:
+    """The settings of each search, by its name: those of its file with what the suite says instead.
+
+    Raises:
+        ConfigError: a search that does not exist, or a key that none of them has.
+    """
+    known = options_of("search", config_dir)
+    if not config.searches:
+        raise ConfigError(f"searches must name one search or more of {listing(known)}, got [].")
+    for name in config.searches:
+        if name not in known:
+            raise ConfigError(f"searches must be of {listing(known)}; got '{name}'.{did_you_mean(name, known)}")
+    words = by_key(config.codesign)
+    for key in words:
+        if key.split("/")[0] in OF_SUITES:
+            hint = did_you_mean(key, SuiteConfig.__dataclass_fields__)
+            raise ConfigError(f"{key} is set by the suite for each search.{hint}")
+    groups = [word for key, word in words.items() if "." not in key]
+    found, taken = {}, set()
+    for name in dict.fromkeys(config.searches):
+        base = [f"search={name}", f"device={config.device}", f"output_dir={quoted(config.output_dir)}"]
+        plain = load("codesign", [*base, *groups], config_dir)
+        own = [key for key in words if "." in key and _has(plain, key)]
+        taken |= {*own}
+        found[name] = Codesign.of(vars(load("codesign", [*base, *groups, *(words[key] for key in own)], config_dir)))
+    for key in words:
+        if "." in key and key not in taken:
+            load("codesign", [f"search={name}", *groups, words[key]], config_dir)  # which says what is wrong
+    return found
+
+
+def _has(config: Any, key: str) -> bool:
+    """Whether a configuration has a dotted key."""
+    for name in key.split("."):
+        if not hasattr(config, name):
+            return False
+        config = getattr(config, name)
+    return True
+
+
+def seeds_of(value: Any) -> list[int]:
+    """The seeds that ``seeds`` stands for, each once: a list, or how many there are.
+
+    Raises:
+        ConfigError: neither.
+    """
+    if is_integer(value):
+        return list(range(check_integer("seeds", value, 1)))
+    if not isinstance(value, list) or not value:
+        raise ConfigError(f"seeds must be how many there are, or a list such as [0,1,2]; got {value!r}.")
+    return list(dict.fromkeys(check_integer("seeds", seed, 0) for seed in value))
+
+
+# ------------------------------------------------------------------------------------------------------- budgets
+
+
+def _of_task(key: str, value: Any, task: TaskSpec) -> Any:
+    """What a value that may be given by task is for ``task``.
+
+    Raises:
+        ConfigError: it names a task that there is not, or says nothing of this one.
+    """
+    if not isinstance(value, Mapping):
+        return value
+    names = (*DIFFICULTIES, DEFAULT, *task_ids())
+    for name in value:
+        if name not in names and name != task.id:
+            raise ConfigError(f"{key} goes by task ids, {listing(names[:4])}; got '{name}'.{did_you_mean(name, names)}")
+    found = next((name for name in (task.id, task.difficulty, DEFAULT) if name in value), None)
+    if found is None:
+        raise ConfigError(f"{key} says nothing of {task.id}: add {task.id}, {task.difficulty} or {DEFAULT}.")
+    return value[found]
+
+
+def _evaluations(config: SuiteConfig, task: TaskSpec, member: Codesign) -> int:
+    """How many designs a member may evaluate on ``task``."""
+    if config.control_steps is None:
+        return check_integer("evaluations", _of_task("evaluations", config.evaluations, task), 1)
+    costs = member.evaluation.cost(member, task)
+    if costs is None:
+        raise ConfigError(
+            f"control_steps does not go with evaluation={member.evaluation.name}, where it is not known how many of"
+            " them a design takes."
+        )
+    cost, last = costs
+    steps = check_integer("control_steps", _of_task("control_steps", config.control_steps, task), 1)
+    if steps < cost + last:
+        what = "which a design takes" if not last else "for a design and the finalists"
+        raise ConfigError(
+            f"control_steps must be at least {math.ceil(cost + last):,}, {what}; got {steps:,} for {task.id}."
+        )
+    return int((steps - last) // cost)

@@ -1,0 +1,439 @@
+"""Run folders: ``outputs/<command>/<task>/<date_time>[_name]/``."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import glob
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in, repair_hint
+from warpvox.errors import ConfigError, RunError, StorageError, listing
+from warpvox.io.reading import Unreadable, parse_yaml, read_facts, read_text
+from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
+from warpvox.provenance import provenance
+from warpvox.robots.entry import Robot, find_robot
+from warpvox.robots.gait import Gait
+
+__all__ = [
+    "END",
+    "ZOO",
+    "Run",
+    "as_name",
+    "check_output",
+    "check_unchanged",
+    "find_codesign",
+    "find_run",
+    "find_runs",
+    "find_searches",
+    "find_suite",
+    "going_on",
+    "label",
+    "make_folder",
+    "new_folder",
+    "read_summary",
+    "run_folder",
+    "write_config",
+    "write_summary",
+]
+
+CONFIG, SUMMARY = "config.yaml", "summary.json"
+LARGEST_CONFIG = 1_000_000
+"""Bytes that the former may have."""
+ZOO = "zoo:"
+"""How the name of a stored robot begins where a run or a design is expected."""
+STATE, BEST = "state.pt", "model_best.pt"
+TRAINING = ("train",)
+CODESIGN = "codesign"
+label: ContextVar[str] = ContextVar("label", default="")
+"""What the run of a sweep differs by from the others, for the name of its folder."""
+STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
+NAME = re.compile(r"[\w.+-]+")
+NOT_IN_NAMES = re.compile(r"[^\w.+-]+")
+LONGEST_NAME, LONGEST_BYTES = 100, 150
+"""What a name may add to that of a folder: date and a sweep's values need room as well, and 255 bytes are the end."""
+END = "...\n"
+"""The last line of a run's configuration, YAML's own mark of an end: what lacks it has been cut short."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A folder that training has left; ``checkpoint`` is set if a single file was named.
+
+    ``robot``: instead of a folder, a stored robot (``zoo:Walker-v0``).
+    """
+
+    folder: Path
+    config: dict[str, Any]
+    checkpoint: Path | None = None
+    robot: Robot | None = None
+
+    @property
+    def is_many(self) -> bool:
+        """Whether its policy was trained on many bodies."""
+        return (self.config.get("designs") or {}).get("bodies") is not None
+
+    @property
+    def iterations(self) -> list[int]:
+        """Of which there is a checkpoint, ascending."""
+        found = (re.fullmatch(r"model_(\d+)\.pt", file.name) for file in self.folder.iterdir())
+        return sorted(int(match[1]) for match in found if match)
+
+    def find_checkpoint(self, which: str) -> Path:
+        """The file of ``best`` (the last if there was no evaluation), ``last`` or an iteration.
+
+        Raises:
+            RunError: there is none.
+        """
+        if self.checkpoint is not None:
+            return self.checkpoint
+        if which == "best" and (self.folder / BEST).is_file():
+            return self.folder / BEST
+        known = self.iterations
+        if not known:
+            raise RunError(f"The run {self.folder} has no checkpoint yet.")
+        if which in ("best", "last"):
+            return self.folder / f"model_{known[-1]}.pt"
+        if not which.isdigit() or int(which) not in known:
+            raise RunError(f"checkpoint must be best, last or one of {listing(known)}, got '{which}'.")
+        return self.folder / f"model_{which}.pt"
+
+
+def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, CODESIGN), resume: bool = False) -> Run:
+    """The run that ``text`` names: ``latest``, a folder, a checkpoint file in one, or a robot, ``zoo:Walker-v0``.
+
+    A design search stands for its best design; the folders ``designs/<id>`` in it are runs of their own.
+
+    Args:
+        commands: whose runs ``latest`` may be.
+        resume: ``latest`` may be a run that was stopped before it had a checkpoint to play.
+
+    Raises:
+        RunError: no such folder, or one that is no run.
+    """
+    if text.startswith(ZOO) and not resume:
+        return _stored_robot(text)
+    path = _latest(Path(output_dir), commands, resume) if text == "latest" else Path(text).expanduser()
+    if not path.exists():
+        raise RunError(f"There is no run at {path}: expected latest, the folder of a run or a checkpoint in it.")
+    folder = _folder_of(path)
+    if (folder / ARCHIVE).is_file():
+        path = folder = _best_design(folder)
+    content = _read_config(folder, "train")
+    if not {"task", "design", "ppo"} <= content.keys():
+        raise RunError(f"{folder} is not a run of `warpvox train`: its {CONFIG} names no task, design and ppo.")
+    return Run(folder, content, path if path.is_file() else None)
+
+
+def _folder_of(path: Path) -> Path:
+    """The folder of a run that is named by itself or by a file in it.
+
+    Raises:
+        RunError: a file in another folder.
+    """
+    if path.is_dir():
+        return path
+    if not (path.parent / CONFIG).is_file():
+        raise RunError(f"{path} is a file in a folder that is no run: there is no {CONFIG} beside it.")
+    return path.parent
+
+
+def _stored_robot(text: str) -> Run:
+    """A stored robot as a run: its configuration says what it is a policy for."""
+    robot = find_robot(text.removeprefix(ZOO))
+    config = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs}
+    config["policy"] = "gait" if isinstance(robot.policy, Gait) else "mlp"
+    return Run(Path(text), config, robot=robot)
+
+
+def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
+    """The runs that ``texts`` name, each once: as for :func:`find_run`, or patterns such as ``outputs/train/*/*``.
+
+    Folders that a pattern matches and that are no runs are left out.
+
+    Raises:
+        RunError: a text or a pattern that names no run, or none at all.
+    """
+    found: dict[tuple[Path, Path | None], Run] = {}
+    for text in texts:
+        pattern = os.path.expanduser(text)
+        if not any(mark in text for mark in "*?[") or Path(pattern).exists():
+            several = [find_run(text, output_dir)]
+        else:
+            folders = sorted(Path(path) for path in glob.glob(pattern, recursive=True))
+            several = [find_run(str(path), output_dir) for path in folders if _is_training(path)]
+            if not several:
+                raise RunError(f"No run of `warpvox train` matches {text}.")
+        found |= {(run.folder.resolve(), run.checkpoint): run for run in several}
+    if not found:
+        raise RunError("There are no runs: runs=[] names none.")
+    return list(found.values())
+
+
+def _is_training(path: Path) -> bool:
+    """Whether a folder that a pattern has matched is that of a training."""
+    return (path / CONFIG).is_file() and {"task", "design", "ppo"} <= _read_config(path, "train").keys()
+
+
+def find_codesign(text: str, output_dir: str) -> Run:
+    """The design search that ``text`` names: ``latest`` or a folder.
+
+    Raises:
+        RunError: no such folder, or one that is no design search.
+    """
+    path = _latest(Path(output_dir), (CODESIGN,)) if text == "latest" else Path(text).expanduser()
+    if not path.exists():
+        raise RunError(f"There is no design search at {path}: expected latest or the folder of one.")
+    folder = _folder_of(path)
+    content = _read_config(folder, CODESIGN)
+    if not {"task", "search", "training"} <= content.keys():
+        raise RunError(f"{folder} is not a design search: its {CONFIG} is that of another run.")
+    if not (folder / ARCHIVE).is_file():
+        hint = repair_hint(folder / ARCHIVE)
+        why = f".{hint}" if hint else ": the search was stopped before its first design; start it again."
+        raise RunError(f"{folder} has no {ARCHIVE}{why}")
+    return Run(folder, content)
+
+
+def find_suite(text: str, output_dir: str) -> Run:
+    """The suite of design searches that ``text`` names: ``latest`` (which was last begun or resumed) or a folder.
+
+    Raises:
+        RunError: no such folder, or one that is no suite.
+    """
+    if text == "latest":
+        known = sorted(Path(output_dir).glob(f"suite/*/{CONFIG}"), key=lambda file: file.stat().st_mtime_ns)
+        if not known:
+            raise RunError(f"There is no suite in {Path(output_dir) / 'suite'} yet; `warpvox suite` makes one.")
+        folder = known[-1].parent
+    else:
+        folder = Path(text).expanduser()
+    if not folder.is_dir():
+        raise RunError(f"There is no suite at {folder}: expected latest or the folder of one.")
+    content = _read_config(folder, "suite")
+    if not {"tasks", "searches", "seeds"} <= content.keys():
+        raise RunError(f"{folder} is not a suite: its {CONFIG} is that of another run.")
+    return Run(folder, content)
+
+
+def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
+    """The folders of the design searches that ``texts`` name, each once; none if they name anything else.
+
+    A text is ``latest``, the folder of a search, one that searches lie in (that of a suite), or a pattern of such.
+
+    Raises:
+        RunError: some of the texts name searches and others do not.
+    """
+    found: dict[Path, Path] = {}
+    others = []
+    for text in texts:
+        pattern = os.path.expanduser(text)
+        paths = [Path(pattern)] if Path(pattern).exists() else sorted(map(Path, glob.glob(pattern, recursive=True)))
+        if text == "latest":
+            paths = [_latest(Path(output_dir), (*TRAINING, CODESIGN))]
+        folders = [folder for path in paths for folder in archives_in(path)]
+        found |= {folder.resolve(): folder for folder in folders}
+        others += [] if folders else [text]
+    if found and others:
+        raise RunError(f"Some of what is named are design searches; {listing(others)} is none and has none in it.")
+    return list(found.values())
+
+
+def _best_design(folder: Path) -> Path:
+    with Archive.read(folder / ARCHIVE) as archive:
+        best = [record for record in archive.best() if record.policy is not None]
+    if not best:
+        raise RunError(f"The design search {folder} has no evaluated design yet.")
+    return (folder / str(best[0].policy)).parent
+
+
+def write_config(folder: Path, text: str) -> None:
+    """Write ``config.yaml``."""
+    write_text(folder / CONFIG, text + END, make_folders=False)
+
+
+def _read_config(folder: Path, command: str) -> dict[str, Any]:
+    config = folder / CONFIG
+    if not config.is_file():
+        raise RunError(f"{folder} is not a run: it has no {CONFIG}. Runs are made by `warpvox {command}`.")
+    try:
+        text = read_text(config, LARGEST_CONFIG)
+        content = parse_yaml(text)
+    except Unreadable as error:
+        raise RunError(f"{config} cannot be read as YAML ({error}): is {folder} a run?") from None
+    if not isinstance(content, dict):
+        return {}
+    if not text.endswith(END):  # missing keys would be taken for the defaults, and the run for another one
+        raise RunError(f"{config} has been cut short: it lacks its last line, {END.strip()}. Restore it from a copy.")
+    return content
+
+
+def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
+    folders = [
+        folder
+        for command in commands
+        for folder in root.glob(f"{command}/*/*")
+        if (folder / CONFIG).is_file() and _has_begun(folder, command, resume)
+    ]
+    if not folders:
+        raise RunError(f"There is no run in {root / commands[0]} yet; `warpvox {commands[0]}` makes one.")
+    # names begin with the date and time of the start; what started within one second differs by its first file
+    return max(folders, key=lambda folder: (folder.name[:STAMP_LENGTH], (folder / CONFIG).stat().st_mtime_ns))
+
+
+def _has_begun(folder: Path, command: str, resume: bool) -> bool:
+    if command == CODESIGN:
+        return any((folder / name).is_file() for name in (ARCHIVE, BACKUP))
+    if resume and (folder / STATE).is_file():
+        return True
+    return next(folder.glob("model_*.pt"), None) is not None
+
+
+@contextmanager
+def new_folder(output_dir: str, command: str, task: str, name: str | None, config: str) -> Iterator[Path]:
+    """Make a run's folder with its ``config.yaml``; gone again if the block fails before any result.
+
+    Raises:
+        ConfigError: a name that no folder can have. RunError, StorageError: the folder cannot be written.
+    """
+    check_name(name)
+    stamp = datetime.now().strftime(STAMP)
+    if ":" in task:  # a task of the user's own, module:NAME, is known by its id
+        from warpvox.envs.registry import get_task
+
+        task = get_task(task).id
+        if len(os.fsencode(task)) > LONGEST_BYTES:
+            raise ConfigError(
+                f"The id of the task names a folder and may have {LONGEST_BYTES} bytes at most, got '{task:.30}...'."
+            )
+    parent = Path(output_dir) / command / task
+    made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
+    folder = make_folder(parent, stamp, "".join(f"_{part}" for part in (name, label.get()) if part))
+    try:
+        with going_on(folder, config):
+            yield folder
+    except BaseException:
+        if folder.is_dir() and not _has_result(folder):
+            shutil.rmtree(folder, ignore_errors=True)
+            for empty in made:
+                if empty.is_dir() and not any(empty.iterdir()):
+                    empty.rmdir()
+        raise
+
+
+def check_output(config: Any) -> None:
+    """Raise an error unless a command can write its folder: its name is valid, and there is room for it."""
+    check_name(getattr(config, "name", None))
+    if not any(getattr(config, key, None) for key in ("resume", "report")) and hasattr(config, "name"):
+        check_writable(config.output_dir)
+
+
+def check_name(name: str | None) -> None:
+    """Raise ConfigError unless ``name`` can end the name of a folder."""
+    if name and not NAME.fullmatch(name):
+        raise ConfigError(f"name may hold letters, digits and . _ + - only, got '{name:.200}'.")
+    if name and (len(name) > LONGEST_NAME or len(os.fsencode(name)) > LONGEST_BYTES):
+        raise ConfigError(f"name may have {LONGEST_NAME} characters ({LONGEST_BYTES} bytes) at most, got {len(name)}.")
+
+
+def as_name(text: str) -> str:
+    """``text``, which may come from anywhere, as the name of a folder: letters, digits and . _ + - only."""
+    name = NOT_IN_NAMES.sub("_", text).encode(errors="replace")[:LONGEST_NAME].decode(errors="ignore")
+    return name.strip(".")
+
+
+def make_folder(parent: Path, stamp: str, ending: str = "") -> Path:
+    """A new folder; runs that start in the same second get a number."""
+    for number in range(1, 1000):
+        folder = parent / (stamp + (f"-{number}" if number > 1 else "") + ending)
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            if not parent.is_dir():
+                raise RunError(f"{parent} cannot be made: a file is in the way.") from None
+            continue
+        except OSError as error:
+            reason = "it cannot be created there" if error.errno == errno.ENOENT else complaint(error)
+            raise StorageError(f"The folder {folder} cannot be made: {reason}.", error) from None
+        return folder
+    raise RunError(f"{parent} has too many runs of this second.")
+
+
+def _has_result(folder: Path) -> bool:
+    kept = (".pt", ".npz", ".json", ".sqlite")
+    # the state before the first iteration holds nothing that the configuration does not
+    return any(file.suffix in kept and not file.name.startswith((MARK, "state")) for file in folder.iterdir())
+
+
+def run_folder(
+    folder: Path | None, config: Any, command: str, text: str, place: Path | None = None
+) -> AbstractContextManager[Path]:
+    """The folder of a run that is resumed, or a new one if there is none, with ``text`` as its ``config.yaml``.
+
+    ``place``: of a new one; None: it lies in ``output_dir`` and is named by the time.
+    """
+    if folder is not None:
+        return going_on(folder, text)
+    if place is None:
+        return new_folder(config.output_dir, command, config.task, config.name, text)
+    if place.exists() and (not place.is_dir() or any(place.iterdir())):
+        raise RunError(f"{place} exists already: name another folder, or resume={place} to go on with a run.")
+    place.mkdir(parents=True, exist_ok=True)
+    return going_on(place, text)
+
+
+@contextmanager
+def going_on(folder: Path, config: str) -> Iterator[Path]:
+    """The folder of a run that is resumed: ours alone, rid of what a killed process has left half written.
+
+    Raises:
+        RunError: another process is writing to it. StorageError: it cannot be written.
+    """
+    with claimed(folder):
+        sweep(folder)
+        try:
+            write_config(folder, config)
+            yield folder
+        finally:
+            # an interrupt may come when a temporary file is made and the block that would remove it has not begun
+            sweep(folder)
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """What ``summary.json`` says; nothing if there is none, or one that cannot be read."""
+    return read_facts(folder / SUMMARY)
+
+
+def write_summary(folder: Path, content: dict[str, Any]) -> None:
+    """Write ``summary.json``: ``content``, and which version of the program has made it."""
+    write_text(folder / SUMMARY, json.dumps(content | provenance(), indent=2) + "\n", make_folders=False)
+
+
+def check_unchanged(before: Mapping[str, Any], config: Any, changeable: Sequence[str]) -> None:
+    """Raise ConfigError if a resumed run is asked for something that would make it another one."""
+    for key, old, new in _changes(before, config):
+        if key not in changeable:
+            raise ConfigError(
+                f"{key} cannot change when a run is resumed (it has {old}, asked for {new});"
+                f" what can: {listing(changeable[:-2])}."
+            )
+
+
+def _changes(before: Mapping[str, Any], config: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Dotted keys that a configuration has another value of than a stored one, and both values."""
+    for item in dataclasses.fields(config):
+        old, new = before.get(item.name), getattr(config, item.name)
+        if dataclasses.is_dataclass(new) and isinstance(old, Mapping):
+            yield from _changes(old, new, f"{prefix}{item.name}.")
+        elif item.name in before and old != new:
+            yield prefix + item.name, old, new

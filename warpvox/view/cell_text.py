@@ -1,0 +1,97 @@
+"""Bodies and worlds on the terminal: cells in colours, letters where there are none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+
+import numpy as np
+from rich.color import Color
+from rich.console import Console
+from rich.style import Style
+from rich.text import Text
+
+from warpvox.io.console import echo
+from warpvox.types import Cell
+from warpvox.view.body_picture import cell_colour
+from warpvox.view.palette import CELL_NAMES, RAMPS
+from warpvox.world import World
+
+__all__ = ["body_rows", "print_world"]
+
+GLYPHS = {Cell.EMPTY: ".", Cell.RIGID: "#", Cell.SOFT: "o", Cell.H_ACT: "-", Cell.V_ACT: "|", Cell.FIXED: "%"}
+UPPER, LOWER = "▀", "▄"
+SAME_ROWS = 5
+"""Equal rows of a world that are printed one by one."""
+GAP = 3
+"""Columns between bodies."""
+
+
+def body_rows(bodies: Sequence[np.ndarray], captions: Sequence[str], console: Console) -> Text:
+    """As many of the bodies as there is room for beside each other, with a caption below each."""
+    colour = _has_colour(console)
+    wide = 2 if colour else 1
+    columns = [max(body.shape[1] * wide, len(caption)) + GAP for body, caption in zip(bodies, captions, strict=True)]
+    room = sum(np.cumsum(columns) - GAP <= console.width) or 1
+    high = max(body.shape[0] for body in bodies[:room])
+    text = Text(no_wrap=True)
+    for row in range(-high, 0):  # bodies stand on the same line
+        for body, width in zip(bodies[:room], columns[:room], strict=True):
+            cells = body[row] if row >= -len(body) else []
+            for cell in map(int, cells):
+                style = f"on rgb({','.join(map(str, cell_colour(cell)))})" if colour and cell else ""
+                text.append("  " if colour else GLYPHS[Cell(cell)], style)
+            text.append(" " * (width - len(cells) * wide))
+        text.append("\n")
+    for caption, width in zip(captions[:room], columns[:room], strict=True):
+        text.append(caption.ljust(width))
+    return text
+
+
+def print_world(world: World, console: Console) -> None:
+    """Print a world; one that is wider than the console in pieces below each other."""
+    cells = world.grid()
+    colour = _has_colour(console) and not console.options.ascii_only
+    fold = max(console.width - 1, 10)
+    kinds = [Cell(kind) for kind in np.unique(cells) if kind]
+    echo(console, f"world: {world.width} x {world.height} cells")
+    if colour:
+        console.print(Text.assemble(*((f"{UPPER} {CELL_NAMES[kind]}  ", _style(kind)) for kind in kinds)))
+    else:
+        echo(console, ", ".join(f"{GLYPHS[kind]} {CELL_NAMES[kind]}" for kind in kinds))
+    for start in range(0, world.width, fold):
+        if start:
+            console.print()
+        piece = cells[:, start : start + fold]
+        lines = _blocks(piece) if colour else [Text("".join(GLYPHS[Cell(kind)] for kind in row)) for row in piece]
+        _print_lines(lines, console)
+
+
+def _has_colour(console: Console) -> bool:
+    return console.is_terminal and console.color_system is not None
+
+
+def _style(front: int, back: int = 0) -> Style:
+    colours = [Color.from_rgb(*RAMPS[Cell(kind)][1]) if kind else None for kind in (front, back)]
+    return Style(color=colours[0], bgcolor=colours[1])
+
+
+def _blocks(cells: np.ndarray) -> list[Text]:
+    """A line for every two rows: half blocks, of which each half has the colour of a cell."""
+    if len(cells) % 2:
+        cells = np.concatenate([np.zeros_like(cells[:1]), cells])
+    lines = []
+    for pairs in cells.reshape(-1, 2, cells.shape[1]).transpose(0, 2, 1).tolist():
+        halves = ((UPPER, _style(up, down)) if up else (LOWER, _style(down)) if down else " " for up, down in pairs)
+        lines.append(Text.assemble(*halves))
+    return lines
+
+
+def _print_lines(lines: list[Text], console: Console) -> None:
+    """Print the rows of a world; of many equal ones in succession only the first and the last."""
+    for _, equal in groupby(lines, key=lambda line: (line.plain, line.spans)):
+        rows = list(equal)
+        if len(rows) > SAME_ROWS:
+            rows[1:-1] = [Text(f"  ({len(rows) - 2} more rows like these)", style="dim")]
+        for row in rows:
+            console.print(row, soft_wrap=True)
