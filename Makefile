@@ -5,11 +5,16 @@
 #   make types       check types (pyright)
 #   make licences    check the licences of everything that is installed with warpvox
 #   make packaging   install the wheel into clean environments of all Pythons that are found
+#   make slow        run the tests that take long
+#   make coverage    run the default tests and say which lines they reach: build/report/coverage/index.html
+#   make bench       measure beside EvoGym and compare with the figures of the documentation
 #   make audit       ask the advisory database about the pinned versions (pip-audit)
 #   make lock        make constraints.txt and locks/ anew (UPGRADE=1: with the newest versions)
 #   make ptxas       fetch NVIDIA's assembler into build/ptxas, for tests of CUDA kernels (Linux, x86-64; 52 MB)
 #   make tables      write the keys of all commands into docs/commands.md
+#   make charts      draw the charts of docs/performance.md from docs/figures.md
 #   make results     renew docs/results.md from the zoo and from design searches (SEARCHES="FOLDER ...")
+#   make release     build both distributions, check them, and say what an upload would send
 #   make docs        build the documentation into site/ and check its links
 #   make clean       remove what builds leave behind (make distclean: .venv as well)
 # PYTHON=python3.12 make demo   chooses the interpreter that .venv is made from.
@@ -28,16 +33,18 @@ TOOLS := build/tools
 UV := $(TOOLS)/bin/uv
 # ptxas and nvdisasm: not in .venv, because the compiler's package asks for other versions of what torch's CUDA builds pin.
 PTXAS := $(if $(filter Linux-x86_64,$(shell uname -s)-$(shell uname -m)),build/ptxas/.installed)
-AUDIT := pip-audit==2.10.1
+TOOL := $(UV) tool run --python $(TOOLS)/bin/python
+REPORT := build/report
+COVERAGE := build/coverage
 COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10 --universal \
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test ptxas fast parity lint types format licences packaging audit lock docs tables pictures results zoo_picture clean distclean
+.PHONY: help install demo test ptxas fast slow parity coverage bench lint types format licences packaging audit lock release docs tables charts pictures results zoo_picture clean distclean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,15s/^# *//p' Makefile
+	@sed -n '2,20s/^# *//p' Makefile
 
 install: $(STAMP)
 
@@ -66,6 +73,25 @@ fast: $(STAMP)
 parity: $(STAMP)
 	$(PYTEST) -m parity
 
+slow: $(STAMP) $(PTXAS)
+	$(PYTEST) -m "slow and not gpu and not packaging"
+
+# Beside .venv, whose lock is that of the tests. What Warp compiles is not Python's to run: pyproject.toml leaves it out.
+coverage: $(STAMP) $(COVERAGE)/.installed
+	PYTHONPATH=$(COVERAGE) $(PYTEST) $(foreach folder,warpvox kernels envs algos configs,--cov=$(folder)) \
+	  --cov-report=term:skip-covered --cov-report=html:$(REPORT)/coverage
+
+$(COVERAGE)/.installed: | $(STAMP)
+	$(PIP) --quiet --no-deps --upgrade --target $(COVERAGE) pytest-cov==7.1.0 coverage==7.17.4
+	@touch $@
+
+# Ratios are compared, not rates: machines differ, and so does one machine from minute to minute.
+bench: $(STAMP)
+	$(BIN)/warpvox bench suite=peer peer.make=true output_dir=$(REPORT)
+	$(BIN)/warpvox bench suite=tasks output_dir=$(REPORT)
+	$(BIN)/warpvox bench suite=learning threads=2 output_dir=$(REPORT)
+	$(BIN)/python docs/compare_figures.py $(REPORT)
+
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -86,7 +112,7 @@ packaging: $(STAMP)
 
 # Strict: a package that cannot be looked up is a failure, not a clean bill.
 audit: $(UV)
-	$(UV) tool run --python $(TOOLS)/bin/python $(AUDIT) --strict --no-deps --disable-pip -r constraints.txt
+	$(TOOL) pip-audit==2.10.1 --strict --no-deps --disable-pip -r constraints.txt
 
 # One resolution for all Pythons and platforms; versions stay as they are unless UPGRADE is given.
 lock: $(UV)
@@ -107,12 +133,26 @@ $(UV):
 	$(PYTHON) -m venv $(TOOLS)
 	$(TOOLS)/bin/python -m pip install --quiet --disable-pip-version-check uv==0.13.9
 
+# .github/workflows/release.yml uploads what a tag has built, by trusted publishing; nothing is uploaded from here.
+release: $(UV)
+	rm -rf dist
+	$(UV) build --quiet --python $(TOOLS)/bin/python --out-dir dist
+	$(TOOL) twine==7.0.0 check --strict dist/*
+	$(TOOL) check-wheel-contents==0.6.3 dist/*.whl
+	@mkdir -p $(REPORT)
+	@ls dist/*.whl | sed 's/.*warpvox-\([^-]*\)-.*/\1/' > $(REPORT)/version
+	@echo "would upload to https://pypi.org/project/warpvox/$$(cat $(REPORT)/version)/:"; ls -l dist | sed 1d
+
 docs: $(STAMP)
 	$(PIP) --quiet --no-deps --require-hashes -r locks/docs.txt
-	$(BIN)/python -m mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 tables: $(STAMP)
 	$(BIN)/python docs/key_tables.py
+
+# Draws the charts of the page of performance from the tables of docs/figures.md.
+charts: $(STAMP)
+	$(BIN)/python docs/charts.py
 
 # Makes the pictures of the documentation anew, of three runs of a walker; takes some minutes.
 pictures: $(STAMP)

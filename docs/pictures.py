@@ -3,8 +3,8 @@
 ``python docs/pictures.py RUN`` draws those of a training over many bodies alone: the GIF of held-out bodies under its
 policy, and ``held_out.png``, which it has left.
 
-Trains a walker from three seeds, then draws with the commands that users have. The two screenshots need Playwright and
-a Chromium of the system.
+Trains a walker from three seeds and searches for one, then draws with the commands that users have. The screenshots
+need Playwright and a Chromium of the system.
 """
 
 from __future__ import annotations
@@ -23,6 +23,10 @@ from warpvox.view.rollout import Rollout
 IMAGES = Path(__file__).parent / "images"
 WORK = Path("outputs") / "pictures"
 TRAINING = "task=Walker-v0 design=walker num_envs=512 eval_interval=5 stop_return=10.5 seed=0,1,2 -m".split()
+SEARCH = (
+    "search=ga task=Walker-v0 search.population=8 search.max_evaluations=48"
+    " training.iterations=40 training.eval_interval=10"
+).split()
 
 
 def command(*words: str) -> None:
@@ -54,7 +58,9 @@ def draw() -> None:
     command("tasks", f"gallery={IMAGES / 'gallery.png'}")
     agents = ("agent=sine", "task=UpStepper-v0", "design=[walker,stepper,hopper,worm,carrier,mini]", "num_envs=6")
     command("play", *agents, "steps=300", "window=off", f"output_dir={WORK}")
-    photograph(newest("play/UpStepper-v0/*") / "rollout.html")
+    if not list(WORK.glob("codesign/Walker-v0/*/report.html")):
+        command("codesign", *SEARCH, f"output_dir={WORK}")
+    photograph(newest("play/UpStepper-v0/*") / "rollout.html", newest("codesign/Walker-v0/*") / "report.html")
 
 
 def draw_bodies(run: Path) -> None:
@@ -68,8 +74,8 @@ def draw_bodies(run: Path) -> None:
     shutil.copy(run / "held_out.png", IMAGES / "held_out.png")
 
 
-def photograph(page_file: Path) -> None:
-    """Screenshots of the page and of the editor."""
+def photograph(page_file: Path, report: Path) -> None:
+    """Screenshots of the page, of a search's report and of the editor."""
     from playwright.sync_api import sync_playwright
 
     from warpvox.editor.server import EditorServer
@@ -82,6 +88,9 @@ def photograph(page_file: Path) -> None:
         page.goto(f"{page_file.resolve().as_uri()}#paused&frame=170&theme=light")
         page.locator("#clock", has_text="frame 170").wait_for()
         save(page.screenshot(), "page.png")
+        page.goto(report.resolve().as_uri())
+        page.wait_for_load_state()
+        save(page.screenshot(clip={"x": 0, "y": 0, "width": 1200, "height": 1000}, full_page=True), "report.png")
         page.goto(server.url)
         page.locator("#verdict.good").wait_for()
         page.click("#world")

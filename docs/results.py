@@ -12,7 +12,6 @@ task the one with the best return stays, that of the table included. ``tests/doc
 from __future__ import annotations
 
 import csv
-import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -26,11 +25,9 @@ from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, archives_in
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.report.members import SearchResult, read_members
 from warpvox.algos.statistics import mean_interval
-from warpvox.cli.config import load
 from warpvox.cli.robot_entries import command_of
 from warpvox.envs.known_returns import FILE as KNOWN_RETURNS, KnownReturn, known_returns
 from warpvox.envs.registry import task_ids
-from warpvox.errors import ConfigError
 from warpvox.io import writing
 from warpvox.robots import Gait, Robot, robot_env, zoo_tasks
 from warpvox.robots.entry import DIGITS
@@ -53,6 +50,8 @@ NOISE_COLUMNS = ("task", "episodes", "mean", "low", "high", "processor")
 EPISODES, SIGMA = 32, 0.01
 """Under noise: normal on each action, with this deviation in units of goal length, 1 % of the range of actions."""
 GAIT = "gait"
+MANY = 6
+"""From so many tasks on their number is given instead of their names."""
 BODIES = 64
 """Random bodies of 5 x 5 cells, one episode each."""
 HEAD = """# Results
@@ -61,46 +60,34 @@ The best robots found so far beside the best published returns with bodies of 5 
 
 {summary}
 
-| task | our return | | under noise | best published | by | its protocol | our control steps | our wall time |
-|---|---:|---|---:|---:|---|---|---:|---:|
+| task | our return | | under noise | best published | by | our control steps | our wall time |
+|---|---:|---|---:|---:|---|---:|---:|
 """
 SUMMARY = """\
 In one deterministic episode (two tasks: eight), the best of thousands tried, {reached} of {known} robots are at or
 above the best published return; {gaits} of the {known} are open loop and {networks} have feedback, and with normal
 noise of 1 % of the action range on every action {held} of the {known} hold (mean of {episodes} episodes)."""
 NOTES = """
-*Our return* is the one that `warpvox play zoo=TASK` repeats in the released simulator's arithmetic
-([the zoo](zoo.md)): one deterministic episode or, in BidirectionalWalker-v0 and Catcher-v0, which draw at random, the
-mean of eight episodes of fresh seeds. Where the zoo has no robot yet it is the best deterministic evaluation of a
-search, in float32, and in italics. ▼ marks a return below the best published one, ○ an open-loop policy: a
-[gait](zoo.md#gaits), whose actions depend on the time alone. All others are networks that see what the task observes.
-
-*Under noise* is the mean return of {episodes} episodes in the same arithmetic with its 95 % interval (Student's t), in
-bold where it is at or above the best published return. Normal noise with a deviation of {sigma:g} (actuators' rest
-lengths) is added to each action, which is clipped to the range of 0.6 to 1.6. `python docs/results.py noise` measures
-it ({processor}; `docs/results/noise.csv`). Where the return falls, the robot shows what its body can do once, not what
-it does reliably.
-
-*Control steps* and *wall time* are those of the whole search or training that the robot comes from, and of the robots
-that it started from: one thread of a machine with 2 virtual cores of the [processor](#commands) that was busy with
-other work, so that the time is an upper bound. Most open-loop robots come from several searches, each of which
-[started](codesign.md#starting-from-known-robots) from the robot of the one before; the command is that of the last.
-
-Published returns are the best of anybody. Their protocols differ; most are the best evaluation of several searches. A
-score of 1 in a [comparison of searches](evaluation.md#comparing-searches) is such a return.
+- *Our return*: what `warpvox play zoo=TASK` repeats in the released simulator's arithmetic ([the zoo](zoo.md)), the
+  mean of eight episodes in BidirectionalWalker-v0 and Catcher-v0, which draw at random. Where the zoo has no robot
+  yet it is the best deterministic evaluation of a search, in float32, and in italics. ▼ is below the best published
+  return; ○ is an open-loop [gait](zoo.md#gaits), all others are networks that see what the task observes.
+- *Under noise*: the mean of {episodes} episodes with its 95 % interval (Student's t), in bold where it is at or above
+  the best published return. Normal noise with a deviation of {sigma:g} is added to each action, which is clipped to
+  0.6 to 1.6 (`python docs/results.py noise`, {processor}). Where the return falls, the robot shows what its body can
+  do once, not what it does reliably.
+- *Control steps*, *wall time*: of the whole search, and of the searches that it started from; one thread of a busy
+  machine, so that the time is an upper bound. `warpvox zoo task=TASK` shows the last command,
+  `docs/results/returns.csv` all of them with commits and processors; equal seeds give equal results on equal
+  machines.
 
 ## Sources
-"""
-REPEAT = """
-## Commands
 
-Commands are those of the version at the commit that made the robot: equal seeds give equal results on equal machines.
-† marks what the version that this page comes with refuses. A robot of the zoo in `start` is the one that the zoo had
-at that commit; a folder in `start` is that of an earlier search and is not published. *Processors*: also those of the
-robots that a search started from.
+Published returns are the best of anybody; their protocols differ. A score of 1 in a [comparison of
+searches](evaluation.md#comparing-searches) is such a return.
 
-| task | date | commit | processors | command |
-|---|---|---|---|---|
+| method | source | protocol | tasks |
+|---|---|---|---|
 """
 
 
@@ -116,7 +103,7 @@ def page(rows: Sequence[Mapping[str, str]], noise: Sequence[Mapping[str, str]] =
     processors = ", ".join(sorted({row["processor"] for row in noise}))
     notes = NOTES.format(episodes=EPISODES, sigma=SIGMA, processor=processors)
     head = HEAD.format(sizes=sizes, summary=summary(rows, noise))
-    return "".join([head, *lines, notes, *_sources(published.values()), *_commands(ours)])
+    return "".join([head, *lines, notes, *_sources(published.values())])
 
 
 def summary(rows: Sequence[Mapping[str, str]], noise: Sequence[Mapping[str, str]]) -> str:
@@ -140,14 +127,13 @@ def _return(row: Mapping[str, str]) -> float:
 
 def _line(one: KnownReturn, row: Mapping[str, str] | None, noisy: Mapping[str, str] | None) -> str:
     best = "" if one.best is None else f"{one.best:g}"
-    protocol = f"{one.protocol}; {one.note}" if one.protocol and one.note else one.protocol or one.note
-    cells = ["-", "", "", best, one.method, protocol, "", ""]
+    cells = ["-", "", "", best, one.method, "", ""]
     if row is not None:
         value = _return(row)
         cells[0] = f"{value:.3f}" if row["return"] else f"*{value:.3f}*"
         below = one.best is not None and value < one.best
         cells[1] = "▼" * below + "○" * (row["policy"] == GAIT)
-        cells[6:] = [f"{int(row['control_steps']):,}", _duration(row["seconds"])]
+        cells[5:] = [f"{int(row['control_steps']):,}", _duration(row["seconds"])]
     if noisy is not None:
         mean, high = float(noisy["mean"]), float(noisy["high"])
         bold = "**" * (one.best is not None and mean >= one.best)
@@ -161,38 +147,17 @@ def _duration(seconds: str) -> str:
 
 
 def _sources(published: Iterable[KnownReturn]) -> list[str]:
-    found: dict[tuple[str, str], list[str]] = {}
+    found: dict[tuple[str, str, str], list[str]] = {}
     for one in published:
-        if one.method:
-            found.setdefault((one.method, one.source), []).append(one.task)
-    lines = [
-        f"| {method} | {f'<{source}>' if source.startswith('https:') else source} | {len(tasks)} |\n"
-        for (method, source), tasks in sorted(found.items())
-    ]
-    return ["\n| method | source | tasks |\n|---|---|---:|\n", *lines]
-
-
-def _commands(ours: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """How to make each search again."""
-    found = [ours[task] for task in task_ids() if task in ours]
-    return [
-        REPEAT,
-        *(
-            f"| {row['task']} | {row['date']} | {row['commit'][:7]} | {row['processor']} |"
-            f" {'' if accepted(row['command']) else '† '}`{shlex.join(shlex.split(row['command']))}` |\n"
-            for row in found
-        ),
-    ]
-
-
-def accepted(command: str) -> bool:
-    """True if this version takes a command line; nothing is run."""
-    _, name, *words = shlex.split(command)
-    try:
-        load(name, words)
-    except ConfigError:
-        return False
-    return True
+        protocol = "; ".join(filter(None, (one.protocol, one.note)))
+        found.setdefault((one.method or "-", one.source, protocol), []).append(one.task)
+    lines = []
+    for (method, source, protocol), tasks in sorted(found.items()):
+        shown = ", ".join(tasks) if len(tasks) < MANY else f"{len(tasks)} tasks"
+        lines.append(
+            f"| {method} | {f'<{source}>' if source.startswith('https:') else source} | {protocol} | {shown} |\n"
+        )
+    return lines
 
 
 # ----------------------------------------------------------------------------------------------------- the table

@@ -1,49 +1,67 @@
-"""What mkdocs asks while it builds the site: the order of the pages. Not part of the library."""
+"""What mkdocs asks while it builds the site: its parts, pages that are made then, links. Not part of the library."""
 
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
-ORDER = (
-    "index",
-    "quickstart",
-    "concepts",
-    "commands",
-    "see",
-    "editor",
-    "custom_tasks",
-    "observations",
-    "codesign",
-    "suite",
-    "search",
-    "zoo",
-    "evaluation",
-    "policies",
-    "universal",
-    "design_in_episode",
-    "gradients",
-    "results",
-    "physics",
-    "paper",
-    "performance",
-    "trials",
-    "formats",
-    "evogym",
-    "faq",
-)
-"""Pages as they follow each other; any others come last."""
-MARK = re.compile(r"^<!-- (help .*|end of help) -->\n?", re.MULTILINE)
+from mkdocs.structure.files import File
+
+FOLDER = Path(__file__).resolve().parent
+sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]  # mkdocs runs with any folder in front
+
+import api_pages  # noqa: E402
+import task_pages  # noqa: E402
+
+PARTS = {
+    "Tutorials": ("quickstart", "custom_tasks", "task_features", "design_in_episode"),
+    "How to": (
+        *("codesign", "suite", "universal", "policies", "libraries", "evaluation", "gradients"),
+        *("see", "editor", "zoo", "evogym", "faq"),
+    ),
+    "Reference": ("commands", "observations", "search", "formats", "results", "figures"),
+    "Background": ("concepts", "physics", "paper", "performance", "trials", "reliability"),
+}
+"""Parts of the site and their pages, in order; a page that is named nowhere comes last in the second part."""
+MARK = re.compile(r"^<!-- (help .*|end of help|bench \w+|end) -->\n?", re.MULTILINE)
+FENCE = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
+NAME = re.compile(r"(?<!\[)`(wv\.(\w+)[^`\n]*)`(?!\])")
+TASK = re.compile(r"^\| (\w+-v\d) (?=\|)", re.MULTILINE)
+OUTSIDE = re.compile(r"\]\(\.\./([^)\s]+)\)")
 
 
 def on_config(config: Any) -> Any:
-    """Put the pages that there are into order."""
-    found = {path.stem for path in Path(config["docs_dir"]).glob("*.md")}
-    config["nav"] = [f"{name}.md" for name in [*(n for n in ORDER if n in found), *sorted(found - set(ORDER))]]
+    """Put the pages into parts."""
+    named = {name for names in PARTS.values() for name in names} | {"index"}
+    others = sorted(path.stem for path in FOLDER.glob("*.md") if path.stem not in named)
+    nav: list[Any] = [{"warpvox": "index.md"}]
+    for part, names in PARTS.items():
+        found = [f"{name}.md" for name in [*names, *(others if part == "How to" else ())]]
+        if part == "Reference":
+            found[1:1] = [{"Python": list(api_pages.pages())}, {"Tasks": list(task_pages.pages())}]
+        nav.append({part: found})
+    config["nav"] = nav
     return config
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Leave out the marks between which the tables of keys are made."""
-    return MARK.sub("", markdown)
+def on_files(files: Any, config: Any) -> Any:
+    """Add the pages that are made here, and their pictures."""
+    for place, content in {**api_pages.pages(), **task_pages.pages(), **task_pages.pictures()}.items():
+        files.append(File.generated(config, place, content=content))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
+    """Leave out the marks between which tables are made; link public names, tasks and files of the repository."""
+    parts = FENCE.split(MARK.sub("", markdown))
+    parts[::2] = [NAME.sub(_name, part) for part in parts[::2]]
+    if "/" not in page.file.src_uri:
+        outside = rf"]({config.extra['social'][0]['link']}/blob/main/\1)"
+        parts[::2] = [OUTSIDE.sub(outside, TASK.sub(r"| [\1](tasks/\1.md) ", part)) for part in parts[::2]]
+    return "".join(parts)
+
+
+def _name(match: re.Match[str]) -> str:
+    return f"[{match[0]}][warpvox.{match[2]}]" if match[2] in api_pages.public_names() else match[0]

@@ -1,11 +1,11 @@
-"""Draws the robots of the zoo at work into one animated picture: ``python docs/zoo_picture.py`` (``make zoo_picture``).
+"""Draws the robots of the zoo at work: ``python docs/zoo_picture.py`` (``make zoo_picture``).
 
-Not part of the library. Every robot repeats its recorded episode, of which the first six seconds are shown.
+Not part of the library. Every robot repeats its recorded episode, of which the first six seconds are shown, in a
+picture for the page of its task and in a tile of the picture of all.
 """
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,9 @@ from warpvox.robots.replay import SEEDS, robot_env
 from warpvox.view.painter import INK, Painter, font
 from warpvox.view.rollout import record
 
-FILE = Path(__file__).parent / "images" / "zoo.webp"
+IMAGES = Path(__file__).parent / "images"
+FILM = (320, 150)
+"""Size of the picture of one robot; every other frame is shown, to keep it small."""
 COLUMNS, TILE, LABEL, GAP = 8, (112, 76), 13, 4
 VOXELS = 13.0
 """Voxels from the bottom to the top of a tile."""
@@ -31,12 +33,23 @@ PAPER = (255, 255, 255)
 
 
 def tiles_of(robot: Robot) -> list[Image.Image]:
-    """The pictures of a robot's first recorded episode."""
+    """The pictures of a robot's first recorded episode; writes its own picture."""
     env = robot_env(robot, SEEDS[:1] if get_task(robot.task).is_random else (0,))
     rollout = record(env, robot.policy)
+    frames = np.linspace(0, min(int(rollout.lengths[0]), LONGEST), PICTURES).round().astype(int).tolist()
+    film = Painter(rollout, 0, FILM, VOXELS)
+    save(IMAGES / "tasks" / f"{robot.task}.webp", [film.frame(frame) for frame in frames[::2]], 2 * PAUSE, quality=40)
     painter = Painter(rollout, 0, TILE, VOXELS)
-    frames = np.linspace(0, min(int(rollout.lengths[0]), LONGEST), PICTURES).round().astype(int)
-    return [painter.frame(int(frame)) for frame in frames]
+    return [painter.frame(frame) for frame in frames]
+
+
+def save(target: Path, pictures: list[Image.Image], pause: int, quality: int) -> None:
+    """Write an animation that repeats."""
+    target.parent.mkdir(exist_ok=True)
+    options = {"save_all": True, "append_images": pictures[1:], "duration": pause, "loop": 0, "method": 6}
+    with atomic_path(target) as temporary:
+        pictures[0].save(temporary, quality=quality, **options)
+    print(f"{target}: {target.stat().st_size / 1e6:.2f} MB", flush=True)
 
 
 def draw(names: list[str]) -> list[Image.Image]:
@@ -59,14 +72,10 @@ def draw(names: list[str]) -> list[Image.Image]:
 
 
 def main() -> None:
-    """Write the picture."""
+    """Write the pictures."""
     prepare(1, 0)
     known = zoo_tasks()
-    sheets = draw([name for name in task_ids() if name in known])
-    target = Path(sys.argv[1]) if len(sys.argv) > 1 else FILE
-    with atomic_path(target) as temporary:
-        sheets[0].save(temporary, save_all=True, append_images=sheets[1:], duration=PAUSE, loop=0, quality=55, method=4)
-    print(f"{target}: {target.stat().st_size / 1e6:.2f} MB")
+    save(IMAGES / "zoo.webp", draw([name for name in task_ids() if name in known]), PAUSE, quality=55)
 
 
 if __name__ == "__main__":

@@ -91,7 +91,7 @@ def test_the_source_distribution_holds_nothing_else(repository: Path, sdist: Pat
     described = {name for name in inside if name.startswith("warpvox.egg-info/")} | {"PKG-INFO", "setup.cfg"}
     sources = {name for name in inside - described if name.startswith("warpvox/")}
     assert sources == shipped_files(repository)
-    assert inside - described - sources == {"pyproject.toml", "README.md", "LICENSE", "MANIFEST.in"}
+    assert inside - described - sources == {"pyproject.toml", "README.md", "LICENSE", "NOTICE", "MANIFEST.in"}
 
 
 def test_the_wheel_works_without_the_checkout(wheel: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,8 +18,8 @@ def text_of(page: str) -> str:
 
 
 def tables(suite: str) -> str:
-    """The tables that ``warpvox bench`` has put into the page of performance."""
-    return text_of("docs/performance.md").split(f"<!-- bench {suite} -->")[1].split("<!-- end -->")[0]
+    """The tables that ``warpvox bench`` has put into the page of figures."""
+    return text_of("docs/figures.md").split(f"<!-- bench {suite} -->")[1].split("<!-- end -->")[0]
 
 
 def cells(text: str, first: str) -> list[str]:
@@ -32,25 +33,44 @@ def phrases() -> Iterator[tuple[str, str]]:
     median, least, most = re.search(r"Ratio: median (\S+), least (\S+), most (\S+)\.", tables("tasks")).groups()
     fast = f"{float(least):.0f} to {most} times Evolution Gym on one CPU core (median of all tasks: {median})"
     yield "README.md", fast
+    yield "docs/performance.md", f"{float(least):.0f} to {most} times as many control steps"
+    yield "docs/performance.md", f"the median of all tasks is {median}"
     batch = cells(tables("peer"), "warpvox, 512 environments")[-1]
     single = cells(tables("peer"), "warpvox, one gymnasium environment")[-1]
     yield (
         "docs/faq.md",
         f"gymnasium is {float(single):.0f} times as fast as EvoGym's, 512 of `make_vec` together {batch} times",
     )
-    yield "docs/performance.md", f"single environment of gymnasium above ({single} times the reference)"
+    rate = cells(tables("peer"), "warpvox, one gymnasium environment")[0]
+    yield "docs/performance.md", f"{rate} control steps a second ({float(single):.0f} times EvoGym's)"
     share, seconds = re.search(r"step at (\d+)% of the speed .* built in (\S+) s;", tables("mixed")).groups()
-    yield "README.md", f"built in {seconds} s and runs at {share} % of the speed of 512 copies"
+    for page in ("README.md", "docs/performance.md"):
+        yield page, f"built in {seconds} s and runs at {share} % of the speed of 512 copies"
     _, seconds, _, _, steps, _ = cells(tables("learning"), "ppo=parallel, 512 environments")
-    yield "README.md", f"a return of 10 after {steps} control steps, in {float(seconds):.0f} seconds on two cores"
+    for page in ("README.md", "docs/performance.md"):
+        yield page, f"a return of 10 after {steps} control steps, in {float(seconds):.0f} s on two cores"
     found = re.search(
         r"^\| Climber-v0 \| (\S+) \((.+?)\) \| (\S+) \((.+?)\) \| (\S+) \|$", text_of("docs/search.md"), re.M
     )
-    *both, best = found.groups()
-    yield "README.md", f"best published return {best};"
-    for name, mean, seeds in ("ga", *both[:2]), ("auto", *both[2:]):
-        values = sorted(seeds.split(", "), key=float)
-        yield "README.md", f"| `search={name}` | {mean} | {values[0]} to {values[-1]} |"
+    ga, _, auto, _, best = found.groups()
+    yield "README.md", f"`search=ga` reaches {ga} and `search=auto` {auto} (means of 5 seeds; best published: {best})"
+
+
+def test_the_charts_are_those_of_the_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    charts = importlib.import_module("charts")
+    for name, picture in charts.charts(text_of("docs/figures.md")).items():
+        assert (charts.IMAGES / name).read_text(encoding="utf-8") == picture, "run `make charts`"
+
+
+def test_worse_figures_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    compare = importlib.import_module("compare_figures")
+    old = compare.figures(text_of("docs/figures.md"))
+    slow = {place: value / 2 if place[1] == "ratio" else value * 2 for place, value in old.items()}
+    assert len(old) > 40
+    assert len(compare.compare(old, slow)) == len(old)
+    assert not compare.compare(old, old)
 
 
 @pytest.mark.parametrize(("page", "words"), list(phrases()))

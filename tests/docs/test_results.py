@@ -37,14 +37,6 @@ def test_the_page_is_up_to_date_and_readme_says_what_it_says() -> None:
     assert " ".join(results.summary(rows, noise).split()) in readme
 
 
-def test_commands_that_this_version_refuses_are_marked() -> None:
-    lines = [
-        results.page([ROW | {"command": f"warpvox codesign evaluation={name}"}]).splitlines()[-1]
-        for name in ("gaits", "waves")
-    ]
-    assert ["† `warpvox" in line for line in lines] == [False, True]
-
-
 def test_the_robots_of_the_table_of_noise_are_those_of_the_zoo_and_its_interval_is_shown() -> None:
     assert [row["task"] for row in results.read_table(results.NOISE)] == [*filter(zoo_tasks().__contains__, task_ids())]
     best = known_returns()["Walker-v0"].best

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import is_dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import warpvox
 from warpvox.cli.help import flat_keys
 from warpvox.configs.schema import COMMANDS as SCHEMAS
+from warpvox.envs.registry import task_ids
+from warpvox.robots import zoo_tasks
 
 ROOT = Path(__file__).resolve().parents[2]
 SPEC = importlib.util.spec_from_file_location("key_tables", ROOT / "docs" / "key_tables.py")
@@ -22,6 +28,12 @@ SPEC.loader.exec_module(key_tables)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 MEGABYTES = 5  # of which up to 3 are the animation of the zoo
 """Of all pictures together: everybody who clones the repository gets them."""
+
+
+WORDS = 1500
+"""Of a page at most, but for those of reference."""
+REFERENCE = {"commands", "figures", "results", "search"}
+TOO_LONG = {"codesign", "universal"}  # to be shortened
 
 
 def own_pages() -> list[Path]:
@@ -36,10 +48,20 @@ def test_links_to_files_lead_somewhere(page: Path) -> None:
             assert (page.parent / target.split("#")[0]).exists(), f"{page.name}: {target}"
 
 
+def test_pages_are_short() -> None:
+    pages = (ROOT / "docs").glob("*.md")
+    long = {page.stem for page in pages if len(page.read_text(encoding="utf-8").split()) > WORDS}
+    assert long <= REFERENCE | TOO_LONG
+
+
 def test_every_picture_is_used_and_all_are_small() -> None:
-    pictures = list((ROOT / "docs" / "images").iterdir())
+    folder = ROOT / "docs" / "images"
+    pictures = [path for path in folder.rglob("*") if path.is_file()]
     texts = "\n".join(page.read_text(encoding="utf-8") for page in own_pages())
-    assert not [picture.name for picture in pictures if f"images/{picture.name}" not in texts]
+    shown = {f"tasks/{task}.webp" for task in zoo_tasks()}  # by pages that the site makes
+    names = {path.relative_to(folder).as_posix() for path in pictures}
+    assert shown <= names
+    assert not [name for name in names - shown if f"images/{name}" not in texts]
     assert sum(picture.stat().st_size for picture in pictures) < MEGABYTES * 1e6
 
 
@@ -57,16 +79,40 @@ def test_every_key_is_in_the_repository() -> None:
             assert is_dataclass(key.default) or len(key.choices) == 1 or f"| `{name}` |" in section, f"{command} {name}"
 
 
-@pytest.mark.skipif(find_spec("mkdocs") is None or find_spec("material") is None, reason="the extra docs is missing")
-def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built site; a warning is an error."""
+    if find_spec("mkdocs") is None or find_spec("material") is None:
+        pytest.skip("the extra docs is missing")
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
     built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert built.returncode == 0, built.stderr
-    page = (tmp_path / "site" / "commands" / "index.html").read_text(encoding="utf-8")
+    return folder
+
+
+def test_the_site_has_commands_tasks_and_public_names(site: Path) -> None:
+    page = (site / "commands.html").read_text(encoding="utf-8")
     for name in SCHEMAS:
         assert f'<h2 id="{name}"' in page
         assert f"usage: warpvox {name}" in page
     assert "<!-- help" not in page
-    assert not list((tmp_path / "site").rglob("*.py"))
+    assert not list(site.rglob("*.py"))
     addresses = set(re.findall(r'(?:src|href)="(https?://[^"]+)"', page))
-    assert not [address for address in addresses if not address.startswith("https://squidfunk.github.io")]
+    known = ("https://squidfunk.github.io", "https://github.com/warpvox/warpvox")
+    assert not [address for address in addresses if not address.startswith(known)]
+    index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
+    headings = {entry["title"].split("<")[0].strip() for entry in index["docs"]}
+    assert not set(warpvox.__all__) - headings, "the reference of the Python interface lacks public names"
+    for task in task_ids():
+        assert "<h2" in (site / "tasks" / f"{task}.html").read_text(encoding="utf-8")
+
+
+def test_the_site_is_searched_from_disk(
+    site: Path, open_page: Callable[..., Any], wait_for: Callable[..., None]
+) -> None:
+    page = open_page((site / "index.html").as_uri())
+    page.click("[data-md-component=search-query]")
+    page.keyboard.type("load_policy")
+    wait_for(page, "[...document.querySelectorAll('.md-search-result h2')].some(h => h.innerText == 'load_policy')")
+    assert not page.problems

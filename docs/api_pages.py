@@ -1,0 +1,119 @@
+"""Pages of the Python interface, made while the site is built. Not part of the library.
+
+What is public is read from ``warpvox/__init__.pyi``; mkdocstrings reads the docstrings without importing anything.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from functools import cache
+from pathlib import Path
+
+STUB = Path(__file__).resolve().parents[1] / "warpvox" / "__init__.pyi"
+TITLES = {
+    "api": "Training and policies",
+    "algos.training.loading": "Training and policies",
+    "algos.training.settings": "Training and policies",
+    "algos.settings": "Training and policies",
+    "algos.codesign.api": "Design search",
+    "algos.codesign.settings": "Design search",
+    "algos.codesign.found": "Design search",
+    "algos.codesign.evaluations": "Design search",
+    "algos.search.settings": "Design search",
+    "envs.vec_env": "Batches of environments",
+    "batch.options": "Options of a simulation",
+    "envs.registry": "Tasks",
+    "envs.design_episodes": "Bodies within episodes",
+    "design": "Bodies",
+    "world": "Worlds",
+    "simulation": "Simulation",
+    "gradients": "Gradients",
+    "view.rollout": "Rollouts",
+    "robots.entry": "Robots of the zoo",
+    "code": "Code of one's own",
+    "types": "Types",
+    "errors": "Errors",
+}
+"""Modules of public names with the titles of their pages, in order; others come last, under their own names."""
+BESIDE = {
+    "Training and policies": ("algos.checkpoints.policy.Policy",),
+    "Batches of environments": ("envs.vec_env.VoxelVecEnv",),
+    "Bodies within episodes": ("envs.design_episodes.DesignVecEnv", "envs.design_episodes.DesignLayout"),
+    "Tasks": (
+        *("envs.spec.TaskSpec", "envs.spec.observes", "envs.spec.rewards", "envs.spec.terminates", "envs.spec.Memory"),
+        *("envs.about.about", "envs.snapshot.Snapshot", "envs.random_stream.RandomStream", "envs.registry.get_task"),
+    ),
+    "Rollouts": (
+        *("view.rollout.Rollout", "view.render.Film", "view.render.draw_frame", "view.render.write_gif"),
+        *("view.render.write_mp4", "view.render.write_png", "view.render.write_filmstrip", "view.player.write_html"),
+        "view.usd.write_usd",
+    ),
+    "Robots of the zoo": (
+        *("robots.entry.Robot", "robots.gait.Gait", "robots.network.Network", "robots.replay.judge"),
+        *("robots.replay.robot_env", "robots.entry.read_robot", "robots.entry.save_robot"),
+    ),
+    "Bodies": ("design.full_connections", "design.repair_design"),
+    "Other libraries": (
+        *("envs.adapters.gym.VoxelEnv", "envs.adapters.gym.register_task"),
+        *("envs.adapters.gym_vector.VoxelGymVectorEnv", "envs.adapters.rsl_rl.RslRlVecEnv"),
+        "envs.adapters.sb3.VoxelSB3VecEnv",
+    ),
+    "Searches of one's own": ("algos.search.base.BaseSearch", "algos.candidate.Candidate"),
+}
+"""What public functions take and return and what has no name in ``warpvox`` itself, by the title of the page."""
+FULL = "::: {}\n    options: {{show_root_full_path: true}}"
+
+
+@cache
+def public_modules() -> dict[str, tuple[str, ...]]:
+    """Public names by the module that they come from."""
+    found = {}
+    for node in ast.parse(STUB.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ImportFrom):
+            found[node.module] = tuple(name.name for name in node.names)
+    return found
+
+
+@cache
+def public_names() -> frozenset[str]:
+    """All names that ``import warpvox`` offers."""
+    return frozenset(name for names in public_modules().values() for name in names)
+
+
+@cache
+def pages() -> dict[str, str]:
+    """Place in the site -> Markdown."""
+    modules = public_modules()
+    entries: dict[str, tuple[list[str], list[str]]] = {}
+    for module in sorted(modules, key=lambda name: (*TITLES, *modules).index(name)):
+        public, _ = entries.setdefault(TITLES.get(module, module), ([], []))
+        public += [f"warpvox.{name}" for name in modules[module]]
+    for title, names in BESIDE.items():
+        entries.setdefault(title, ([], []))[1].extend(f"warpvox.{name}" for name in names)
+    made = {"api/index.md": _index(entries)}
+    for title, (public, beside) in entries.items():
+        parts = [f"# {title}", *(f"::: {name}" for name in public), *(FULL.format(name) for name in beside)]
+        made[f"api/{_file(title)}"] = "\n\n".join(parts)
+    return made
+
+
+def _file(title: str) -> str:
+    return re.sub(r"\W+", "_", title.lower()) + ".md"
+
+
+def _index(entries: dict[str, tuple[list[str], list[str]]]) -> str:
+    rows = [
+        f"| [{title}]({_file(title)}) | {', '.join(_link(name) for name in public + beside)} |"
+        for title, (public, beside) in entries.items()
+    ]
+    head = (
+        "# Python\n\n`import warpvox as wv` takes less than a second and offers what stands here as `wv.NAME`; other"
+        " names are imported from the module that their page shows.\n\n| | |\n|---|---|"
+    )
+    return "\n".join([head, *rows, ""])
+
+
+def _link(name: str) -> str:
+    short = name.rpartition(".")[2]
+    return f"[`{'wv.' * (name.count('.') == 1)}{short}`][{name}]"

@@ -1,0 +1,164 @@
+"""A page for each task of the benchmark, made while the site is built. Not part of the library.
+
+Formulas are those of the terms, returns those of ``docs/results`` and ``envs/known_returns.csv``; ``make zoo_picture``
+makes the films.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from warpvox.envs.about import UNITS
+from warpvox.envs.known_returns import known_returns
+from warpvox.envs.registry import get_task, task_ids
+from warpvox.envs.spec import TaskSpec
+from warpvox.envs.worlds import task_world
+from warpvox.robots.entry import zoo, zoo_tasks
+from warpvox.robots.gait import Gait
+from warpvox.view.world_picture import draw_world
+
+RESULTS = Path(__file__).resolve().parent / "results"
+PAGE = """\
+# {task.id}
+
+{task.summary} {level}, section {task.section} of the paper. At most {task.max_episode_steps} control steps.
+
+{film}
+![The world of {task.id}](worlds/{task.id}.png)
+
+    warpvox play zoo={task.id}
+    warpvox train task={task.id} design=zoo:{task.id}
+
+## Reward
+
+{rewards}
+
+Δ is the value after the step less that before; [condition] counts only where it holds after the step.
+
+## End
+
+{ends}
+
+## Observation
+
+{observations}
+
+x, y: centre of mass; p: both; v: its velocity; θ: turn since the beginning; c: points of a body about p, n of them.
+{units} [More kinds of observation](../observations.md).
+{memory}
+## Returns
+
+{returns}
+
+{episodes}; under noise of 1 % of the action range the mean of 32 episodes ([results](../results.md)).
+{paper}"""
+
+
+@cache
+def pages() -> dict[str, str]:
+    """Place in the site -> Markdown."""
+    return {"tasks/index.md": _index()} | {f"tasks/{name}.md": _page(get_task(name)) for name in task_ids()}
+
+
+@cache
+def pictures() -> dict[str, bytes]:
+    """Place in the site -> PNG of a task's world with the best robot in it."""
+    made = {}
+    for name in task_ids():
+        file = io.BytesIO()
+        draw_world(task_world(get_task(name), _body(name))).save(file, "PNG", optimize=True)
+        made[f"tasks/worlds/{name}.png"] = file.getvalue()
+    return made
+
+
+def _index() -> str:
+    rows = [
+        f"| [{task.id}]({task.id}.md) | {task.difficulty} | {task.max_episode_steps} | {task.summary} |"
+        for task in map(get_task, task_ids())
+    ]
+    head = (
+        "# Tasks\n\n![The worlds of all tasks](../images/gallery.png)\n\nThese pages show the released rules;"
+        " [the paper's differ](../paper.md).\n\n| task | level | control steps | goal |\n|---|---|---:|---|"
+    )
+    return "\n".join([head, *rows, ""])
+
+
+def _page(task: TaskSpec) -> str:
+    robot = zoo(task.id) if task.id in zoo_tasks() else None
+    kind = "a gait, without feedback" if robot and isinstance(robot.policy, Gait) else "a network"
+    film = f"![The best robot at work](../images/tasks/{task.id}.webp)\n\nThe best robot so far, with {kind}.\n"
+    named = ", ".join(f"`{memory.name}`" for memory in task.memory)
+    moved = f" Every episode places {', '.join(task.randomized)} anew." if task.randomized else ""
+    return PAGE.format(
+        task=task,
+        level=task.difficulty.capitalize(),
+        film=film if robot else "",
+        rewards=_table(("", "term"), ((_weight(term.weight), f"`{term.formula}`") for term in task.rewards)),
+        ends=_table(("when", "added to the reward"), _ends(task)),
+        observations=_table(("entries", "what", "unit", "values"), _observations(task)),
+        units=" ".join(f"{name.capitalize()}: {UNITS[name]}." for name in _units(task)),
+        memory=f"\nEpisode state: {named}.{moved}\n" if named else "",
+        episodes="Means of eight episodes" if task.is_random else "One deterministic episode",
+        returns=_table(("", "return"), _returns(task.id)),
+        paper=_paper(task),
+    )
+
+
+def _table(head: tuple[str, ...], rows: Any) -> str:
+    return "\n".join([f"| {' | '.join(head)} |", f"|{'---|' * len(head)}", *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def _weight(weight: float) -> str:
+    return f"{'-' if weight < 0 else '+'} {abs(weight):g} ×"
+
+
+def _ends(task: TaskSpec) -> Iterator[tuple[str, str]]:
+    for term in task.terminations:
+        yield f"`{term.formula}`", f"{term.bonus:+g}" if term.bonus else "0"
+    yield "the robot folds into itself", f"{task.unstable_penalty:+g}"
+
+
+def _observations(task: TaskSpec) -> Iterator[tuple[str, str, str, str]]:
+    for term in task.observations:
+        params = dict(term.params)
+        fixed, one = (term.about.size(params, points) for points in (0, 1))
+        size = " + ".join([*([str(fixed)] if fixed else []), *([f"{one - fixed} n"] if one > fixed else [])])
+        bounds = "any" if str(term.about.low) == "-inf" else f"{term.about.low:.4g} to {term.about.high:.4g}"
+        yield size, f"`{term.formula}`", term.about.unit, bounds
+
+
+def _units(task: TaskSpec) -> list[str]:
+    return [name for name in UNITS if name != "number" and any(term.about.unit == name for term in task.observations)]
+
+
+def _returns(task: str) -> Iterator[tuple[str, str]]:
+    known, ours, noisy = known_returns()[task], _rows("returns.csv").get(task), _rows("noise.csv").get(task)
+    if ours:
+        yield "our best robot", f"{float(ours['return'] or ours['evaluation']):.3f}"
+    if noisy:
+        yield "the same under noise", f"{float(noisy['mean']):.3f} ± {float(noisy['high']) - float(noisy['mean']):.3f}"
+    published = f"best published ({known.method}: {known.protocol})"
+    yield (published, f"{known.best:g}") if known.best is not None else ("best published", "none")
+    yield "random bodies under random actions", f"{known.random:.3f}"
+
+
+@cache
+def _rows(file: str) -> dict[str, dict[str, str]]:
+    with (RESULTS / file).open(encoding="utf-8", newline="") as table:
+        return {row["task"]: row for row in csv.DictReader(table)}
+
+
+def _paper(task: TaskSpec) -> str:
+    changed = ", ".join(key.replace("_", " ") for key in task.paper)
+    return f"\nUnder `rules=paper` other: {changed} ([how](../paper.md#what-rulespaper-changes)).\n" if changed else ""
+
+
+def _body(task: str) -> Any:
+    from warpvox.design import load_design
+
+    return zoo(task).body if task in zoo_tasks() else load_design("walker")
