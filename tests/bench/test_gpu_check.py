@@ -19,7 +19,7 @@ import torch
 from rich.console import Console
 from simulated_cuda import SimulatedCuda
 
-from warpvox.bench import gpu, gpu_checks, gpu_rates, gpu_tools, progress as progress_module
+from warpvox.bench import cases, gpu, gpu_checks, gpu_rates, gpu_tools, progress as progress_module
 from warpvox.bench.progress import Progress
 from warpvox.bench.report import Report
 from warpvox.cli.config import load
@@ -109,13 +109,13 @@ def test_float32_is_right_where_contacts_part_its_trajectories(task: str, progre
 def test_a_kernel_that_is_a_little_wrong_is_found(
     wrong: dict, progress: Progress, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right = gpu_checks.make_vec
+    right = cases.make_vec
 
     def make(task: str, *words: Any, dtype: str, **options: Any) -> Any:
         physics = Physics.preset("evogym", **(wrong if dtype == "float32" else {}))
         return right(task, *words, dtype=dtype, physics=physics, **options)
 
-    monkeypatch.setattr(gpu_checks, "make_vec", make)
+    monkeypatch.setattr(cases, "make_vec", make)
     with pytest.raises(SimulationError, match="The device differs from the CPU in Walker-v0"):
         gpu_checks.correctness(
             config_of("device=cpu", "design=walker"), progress, "correctness", ["Walker-v0"], "float32"
@@ -137,8 +137,7 @@ def test_its_parts_run_on_a_device(progress: Progress, monkeypatch: pytest.Monke
     figures = progress.close()
     assert figures["failed"] == figures["left_out"] == [], figures
     assert figures["smoke"]["layout"] == "group"
-    assert figures["graph"]["captured"] is True
-    assert figures["stream"]["num_envs"] == 8
+    assert figures["graph"]["num_envs"] == figures["stream"]["num_envs"] == 8
     assert figures["sizes"][0]["graph"] > 0
     assert {"graph", "stream", "sizes"} <= figures["seconds"].keys()
     assert all(graph.replays > 1 for graph in cuda.captured)
@@ -162,12 +161,13 @@ def test_a_sanitizer_that_is_there_is_used(errors: int, progress: Progress, monk
     assert {row["good"] for row in rows} == {not errors}
     said = folder / "racecheck.txt"
     assert said.is_file() == bool(errors)
-    assert not errors or "gpu_sample cuda:0 Walker-v0 64 8 2" in said.read_text()
+    sample = 'bench.sample {"task": "Walker-v0", "num_envs": 64, "device": "cuda:0"} 8 2'
+    assert not errors or sample in said.read_text()
 
 
 def test_the_sample_for_tools_steps(capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["gpu_sample", "cpu", "Walker-v0", "8", "1", "2"])
-    runpy.run_module("warpvox.bench.gpu_sample", run_name="__main__")
+    monkeypatch.setattr(sys, "argv", ["sample", '{"task": "Walker-v0", "num_envs": 8, "device": "cpu"}', "1", "2"])
+    runpy.run_module("warpvox.bench.sample", run_name="__main__")
     assert capsys.readouterr().out == "finite\n"
 
 
@@ -218,15 +218,15 @@ def test_predictions_stand_beside_what_was_predicted_for(asked: tuple, told: str
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e-300])
-def test_equal_bit_for_bit_is_tested(offset: float) -> None:
-    one, other = ({"pos": torch.full((3,), value, dtype=torch.float64)} for value in (0.0, offset))
-    with pytest.raises(SimulationError, match="differ in pos") if offset else nullcontext():
-        gpu_checks._compare(one, other, "Runs")
+def test_equal_bit_for_bit_is_tested(offset: float, progress: Progress) -> None:
+    one, other = ({"reward": torch.full((3,), value, dtype=torch.float64)} for value in (0.0, offset))
+    with pytest.raises(SimulationError, match="differ in reward") if offset else nullcontext():
+        gpu_checks._compare(progress, one, other, "Runs are equal.")
 
 
 @pytest.mark.parametrize("code", [0, 1])
 def test_the_tests_of_this_checkout_are_run(
-    code: int, tmp_path: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
+    code: int, progress: Progress, repository: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words: list[str] = []
 
@@ -236,6 +236,6 @@ def test_the_tests_of_this_checkout_are_run(
 
     monkeypatch.setattr(gpu_checks.subprocess, "run", tests)
     with pytest.raises(SimulationError, match="2 passed") if code else nullcontext():
-        found = gpu_checks.recordings(SimpleNamespace(device="cuda:0"), Report(Console(quiet=True), tmp_path), 60.0)
+        found = gpu_checks.recordings(SimpleNamespace(device="cuda:0"), progress)
         assert found == {"replayed": True, "result": "2 passed"}
     assert words[-1] == str(repository / "tests")

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.bench import gpu_checks, gpu_rates, gpu_tools
+from warpvox.bench import gpu_checks as checks, gpu_rates as rates, gpu_tools as tools
 from warpvox.bench.machine import machine
 from warpvox.bench.progress import Progress
 from warpvox.bench.report import Report
@@ -22,8 +22,6 @@ __all__ = ["Size", "run"]
 
 FIRST = ("Walker-v0", "Carrier-v0", "Climber-v2", "BeamToppler-v0", "Balancer-v1")
 """Tasks that are compared before anything is measured: plain ground, a load, walls, a loose beam, a narrow support."""
-
-
 ON_CUDA = "sanitizer", "graph", "stream"
 """Parts that mean nothing on the CPU."""
 
@@ -60,28 +58,28 @@ def _parts(config: Any, size: Size, progress: Progress) -> dict[str, Callable[[]
     wanted = [get_task(task).id for task in config.tasks] or task_ids()
     first = [task for task in FIRST if task in wanted] or wanted[:1]
     rest = [task for task in wanted if task not in first]
-    report, checks, rates = progress.report, gpu_checks, gpu_rates
+    common = config, progress
 
     def compared(part: str, tasks: list[str], dtype: str) -> Callable[[], Any]:
-        return lambda: checks.correctness(config, progress, part, tasks, dtype)
+        return lambda: checks.correctness(*common, part, tasks, dtype)
 
     parts = {
-        "smoke": lambda: checks.smoke(config, report),
-        "sanitizer": lambda: gpu_tools.sanitizer(config, progress),
+        "smoke": lambda: checks.smoke(*common),
+        "sanitizer": lambda: tools.sanitizer(*common),
         "correctness": compared("correctness", first, config.dtype),
-        "determinism": lambda: checks.determinism(config, report, size.checked),
-        "independence": lambda: checks.independence(config, report, size.checked),
-        "graph": lambda: checks.graph(config, report, size.checked),
-        "stream": lambda: checks.stream(config, report, size.checked),
-        "sizes": lambda: rates.sizes(config, progress, size.envs),
-        "profile": lambda: gpu_tools.profile(config, progress, size.training[-1]),
-        "training": lambda: rates.training(config, progress, size.training, size.designs),
-        "learning": lambda: rates.learning(config, progress),
-        "recordings": lambda: checks.recordings(config, report, progress.left),
+        "determinism": lambda: checks.determinism(*common, size.checked),
+        "independence": lambda: checks.independence(*common, size.checked),
+        "graph": lambda: checks.graph(*common, size.checked),
+        "stream": lambda: checks.stream(*common, size.checked),
+        "sizes": lambda: rates.sizes(*common, size.envs),
+        "profile": lambda: tools.profile(*common, size.training[-1]),
+        "training": lambda: rates.training(*common, size.training, size.designs),
+        "learning": lambda: rates.learning(*common),
+        "recordings": lambda: checks.recordings(*common),
         "other tasks": compared("other tasks", rest, config.dtype),
         "double": compared("double", first, "float64"),
-        "bodies": lambda: rates.bodies(config, progress, size.bodies, size.sides),
-        "tasks": lambda: rates.tasks(config, progress, wanted, size.tasks),
+        "bodies": lambda: rates.bodies(*common, size.bodies, size.sides),
+        "tasks": lambda: rates.tasks(*common, wanted, size.tasks),
         "other tasks, double": compared("other tasks, double", rest, "float64"),
     }
     left_out = set(ON_CUDA) if config.device == "cpu" else set()

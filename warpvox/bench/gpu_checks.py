@@ -14,10 +14,10 @@ from typing import Any
 import torch
 import warp as wp
 
-from warpvox.bench.case import one_body
+from warpvox.bench import cases
 from warpvox.bench.progress import Progress
-from warpvox.bench.report import Report, number
-from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.bench.report import number
+from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import SimulationError
 
 __all__ = ["correctness", "determinism", "graph", "independence", "recordings", "smoke", "stream"]
@@ -39,14 +39,14 @@ TEST_SECONDS = 240
 QUERY = "nvidia-smi", "--query-gpu=name,driver_version,clocks.max.sm,power.limit", "--format=csv,noheader"
 
 
-def smoke(config: Any, report: Report) -> dict[str, Any]:
+def smoke(config: Any, progress: Progress) -> dict[str, Any]:
     """The driver's report, and a few control steps with Warp's own check of every launch.
 
     Raises:
         SimulationError: a launch has failed, or the state is not finite.
     """
     asked = subprocess.run(QUERY, capture_output=True, text=True) if shutil.which(QUERY[0]) else None
-    found = {"driver": asked.stdout.strip() if asked else None, "layout": None}
+    driver = asked.stdout.strip() if asked else None
     before, wp.config.verify_cuda = wp.config.verify_cuda, True
     try:
         env = _make(config, 2 * ENVS)
@@ -57,9 +57,8 @@ def smoke(config: Any, report: Report) -> dict[str, Any]:
         wp.config.verify_cuda = before
     if not bool(torch.isfinite(obs).all()):
         raise SimulationError("The observations after three control steps are not finite.")
-    found["layout"] = env.sim.layout
-    report.note(f"{found['driver'] or config.device}: {FEW} control steps, layout {env.sim.layout}.")
-    return found
+    progress.report.note(f"{driver or config.device}: {FEW} control steps, layout {env.sim.layout}.")
+    return {"driver": driver, "layout": env.sim.layout}
 
 
 def correctness(config: Any, progress: Progress, part: str, tasks: list[str], dtype: str) -> None:
@@ -69,9 +68,7 @@ def correctness(config: Any, progress: Progress, part: str, tasks: list[str], dt
         SimulationError: they are further apart than rounding explains.
     """
     wrong: list[str] = []
-    for task in tasks:
-        if not progress.time_for(f"{part}: {task}"):
-            continue
+    for task in progress.in_time(part, tasks):
         exact = _make(config, ENVS, task=task, dtype="float64", device="cpu", lanes=1)
         apart = _apart(exact, _make(config, ENVS, task=task, dtype=dtype))
         row = {name: float(values.quantile(SHARE)) for name, values in apart.items()}
@@ -112,65 +109,42 @@ def _apart(exact: VoxelVecEnv, env: VoxelVecEnv) -> dict[str, torch.Tensor]:
     return {name: torch.stack(values) for name, values in found.items()}
 
 
-def determinism(config: Any, report: Report, envs: int) -> dict[str, Any]:
-    """Two runs are equal bit for bit: centres, rewards, observations, state.
-
-    Raises:
-        SimulationError: they are not.
-    """
+def determinism(config: Any, progress: Progress, envs: int) -> dict[str, Any]:
+    """Two runs are equal bit for bit: centres, rewards, observations, state."""
     env = _make(config, envs)
-    _compare(_outcomes(env), _outcomes(env), "Two runs of the same actions")
-    report.note(f"Two runs of {envs:,} environments over {STEPS} control steps are equal bit for bit.")
-    return {"num_envs": envs, "steps": STEPS}
+    said = f"Two runs of {envs:,} environments over {STEPS} control steps are equal bit for bit."
+    return _compare(progress, _outcomes(env), _outcomes(env), said)
 
 
-def independence(config: Any, report: Report, envs: int) -> dict[str, Any]:
-    """The first environments of a large batch do what they do in a small one, bit for bit.
-
-    Raises:
-        SimulationError: they do not.
-    """
-    large = _outcomes(_make(config, max(envs, ENVS)))
-    small = _outcomes(_make(config, FEW))
-    first = {name: value[:FEW] for name, value in large.items()}
-    _compare(first, small, "Environments in batches of two sizes")
-    count = len(large["reward"])
-    report.note(f"Environments do the same in batches of {FEW} and of {count:,}, bit for bit.")
-    return {"num_envs": count, "steps": STEPS}
+def independence(config: Any, progress: Progress, envs: int) -> dict[str, Any]:
+    """The first environments of a large batch do what they do in a small one, bit for bit."""
+    large, small = _outcomes(_make(config, max(envs, ENVS))), _outcomes(_make(config, FEW))
+    said = f"Environments do the same in batches of {FEW} and of {len(large['reward']):,}, bit for bit."
+    return _compare(progress, large, small, said)
 
 
-def graph(config: Any, report: Report, envs: int) -> dict[str, Any]:
-    """Control steps launched as one graph are those launched one by one, bit for bit, past ends of episodes.
-
-    Raises:
-        SimulationError: they are not.
-    """
+def graph(config: Any, progress: Progress, envs: int) -> dict[str, Any]:
+    """Control steps launched as one graph are those launched one by one, bit for bit, past ends of episodes."""
     options = dict(auto_reset=True, max_episode_steps=STEPS // 2)
     with_graph, without = (_outcomes(_make(config, envs, cuda_graph=wanted, **options)) for wanted in (True, False))
-    _compare(with_graph, without, "Steps with and without a graph")
-    report.note(f"{envs:,} environments over {STEPS} control steps are equal with and without a graph, bit for bit.")
-    return {"captured": True, "num_envs": envs}
+    said = f"{envs:,} environments over {STEPS} control steps are equal with and without a graph, bit for bit."
+    return _compare(progress, with_graph, without, said)
 
 
-def stream(config: Any, report: Report, envs: int) -> dict[str, Any]:
-    """On a stream of one's own control steps are those on torch's first one, bit for bit.
-
-    Raises:
-        SimulationError: they are not.
-    """
+def stream(config: Any, progress: Progress, envs: int) -> dict[str, Any]:
+    """On a stream of one's own control steps are those on torch's first one, bit for bit."""
     env = _make(config, envs)
     expected = _outcomes(env)
     torch.cuda.synchronize(config.device)
+    said = f"{envs:,} environments over {STEPS} control steps are equal on another stream, bit for bit."
     with torch.cuda.stream(torch.cuda.Stream(config.device)):
-        _compare(_outcomes(env), expected, "Steps on another stream")
-    report.note(f"{envs:,} environments over {STEPS} control steps are equal on another stream, bit for bit.")
-    return {"num_envs": envs}
+        return _compare(progress, _outcomes(env), expected, said)
 
 
 def _make(config: Any, envs: int, task: str | None = None, **options: Any) -> VoxelVecEnv:
-    common = dict(device=config.device, dtype=config.dtype, seed=config.seed, threads=config.threads, auto_reset=False)
-    common["lanes"] = 8 if config.device == "cpu" else None
-    return make_vec(task or config.task, [one_body(config)], envs, **(common | options))
+    lanes = 8 if config.device == "cpu" else None
+    given = dict(arithmetic=None, seed=config.seed, auto_reset=False, lanes=lanes) | options
+    return cases.make(config, [cases.one_body(config)], envs, task, **given)
 
 
 def _outcomes(env: VoxelVecEnv) -> dict[str, torch.Tensor]:
@@ -198,25 +172,30 @@ def _actions(env: VoxelVecEnv) -> Iterator[torch.Tensor]:
         yield (torch.randint(615, 1639, (env.num_actions, MOST), generator=random).T / 1024)[rows]
 
 
-def _compare(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor], what: str) -> None:
-    wrong = [name for name, value in expected.items() if not torch.equal(found[name], value)]
+def _compare(
+    progress: Progress, found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor], said: str
+) -> dict[str, Any]:
+    """Note that the first environments of ``found`` are those expected; SimulationError: they are not."""
+    wrong = [name for name, value in expected.items() if not torch.equal(found[name][: len(value)], value)]
     if wrong:
-        raise SimulationError(f"{what} differ in {', '.join(wrong)}.")
+        raise SimulationError(f"They differ in {', '.join(wrong)}; expected: {said}")
+    progress.report.note(said)
+    return {"num_envs": len(found["reward"]), "steps": STEPS}
 
 
-def recordings(config: Any, report: Report, seconds: float) -> dict[str, Any]:
+def recordings(config: Any, progress: Progress) -> dict[str, Any]:
     """The tests marked ``gpu``, recordings of the reference among them, where this is a checkout with pytest.
 
     Raises:
         SimulationError: a test has failed.
     """
-    tests = Path(__file__).resolve().parents[2] / "tests"
+    tests, report = Path(__file__).resolve().parents[2] / "tests", progress.report
     if config.device == "cpu" or not (tests / "parity").is_dir() or find_spec("pytest") is None:
         reason = "tests of the GPU need one" if config.device == "cpu" else "this is no checkout with pytest"
         report.note(f"Recordings of the reference were not replayed: {reason}.")
         return {"replayed": False, "reason": reason}
     words = [sys.executable, "-m", "pytest", "-q", "-m", "gpu", "-p", "no:cacheprovider", str(tests)]
-    limit = max(1.0, min(TEST_SECONDS, seconds))
+    limit = max(1.0, min(TEST_SECONDS, progress.left))
     try:
         done = subprocess.run(words, cwd=tests.parent, capture_output=True, text=True, timeout=limit)
     except subprocess.TimeoutExpired:

@@ -8,10 +8,9 @@ from typing import Any
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
 from warpvox.batch.options import SimOptions
-from warpvox.bench.case import Case, full_body, one_body, sampled_bodies
+from warpvox.bench.cases import full_body, one_body, sampled_bodies
 from warpvox.bench.learning import learn
-from warpvox.bench.machine import available_memory
-from warpvox.bench.memory import per_environment
+from warpvox.bench.machine import available_memory, per_environment
 from warpvox.bench.progress import Progress
 from warpvox.bench.report import middle, number
 from warpvox.bench.runner import Runner, clock, measure
@@ -37,12 +36,10 @@ def predicted(task: str, dtype: str, num_envs: int) -> str:
     return " to ".join(map(number, PREDICTED[num_envs])) + " M"
 
 
-def _runner(config: Any, count: int, task: str | None = None, bodies: Any = None, **options: Any) -> Runner:
-    """Environments with loaded kernels. What they compute is compared in the parts before."""
-    case = Case("", task or config.task, bodies or [one_body(config)], count, options)
-    runner = Runner(config, case, checked=False)
-    runner.fit()
-    return runner
+def _runner(config: Any, count: int, task: str | None = None, body: Any = None, **options: Any) -> Runner:
+    """Environments of one body. What they compute is compared in the parts before."""
+    body = one_body(config) if body is None else body
+    return Runner(config, [body], count, task, checked=False, **options)
 
 
 def _median(runner: Runner, config: Any) -> float:
@@ -53,9 +50,7 @@ def _median(runner: Runner, config: Any) -> float:
 def sizes(config: Any, progress: Progress, counts: tuple[int, ...]) -> None:
     """The physics alone and whole steps, launched one by one and as a graph; predictions beside them."""
     rows, needed = [], 0.0
-    for count in counts:
-        if not progress.time_for(f"sizes: {count:,} environments"):
-            continue
+    for count in progress.in_time("sizes", counts, "{:,} environments"):
         before = available_memory(config.device)
         if count * needed > before:
             progress.report.note(f"{count:,} environments need {count * needed / 2**30:.1f} GiB: left out.")
@@ -93,18 +88,16 @@ def _physics(runner: Runner) -> float:
 def bodies(config: Any, progress: Progress, count: int, sides: tuple[int, ...]) -> None:
     """A different body in every environment beside one in all, then full bodies of several sizes."""
     designs = sampled_bodies(5, count, config.seed)
-    mixed = _runner(config, count, bodies=designs)
-    runners = {"different": mixed, "same": _runner(config, count, bodies=designs[:1])}
+    mixed = Runner(config, designs, count, checked=False)
+    runners = {"different": mixed, "same": _runner(config, count, body=designs[0])}
     found = measure(runners, ["step"], config.repeats)
     different, same, built = middle(found["different"]["step"]), middle(found["same"]["step"]), mixed.built
     text = f"{count:,} different bodies: {number(different)} steps/s, {different / same:.0%} of one in all"
     values = {"num_envs": count, "different": different, "same": same, "built": built}
     progress.row("bodies", f"{text}; built in {built:.2f} s", noted=True, **values)
     rows = []
-    for side in sides:
-        if not progress.time_for(f"bodies: {side} x {side}"):
-            continue
-        runner = _runner(config, count, bodies=[full_body(side, config.seed)])
+    for side in progress.in_time("bodies", sides, "{0} x {0}"):
+        runner = _runner(config, count, body=full_body(side, config.seed))
         rate, size = _median(runner, config), per_environment(runner.env)
         progress.row("bodies", f"full {side} x {side}: {number(rate)} steps/s", side=side, rate=rate, bytes=size)
         rows.append([f"{side} x {side}", number(rate), number(rate * side**2)])
@@ -115,21 +108,19 @@ def bodies(config: Any, progress: Progress, count: int, sides: tuple[int, ...]) 
 def training(config: Any, progress: Progress, counts: tuple[int, ...], designs: int) -> None:
     """Whole iterations of PPO, and of a population of designs that are trained side by side."""
     rows = []
-    for count in counts:
-        if not progress.time_for(f"training: {count:,} environments"):
-            continue
-        runner = _runner(config, count)
-        found = {name: middle(values) for name, values in measure({"": runner}, ["step", "training"], 1)[""].items()}
-        text = f"{count:,} environments: {number(found['training'])} steps/s with training"
-        progress.row("training", text, num_envs=count, **found)
-        rows.append([f"{count:,}", number(found["step"]), number(found["training"])])
+    for count in progress.in_time("training", counts, "{:,} environments"):
+        found = measure({"": _runner(config, count)}, ["step", "training"], 1)[""]
+        rates = {name: middle(values) for name, values in found.items()}
+        text = f"{count:,} environments: {number(rates['training'])} steps/s with training"
+        progress.row("training", text, num_envs=count, **rates)
+        rows.append([f"{count:,}", *map(number, rates.values())])
     progress.report.table("Control steps per second", ["environments", "step only", "with training"], rows)
     if not progress.time_for("training: population"):
         return
     settings = training_preset("paper_wide", {"steps": POPULATION_STEPS})
     sim = SimOptions(config.device, config.dtype, config.arithmetic, threads=config.threads)
-    factory = EnvFactory(config.task, sim=sim)
-    population = PopulationTraining(factory, sampled_bodies(5, designs, config.seed), list(range(designs)), settings)
+    several = sampled_bodies(5, designs, config.seed), list(range(designs))
+    population = PopulationTraining(EnvFactory(config.task, sim=sim), *several, settings)
     population.iterate()  # loads the kernels
     began = clock(config.device)
     population.iterate()
@@ -154,9 +145,7 @@ def learning(config: Any, progress: Progress) -> None:
 def tasks(config: Any, progress: Progress, names: list[str], count: int) -> None:
     """The speed of every task."""
     rows = []
-    for task in names:
-        if not progress.time_for(f"tasks: {task}"):
-            continue
+    for task in progress.in_time("tasks", names):
         rate = _median(_runner(config, count, task), config)
         progress.row("tasks", f"{task}: {number(rate)} steps/s", task=task, rate=rate)
         rows.append([task, number(rate)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -11,10 +12,9 @@ from typing import Any
 
 import torch
 
-from warpvox.bench.case import one_body
+from warpvox.bench.cases import make, one_body
 from warpvox.bench.progress import Progress
 from warpvox.bench.runner import training_of
-from warpvox.envs.vec_env import make_vec
 from warpvox.errors import SimulationError
 from warpvox.io.writing import write_text
 
@@ -24,6 +24,7 @@ TOOLS = "memcheck", "racecheck", "synccheck", "initcheck"
 SECONDS = 90
 """For one run under a tool, at most."""
 TOOLKIT = "/usr/local/cuda/bin"
+ONE_LAUNCH = "--set full --kernel-name regex:group_step --launch-skip 1 --launch-count 1".split()
 ITERATIONS, LINES = 3, 40
 """Iterations of the training that is profiled; rows of its table."""
 
@@ -35,10 +36,8 @@ def sanitizer(config: Any, progress: Progress) -> None:
         SimulationError: it has found an error.
     """
     program, wrong = _find("compute-sanitizer", progress), []
-    for tool in TOOLS if program else ():
-        if not progress.time_for(f"sanitizer: {tool}"):
-            continue
-        done = _sample([program, "--tool", tool, "--error-exitcode", "9"], config, (64, 8, 2), progress)
+    for tool in progress.in_time("sanitizer", TOOLS if program else ()):
+        done = _sample([program, "--tool", tool, "--error-exitcode", "9"], config, progress, envs=64, bodies=8)
         if done is None:
             continue
         last = [line for line in done.stdout.splitlines() if "SUMMARY" in line][-1:] or [done.stderr[-300:]]
@@ -53,14 +52,11 @@ def sanitizer(config: Any, progress: Progress) -> None:
 
 def profile(config: Any, progress: Progress, count: int) -> None:
     """The group kernel under Nsight Compute (``ncu.txt``), and a training under torch's profiler (``profile.txt``)."""
-    program = _find("ncu", progress) if config.device != "cpu" else None
-    words = [program, "--set", "full", "--kernel-name", "regex:group_step", "--launch-skip", "1", "--launch-count", "1"]
-    done = program and _sample(words, config, (count, 1, 2), progress)
-    if done:
+    program = None if config.device == "cpu" else _find("ncu", progress)
+    if program and (done := _sample([program, *ONE_LAUNCH], config, progress, envs=count, bodies=1)):
         write_text(progress.report.folder / "ncu.txt", done.stdout + done.stderr)
         progress.row("profile", "ncu.txt", noted=True, tool="ncu", good=done.returncode == 0)
-    options = dict(device=config.device, dtype=config.dtype, threads=config.threads)
-    training = training_of(make_vec(config.task, [one_body(config)], count, **options))
+    training = training_of(make(config, [one_body(config)], count))
     training.learn(1)
     with torch.profiler.profile() as found:  # of all that this torch can follow
         training.learn(ITERATIONS)
@@ -79,11 +75,12 @@ def _find(name: str, progress: Progress) -> str | None:
 
 
 def _sample(
-    words: list[str], config: Any, sizes: tuple[int, int, int], progress: Progress
+    words: list[str], config: Any, progress: Progress, envs: int, bodies: int
 ) -> subprocess.CompletedProcess[str] | None:
-    """Run environments, bodies and control steps under a tool; None if that takes too long, which is said."""
+    """Two control steps under a tool; None if that takes too long, which is said."""
     limit = max(1.0, min(SECONDS, progress.left))
-    command = [*words, sys.executable, "-m", "warpvox.bench.gpu_sample", config.device, config.task, *map(str, sizes)]
+    options = json.dumps({"task": config.task, "num_envs": envs, "device": config.device})
+    command = [*words, sys.executable, "-m", "warpvox.bench.sample", options, str(bodies), "2"]
     # with torch's cache of memory nothing that is written beyond an array would show
     surroundings = os.environ | {"PYTORCH_NO_CUDA_MEMORY_CACHING": "1"}
     try:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
 
 from warpvox.bench.report import Report
 from warpvox.io.console import echo
 from warpvox.runs import write_summary
 
 __all__ = ["Progress"]
+
+Item = TypeVar("Item")
 
 
 class Progress:
@@ -41,10 +43,13 @@ class Progress:
 
     def time_for(self, what: str) -> bool:
         """Whether time is left for something; if not, it is noted as left out."""
-        if self.left > 0:
-            return True
-        self.figures["left_out"].append(what)
-        return False
+        if self.left <= 0:
+            self.figures["left_out"].append(what)
+        return self.left > 0
+
+    def in_time(self, part: str, items: Iterable[Item], name: str = "{}") -> Iterator[Item]:
+        """Those items of a part for which time is left when their turn comes; ``name``: how they are called."""
+        return (item for item in items if self.time_for(f"{part}: {name.format(item)}"))
 
     def row(self, part: str, text: str, noted: bool = False, **values: Any) -> None:
         """Show a line and keep its values; ``noted``: the line stands among the tables, too."""

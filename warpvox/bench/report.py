@@ -15,18 +15,13 @@ from warpvox.errors import ConfigError
 from warpvox.io.console import echo, literal
 from warpvox.io.writing import atomic_path, write_text
 
-__all__ = ["Document", "Report", "middle", "number", "spread"]
+__all__ = ["Report", "middle", "number", "put_into", "spread"]
 
-TABLES, PLOT_SIZE, DOTS = "tables.md", (8.0, 4.5), 110
+TABLES, PLOT_SIZE, DOTS = "tables.md", (11.0, 4.5), 110
 
 
 class Report:
-    """Collects what a suite shows.
-
-    Args:
-        console: where it appears at once.
-        folder: of the results; must exist.
-    """
+    """Collects what a suite shows on ``console``, for the files in ``folder``, which exists."""
 
     def __init__(self, console: Console, folder: Path) -> None:
         self.console, self.folder = console, folder
@@ -74,26 +69,20 @@ class Report:
         return text
 
 
-class Document:
-    """A Markdown file with a place for the tables of a suite, between ``<!-- bench SUITE -->`` and ``<!-- end -->``.
+def put_into(path: Path, suite: str, text: str | None = None) -> None:
+    """Replace what stands between ``<!-- bench SUITE -->`` and ``<!-- end -->`` by ``text``; None: check the place.
 
     Raises:
         ConfigError: no such file, or no such place in it.
     """
-
-    def __init__(self, path: Path, suite: str) -> None:
-        self._path = path
-        self._place = re.compile(rf"(<!-- bench {re.escape(suite)} -->\n).*?(<!-- end -->)", re.DOTALL)
-        if not path.is_file():
-            raise ConfigError(f"document={path} is no file.")
-        if not self._place.search(path.read_text(encoding="utf-8")):
-            words = f"expected '<!-- bench {suite} -->' and '<!-- end -->'"
-            raise ConfigError(f"{path} has no place for this suite: {words}.")
-
-    def replace(self, text: str) -> None:
-        """Put ``text`` there."""
-        whole = self._path.read_text(encoding="utf-8")
-        write_text(self._path, self._place.sub(lambda found: f"{found[1]}{text}{found[2]}", whole))
+    if not path.is_file():
+        raise ConfigError(f"document={path} is no file.")
+    whole, (begin, end) = path.read_text(encoding="utf-8"), (f"<!-- bench {suite} -->\n", "<!-- end -->")
+    place = re.search(f"(?<={re.escape(begin)}).*?(?={end})", whole, re.DOTALL)
+    if place is None:
+        raise ConfigError(f"{path} has no place for this suite: expected '{begin.strip()}' and '{end}'.")
+    if text is not None:
+        write_text(path, whole[: place.start()] + text + whole[place.end() :])
 
 
 def middle(values: Sequence[float]) -> float:
@@ -113,8 +102,6 @@ def number(value: float | None, digits: int = 3) -> str:
 
 def spread(values: Sequence[float]) -> str:
     """Median and, in parentheses, least and most."""
-    if not values:
-        return "-"
-    if len(values) == 1:
-        return number(values[0])
+    if len(values) < 2:
+        return number(middle(values))
     return f"{number(middle(values))} ({number(min(values))} to {number(max(values))})"

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.bench.case import Case, one_body, sampled_or_full
+from warpvox.bench.cases import one_body, sampled_or_full
 from warpvox.bench.check import against_reference
-from warpvox.bench.machine import available_memory
-from warpvox.bench.memory import per_environment
+from warpvox.bench.machine import available_memory, per_environment
 from warpvox.bench.reference import Reference, open_reference
 from warpvox.bench.report import Report, middle, number
 from warpvox.bench.runner import HEADINGS, Runner, measure, unit
@@ -69,8 +68,7 @@ def _one_size(config: Any, scaling: Any, side: int, reference: Reference | None)
     count = config.num_envs
     if count > PACK:
         count = max(PACK, count * SMALL // side**2 // PACK * PACK)
-    batch = Runner(config, Case("a batch", config.task, bodies[:1], count))
-    batch.fit()
+    batch = Runner(config, bodies[:1], count)
     row: dict[str, Any] = {
         "side": side,
         "sampled": sampled,
@@ -78,14 +76,13 @@ def _one_size(config: Any, scaling: Any, side: int, reference: Reference | None)
         "voxels": [int(np.count_nonzero(body)) for body in bodies],
         "num_envs": count,
         "scalar_error": batch.error,
-        "rates": measure({"a batch": batch}, ["step"], config.repeats)["a batch"]["step"],
+        "rates": measure({"": batch}, ["step"], config.repeats)[""]["step"],
         "bytes": per_environment(batch.env),
         "one": [],
     }
     theirs: list[float] = []
     for body in bodies:
-        one = Runner(config, Case("one robot", config.task, [body], 1))
-        one.fit()
+        one = Runner(config, [body], 1)
         row["one"].append(one.rate("step", steps))
         one.check_finite()
         if reference is not None:
@@ -100,8 +97,7 @@ def _one_size(config: Any, scaling: Any, side: int, reference: Reference | None)
 
 
 def _show_bodies(config: Any, report: Report, scaling: Any, rows: list[dict[str, Any]]) -> None:
-    compared = "reference" in rows[0]
-    shown = []
+    compared, shown = "reference" in rows[0], []
     for row in rows:
         size = f"{row['side']} x {row['side']} {'sampled' if row['sampled'] else 'full'}"
         cells = [size, f"{np.mean(row['voxels']):,.0f}", *_means(row, "one")]
@@ -127,57 +123,50 @@ def _show_bodies(config: Any, report: Report, scaling: Any, rows: list[dict[str,
 
 def _means(row: dict[str, Any], name: str) -> list[str]:
     """Mean rate of the robots, and mean of the rate times the voxels."""
-    return [number(float(np.mean(row[name]))), number(float(np.mean(np.multiply(row[name], row["voxels"]))))]
+    return [number(float(np.mean(rates))) for rates in (row[name], np.multiply(row[name], row["voxels"]))]
 
 
 def _draw_bodies(figure: Any, config: Any, rows: list[dict[str, Any]]) -> None:
     """Both panels of the paper's figure, a point for each robot."""
-    figure.set_size_inches(11, 4.5)
-    left, right = figure.subplots(1, 2)
-    for label, marker, name in (("one robot", "o", "one"), ("reference, one robot", "x", "reference")):
-        points = [pair for row in rows for pair in zip(row["voxels"], row.get(name, []), strict=False)]
-        _draw_points(left, right, points, label, marker)
-    _draw_points(left, right, [(row["voxels"][0], middle(row["rates"])) for row in rows], "a batch", "s")
-    left.set(ylabel=f"control steps per {unit(config.device)}")
-    right.set(ylabel="the same times voxels")
-    for axes in (left, right):
-        axes.set(xlabel="voxels that are not empty", yscale="log")
+    panels = figure.subplots(1, 2)
+    series = [
+        ("one robot", "o", [(row["voxels"], row["one"]) for row in rows]),
+        ("reference, one robot", "x", [(row["voxels"], row["reference"]) for row in rows if "reference" in row]),
+        ("a batch", "s", [(row["voxels"][:1], [middle(row["rates"])]) for row in rows]),
+    ]
+    for label, marker, pairs in series:
+        if pairs:
+            voxels, rates = np.concatenate(pairs, axis=1)
+            for axes, values in zip(panels, (rates, rates * voxels), strict=True):
+                axes.plot(voxels, values, marker, label=label, alpha=0.7, markersize=4)
+    for axes, label in zip(panels, (f"control steps per {unit(config.device)}", "the same times voxels"), strict=True):
+        axes.set(xlabel="voxels that are not empty", ylabel=label, yscale="log")
         axes.grid(which="both", alpha=0.3)
         axes.legend()
 
 
-def _draw_points(left: Any, right: Any, points: list[tuple[int, float]], label: str, marker: str) -> None:
-    if points:
-        voxels, rates = np.array(points).T
-        for axes, values in ((left, rates), (right, rates * voxels)):
-            axes.plot(voxels, values, marker, label=label, alpha=0.7, markersize=4)
-
-
 def scale_envs(config: Any, report: Report) -> list[dict[str, Any]]:
     """The columns for numbers of environments; what needs too much time or memory is left out, with the reason."""
-    body, rows, left_out, needed = one_body(config), [], [], 0.0
+    body, rows, shown, left_out, needed = one_body(config), [], [], [], 0.0
     for count in sorted(config.scaling.envs):
         if count * needed > MEMORY_SHARE * available_memory(config.device):
             left_out.append(f"{count:,} (memory: {count * needed / 2**30:.1f} GiB)")
             continue
-        case = Case(f"{count:,}", config.task, [body], count)
         try:
-            with report.status(f"{case.name} environments"):
-                runner = Runner(config, case)
-                if not runner.fit():
-                    left_out.append(f"{case.name} (over {config.limit:g} s a repetition)")
+            with report.status(f"{count:,} environments"):
+                runner = Runner(config, [body], count)
+                if not runner.fits:
+                    left_out.append(f"{count:,} (over {config.limit:g} s a repetition)")
                     continue
-                rates = measure({case.name: runner}, config.columns, config.repeats)[case.name]
+                rates = measure({"": runner}, config.columns, config.repeats)[""]
         except MemoryError:
-            left_out.append(f"{case.name} (memory)")
+            left_out.append(f"{count:,} (memory)")
             continue
         needed = per_environment(runner.env)
         row = {"num_envs": count, "scalar_error": runner.error, "steps": runner.steps, "rates": rates, "bytes": needed}
         rows.append(row)
-    shown = []
-    for row in rows:
-        medians = [number(middle(row["rates"][column])) for column in config.columns]
-        shown.append([f"{row['num_envs']:,}", *medians, number(row["bytes"] / 1000)])
+        medians = [number(middle(rates[column])) for column in config.columns]
+        shown.append([f"{count:,}", *medians, number(needed / 1000)])
     title = f"{config.task}, control steps per {unit(config.device)}, {config.dtype}, {config.device}"
     report.table(title, ["environments", *(HEADINGS[c] for c in config.columns), "kB an environment"], shown)
     if left_out:
@@ -187,12 +176,9 @@ def scale_envs(config: Any, report: Report) -> list[dict[str, Any]]:
 
 def scale_threads(config: Any, report: Report) -> dict[str, Any]:
     """One thread and all: control steps per second of wall-clock time, alternating."""
-    body, runners = one_body(config), {}
+    body, counts = one_body(config), sorted({1, usable_cores()})
     with report.status("threads"):
-        for count in sorted({1, usable_cores()}):
-            case = Case(str(count), config.task, [body], config.num_envs, {"threads": count})
-            runners[case.name] = Runner(config, case, now=time.perf_counter)
-            runners[case.name].fit()
+        runners = {str(n): Runner(config, [body], threads=n, now=time.perf_counter) for n in counts}
         found = measure(runners, ["step"], config.repeats)
     rates = {name: values["step"] for name, values in found.items()}
     gains = {name: middle(values) / middle(rates["1"]) for name, values in rates.items()}
