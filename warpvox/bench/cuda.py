@@ -145,7 +145,7 @@ def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90)
         raise ConfigError("Instructions are counted where all loops over springs are unrolled: take a smaller world.")
     rounds = dict.fromkeys(("relax", "stretch", "limit"), group.springs // group.parts)
     rounds |= dict.fromkeys(("point", "floor", "gather"), group.points // group.parts)
-    static, wide, shared = counted(group_kernel(group), architecture)
+    static = counted(group_kernel(group), architecture)
     sim.buffers.group, together = group, WARP // group.parts
     visited, memory = visits(sim, steps, seed)
     warps = [by_place(group, warp) for warp in memory.reshape(-1, together, group.bytes)]
@@ -153,9 +153,10 @@ def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90)
     found = {stage: np.zeros(len(HEADS)) for stage in STAGES}
     for name, times in zip(places(), visited, strict=True):
         stage = next(stage for stage, begins in STAGES.items() if name.startswith(begins))
-        waves, least = known.get(name, (shared[name],) * 2)
+        every, wide, shared = static[name]
+        waves, least = known.get(name, (shared, shared))
         share = times / rounds.get(name, 1) / together
-        found[stage] += share * np.array([static[name], wide[name], waves, waves - least])
+        found[stage] += share * np.array([every, wide, waves, waves - least])
     return found
 
 

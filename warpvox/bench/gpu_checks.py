@@ -40,11 +40,7 @@ QUERY = "nvidia-smi", "--query-gpu=name,driver_version,clocks.max.sm,power.limit
 
 
 def smoke(config: Any, progress: Progress) -> dict[str, Any]:
-    """The driver's report, and a few control steps with Warp's own check of every launch.
-
-    Raises:
-        SimulationError: a launch has failed, or the state is not finite.
-    """
+    """The driver's report, and a few control steps with Warp's own check of every launch."""
     asked = subprocess.run(QUERY, capture_output=True, text=True) if shutil.which(QUERY[0]) else None
     driver = asked.stdout.strip() if asked else None
     before, wp.config.verify_cuda = wp.config.verify_cuda, True
@@ -62,11 +58,7 @@ def smoke(config: Any, progress: Progress) -> dict[str, Any]:
 
 
 def correctness(config: Any, progress: Progress, part: str, tasks: list[str], dtype: str) -> None:
-    """Tasks in one precision: each control step of the device against the CPU in float64, from the CPU's state.
-
-    Raises:
-        SimulationError: they are further apart than rounding explains.
-    """
+    """Tasks in one precision: each control step of the device against the CPU in float64, from the CPU's state."""
     wrong: list[str] = []
     for task in progress.in_time(part, tasks):
         exact = _make(config, ENVS, task=task, dtype="float64", device="cpu", lanes=1)
@@ -184,11 +176,7 @@ def _compare(
 
 
 def recordings(config: Any, progress: Progress) -> dict[str, Any]:
-    """The tests marked ``gpu``, recordings of the reference among them, where this is a checkout with pytest.
-
-    Raises:
-        SimulationError: a test has failed.
-    """
+    """The tests marked ``gpu``, recordings of the reference among them, where this is a checkout with pytest."""
     tests, report = Path(__file__).resolve().parents[2] / "tests", progress.report
     if config.device == "cpu" or not (tests / "parity").is_dir() or find_spec("pytest") is None:
         reason = "tests of the GPU need one" if config.device == "cpu" else "this is no checkout with pytest"

@@ -13,7 +13,7 @@ from warpvox.bench.learning import learn
 from warpvox.bench.machine import available_memory, per_environment
 from warpvox.bench.progress import Progress
 from warpvox.bench.report import middle, number
-from warpvox.bench.runner import Runner, clock, measure
+from warpvox.bench.runner import Runner, measure, seconds
 from warpvox.configs.presets import training_preset
 from warpvox.kernels.step import record_step
 
@@ -77,12 +77,9 @@ def _physics(runner: Runner) -> float:
     sim = runner.env.sim
     command = record_step(sim.buffers, sim.physics.substeps, 0, sim.buffers.packs)
     command.launch()
-    began = clock(runner.env.device)
-    for _ in range(LAUNCHES):
-        command.launch()
-    found = LAUNCHES * runner.num_envs / (clock(runner.env.device) - began)
+    taken = seconds(lambda: [command.launch() for _ in range(LAUNCHES)], runner.env.device)
     sim.forget_sensed()
-    return found
+    return LAUNCHES * runner.num_envs / taken
 
 
 def bodies(config: Any, progress: Progress, count: int, sides: tuple[int, ...]) -> None:
@@ -122,24 +119,19 @@ def training(config: Any, progress: Progress, counts: tuple[int, ...], designs: 
     several = sampled_bodies(5, designs, config.seed), list(range(designs))
     population = PopulationTraining(EnvFactory(config.task, sim=sim), *several, settings)
     population.iterate()  # loads the kernels
-    began = clock(config.device)
-    population.iterate()
-    rate = designs * settings.envs * POPULATION_STEPS / (clock(config.device) - began)
+    rate = designs * settings.envs * POPULATION_STEPS / seconds(population.iterate, config.device)
     text = f"{designs} designs of {settings.envs} environments side by side: {number(rate)} steps/s with training"
     progress.row("training", text, noted=True, designs=designs, envs=settings.envs, rate=rate)
 
 
 def learning(config: Any, progress: Progress) -> None:
     """How long it takes to the return that the configuration names."""
-    seconds = min(config.learning.seconds, LEARNING_SECONDS, max(progress.left, 1.0))
-    config = replace(config, learning=replace(config.learning, seconds=seconds))
+    limit = min(config.learning.seconds, LEARNING_SECONDS, max(progress.left, 1.0))
+    config = replace(config, learning=replace(config.learning, seconds=limit))
     found = learn(config, one_body(config), config.learning.ppo[0], config.seed)
     took = f"{found['seconds']:.1f} s" if found["seconds"] is not None else "not reached"
-    text = (
-        f"ppo={config.learning.ppo[0]}, {found['num_envs']} environments: return {config.learning.stop_return:g}"
-        f" {took}, {found['steps']:,} control steps"
-    )
-    progress.row("learning", text, noted=True, **found)
+    text = f"ppo={config.learning.ppo[0]}, {found['num_envs']} environments: return {config.learning.stop_return:g}"
+    progress.row("learning", f"{text} {took}, {found['steps']:,} control steps", noted=True, **found)
 
 
 def tasks(config: Any, progress: Progress, names: list[str], count: int) -> None:

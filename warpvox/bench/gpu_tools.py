@@ -30,11 +30,7 @@ ITERATIONS, LINES = 3, 40
 
 
 def sanitizer(config: Any, progress: Progress) -> None:
-    """Control steps of different bodies under compute-sanitizer, tool by tool.
-
-    Raises:
-        SimulationError: it has found an error.
-    """
+    """Control steps of different bodies under compute-sanitizer, tool by tool."""
     program, wrong = _find("compute-sanitizer", progress), []
     for tool in progress.in_time("sanitizer", TOOLS if program else ()):
         done = _sample([program, "--tool", tool, "--error-exitcode", "9"], config, progress, envs=64, bodies=8)

@@ -9,7 +9,7 @@ import torch
 
 from warpvox.bench.cases import make, sampled_bodies
 from warpvox.bench.report import Report, middle, number
-from warpvox.bench.runner import clock
+from warpvox.bench.runner import seconds
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import SimulationError
 from warpvox.gradients import SMOOTHING, Gradients
@@ -36,11 +36,7 @@ TIMED = 20
 
 
 def run(config: Any, report: Report) -> dict[str, Any]:
-    """The error of derivatives in the air, the time of a step with them, and displacements of gaits.
-
-    Raises:
-        SimulationError: derivatives are not those of the physics.
-    """
+    """The error of derivatives in the air, the time of a step with them, and displacements of gaits."""
     keys, bodies = config.gradients, sampled_bodies(SIDE, config.gradients.bodies, config.seed)
     with report.status("checking"):
         error = _error(config, bodies)
@@ -119,10 +115,9 @@ def _times(config: Any, bodies: list[np.ndarray]) -> dict[str, list[float]]:
     found: dict[str, list[float]] = {name: [] for name in ways}
     for repeat in range(config.repeats + 1):
         for name, way in ways.items():
-            began = clock(config.device)
-            way()
+            taken = seconds(way, config.device)
             if repeat:
-                found[name].append((clock(config.device) - began) / TIMED / len(bodies) * 1e6)
+                found[name].append(taken / TIMED / len(bodies) * 1e6)
     return found
 
 

@@ -15,7 +15,7 @@ import torch
 from warpvox.bench.cases import one_body
 from warpvox.bench.machine import memory
 from warpvox.bench.report import Report, middle, number
-from warpvox.bench.runner import HEADINGS, Runner, clock, measure
+from warpvox.bench.runner import HEADINGS, Runner, measure, seconds
 from warpvox.errors import SimulationError
 from warpvox.kernels.device import kernel, record
 from warpvox.kernels.launch import stage_kernel
@@ -69,11 +69,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
 
 
 def stage_times(runner: Runner, config: Any) -> dict[str, float]:
-    """Microseconds per control step of an environment that each stage takes, by the name of its function.
-
-    Raises:
-        SimulationError: the stages do not do what the control step does.
-    """
+    """Microseconds per control step of an environment that each stage takes, by the name of its function."""
     sim = runner.env.sim
     state, device, substeps = sim.buffers, sim.device, sim.physics.substeps
     runner.env.reset()
@@ -87,14 +83,14 @@ def stage_times(runner: Runner, config: Any) -> dict[str, float]:
     before = sim.com("robot")
     for turn in range((config.repeats + 1) * substeps):
         for name, command in commands.items():
-            seconds = _launch_seconds(command, device)
+            taken = seconds(command.launch, device)
             if turn >= substeps:  # the first control step warms up
-                times[name].append(seconds)
+                times[name].append(taken)
     sim.forget_sensed()
     if not bool(torch.isfinite(sim.com("robot")).all()) or torch.equal(before, sim.com("robot")):
         raise SimulationError("The stages one by one do not move the bodies: their times mean nothing.")
     nothing = record(_nothing, 1, [], device)
-    empty = middle([_launch_seconds(nothing, device) for _ in range(LAUNCHES)])
+    empty = middle([seconds(nothing.launch, device) for _ in range(LAUNCHES)])
     share = MICRO * substeps / runner.num_envs
     return {name: max(middle(values) - empty, 0.0) * share for name, values in times.items()}
 
@@ -104,21 +100,11 @@ def _nothing():
     pass
 
 
-def _launch_seconds(command: Any, device: str) -> float:
-    began = clock(device)
-    command.launch()
-    return clock(device) - began
-
-
 def compile_seconds(config: Any, report: Report) -> dict[str, float]:
-    """CPU seconds of a fresh process that makes the environments and steps them, without and with cached kernels.
-
-    Raises:
-        SimulationError: that process has failed.
-    """
+    """CPU seconds of a fresh process that makes the environments and steps them, without and with cached kernels."""
     names = ("task", "num_envs", "dtype", "arithmetic", "device", "threads")
     options = json.dumps({name: getattr(config, name) for name in names})
-    words, seconds = [sys.executable, "-m", "warpvox.bench.sample", options, "0", "1"], {}
+    words, found = [sys.executable, "-m", "warpvox.bench.sample", options, "0", "1"], {}
     with tempfile.TemporaryDirectory() as folder:
         for name in ("first", "cached"):
             before, began = os.times(), time.perf_counter()
@@ -127,9 +113,9 @@ def compile_seconds(config: Any, report: Report) -> dict[str, float]:
             if done.returncode or done.stdout != "finite\n":
                 raise SimulationError(f"The kernels could not be compiled: {done.stderr.strip()[-300:]}")
             spent = after.children_user + after.children_system - before.children_user - before.children_system
-            seconds[name] = spent or time.perf_counter() - began
+            found[name] = spent or time.perf_counter() - began
     report.note(
-        f"First run on a machine: {number(seconds['first'])} s of CPU time until the first control step and reset are"
-        f" done, {number(seconds['cached'])} s with the kernels in the cache (start of Python and imports included)."
+        f"First run on a machine: {number(found['first'])} s of CPU time until the first control step and reset are"
+        f" done, {number(found['cached'])} s with the kernels in the cache (start of Python and imports included)."
     )
-    return seconds
+    return found

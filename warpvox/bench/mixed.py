@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 
 from warpvox.bench.cases import sampled_bodies
 from warpvox.bench.report import Report, middle, number, spread
-from warpvox.bench.runner import Runner, clock, measure, unit
+from warpvox.bench.runner import Runner, measure, seconds, unit
 
 __all__ = ["run"]
 
@@ -23,11 +24,7 @@ FULL = np.array([[1, 3, 4, 3, 1], [2, 4, 3, 4, 2], [3, 1, 2, 1, 3], [4, 2, 1, 2,
 
 
 def run(config: Any, report: Report) -> dict[str, Any]:
-    """Speeds, and the times of building and of exchanging bodies.
-
-    Raises:
-        SimulationError: an environment moves among other bodies otherwise than alone.
-    """
+    """Speeds, and the times of building and of exchanging bodies."""
     count, bodies = config.num_envs, sampled_bodies(SIDE, config.num_envs, config.seed)
     cases = {f"{count} different bodies": bodies}
     cases |= {f"body {k} in all": [body] for k, body in enumerate(bodies[:ALONE])} | {"a full body in all": [FULL]}
@@ -59,7 +56,5 @@ def _exchange(config: Any, bodies: list[np.ndarray]) -> list[float]:
     mask, found = torch.arange(env.num_envs, device=env.device) % CHANGED == 0, []
     for repeat in range(config.repeats + 1):
         others = sampled_bodies(SIDE, int(mask.sum()), config.seed + 1 + repeat)
-        began = clock(env.device)
-        env.set_designs(others, mask)
-        found.append(clock(env.device) - began)
+        found.append(seconds(partial(env.set_designs, others, mask), env.device))
     return found[1:]

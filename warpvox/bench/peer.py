@@ -21,11 +21,7 @@ __all__ = ["run"]
 
 
 def run(config: Any, report: Report) -> dict[str, Any]:
-    """A batch, one environment of gymnasium, one of the drop-in, and the reference.
-
-    Raises:
-        ConfigError: no reference. SimulationError: ours and the reference differ.
-    """
+    """A batch, one environment of gymnasium, one of the drop-in, and the reference; ConfigError: there is none."""
     import warpvox.envs
     import warpvox.evogym.envs  # noqa: F401  (both register their environments)
 

@@ -7,7 +7,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -22,7 +21,7 @@ from warpvox.io.console import echo
 from warpvox.system import python_of
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["Reference", "find_python310", "make_reference", "open_reference", "random_rate", "reference_folder"]
+__all__ = ["Reference", "make_reference", "open_reference", "random_rate", "reference_folder"]
 
 PACKAGE = "evogym==2.0.0"
 WORKS_WITH = "numpy<2"
@@ -33,11 +32,7 @@ HOW_TO_GET_IT = (
 
 
 def open_reference(config: Any, report: Any) -> AbstractContextManager[Reference | None]:
-    """The reference that ``peer.*`` names, made first if so asked; None where there is none.
-
-    Raises:
-        ConfigError: it cannot be made or run.
-    """
+    """The reference that ``peer.*`` names, made first if so asked; None: none; ConfigError: it does not run."""
     python, made = config.peer.python, python_of(reference_folder())
     if config.peer.make and python is None:
         with report.status(f"making an environment with {PACKAGE}"):
@@ -61,53 +56,26 @@ def make_reference(folder: Path) -> None:
         ConfigError: no Python 3.10 (the release has wheels for no newer one), or the installation failed.
     """
     python = python_of(folder)
-    if _runs(python, "import evogym"):
+    if python.is_file() and not subprocess.run([python, "-I", "-c", "import evogym"], capture_output=True).returncode:
         return
-    base = find_python310()
+    base = shutil.which("python3.10")
     if base is None:
         raise ConfigError(
-            "The reference needs Python 3.10, and none was found on PATH, with pyenv or with uv; install one"
+            "The reference needs Python 3.10, and there is no python3.10 on PATH; install one"
             " (pyenv install 3.10, uv python install 3.10)."
         )
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.parent.mkdir(parents=True, exist_ok=True)
     install = [python, "-m", "pip", "install", "--disable-pip-version-check", PACKAGE, WORKS_WITH]
     try:
-        for words in ([base, "-m", "venv", folder], install):
+        for words in ([base, "-m", "venv", "--clear", folder], install):
             subprocess.run(list(map(str, words)), capture_output=True, text=True, check=True)
-    except BaseException as error:
+    except subprocess.CalledProcessError as error:
         shutil.rmtree(folder, ignore_errors=True)  # half an environment would be taken for a whole one
-        if not isinstance(error, subprocess.CalledProcessError):
-            raise
         lines = (error.stderr or error.stdout).strip().splitlines() or ["no reason given"]
         raise ConfigError(f"The reference could not be installed: {lines[-1]}") from None
 
 
-def find_python310() -> Path | None:
-    """An interpreter of version 3.10 that runs: this one, one on PATH, of pyenv or of uv."""
-    home = Path.home()
-    candidates = [
-        *map(Path, filter(None, [sys.executable, *map(shutil.which, ("python3.10", "python3", "python"))])),
-        *sorted(Path(os.environ.get("PYENV_ROOT", home / ".pyenv")).glob("versions/3.10*/bin/python")),
-        *sorted(home.glob(".local/share/uv/python/cpython-3.10*/bin/python3.10")),
-    ]
-    code = "import sys, venv; sys.exit(sys.version_info[:2] != (3, 10))"
-    return next((candidate for candidate in candidates if _runs(candidate, code)), None)
-
-
-def _runs(python: Path, code: str) -> bool:
-    try:
-        return not subprocess.run([python, "-I", "-c", code], capture_output=True, timeout=60).returncode
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-
-
 class Reference:
-    """The reference in a process of its own.
-
-    Raises:
-        ConfigError: the interpreter cannot run evogym.
-    """
+    """The reference in a process of its own; ConfigError: the interpreter cannot be run."""
 
     def __init__(self, python: Path) -> None:
         python, self.versions = python.expanduser(), {}
@@ -143,15 +111,13 @@ class Reference:
 
     def centres(self, actions: np.ndarray) -> list[list[float]]:
         """The robot's centre of mass after each of the steps, from a reset on."""
-        return self._ask(do="check", actions=actions.tolist())["com"]
+        return self._ask(do="check", actions=actions.tolist())
 
     def timer(self, steps: int, actuators: int, seed: int) -> Callable[[], float]:
         """Gives control steps per second of CPU time, going on with the episode; rewards and observations included."""
-        return random_rate(
-            lambda actions: self._ask(do="time", actions=actions.tolist())["seconds"], steps, actuators, seed
-        )
+        return random_rate(lambda actions: self._ask(do="time", actions=actions.tolist()), steps, actuators, seed)
 
-    def _ask(self, **request: Any) -> dict[str, Any]:
+    def _ask(self, **request: Any) -> Any:
         """The answer to a request; ConfigError: the reference has failed."""
         line = ""
         with contextlib.suppress(BrokenPipeError):
@@ -162,7 +128,7 @@ class Reference:
             answer = json.loads(line)
         except json.JSONDecodeError:
             answer = {"error": f"it ended without an answer to '{request['do']}'"}
-        if "error" in answer:
+        if isinstance(answer, dict) and "error" in answer:
             reason = str(answer["error"]).splitlines()[0]
             raise ConfigError(f"The reference failed ({reason}). A fresh one: {HOW_TO_GET_IT}")
         return answer
@@ -171,8 +137,7 @@ class Reference:
 def random_rate(seconds: Callable[[np.ndarray], float], steps: int, actuators: int, seed: int) -> Callable[[], float]:
     """A function that measures steps per second under random actions, other ones each time.
 
-    Args:
-        seconds: that actions ``[steps, actuators]`` take.
+    ``seconds`` says how long actions ``[steps, actuators]`` take.
     """
     rng = np.random.default_rng(seed)
     return lambda: steps / seconds(rng.uniform(ACTION_LOW, ACTION_HIGH, (steps, actuators)))

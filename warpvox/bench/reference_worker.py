@@ -4,10 +4,11 @@ Runs as a script under an interpreter that has evogym installed (Python 3.10, no
 request a line from stdin and answers each with one JSON line on stdout:
 
 - ``{"do": "start", "task": ..., "body": ...}`` comes first and gives the versions;
-- ``{"do": "check", "actions": [steps][actuators]}`` gives ``com`` ``[steps][2]``, the robot's centre of mass
+- ``{"do": "check", "actions": [steps][actuators]}`` gives ``[steps][2]``, the robot's centre of mass
   after each step from a reset on;
-- ``{"do": "time", "actions": ...}`` gives the CPU ``seconds`` of these steps, which go on with the episode,
-  rewards and observations included.
+- ``{"do": "time", "actions": ...}`` gives the CPU seconds of these steps, which go on with the episode,
+  rewards and observations included;
+- ``{"error": ...}`` is the answer where the reference fails.
 """
 
 import json
@@ -31,10 +32,8 @@ def main():
         try:
             if request["do"] == "start":
                 env, answer = start(request["task"], request["body"])
-            elif request["do"] == "check":
-                answer = {"com": check(env, numpy.array(request["actions"]))}
             else:
-                answer = {"seconds": cpu_seconds(env, numpy.array(request["actions"]))}
+                answer = {"check": centres, "time": cpu_seconds}[request["do"]](env, numpy.array(request["actions"]))
         except Exception as error:
             answer = {"error": f"{type(error).__name__}: {error}"}
         print(json.dumps(answer), file=answers)
@@ -53,7 +52,7 @@ def start(task, body):
     return env, {"python": sys.version.split()[0], "evogym": version("evogym")}
 
 
-def check(env, actions):
+def centres(env, actions):
     """The trajectory of the centre of mass."""
     env.reset()
     com = []

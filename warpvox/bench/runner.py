@@ -15,7 +15,7 @@ from warpvox.cli.config import load
 from warpvox.errors import SimulationError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["HEADINGS", "Runner", "clock", "measure", "training_of", "unit"]
+__all__ = ["HEADINGS", "Runner", "clock", "measure", "seconds", "training_of", "unit"]
 
 HEADINGS = {"bare": "physics alone", "step": "step only", "inference": "with inference", "training": "with training"}
 """Columns: the simulator alone, the whole control step, a policy in the loop, iterations of ``ppo=parallel``."""
@@ -33,6 +33,13 @@ def clock(device: str) -> float:
         return time.process_time()
     torch.cuda.synchronize(device)
     return time.perf_counter()
+
+
+def seconds(action: Callable[[], object], device: str) -> float:
+    """What an action takes by :func:`clock`."""
+    began = clock(device)
+    action()
+    return clock(device) - began
 
 
 def unit(device: str) -> str:
@@ -116,13 +123,14 @@ class Runner:
         return count * self.num_envs / (self.now() - began)
 
     def repeats(self, column: str, repeats: int) -> int:
-        """Repetitions of a column: fewer where an iteration of training is longer than the limit."""
-        if column != "training":
-            return repeats
-        seconds = load("train", []).ppo.steps * self.num_envs / self.rate("step", LEAST_STEPS)
-        if seconds <= self.limit:
-            return repeats
-        return 0 if seconds > PATIENCE * self.limit else min(repeats, SHORT)
+        """Repetitions of a column, made ready: fewer where an iteration of training is longer than the limit."""
+        if column == "training":
+            seconds = load("train", []).ppo.steps * self.num_envs / self.rate("step", LEAST_STEPS)
+            if seconds > self.limit:
+                repeats = 0 if seconds > PATIENCE * self.limit else min(repeats, SHORT)
+        if repeats and column != "step":
+            self.rate(column, LEAST_STEPS)  # the first time builds networks and buffers
+        return repeats
 
     def check_finite(self) -> None:
         """Raise SimulationError if the state is not finite or contacts were left out."""
@@ -155,10 +163,7 @@ def measure(
     turns: list[tuple[int, list[float], Callable[[], float]]] = []
     for name, runner in runners.items():
         for column, values in found[name].items():
-            times = runner.repeats(column, repeats)
-            if times and column != "step":
-                runner.rate(column, LEAST_STEPS)  # the first time builds networks and buffers
-            turns.append((times, values, partial(runner.rate, column)))
+            turns.append((runner.repeats(column, repeats), values, partial(runner.rate, column)))
     for name, rate in (others or {}).items():
         found[name] = {"step": []}
         turns.append((repeats, found[name]["step"], rate))

@@ -34,11 +34,7 @@ QUICK_STRIDE, QUICK_BODIES, QUICK_SECONDS = 5, 3, 2.0
 
 
 def run(config: Any, report: Report) -> dict[str, Any]:
-    """Three tables: by size of the body, by number of environments, by threads.
-
-    Raises:
-        SimulationError: a result is wrong.
-    """
+    """Three tables: by size of the body, by number of environments, by threads."""
     with open_reference(config, report) as reference:
         bodies = scale_bodies(config, report, reference)
     figures = {"task": config.task, "bodies": bodies, "envs": scale_envs(config, report)}

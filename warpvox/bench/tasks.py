@@ -15,11 +15,7 @@ __all__ = ["run"]
 
 
 def run(config: Any, report: Report) -> dict[str, Any]:
-    """A row a task: the medians of the columns and the ratio of step only.
-
-    Raises:
-        TaskError: unknown task. SimulationError: a result is wrong.
-    """
+    """A row a task: the medians of the columns and the ratio of step only."""
     body, figures = one_body(config), {}
     tasks = [get_task(task).id for task in config.tasks] or task_ids()
     with open_reference(config, report) as reference:
