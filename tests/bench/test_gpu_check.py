@@ -171,29 +171,23 @@ def test_the_sample_for_tools_steps(capsys: pytest.CaptureFixture, monkeypatch: 
     assert capsys.readouterr().out == "finite\n"
 
 
-def test_no_part_begins_when_the_time_is_over(warpvox: Callable) -> None:
-    outcome = warpvox(*GPU, "tasks=[Walker-v0]", "seconds=1e-6")
-    assert outcome.code == 0, outcome.err
-    assert len(results()[1]["left_out"]) == 12
-    assert "Left out, for the 1e-06 s were over: smoke, correctness" in " ".join(outcome.out.split())
-
-
-def test_the_time_ends_within_a_part_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_ends_between_parts_and_within_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
     monkeypatch.setattr(progress_module.time, "perf_counter", lambda: now[0])
     progress = Progress(Report(Console(quiet=True), tmp_path), {}, seconds=10.0)
 
     def tasks() -> None:
-        for name in ("one", "two", "three"):
-            if progress.time_for(f"tasks: {name}"):
-                progress.row("tasks", name, task=name)
+        for name in progress.in_time("tasks", ("one", "two", "three")):
+            progress.row("tasks", name, task=name)
             now[0] += 6.0
 
     progress.run("tasks", tasks)
+    progress.run("later", tasks)
     figures = progress.close()
     assert [row["task"] for row in figures["tasks"]] == ["one", "two"]
-    assert figures["left_out"] == ["tasks: three"]
-    assert figures["seconds"] == {"tasks": 18.0}
+    assert figures["left_out"] == ["tasks: three", "later"]
+    assert figures["seconds"] == {"tasks": 12.0}
+    assert "Left out, for the 10 s were over: tasks: three, later." in (tmp_path / "tables.md").read_text()
 
 
 def test_without_a_gpu_its_suite_says_so(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,7 +204,6 @@ def test_without_a_gpu_its_suite_says_so(warpvox: Callable, monkeypatch: pytest.
         (("Walker-v0", "float32", 16384), "5.30 to 13.8 M"),
         (("Walker-v0", "float64", 16384), "-"),
         (("Climber-v0", "float32", 16384), "-"),
-        (("Walker-v0", "float32", 8), "-"),
     ],
 )
 def test_predictions_stand_beside_what_was_predicted_for(asked: tuple, told: str) -> None:
