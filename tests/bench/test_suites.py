@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -41,8 +42,7 @@ class Env(VoxelEnv):
     def object_pos_at_time(self, time, name):
         return self.sim.object_positions(name)[0].double().numpy().T + OFFSET
 
-for task in ("Walker-v0", "UpStepper-v0"):
-    gymnasium.register(task, entry_point=Env, max_episode_steps=100, kwargs={"task": task})
+gymnasium.register("Walker-v0", entry_point=Env, max_episode_steps=100, kwargs={"task": "Walker-v0"})
 """
 
 
@@ -104,34 +104,19 @@ def test_a_wrong_result_gets_no_time(warpvox: Callable, fake_reference: Callable
     assert not Path("outputs").exists()
 
 
-def test_a_wrong_batch_gets_no_time(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(check.ROUNDING, "float32", 1e-30)
-    outcome = warpvox("bench", "suite=tasks", "tasks=[Walker-v0]", *TINY)
-    assert outcome.code == 2
-    assert "differs from one alone" in outcome.err
-
-
-@pytest.mark.parametrize("wrong", [False, True])
-def test_the_last_environment_is_compared_too(wrong: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_last_environment_is_compared_too(monkeypatch: pytest.MonkeyPatch) -> None:
     bodies = [full_body(3, seed) for seed in (0, 1)]
     make = check.make_vec
-    if wrong:
-        monkeypatch.setattr(
-            check, "make_vec", lambda spec, _, *rest, **options: make(spec, bodies[:1], *rest, **options)
-        )
-    with pytest.raises(SimulationError, match="differs from one alone") if wrong else nullcontext():
+    monkeypatch.setattr(check, "make_vec", lambda spec, _, *rest, **options: make(spec, bodies[:1], *rest, **options))
+    with pytest.raises(SimulationError, match="differs from one alone"):
         Runner(BenchConfig(device="cpu"), bodies, 8)
 
 
-@pytest.mark.slow  # the protocol is that of suite=peer
-def test_tasks_beside_the_reference(bench: Callable, fake_reference: Callable) -> None:
-    said, figures = bench("tasks", "tasks=[Walker-v0,UpStepper-v0]", f"peer.python={fake_reference()}")
-    assert list(figures["tasks"]) == ["Walker-v0", "UpStepper-v0"]
-    assert figures["ratio_least"] == min(row["ratio"] for row in figures["tasks"].values())
+def test_tasks_with_and_without_the_reference(bench: Callable, fake_reference: Callable) -> None:
+    said, figures = bench("tasks", "tasks=[Walker-v0]", f"peer.python={fake_reference()}")
+    assert figures["ratio_least"] == figures["tasks"]["Walker-v0"]["ratio"]
     assert "Ratio: median" in said
-
-
-def test_tasks_alone(bench: Callable) -> None:
+    shutil.rmtree("outputs")
     said, figures = bench("tasks", "tasks=[Lifter-v0]")
     assert "there was no reference" in said
     assert figures["tasks"]["Lifter-v0"]["rates"]["step"][0] > 0
@@ -299,5 +284,15 @@ def test_bodies_are_sampled_where_they_can_be_and_full_beyond(side: int, sampled
 
 
 def test_figures_keep_what_matters() -> None:
-    values = (None, float("nan"), 12345.6, 78.83, 0.0456, 2e-9, 0)
-    assert [number(value) for value in values] == ["-", "-", "12,346", "78.8", "0.046", "2.0e-09", "0.000"]
+    values = (None, float("nan"), 12345.6, 78.83, 0.0456, 2e-9, 0.0, 1234, [1.0, 3.0])
+    assert [number(value) for value in values] == [
+        "-",
+        "-",
+        "12,346",
+        "78.8",
+        "0.046",
+        "2.0e-09",
+        "0.000",
+        "1,234",
+        "2.00",
+    ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +106,8 @@ def _group(sim: Simulation) -> Group | None:
 
 
 def _table(report: Report, title: str, head: str, counts: Mapping[str, np.ndarray]) -> None:
-    report.table(title, [head, *HEADS], [[name, *(number(x, 4) for x in count)] for name, count in counts.items()])
+    rows = [[name, *map(float, count)] for name, count in counts.items()]
+    report.table(title, [head, *HEADS], rows, partial(number, digits=4))
 
 
 def visits(sim: Simulation, steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -181,7 +183,7 @@ def _limits(report: Report, group: Group) -> list[dict[str, int]]:
             limits = assemble(group_kernel(group), architecture, Path(folder))
         warps = blocks(limits, architecture)
         values = [limits.registers, limits.spilled, limits.stack, limits.shared, warps, warps * WARP // group.parts]
-        rows.append([f"{architecture / 10} ({name})", *(f"{value:,}" for value in values)])
+        rows.append([f"{architecture / 10} ({name})", *values])
         found.append({"architecture": architecture} | vars(limits))
     report.table(
         f"Registers of a thread, bytes of memory, and warps and environments of {group.parts} threads that a"

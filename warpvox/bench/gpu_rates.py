@@ -60,7 +60,7 @@ def sizes(config: Any, progress: Progress, counts: tuple[int, ...]) -> None:
         physics, step = _physics(runner), _median(runner, config)
         graph = None if config.device == "cpu" else _median(_runner(config, count, cuda_graph=True), config)
         told = predicted(config.task, config.dtype, count)
-        rows.append([f"{count:,}", number(physics), told, number(step), number(graph)])
+        rows.append([f"{count:,}", physics, told, step, graph])
         progress.row(
             "sizes",
             f"{count:,} environments: {number(physics / 1e6)} M (physics), predicted {told}; whole steps"
@@ -97,7 +97,7 @@ def bodies(config: Any, progress: Progress, count: int, sides: tuple[int, ...]) 
         runner = _runner(config, count, body=full_body(side, config.seed))
         rate, size = _median(runner, config), per_environment(runner.env)
         progress.row("bodies", f"full {side} x {side}: {number(rate)} steps/s", side=side, rate=rate, bytes=size)
-        rows.append([f"{side} x {side}", number(rate), number(rate * side**2)])
+        rows.append([f"{side} x {side}", rate, rate * side**2])
     title = f"Full bodies, {count:,} environments, control steps per second"
     progress.report.table(title, ["body", "steps/s", "voxel steps/s"], rows)
 
@@ -110,7 +110,7 @@ def training(config: Any, progress: Progress, counts: tuple[int, ...], designs: 
         rates = {name: middle(values) for name, values in found.items()}
         text = f"{count:,} environments: {number(rates['training'])} steps/s with training"
         progress.row("training", text, num_envs=count, **rates)
-        rows.append([f"{count:,}", *map(number, rates.values())])
+        rows.append([f"{count:,}", *rates.values()])
     progress.report.table("Control steps per second", ["environments", "step only", "with training"], rows)
     if not progress.time_for("training: population"):
         return
@@ -140,5 +140,5 @@ def tasks(config: Any, progress: Progress, names: list[str], count: int) -> None
     for task in progress.in_time("tasks", names):
         rate = _median(_runner(config, count, task), config)
         progress.row("tasks", f"{task}: {number(rate)} steps/s", task=task, rate=rate)
-        rows.append([task, number(rate)])
+        rows.append([task, rate])
     progress.report.table(f"{count:,} environments, control steps per second", ["task", "step only"], rows)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from warpvox.bench.cases import make, sampled_bodies
-from warpvox.bench.report import Report, middle, number
+from warpvox.bench.report import Report, middle
 from warpvox.bench.runner import seconds
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import SimulationError
@@ -45,17 +45,15 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     report.note(f"Checked: derivatives by actions in the air, within {error:.2%} of finite differences in float64.")
     with report.status("measuring"):
         rates = _times(config, bodies)
-    plain, forward, both = (middle(rates[name]) for name in rates)
+    plain, *_ = map(middle, rates.values())
     title = f"{config.task}, {len(bodies)} different bodies {SIDE}x{SIDE}, microseconds a control step"
-    rows = [
-        [name, number(time), number(time / plain)] for name, time in zip(rates, (plain, forward, both), strict=True)
-    ]
+    rows = [[name, times, middle(times) / plain] for name, times in rates.items()]
     report.table(title, ["", "time", "ratio"], rows)
     with report.status("making gaits"):
         gaits = {smoothing: _gaits(config, bodies, keys.iterations, smoothing) for smoothing in keys.smoothing}
         waves = _gaits(config, bodies, COST * keys.iterations)
-    shown = [[f"gradients, smoothing {smoothing:g}", *map(number, row)] for smoothing, row in gaits.items()]
-    shown.append([f"best of {COST * keys.iterations} random waves", *map(number, waves)])
+    shown = [[f"gradients, smoothing {smoothing:g}", *row] for smoothing, row in gaits.items()]
+    shown.append([f"best of {COST * keys.iterations} random waves", *waves])
     title = f"Gaits of {PERIOD} steps, voxels in {keys.steps} steps after {keys.iterations} iterations"
     report.table(title, ["", "mean", "worst tenth", "best tenth"], shown)
     found = {"error": error, "times": rates, "gaits": {str(smoothing): row for smoothing, row in gaits.items()}}

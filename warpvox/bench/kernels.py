@@ -47,14 +47,11 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     parts = {HEADINGS[column]: MICRO / middle(values) for column, values in rates.items() if values}
     per = f"microseconds of {'CPU time' if config.device == 'cpu' else 'the device'} per control step of an environment"
     total = sum(stages.values())
-    rows = [
-        [STAGES.get(name, name), number(value), f"{value / total:.0%}" if total else "-"]
-        for name, value in stages.items()
-    ]
-    report.table(f"{where}: stages, {per}", ["stage", "time", "share"], [*rows, ["all stages", number(total), ""]])
-    report.table(f"{where}: parts, {per}", ["part", "time"], [[name, number(value)] for name, value in parts.items()])
+    rows = [[STAGES.get(name, name), t, f"{t / total:.0%}" if total else "-"] for name, t in stages.items()]
+    report.table(f"{where}: stages, {per}", ["stage", "time", "share"], [*rows, ["all stages", total, ""]])
+    report.table(f"{where}: parts, {per}", ["part", "time"], list(parts.items()))
     sizes = memory(runner.env)
-    shown = [[name, number(size / 1000)] for name, size in (sizes | {"all": sum(sizes.values())}).items()]
+    shown = [[name, size / 1000] for name, size in (sizes | {"all": sum(sizes.values())}).items()]
     report.table(f"{where}: memory", ["arrays", "kB an environment"], shown)
     report.note(f"Checked: within {runner.error:.1e} of one environment alone in float64.")
     report.note(

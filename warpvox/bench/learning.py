@@ -37,7 +37,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         medians = {what: middle([row[what] for row in done]) if done else None for what in MEDIANS}
         best = max(row["best_return"] for row in runs)
         figures[name] = {"runs": runs, "reached": len(done), **medians, "best_return": best}
-        shown = [number(value) for value in (*medians.values(), best)]
+        shown = [*medians.values(), best]
         seconds = [row["seconds"] for row in done]
         shown.insert(1, f"{number(min(seconds))} to {number(max(seconds))}" if done else "-")
         rows.append([f"ppo={name}, {runs[0]['num_envs']} environments", f"{len(done)} of {len(runs)}", *shown])

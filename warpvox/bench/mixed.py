@@ -38,8 +38,8 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     worst = max(runner.error or 0.0 for runner in runners.values())
     report.note(f"Checked: each within {worst:.1e} of one environment alone in float64.")
     title = f"{config.task}, {count} environments, random {SIDE}x{SIDE} bodies, control steps per"
-    rows = [[name, spread(found)] for name, found in zip(cases, rates, strict=True)]
-    report.table(f"{title} {unit(config.device)}", ["", "step only"], rows)
+    rows = list(zip(cases, rates, strict=True))
+    report.table(f"{title} {unit(config.device)}", ["", "step only"], rows, spread)
     ours, *sparse, full = map(middle, rates)
     report.note(
         f"Different bodies step at {ours / np.mean(sparse):.0%} of the speed of one in all (the mean of {ALONE}), and"

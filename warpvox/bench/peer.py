@@ -12,7 +12,7 @@ from warpvox.bench.cases import one_body
 from warpvox.bench.check import STEPS, against_reference
 from warpvox.bench.reference import HOW_TO_GET_IT, open_reference, random_rate
 from warpvox.bench.reference_worker import cpu_seconds
-from warpvox.bench.report import Report, middle, number, spread
+from warpvox.bench.report import Report, middle, spread
 from warpvox.bench.runner import HEADINGS, Runner, measure, unit
 from warpvox.envs.registry import released_id
 from warpvox.errors import ConfigError
@@ -47,9 +47,9 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     base, rows = middle(theirs), []
     for name, rates in found.items():
         best = rates.get("step") or next(iter(rates.values()))
-        rows.append([name, *(spread(rates.get(column, [])) for column in config.columns), number(middle(best) / base)])
+        rows.append([name, *(rates.get(column) for column in config.columns), middle(best) / base])
     title = f"{config.task}, control steps per {unit(config.device)}: median (least to most)"
-    report.table(title, ["", *(HEADINGS[column] for column in config.columns), "ratio"], rows)
+    report.table(title, ["", *(HEADINGS[column] for column in config.columns), "ratio"], rows, spread)
     if config.device == "cpu":
         report.note("Rates are per second of CPU time, that is of one core; the ratio is that of the medians.")
     return {

@@ -97,13 +97,8 @@ class Reference:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(BrokenPipeError):
-            self._process.stdin.close()
-        try:
-            self._process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._process.kill()  # it has nothing to save
+        self._process.communicate()
 
     def start(self, task: str, body: Any) -> None:
         """Make the environment that the next questions are about; ``task`` is our id."""

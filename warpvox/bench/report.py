@@ -20,6 +20,34 @@ __all__ = ["Report", "middle", "number", "put_into", "spread"]
 TABLES, PLOT_SIZE, DOTS = "tables.md", (11.0, 4.5), 110
 
 
+def middle(values: Sequence[float]) -> float:
+    """The median; NaN of nothing."""
+    return statistics.median(values) if values else float("nan")
+
+
+def number(value: float | Sequence[float] | None, digits: int = 3) -> str:
+    """A figure with so many significant digits at least and all digits before the point.
+
+    The median of several; a count as it is; - for none or NaN.
+    """
+    value = middle(value) if isinstance(value, Sequence) else value
+    if value is None or value != value:
+        return "-"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if value and abs(value) < 1e-3:
+        return f"{value:.1e}"
+    whole = len(str(int(abs(value)))) if abs(value) >= 1 else 0
+    return f"{value:,.{max(digits - whole, 0)}f}"
+
+
+def spread(value: float | Sequence[float] | None) -> str:
+    """The same, and least and most of several in parentheses."""
+    if not isinstance(value, Sequence) or len(value) < 2:
+        return number(value)
+    return f"{number(value)} ({number(min(value))} to {number(max(value))})"
+
+
 class Report:
     """Collects what a suite shows on ``console``, for the files in ``folder``, which exists."""
 
@@ -27,16 +55,19 @@ class Report:
         self.console, self.folder = console, folder
         self._parts: list[str] = []
 
-    def table(self, title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Show a table; the first column is text, the others are numbers."""
+    def table(
+        self, title: str, headings: Sequence[str], rows: Sequence[Sequence[Any]], show: Callable[[Any], str] = number
+    ) -> None:
+        """Show a table; the first column is text, the others are text or what ``show`` makes of figures."""
         echo(self.console, f"\n{title}")
+        texts = [[cell if isinstance(cell, str) else show(cell) for cell in row] for row in rows]
         shown = Table()
         for column, heading in enumerate(headings):
             shown.add_column(literal(heading), justify="right" if column else "left")
-        for row in rows:
+        for row in texts:
             shown.add_row(*map(literal, row))
         self.console.print(shown)
-        lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]
+        lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *texts]
         self._parts.append("\n".join([f"{title}:", "", *("| " + " | ".join(line) + " |" for line in lines)]))
 
     def note(self, text: str) -> None:
@@ -83,25 +114,3 @@ def put_into(path: Path, suite: str, text: str | None = None) -> None:
         raise ConfigError(f"{path} has no place for this suite: expected '{begin.strip()}' and '{end}'.")
     if text is not None:
         write_text(path, whole[: place.start()] + text + whole[place.end() :])
-
-
-def middle(values: Sequence[float]) -> float:
-    """The median; NaN of nothing."""
-    return statistics.median(values) if values else float("nan")
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A figure with so many significant digits at least and all digits before the point; - for none or NaN."""
-    if value is None or value != value:
-        return "-"
-    if value and abs(value) < 1e-3:
-        return f"{value:.1e}"
-    whole = len(str(int(abs(value)))) if abs(value) >= 1 else 0
-    return f"{value:,.{max(digits - whole, 0)}f}"
-
-
-def spread(values: Sequence[float]) -> str:
-    """Median and, in parentheses, least and most."""
-    if len(values) < 2:
-        return number(middle(values))
-    return f"{number(middle(values))} ({number(min(values))} to {number(max(values))})"

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from operator import mul
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from warpvox.bench.cases import one_body, sampled_or_full
 from warpvox.bench.check import against_reference
 from warpvox.bench.machine import available_memory, per_environment
 from warpvox.bench.reference import Reference, open_reference
-from warpvox.bench.report import Report, middle, number
+from warpvox.bench.report import Report, middle
 from warpvox.bench.runner import HEADINGS, Runner, measure, unit
 from warpvox.system import usable_cores
 
@@ -87,27 +89,30 @@ def _one_size(config: Any, scaling: Any, side: int, reference: Reference | None)
                 row["reference_error"] = against_reference(config, config.task, body, reference, CHECK_STEPS)
             theirs.append(reference.timer(steps, one.env.num_actions, config.seed)())
     if theirs:
-        ratios = {"ratio": np.mean(row["one"]) / np.mean(theirs), "batch_ratio": middle(row["rates"]) / theirs[0]}
-        row |= {"reference": theirs} | {name: float(ratio) for name, ratio in ratios.items()}
+        row |= {"reference": theirs, "ratio": fmean(row["one"]) / fmean(theirs)}
+        row["batch_ratio"] = middle(row["rates"]) / theirs[0]
     return row
 
 
 def _show_bodies(config: Any, report: Report, scaling: Any, rows: list[dict[str, Any]]) -> None:
-    compared, shown = "reference" in rows[0], []
+    def means(row: dict[str, Any], name: str) -> list[float | None]:
+        """Mean rate of the robots, and mean of the rate times the voxels."""
+        rates = row.get(name)
+        return [fmean(rates), fmean(map(mul, rates, row["voxels"]))] if rates else [None, None]
+
+    compared = "reference" in rows[0]
+    columns = range(10) if compared else (0, 1, 2, 3, 7, 8)
+    headings = "robots,voxels,steps/s,x voxels,reference,x voxels,ratio,in a batch,batch of,ratio".split(",")
+    shown = []
     for row in rows:
         size = f"{row['side']} x {row['side']} {'sampled' if row['sampled'] else 'full'}"
-        cells = [size, f"{np.mean(row['voxels']):,.0f}", *_means(row, "one")]
-        cells += [*_means(row, "reference"), number(row["ratio"])] if compared else []
-        cells += [number(middle(row["rates"])), f"{row['num_envs']:,}"]
-        shown.append([*cells, number(row["batch_ratio"])] if compared else cells)
-    headings = ["robots", "voxels", "steps/s", "x voxels"]
-    headings += ["reference", "x voxels", "ratio"] if compared else []
-    headings += ["in a batch", "batch of"] + (["ratio"] if compared else [])
+        cells = [size, round(fmean(row["voxels"])), *means(row, "one"), *means(row, "reference"), row.get("ratio")]
+        shown.append([*cells, row["rates"], row["num_envs"], row.get("batch_ratio")])
     report.table(
         f"{config.task}, means of {scaling.bodies} robots, one at a time, {scaling.seconds:g} simulated seconds each:"
         f" control steps per {unit(config.device)}",
-        headings,
-        shown,
+        [headings[column] for column in columns],
+        [[row[column] for column in columns] for row in shown],
     )
     worst = max(row.get("reference_error", row["scalar_error"]) for row in rows)
     what = "the reference" if compared else "one environment alone in float64"
@@ -115,11 +120,6 @@ def _show_bodies(config: Any, report: Report, scaling: Any, rows: list[dict[str,
         f"Checked: the first robot of each size within {worst:.1e} of {what}. Voxels: those that are not empty; x"
         " voxels: the rate times their number; in a batch: the first robot of a size in so many environments."
     )
-
-
-def _means(row: dict[str, Any], name: str) -> list[str]:
-    """Mean rate of the robots, and mean of the rate times the voxels."""
-    return [number(float(np.mean(rates))) for rates in (row[name], np.multiply(row[name], row["voxels"]))]
 
 
 def _draw_bodies(figure: Any, config: Any, rows: list[dict[str, Any]]) -> None:
@@ -161,8 +161,7 @@ def scale_envs(config: Any, report: Report) -> list[dict[str, Any]]:
         needed = per_environment(runner.env)
         row = {"num_envs": count, "scalar_error": runner.error, "steps": runner.steps, "rates": rates, "bytes": needed}
         rows.append(row)
-        medians = [number(middle(rates[column])) for column in config.columns]
-        shown.append([f"{count:,}", *medians, number(needed / 1000)])
+        shown.append([f"{count:,}", *rates.values(), needed / 1000])
     title = f"{config.task}, control steps per {unit(config.device)}, {config.dtype}, {config.device}"
     report.table(title, ["environments", *(HEADINGS[c] for c in config.columns), "kB an environment"], shown)
     if left_out:
@@ -178,7 +177,7 @@ def scale_threads(config: Any, report: Report) -> dict[str, Any]:
         found = measure(runners, ["step"], config.repeats)
     rates = {name: values["step"] for name, values in found.items()}
     gains = {name: middle(values) / middle(rates["1"]) for name, values in rates.items()}
-    shown = [[name, number(middle(values)), number(gains[name])] for name, values in rates.items()]
+    shown = [[name, values, gains[name]] for name, values in rates.items()]
     title = f"{config.task}, {config.num_envs} environments, control steps per second"
     report.table(title, ["threads", "step only", "gain"], shown)
     return {"rates": rates, "gain": max(gains.values())}

@@ -22,15 +22,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         for place, task in enumerate(tasks, 1):
             with report.status(f"{task} ({place} of {len(tasks)})"):
                 figures[task] = _measure(config, task, body, reference)
-    rows = [
-        [
-            task,
-            *(number(middle(row["rates"][column])) for column in config.columns),
-            number(middle(row.get("reference", []))),
-            number(row.get("ratio")),
-        ]
-        for task, row in figures.items()
-    ]
+    rows = [[task, *row["rates"].values(), row.get("reference"), row.get("ratio")] for task, row in figures.items()]
     title = f"Control steps per {unit(config.device)}, {config.num_envs} environments, {config.dtype}, {config.device}"
     report.table(title, ["task", *(HEADINGS[column] for column in config.columns), "reference", "ratio"], rows)
     errors = [row["reference_error"] for row in figures.values() if "reference_error" in row]
