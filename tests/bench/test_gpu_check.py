@@ -19,7 +19,15 @@ import torch
 from rich.console import Console
 from simulated_cuda import SimulatedCuda
 
-from warpvox.bench import cases, gpu, gpu_checks, gpu_rates, gpu_tools, progress as progress_module
+from warpvox.bench import (
+    cases,
+    gpu,
+    gpu_checks,
+    gpu_rates,
+    gpu_tools,
+    progress as progress_module,
+    report as report_module,
+)
 from warpvox.bench.progress import Progress
 from warpvox.bench.report import Report
 from warpvox.cli.config import load
@@ -58,8 +66,8 @@ def test_every_part_runs(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_what_was_found_is_kept_when_the_call_is_cut_off(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     saved = []
-    write = progress_module.write_summary
-    monkeypatch.setattr(progress_module, "write_summary", lambda *content: (saved.append(1), write(*content)))
+    write = report_module.write_summary
+    monkeypatch.setattr(report_module, "write_summary", lambda *content: (saved.append(1), write(*content)))
 
     def cut_off(*_: object) -> None:
         assert len(saved) >= 7, "each row is saved by itself"
@@ -91,7 +99,7 @@ def test_a_part_that_fails_does_not_stop_the_others(warpvox: Callable, monkeypat
 
 @pytest.fixture
 def progress(tmp_path: Path) -> Progress:
-    return Progress(Report(Console(quiet=True), tmp_path), {}, seconds=1000.0)
+    return Progress(Report(Console(quiet=True), tmp_path, {}), seconds=1000.0)
 
 
 def config_of(*words: str) -> Any:
@@ -134,7 +142,8 @@ def test_its_parts_run_on_a_device(progress: Progress, monkeypatch: pytest.Monke
         for name, part in gpu._parts(config, replace(gpu.SMALL, envs=(8,)), progress).items():
             if name != "double":
                 progress.run(name, part)
-    figures = progress.close()
+    progress.close()
+    figures = progress.figures
     assert figures["failed"] == figures["left_out"] == [], figures
     assert figures["smoke"]["layout"] == "group"
     assert figures["graph"]["num_envs"] == figures["stream"]["num_envs"] == 8
@@ -174,7 +183,7 @@ def test_the_sample_for_tools_steps(capsys: pytest.CaptureFixture, monkeypatch: 
 def test_the_time_ends_between_parts_and_within_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
     monkeypatch.setattr(progress_module.time, "perf_counter", lambda: now[0])
-    progress = Progress(Report(Console(quiet=True), tmp_path), {}, seconds=10.0)
+    progress = Progress(Report(Console(quiet=True), tmp_path, {}), seconds=10.0)
 
     def tasks() -> None:
         for name in progress.in_time("tasks", ("one", "two", "three")):
@@ -183,11 +192,12 @@ def test_the_time_ends_between_parts_and_within_one(tmp_path: Path, monkeypatch:
 
     progress.run("tasks", tasks)
     progress.run("later", tasks)
-    figures = progress.close()
+    progress.close()
+    figures = progress.figures
     assert [row["task"] for row in figures["tasks"]] == ["one", "two"]
     assert figures["left_out"] == ["tasks: three", "later"]
     assert figures["seconds"] == {"tasks": 12.0}
-    assert "Left out, for the 10 s were over: tasks: three, later." in (tmp_path / "tables.md").read_text()
+    assert "Left out, for the 10 s were over: tasks: three, later." in progress.report.write()
 
 
 def test_without_a_gpu_its_suite_says_so(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

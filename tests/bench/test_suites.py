@@ -89,9 +89,12 @@ def test_peer_compares_before_it_times(bench: Callable, fake_reference: Callable
     said, figures = bench("peer", "columns=[step,inference,training]", f"peer.python={fake_reference()}")
     assert figures["check_error"] < check.TOLERANCE
     assert figures["versions"]["evogym"] == "2.0.0"
-    assert all(rate > 0 for column in ("step", "inference", "training") for rate in figures["rates"][column])
-    assert figures["ratio"]["step"] == pytest.approx(figures["rates"]["step"][0] / figures["reference"][0])
-    assert figures["gymnasium"][0] > 0 < figures["drop_in"][0]
+    (batch, *rates, ratio), alone, drop_in, theirs = figures["tables"][0]["rows"]
+    assert batch == "warpvox, 8 environments"
+    assert all(rate > 0 for repetitions in rates for rate in repetitions)
+    assert ratio == pytest.approx(rates[0][0] / theirs[1][0])
+    assert alone[1][0] > 0 < drop_in[1][0]
+    assert theirs[2:] == [None, None, 1.0]
     assert {"cpu", "cores", "python", "torch", "warp", "warpvox"} <= set(figures["machine"])
     assert said.index("Checked: ") < said.index("step only")
 
@@ -114,17 +117,19 @@ def test_the_last_environment_is_compared_too(monkeypatch: pytest.MonkeyPatch) -
 
 def test_tasks_with_and_without_the_reference(bench: Callable, fake_reference: Callable) -> None:
     said, figures = bench("tasks", "tasks=[Walker-v0]", f"peer.python={fake_reference()}")
-    assert figures["ratio_least"] == figures["tasks"]["Walker-v0"]["ratio"]
+    (row,) = figures["tables"][0]["rows"]
+    assert figures["ratio_least"] == row[-1] == pytest.approx(row[1][0] / row[2][0])
     assert "Ratio: median" in said
     shutil.rmtree("outputs")
     said, figures = bench("tasks", "tasks=[Lifter-v0]")
     assert "there was no reference" in said
-    assert figures["tasks"]["Lifter-v0"]["rates"]["step"][0] > 0
+    ((task, (rate,), *rest),) = figures["tables"][0]["rows"]
+    assert (task, rate > 0, rest) == ("Lifter-v0", True, [None, None])
 
 
 def test_mixed_builds_times_and_exchanges_bodies(bench: Callable) -> None:
     said, figures = bench("mixed")
-    assert [len(rates) for rates in (figures["mixed"], figures["full"], *figures["alone"])] == [1] * 6
+    assert [len(rates) for _, rates in figures["tables"][0]["rows"]] == [1] * 6
     assert figures["check_error"] < check.ROUNDING["float32"]
     assert figures["built"] > 0 < figures["changed"][0]
     assert "8 different bodies" in said
@@ -133,9 +138,10 @@ def test_mixed_builds_times_and_exchanges_bodies(bench: Callable) -> None:
 def test_gradients_are_checked_then_timed_then_used(bench: Callable) -> None:
     said, figures = bench("gradients", *"gradients.bodies=8 gradients.steps=12 gradients.iterations=2".split(), SMOOTH)
     assert figures["error"] < 0.05
-    assert [len(times) for times in figures["times"].values()] == [1, 1, 1]
-    assert list(figures["gaits"]) == ["0.001"]
-    assert all(low <= mean <= high for mean, low, high in (*figures["gaits"].values(), figures["waves"]))
+    times, gaits = (table["rows"] for table in figures["tables"])
+    assert [len(taken) for _, taken, _ in times] == [1, 1, 1]
+    assert [row[0] for row in gaits] == ["gradients, smoothing 0.001", "best of 10 random waves"]
+    assert all(low <= mean <= high for _, mean, low, high in gaits)
     assert "8 different bodies" in said
 
 
@@ -157,8 +163,9 @@ def test_scaling_in_three_ways(bench: Callable, fake_reference: Callable) -> Non
         assert row["ratio"] == pytest.approx(sum(row["one"]) / sum(row["reference"]))
         assert row["batch_ratio"] == pytest.approx(row["rates"][0] / row["reference"][0])
         assert row["reference_error"] < 1e-6
-    assert [row["num_envs"] for row in figures["envs"]] == [1, 8]
-    assert figures["threads"]["gain"] >= 1
+    _, envs, threads = (table["rows"] for table in figures["tables"])
+    assert [row[0] for row in envs] == ["1", "8"]
+    assert threads[0][2] == 1
     assert "means of 2 robots, one at a time, 0.04 simulated seconds each" in said
     pytest.importorskip("matplotlib", reason="plots need the extra view")
     (plot,) = Path("outputs").rglob("figure2.png")
@@ -186,13 +193,13 @@ def test_scaling_leaves_out_what_does_not_fit(
     monkeypatch.setattr(scaling, "available_memory", lambda _: 5e4)
     said, figures = bench("scaling", *FIGURE_2, "scaling.sizes=[2]", f"scaling.envs={envs}", f"limit={limit}")
     assert left_out in said
-    assert [row["num_envs"] for row in figures["envs"]] == envs[:-1]
+    assert [row[0] for row in figures["tables"][1]["rows"]] == [str(count) for count in envs[:-1]]
 
 
 def test_learning_has_a_curve(bench: Callable) -> None:
     figures = bench("learning", *"learning.ppo=[parallel] learning.seeds=1 learning.stop_return=-100".split())[1]
-    assert figures["ppo"]["parallel"]["reached"] == 1
-    (run,) = figures["ppo"]["parallel"]["runs"]
+    (run,) = figures["runs"]["parallel"]
+    assert run["seconds"] > 0
     assert run["curve"][-1]["steps"] == run["steps"] > 0
     assert run["best_return"] >= run["curve"][-1]["return"] > -100
 
@@ -200,11 +207,13 @@ def test_learning_has_a_curve(bench: Callable) -> None:
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_kernels_names_every_stage(compiled: bool, bench: Callable) -> None:
     _, figures = bench("kernels", f"compile={compiled}", "design=walker")
-    assert list(figures["stages"]) == [build.__name__ for build in STAGES["fast"]] == list(kernels.STAGES)
-    assert sum(figures["stages"].values()) > 0
-    assert sum(figures["bytes"].values()) > 1000
+    stages, parts, sizes = (table["rows"] for table in figures["tables"])
+    assert list(kernels.STAGES) == [build.__name__ for build in STAGES["fast"]]
+    assert [row[0] for row in stages] == [*kernels.STAGES.values(), "all stages"]
+    assert stages[-1][1] > 0
+    assert sizes[-1][1] > 1
     assert {name for names in machine.GROUPS.values() for name in names} <= set(DATA)
-    assert list(figures["parts"]) == ["physics alone", "step only"]
+    assert [name for name, _ in parts] == ["physics alone", "step only"]
     assert ("compile" in figures) is compiled
 
 
@@ -215,10 +224,10 @@ def test_the_cuda_suite_predicts_from_instructions(bench: Callable, warpvox: Cal
     except WarpvoxError as missing:
         pytest.skip(str(missing))
     said, figures = bench("cuda")
-    assert [row["spilled"] for row in figures["limits"]] == [0, 0, 0, 0]
-    assert all(low <= high for low, high in figures["predicted"].values())
+    limits, _, _, different = (table["rows"] for table in figures["tables"])
+    assert [row[2] for row in limits] == [0, 0, 0, 0]
     assert "warp instructions" in said
-    together, *alone = (row[0] for row in figures["different"].values())
+    together, *alone = (row[1] for row in different)
     assert sum(alone) / len(alone) < together < sum(alone)
     assert "smaller world" in warpvox("bench", "suite=cuda", "task=Traverser-v0", *TINY).err
 

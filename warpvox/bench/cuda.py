@@ -56,12 +56,12 @@ RESERVED = 1024
 """Bytes of it that CUDA takes for every block."""
 
 
-def run(config: Any, report: Report) -> dict[str, Any]:
+def run(config: Any, report: Report) -> None:
     """Limits by compute capability, instructions by stage, predicted speeds, different bodies."""
     sim = _simulation(config, [one_body(config)])
     with report.status("compiling for CUDA, counting"):
         found = instructions(sim, config.steps, config.seed)
-        limits = _limits(report, _group(sim))
+        _limits(report, _group(sim))
     whole = sum(found.values())
     _table(
         report,
@@ -87,9 +87,6 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         different = {name: sum(count.values()) for name, count in counts.items()}
     title = f"{config.task}, random {SIDE}x{SIDE} bodies: the same of an environment in a warp of such"
     _table(report, title, "", different)
-    figures = {"task": config.task, "limits": limits, "predicted": speeds}
-    counts = {"instructions": found, "different": different}
-    return figures | {name: {key: count.tolist() for key, count in rows.items()} for name, rows in counts.items()}
 
 
 def _simulation(config: Any, bodies: Sequence[np.ndarray]) -> Simulation:
@@ -176,19 +173,17 @@ def blocks(limits: Limits, architecture: int) -> int:
     return min(by_registers, SHARED[architecture] * 1024 // (limits.shared + RESERVED))
 
 
-def _limits(report: Report, group: Group) -> list[dict[str, int]]:
-    rows, found = [], []
+def _limits(report: Report, group: Group) -> None:
+    rows = []
     for architecture, name in ARCHITECTURES.items():
         with tempfile.TemporaryDirectory() as folder:
             limits = assemble(group_kernel(group), architecture, Path(folder))
         warps = blocks(limits, architecture)
         values = [limits.registers, limits.spilled, limits.stack, limits.shared, warps, warps * WARP // group.parts]
         rows.append([f"{architecture / 10} ({name})", *values])
-        found.append({"architecture": architecture} | vars(limits))
     report.table(
         f"Registers of a thread, bytes of memory, and warps and environments of {group.parts} threads that a"
         " multiprocessor has registers and shared memory for",
         ["compute capability", *"registers,bytes spilled,stack,shared memory of a block,warps,environments".split(",")],
         rows,
     )
-    return found

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from warpvox.bench import gpu_checks as checks, gpu_rates as rates, gpu_tools as tools
-from warpvox.bench.machine import machine
 from warpvox.bench.progress import Progress
 from warpvox.bench.report import Report
 from warpvox.envs.registry import get_task, task_ids
@@ -43,14 +42,13 @@ LARGE = Size((16384, 65536, 4096, 1024), 4096, 16384, (5, 15, 25, 35), 1024, (40
 SMALL = Size((1, 8), 8, 8, (3,), 8, (8,), 2)
 
 
-def run(config: Any, report: Report) -> dict[str, Any]:
+def run(config: Any, report: Report) -> None:
     """All parts; ``failed`` names those that raised, ``left_out`` what no time was left for."""
     size = SMALL if config.device == "cpu" else LARGE
-    about = {"suite": config.suite, "machine": machine(config.device), "task": config.task, "device": config.device}
-    progress = Progress(report, about, config.seconds)
+    progress = Progress(report, config.seconds)
     for name, part in _parts(config, size, progress).items():
         progress.run(name, part)
-    return {"task": config.task, "device": config.device} | progress.close()
+    progress.close()
 
 
 def _parts(config: Any, size: Size, progress: Progress) -> dict[str, Callable[[], Any]]:

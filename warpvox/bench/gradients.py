@@ -35,7 +35,7 @@ TIMED = 20
 """Control steps of a timed repetition."""
 
 
-def run(config: Any, report: Report) -> dict[str, Any]:
+def run(config: Any, report: Report) -> None:
     """The error of derivatives in the air, the time of a step with them, and displacements of gaits."""
     keys, bodies = config.gradients, sampled_bodies(SIDE, config.gradients.bodies, config.seed)
     with report.status("checking"):
@@ -56,8 +56,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     shown.append([f"best of {COST * keys.iterations} random waves", *waves])
     title = f"Gaits of {PERIOD} steps, voxels in {keys.steps} steps after {keys.iterations} iterations"
     report.table(title, ["", "mean", "worst tenth", "best tenth"], shown)
-    found = {"error": error, "times": rates, "gaits": {str(smoothing): row for smoothing, row in gaits.items()}}
-    return found | {"waves": waves, "task": config.task}
+    report.figures["error"] = error
 
 
 def _make(config: Any, bodies: list[np.ndarray], **options: Any) -> VoxelVecEnv:

@@ -37,7 +37,7 @@ STAGES = {
 """Descriptions of the stages by the name of their function; one that is not listed is shown by its name."""
 
 
-def run(config: Any, report: Report) -> dict[str, Any]:
+def run(config: Any, report: Report) -> None:
     """Stages of a sub-step, parts of a control step, memory of an environment, seconds of compilation."""
     where = f"{config.task}, {config.num_envs} environments, {config.dtype}, {config.device}"
     with report.status("checking, then measuring"):
@@ -58,11 +58,10 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         "Stages run one by one over all environments here; in a control step a thread takes one pack through all of"
         " them, so that it stays in the cache, and their sum is not exactly the time of the physics."
     )
-    figures = {"task": config.task, "check_error": runner.error, "stages": stages, "parts": parts, "bytes": sizes}
+    report.figures["check_error"] = runner.error
     if config.compile:
         with report.status("compiling all kernels of a control step"):
-            figures["compile"] = compile_seconds(config, report)
-    return figures
+            report.figures["compile"] = compile_seconds(config, report)
 
 
 def stage_times(runner: Runner, config: Any) -> dict[str, float]:

@@ -23,24 +23,24 @@ WARM_UP = 2
 MEDIANS = ("seconds", "cpu_seconds", "steps")
 
 
-def run(config: Any, report: Report) -> dict[str, Any]:
+def run(config: Any, report: Report) -> None:
     """Runs of each of ``learning.ppo`` until an evaluation reaches the return or the time is over."""
     body, keys, goal = one_body(config), config.learning, config.learning.stop_return
-    figures: dict[str, Any] = {}
+    runs: dict[str, list[dict[str, Any]]] = {}
     rows = []
     for name in keys.ppo:
-        runs = []
+        runs[name] = []
         for seed in range(keys.seeds):
             with report.status(f"ppo={name}, seed {seed}: at most {keys.seconds:.0f} s"):
-                runs.append(learn(config, body, name, config.seed + seed))
-        done = [row for row in runs if row["seconds"] is not None]
+                runs[name].append(learn(config, body, name, config.seed + seed))
+        done = [row for row in runs[name] if row["seconds"] is not None]
         medians = {what: middle([row[what] for row in done]) if done else None for what in MEDIANS}
-        best = max(row["best_return"] for row in runs)
-        figures[name] = {"runs": runs, "reached": len(done), **medians, "best_return": best}
-        shown = [*medians.values(), best]
+        shown = [*medians.values(), max(row["best_return"] for row in runs[name])]
         seconds = [row["seconds"] for row in done]
         shown.insert(1, f"{number(min(seconds))} to {number(max(seconds))}" if done else "-")
-        rows.append([f"ppo={name}, {runs[0]['num_envs']} environments", f"{len(done)} of {len(runs)}", *shown])
+        rows.append(
+            [f"ppo={name}, {runs[name][0]['num_envs']} environments", f"{len(done)} of {len(runs[name])}", *shown]
+        )
     headings = ["", f"reached {goal:g}", "seconds", "from, to", "CPU seconds", "control steps", "best return"]
     title = f"{config.task}, {config.threads} threads, {config.device}: time to a return of {goal:g}"
     report.table(title, headings, rows)
@@ -48,7 +48,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         "Seconds of wall-clock time, evaluations included, kernels loaded; medians of the runs that got there."
         f" Others ended with the settings' own number of iterations or after {keys.seconds:g} s."
     )
-    return {"task": config.task, "stop_return": goal, "ppo": figures}
+    report.figures["runs"] = runs
 
 
 def learn(config: Any, body: np.ndarray, name: str, seed: int) -> dict[str, Any]:

@@ -23,7 +23,7 @@ FULL = np.array([[1, 3, 4, 3, 1], [2, 4, 3, 4, 2], [3, 1, 2, 1, 3], [4, 2, 1, 2,
 """A body without empty cells: a pack of different bodies has the springs of all cells, too."""
 
 
-def run(config: Any, report: Report) -> dict[str, Any]:
+def run(config: Any, report: Report) -> None:
     """Speeds, and the times of building and of exchanging bodies."""
     count, bodies = config.num_envs, sampled_bodies(SIDE, config.num_envs, config.seed)
     cases = {f"{count} different bodies": bodies}
@@ -46,8 +46,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         f" at {ours / full:.0%} of that of a body without empty cells. They were built in {built:.2f} s;"
         f" {count // CHANGED} of {count} were exchanged in {number(1e3 * middle(changed))} ms."
     )
-    figures = {"task": config.task, "mixed": rates[0], "alone": rates[1:-1], "full": rates[-1]}
-    return figures | {"built": built, "changed": changed, "check_error": worst}
+    report.figures |= {"built": built, "changed": changed, "check_error": worst}
 
 
 def _exchange(config: Any, bodies: list[np.ndarray]) -> list[float]:

@@ -20,7 +20,7 @@ from warpvox.errors import ConfigError
 __all__ = ["run"]
 
 
-def run(config: Any, report: Report) -> dict[str, Any]:
+def run(config: Any, report: Report) -> None:
     """A batch, one environment of gymnasium, one of the drop-in, and the reference; ConfigError: there is none."""
     import warpvox.envs
     import warpvox.evogym.envs  # noqa: F401  (both register their environments)
@@ -36,15 +36,14 @@ def run(config: Any, report: Report) -> dict[str, Any]:
         with report.status("measuring"):
             one = {"id": f"warpvox/{config.task}", "body": body, "device": config.device}
             drop_in = {"id": released_id(config.task), "body": body.astype(float)}
-            name = f"evogym {reference.versions['evogym']}, Python {reference.versions['python']}"
+            theirs = f"evogym {reference.versions['evogym']}, Python {reference.versions['python']}"
             others = {
                 "warpvox, one gymnasium environment": _timer(config, one),
                 "warpvox, one environment of the drop-in": _timer(config, drop_in),
-                name: reference.timer(config.steps, runner.env.num_actions, config.seed),
+                theirs: reference.timer(config.steps, runner.env.num_actions, config.seed),
             }
             found = measure({batch: runner}, config.columns, config.repeats, others)
-    alone, drop_in, theirs = (found[name]["step"] for name in others)
-    base, rows = middle(theirs), []
+    base, rows = middle(found[theirs]["step"]), []
     for name, rates in found.items():
         best = rates.get("step") or next(iter(rates.values()))
         rows.append([name, *(rates.get(column) for column in config.columns), middle(best) / base])
@@ -52,19 +51,7 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     report.table(title, ["", *(HEADINGS[column] for column in config.columns), "ratio"], rows, spread)
     if config.device == "cpu":
         report.note("Rates are per second of CPU time, that is of one core; the ratio is that of the medians.")
-    return {
-        "task": config.task,
-        "check_error": error,
-        "steps": runner.steps,
-        "rates": found[batch],
-        "gymnasium": alone,
-        "drop_in": drop_in,
-        "reference": theirs,
-        "versions": reference.versions,
-        "ratio": {column: middle(values) / base for column, values in found[batch].items() if values},
-        "ratio_gymnasium": middle(alone) / base,
-        "ratio_drop_in": middle(drop_in) / base,
-    }
+    report.figures |= {"check_error": error, "steps": runner.steps, "versions": reference.versions}
 
 
 def _timer(config: Any, words: dict[str, Any]) -> Callable[[], float]:

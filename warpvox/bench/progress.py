@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 from warpvox.bench.report import Report
 from warpvox.io.console import echo
-from warpvox.runs import write_summary
 
 __all__ = ["Progress"]
 
@@ -23,18 +22,18 @@ class Progress:
     everything up to the last row.
 
     Args:
-        report: what is shown; its folder gets ``summary.json`` and ``tables.md``.
-        about: what the figures begin with, such as the machine.
+        report: what is shown.
         seconds: when no row and no part begins any more.
 
     Attributes:
-        figures: by part a list of rows, or what the part returned; ``seconds`` of each, ``failed`` and ``left_out``.
+        figures: of the report: by part a list of rows, or what the part returned; ``seconds`` of each, ``failed`` and
+            ``left_out``.
     """
 
-    def __init__(self, report: Report, about: dict[str, Any], seconds: float) -> None:
-        self.report, self._about = report, about
+    def __init__(self, report: Report, seconds: float) -> None:
+        self.report, self.figures = report, report.figures
         self._end, self._seconds = time.perf_counter() + seconds, seconds
-        self.figures: dict[str, Any] = {"seconds": {}, "failed": [], "left_out": []}
+        self.figures |= {"seconds": {}, "failed": [], "left_out": []}
 
     @property
     def left(self) -> float:
@@ -58,7 +57,7 @@ class Progress:
         else:
             echo(self.report.console, f"  {text}")
         self.figures.setdefault(part, []).append(values)
-        self.save()
+        self.report.write()
 
     def run(self, name: str, part: Callable[[], Any]) -> None:
         """Do a part if there is time; keep what it returns or how it failed, and its seconds."""
@@ -68,7 +67,7 @@ class Progress:
         echo(self.report.console, f"\n{name} ({self.left:.0f} s left)")
         try:
             found = part()
-            self.figures |= {} if found is None else {name: found}
+            self.figures.update({} if found is None else {name: found})
         except Exception as error:  # whatever it is, the other parts are worth having
             self.figures["failed"].append(name)
             text = f"{type(error).__name__}: {error}"
@@ -76,17 +75,10 @@ class Progress:
             self.report.note(f"FAILED, {name}: {text}")
         finally:  # an interrupt, too
             self.figures["seconds"][name] = round(time.perf_counter() - began, 1)
-            self.save()
+            self.report.write()
 
-    def save(self) -> None:
-        """Write everything so far."""
-        self.report.write()
-        write_summary(self.report.folder, self._about | self.figures)
-
-    def close(self) -> dict[str, Any]:
-        """Say what was left out; returns the figures."""
+    def close(self) -> None:
+        """Say what was left out."""
         if self.figures["left_out"]:
             left = ", ".join(self.figures["left_out"])
             self.report.note(f"Left out, for the {self._seconds:g} s were over: {left}.")
-        self.save()
-        return self.figures

@@ -14,6 +14,7 @@ from rich.table import Table
 from warpvox.errors import ConfigError
 from warpvox.io.console import echo, literal
 from warpvox.io.writing import atomic_path, write_text
+from warpvox.runs import write_summary
 
 __all__ = ["Report", "middle", "number", "put_into", "spread"]
 
@@ -49,10 +50,15 @@ def spread(value: float | Sequence[float] | None) -> str:
 
 
 class Report:
-    """Collects what a suite shows on ``console``, for the files in ``folder``, which exists."""
+    """Collects what a suite shows on ``console``, for the files in ``folder``, which exists.
 
-    def __init__(self, console: Console, folder: Path) -> None:
+    Attributes:
+        figures: JSON values for ``summary.json``, after ``about``; every table is among them, with all repetitions.
+    """
+
+    def __init__(self, console: Console, folder: Path, about: dict[str, Any]) -> None:
         self.console, self.folder = console, folder
+        self.figures: dict[str, Any] = about | {"tables": []}
         self._parts: list[str] = []
 
     def table(
@@ -67,6 +73,7 @@ class Report:
         for row in texts:
             shown.add_row(*map(literal, row))
         self.console.print(shown)
+        self.figures["tables"].append({"title": title, "headings": list(headings), "rows": list(map(list, rows))})
         lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *texts]
         self._parts.append("\n".join([f"{title}:", "", *("| " + " | ".join(line) + " |" for line in lines)]))
 
@@ -94,9 +101,10 @@ class Report:
         echo(self.console, f"plot: {path}")
 
     def write(self) -> str:
-        """Write all tables and sentences as ``tables.md``; returns the text."""
+        """Write all tables and sentences as ``tables.md``, the figures as ``summary.json``; returns the text."""
         text = "\n\n".join(self._parts) + "\n"
         write_text(self.folder / TABLES, text)
+        write_summary(self.folder, self.figures)
         return text
 
 

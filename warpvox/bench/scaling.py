@@ -35,15 +35,15 @@ CHECK_STEPS = 20
 QUICK_STRIDE, QUICK_BODIES, QUICK_SECONDS = 5, 3, 2.0
 
 
-def run(config: Any, report: Report) -> dict[str, Any]:
+def run(config: Any, report: Report) -> None:
     """Three tables: by size of the body, by number of environments, by threads."""
     with open_reference(config, report) as reference:
         bodies = scale_bodies(config, report, reference)
-    figures = {"task": config.task, "bodies": bodies, "envs": scale_envs(config, report)}
+    report.figures["bodies"] = bodies
+    scale_envs(config, report)
     if config.device == "cpu":
-        figures["threads"] = scale_threads(config, report)
+        scale_threads(config, report)
     report.plot("figure2", lambda figure: _draw_bodies(figure, config, bodies))
-    return figures
 
 
 def scale_bodies(config: Any, report: Report, reference: Reference | None) -> list[dict[str, Any]]:
@@ -141,9 +141,9 @@ def _draw_bodies(figure: Any, config: Any, rows: list[dict[str, Any]]) -> None:
         axes.legend()
 
 
-def scale_envs(config: Any, report: Report) -> list[dict[str, Any]]:
+def scale_envs(config: Any, report: Report) -> None:
     """The columns for numbers of environments; what needs too much time or memory is left out, with the reason."""
-    body, rows, shown, left_out, needed = one_body(config), [], [], [], 0.0
+    body, rows, left_out, needed = one_body(config), [], [], 0.0
     for count in sorted(config.scaling.envs):
         if count * needed > MEMORY_SHARE * available_memory(config.device):
             left_out.append(f"{count:,} (memory: {count * needed / 2**30:.1f} GiB)")
@@ -159,25 +159,20 @@ def scale_envs(config: Any, report: Report) -> list[dict[str, Any]]:
             left_out.append(f"{count:,} (memory)")
             continue
         needed = per_environment(runner.env)
-        row = {"num_envs": count, "scalar_error": runner.error, "steps": runner.steps, "rates": rates, "bytes": needed}
-        rows.append(row)
-        shown.append([f"{count:,}", *rates.values(), needed / 1000])
+        rows.append([f"{count:,}", *rates.values(), needed / 1000])
     title = f"{config.task}, control steps per {unit(config.device)}, {config.dtype}, {config.device}"
-    report.table(title, ["environments", *(HEADINGS[c] for c in config.columns), "kB an environment"], shown)
+    report.table(title, ["environments", *(HEADINGS[c] for c in config.columns), "kB an environment"], rows)
     if left_out:
         report.note(f"Left out: {', '.join(left_out)}.")
-    return rows
 
 
-def scale_threads(config: Any, report: Report) -> dict[str, Any]:
+def scale_threads(config: Any, report: Report) -> None:
     """One thread and all: control steps per second of wall-clock time, alternating."""
     body, counts = one_body(config), sorted({1, usable_cores()})
     with report.status("threads"):
         runners = {str(n): Runner(config, [body], threads=n, now=time.perf_counter) for n in counts}
         found = measure(runners, ["step"], config.repeats)
-    rates = {name: values["step"] for name, values in found.items()}
-    gains = {name: middle(values) / middle(rates["1"]) for name, values in rates.items()}
-    shown = [[name, values, gains[name]] for name, values in rates.items()]
+    base = middle(found["1"]["step"])
+    rows = [[name, rates["step"], middle(rates["step"]) / base] for name, rates in found.items()]
     title = f"{config.task}, {config.num_envs} environments, control steps per second"
-    report.table(title, ["threads", "step only", "gain"], shown)
-    return {"rates": rates, "gain": max(gains.values())}
+    report.table(title, ["threads", "step only", "gain"], rows)
