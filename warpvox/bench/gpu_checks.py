@@ -71,7 +71,7 @@ def correctness(config: Any, progress: Progress, part: str, tasks: list[str], dt
         beyond = float((apart["pos"] > TOLERANCES[dtype]["pos"]).double().mean())
         text = f"{task}, {dtype}: " + ", ".join(f"{name} within {number(value)}" for name, value in row.items())
         text += f", {beyond:.2%} beyond" if beyond else ""
-        values = {"task": task, "dtype": dtype, "good": good, "beyond": beyond} | row
+        values: dict[str, Any] = {"task": task, "dtype": dtype, "good": good, "beyond": beyond, **row}
         progress.row(part, f"{text}{'' if good else ' WRONG'}", **values)
     if wrong:
         raise SimulationError(f"The device differs from the CPU in {', '.join(wrong[:6])}.")
@@ -117,7 +117,7 @@ def independence(config: Any, progress: Progress, envs: int) -> dict[str, Any]:
 
 def graph(config: Any, progress: Progress, envs: int) -> dict[str, Any]:
     """Control steps launched as one graph are those launched one by one, bit for bit, past ends of episodes."""
-    options = dict(auto_reset=True, max_episode_steps=STEPS // 2)
+    options: dict[str, Any] = dict(auto_reset=True, max_episode_steps=STEPS // 2)
     with_graph, without = (_outcomes(_make(config, envs, cuda_graph=wanted, **options)) for wanted in (True, False))
     said = f"{envs:,} environments over {STEPS} control steps are equal with and without a graph, bit for bit."
     return _compare(progress, with_graph, without, said)

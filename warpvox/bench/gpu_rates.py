@@ -107,7 +107,7 @@ def training(config: Any, progress: Progress, counts: tuple[int, ...], designs: 
     rows = []
     for count in progress.in_time("training", counts, "{:,} environments"):
         found = measure({"": _runner(config, count)}, ["step", "training"], 1)[""]
-        rates = {name: middle(values) for name, values in found.items()}
+        rates: dict[str, Any] = {name: middle(values) for name, values in found.items()}
         text = f"{count:,} environments: {number(rates['training'])} steps/s with training"
         progress.row("training", text, num_envs=count, **rates)
         rows.append([f"{count:,}", *rates.values()])

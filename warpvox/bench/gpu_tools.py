@@ -33,7 +33,7 @@ def sanitizer(config: Any, progress: Progress) -> None:
     """Control steps of different bodies under compute-sanitizer, tool by tool."""
     program, wrong = _find("compute-sanitizer", progress), []
     for tool in progress.in_time("sanitizer", TOOLS if program else ()):
-        done = _sample([program, "--tool", tool, "--error-exitcode", "9"], config, progress, envs=64, bodies=8)
+        done = _sample([str(program), "--tool", tool, "--error-exitcode", "9"], config, progress, envs=64, bodies=8)
         if done is None:
             continue
         last = [line for line in done.stdout.splitlines() if "SUMMARY" in line][-1:] or [done.stderr[-300:]]
