@@ -25,10 +25,8 @@ from warpvox.bench import (
     gpu_checks,
     gpu_rates,
     gpu_tools,
-    progress as progress_module,
     report as report_module,
 )
-from warpvox.bench.progress import Progress
 from warpvox.bench.report import Report
 from warpvox.cli.config import load
 from warpvox.configs.presets import training_preset
@@ -98,8 +96,8 @@ def test_a_part_that_fails_does_not_stop_the_others(warpvox: Callable, monkeypat
 
 
 @pytest.fixture
-def progress(tmp_path: Path) -> Progress:
-    return Progress(Report(Console(quiet=True), tmp_path, {}), seconds=1000.0)
+def report(tmp_path: Path) -> Report:
+    return Report(Console(quiet=True), tmp_path, {})
 
 
 def config_of(*words: str) -> Any:
@@ -107,16 +105,14 @@ def config_of(*words: str) -> Any:
 
 
 @pytest.mark.parametrize("task", ["Climber-v2", "Lifter-v0", "Thrower-v0", "Carrier-v0"])
-def test_float32_is_right_where_contacts_part_its_trajectories(task: str, progress: Progress) -> None:
+def test_float32_is_right_where_contacts_part_its_trajectories(task: str, report: Report) -> None:
     """Over 30 control steps from one state some environments of these tasks are 1e-5 to 1e-3 apart."""
-    gpu_checks.correctness(config_of("device=cpu", "design=walker"), progress, "correctness", [task], "float32")
-    assert progress.figures["correctness"][0]["pos"] < 6e-9
+    gpu_checks.correctness(config_of("device=cpu", "design=walker"), report, "correctness", [task], "float32")
+    assert report.figures["correctness"][0]["pos"] < 6e-9
 
 
 @pytest.mark.parametrize("wrong", [{"gravity": 110.1}, {"friction": 0.0}, {"drag": 0.11}])
-def test_a_kernel_that_is_a_little_wrong_is_found(
-    wrong: dict, progress: Progress, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kernel_that_is_a_little_wrong_is_found(wrong: dict, report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
     right = cases.make_vec
 
     def make(task: str, *words: Any, dtype: str, **options: Any) -> Any:
@@ -126,11 +122,11 @@ def test_a_kernel_that_is_a_little_wrong_is_found(
     monkeypatch.setattr(cases, "make_vec", make)
     with pytest.raises(SimulationError, match="The device differs from the CPU in Walker-v0"):
         gpu_checks.correctness(
-            config_of("device=cpu", "design=walker"), progress, "correctness", ["Walker-v0"], "float32"
+            config_of("device=cpu", "design=walker"), report, "correctness", ["Walker-v0"], "float32"
         )
 
 
-def test_its_parts_run_on_a_device(progress: Progress, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_parts_run_on_a_device(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a simulated one; in float64 the lanes compute, which it does not have, and training is tested elsewhere."""
     monkeypatch.setattr(gpu_checks, "STEPS", 6)
     monkeypatch.setattr(gpu_rates, "training", lambda *_: None)
@@ -139,11 +135,10 @@ def test_its_parts_run_on_a_device(progress: Progress, monkeypatch: pytest.Monke
     monkeypatch.setattr(gpu_tools, "profile", lambda *_: None)
     with SimulatedCuda() as cuda:
         config = config_of("device=cuda:0", "tasks=[Walker-v0]", "design=mini")
-        for name, part in gpu._parts(config, replace(gpu.SMALL, envs=(8,)), progress).items():
+        for name, part in gpu._parts(config, replace(gpu.SMALL, envs=(8,)), report).items():
             if name != "double":
-                progress.run(name, part)
-    progress.close()
-    figures = progress.figures
+                report.run(name, part)
+    figures = report.figures
     assert figures["failed"] == figures["left_out"] == [], figures
     assert figures["smoke"]["layout"] == "group"
     assert figures["graph"]["num_envs"] == figures["stream"]["num_envs"] == 8
@@ -154,8 +149,8 @@ def test_its_parts_run_on_a_device(progress: Progress, monkeypatch: pytest.Monke
 
 @pytest.mark.skipif(os.name != "posix", reason="a script stands in for the tool")
 @pytest.mark.parametrize("errors", [0, 3])
-def test_a_sanitizer_that_is_there_is_used(errors: int, progress: Progress, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = progress.report.folder
+def test_a_sanitizer_that_is_there_is_used(errors: int, report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = report.folder
     tool = folder / "compute-sanitizer"
     tool.write_text(
         f'#!/bin/sh\necho "$@"\necho "========= ERROR SUMMARY: {errors} errors"\nexit {9 if errors else 0}\n'
@@ -164,8 +159,8 @@ def test_a_sanitizer_that_is_there_is_used(errors: int, progress: Progress, monk
     monkeypatch.setenv("PATH", str(folder), prepend=os.pathsep)
     config = SimpleNamespace(device="cuda:0", task="Walker-v0")
     with pytest.raises(SimulationError, match="memcheck, racecheck") if errors else nullcontext():
-        gpu_tools.sanitizer(config, progress)
-    rows = progress.figures["sanitizer"]
+        gpu_tools.sanitizer(config, report)
+    rows = report.figures["sanitizer"]
     assert [row["tool"] for row in rows] == list(gpu_tools.TOOLS)
     assert {row["good"] for row in rows} == {not errors}
     said = folder / "racecheck.txt"
@@ -180,24 +175,21 @@ def test_the_sample_for_tools_steps(capsys: pytest.CaptureFixture, monkeypatch: 
     assert capsys.readouterr().out == "finite\n"
 
 
-def test_the_time_ends_between_parts_and_within_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_ends_between_parts_and_within_one(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
-    monkeypatch.setattr(progress_module.time, "perf_counter", lambda: now[0])
-    progress = Progress(Report(Console(quiet=True), tmp_path, {}), seconds=10.0)
+    monkeypatch.setattr(report_module.time, "perf_counter", lambda: now[0])
 
     def tasks() -> None:
-        for name in progress.in_time("tasks", ("one", "two", "three")):
-            progress.row("tasks", name, task=name)
+        for name in report.in_time("tasks", ("one", "two", "three")):
+            report.row("tasks", name, task=name)
             now[0] += 6.0
 
-    progress.run("tasks", tasks)
-    progress.run("later", tasks)
-    progress.close()
-    figures = progress.figures
-    assert [row["task"] for row in figures["tasks"]] == ["one", "two"]
-    assert figures["left_out"] == ["tasks: three", "later"]
-    assert figures["seconds"] == {"tasks": 12.0}
-    assert "Left out, for the 10 s were over: tasks: three, later." in progress.report.write()
+    monkeypatch.setattr(gpu, "_parts", lambda *_: {"tasks": tasks, "later": tasks})
+    gpu.run(SimpleNamespace(device="cpu", seconds=10.0), report)
+    assert [row["task"] for row in report.figures["tasks"]] == ["one", "two"]
+    assert report.figures["left_out"] == ["tasks: three", "later"]
+    assert report.figures["seconds"] == {"tasks": 12.0}
+    assert "Left out, for the 10 s were over: tasks: three, later." in report.write()
 
 
 def test_without_a_gpu_its_suite_says_so(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,15 +213,15 @@ def test_predictions_stand_beside_what_was_predicted_for(asked: tuple, told: str
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e-300])
-def test_equal_bit_for_bit_is_tested(offset: float, progress: Progress) -> None:
+def test_equal_bit_for_bit_is_tested(offset: float, report: Report) -> None:
     one, other = ({"reward": torch.full((3,), value, dtype=torch.float64)} for value in (0.0, offset))
     with pytest.raises(SimulationError, match="differ in reward") if offset else nullcontext():
-        gpu_checks._compare(progress, one, other, "Runs are equal.")
+        gpu_checks._compare(report, one, other, "Runs are equal.")
 
 
 @pytest.mark.parametrize("code", [0, 1])
 def test_the_tests_of_this_checkout_are_run(
-    code: int, progress: Progress, repository: Path, monkeypatch: pytest.MonkeyPatch
+    code: int, report: Report, repository: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words: list[str] = []
 
@@ -239,6 +231,6 @@ def test_the_tests_of_this_checkout_are_run(
 
     monkeypatch.setattr(gpu_checks.subprocess, "run", tests)
     with pytest.raises(SimulationError, match="2 passed") if code else nullcontext():
-        found = gpu_checks.recordings(SimpleNamespace(device="cuda:0"), progress)
+        found = gpu_checks.recordings(SimpleNamespace(device="cuda:0"), report)
         assert found == {"replayed": True, "result": "2 passed"}
     assert words[-1] == str(repository / "tests")

@@ -8,12 +8,12 @@ is written down and the others go on; what the time does not suffice for is left
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from warpvox.bench import gpu_checks as checks, gpu_rates as rates, gpu_tools as tools
-from warpvox.bench.progress import Progress
 from warpvox.bench.report import Report
 from warpvox.envs.registry import get_task, task_ids
 
@@ -45,18 +45,19 @@ SMALL = Size((1, 8), 8, 8, (3,), 8, (8,), 2)
 def run(config: Any, report: Report) -> None:
     """All parts; ``failed`` names those that raised, ``left_out`` what no time was left for."""
     size = SMALL if config.device == "cpu" else LARGE
-    progress = Progress(report, config.seconds)
-    for name, part in _parts(config, size, progress).items():
-        progress.run(name, part)
-    progress.close()
+    report.end = time.perf_counter() + config.seconds
+    for name, part in _parts(config, size, report).items():
+        report.run(name, part)
+    if left_out := report.figures["left_out"]:
+        report.note(f"Left out, for the {config.seconds:g} s were over: {', '.join(left_out)}.")
 
 
-def _parts(config: Any, size: Size, progress: Progress) -> dict[str, Callable[[], Any]]:
+def _parts(config: Any, size: Size, report: Report) -> dict[str, Callable[[], Any]]:
     """What is done, in this order; what an entry returns is kept under its name."""
     wanted = [get_task(task).id for task in config.tasks] or task_ids()
     first = [task for task in FIRST if task in wanted] or wanted[:1]
     rest = [task for task in wanted if task not in first]
-    common = config, progress
+    common = config, report
 
     def compared(part: str, tasks: list[str], dtype: str) -> Callable[[], Any]:
         return lambda: checks.correctness(*common, part, tasks, dtype)

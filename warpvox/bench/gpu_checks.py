@@ -15,8 +15,7 @@ import torch
 import warp as wp
 
 from warpvox.bench import cases
-from warpvox.bench.progress import Progress
-from warpvox.bench.report import number
+from warpvox.bench.report import Report, number
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import SimulationError
 
@@ -39,7 +38,7 @@ TEST_SECONDS = 240
 QUERY = "nvidia-smi", "--query-gpu=name,driver_version,clocks.max.sm,power.limit", "--format=csv,noheader"
 
 
-def smoke(config: Any, progress: Progress) -> dict[str, Any]:
+def smoke(config: Any, report: Report) -> dict[str, Any]:
     """The driver's report, and a few control steps with Warp's own check of every launch."""
     asked = subprocess.run(QUERY, capture_output=True, text=True) if shutil.which(QUERY[0]) else None
     driver = asked.stdout.strip() if asked else None
@@ -53,14 +52,14 @@ def smoke(config: Any, progress: Progress) -> dict[str, Any]:
         wp.config.verify_cuda = before
     if not bool(torch.isfinite(obs).all()):
         raise SimulationError("The observations after three control steps are not finite.")
-    progress.report.note(f"{driver or config.device}: {FEW} control steps, layout {env.sim.layout}.")
+    report.note(f"{driver or config.device}: {FEW} control steps, layout {env.sim.layout}.")
     return {"driver": driver, "layout": env.sim.layout}
 
 
-def correctness(config: Any, progress: Progress, part: str, tasks: list[str], dtype: str) -> None:
+def correctness(config: Any, report: Report, part: str, tasks: list[str], dtype: str) -> None:
     """Tasks in one precision: each control step of the device against the CPU in float64, from the CPU's state."""
     wrong: list[str] = []
-    for task in progress.in_time(part, tasks):
+    for task in report.in_time(part, tasks):
         exact = _make(config, ENVS, task=task, dtype="float64", device="cpu", lanes=1)
         apart = _apart(exact, _make(config, ENVS, task=task, dtype=dtype))
         row = {name: float(values.quantile(SHARE)) for name, values in apart.items()}
@@ -72,11 +71,11 @@ def correctness(config: Any, progress: Progress, part: str, tasks: list[str], dt
         text = f"{task}, {dtype}: " + ", ".join(f"{name} within {number(value)}" for name, value in row.items())
         text += f", {beyond:.2%} beyond" if beyond else ""
         values: dict[str, Any] = {"task": task, "dtype": dtype, "good": good, "beyond": beyond, **row}
-        progress.row(part, f"{text}{'' if good else ' WRONG'}", **values)
+        report.row(part, f"{text}{'' if good else ' WRONG'}", **values)
     if wrong:
         raise SimulationError(f"The device differs from the CPU in {', '.join(wrong[:6])}.")
-    progress.report.note(
-        f"{dtype}, {len(progress.figures.get(part, []))} tasks: {SHARE:.0%} of the control steps are within the"
+    report.note(
+        f"{dtype}, {len(report.figures.get(part, []))} tasks: {SHARE:.0%} of the control steps are within the"
         " tolerances of the CPU in float64."
     )
 
@@ -101,36 +100,36 @@ def _apart(exact: VoxelVecEnv, env: VoxelVecEnv) -> dict[str, torch.Tensor]:
     return {name: torch.stack(values) for name, values in found.items()}
 
 
-def determinism(config: Any, progress: Progress, envs: int) -> dict[str, Any]:
+def determinism(config: Any, report: Report, envs: int) -> dict[str, Any]:
     """Two runs are equal bit for bit: centres, rewards, observations, state."""
     env = _make(config, envs)
     said = f"Two runs of {envs:,} environments over {STEPS} control steps are equal bit for bit."
-    return _compare(progress, _outcomes(env), _outcomes(env), said)
+    return _compare(report, _outcomes(env), _outcomes(env), said)
 
 
-def independence(config: Any, progress: Progress, envs: int) -> dict[str, Any]:
+def independence(config: Any, report: Report, envs: int) -> dict[str, Any]:
     """The first environments of a large batch do what they do in a small one, bit for bit."""
     large, small = _outcomes(_make(config, max(envs, ENVS))), _outcomes(_make(config, FEW))
     said = f"Environments do the same in batches of {FEW} and of {len(large['reward']):,}, bit for bit."
-    return _compare(progress, large, small, said)
+    return _compare(report, large, small, said)
 
 
-def graph(config: Any, progress: Progress, envs: int) -> dict[str, Any]:
+def graph(config: Any, report: Report, envs: int) -> dict[str, Any]:
     """Control steps launched as one graph are those launched one by one, bit for bit, past ends of episodes."""
     options: dict[str, Any] = dict(auto_reset=True, max_episode_steps=STEPS // 2)
     with_graph, without = (_outcomes(_make(config, envs, cuda_graph=wanted, **options)) for wanted in (True, False))
     said = f"{envs:,} environments over {STEPS} control steps are equal with and without a graph, bit for bit."
-    return _compare(progress, with_graph, without, said)
+    return _compare(report, with_graph, without, said)
 
 
-def stream(config: Any, progress: Progress, envs: int) -> dict[str, Any]:
+def stream(config: Any, report: Report, envs: int) -> dict[str, Any]:
     """On a stream of one's own control steps are those on torch's first one, bit for bit."""
     env = _make(config, envs)
     expected = _outcomes(env)
     torch.cuda.synchronize(config.device)
     said = f"{envs:,} environments over {STEPS} control steps are equal on another stream, bit for bit."
     with torch.cuda.stream(torch.cuda.Stream(config.device)):
-        return _compare(progress, _outcomes(env), expected, said)
+        return _compare(report, _outcomes(env), expected, said)
 
 
 def _make(config: Any, envs: int, task: str | None = None, **options: Any) -> VoxelVecEnv:
@@ -165,25 +164,25 @@ def _actions(env: VoxelVecEnv) -> Iterator[torch.Tensor]:
 
 
 def _compare(
-    progress: Progress, found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor], said: str
+    report: Report, found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor], said: str
 ) -> dict[str, Any]:
     """Note that the first environments of ``found`` are those expected; SimulationError: they are not."""
     wrong = [name for name, value in expected.items() if not torch.equal(found[name][: len(value)], value)]
     if wrong:
         raise SimulationError(f"They differ in {', '.join(wrong)}; expected: {said}")
-    progress.report.note(said)
+    report.note(said)
     return {"num_envs": len(found["reward"]), "steps": STEPS}
 
 
-def recordings(config: Any, progress: Progress) -> dict[str, Any]:
+def recordings(config: Any, report: Report) -> dict[str, Any]:
     """The tests marked ``gpu``, recordings of the reference among them, where this is a checkout with pytest."""
-    tests, report = Path(__file__).resolve().parents[2] / "tests", progress.report
+    tests = Path(__file__).resolve().parents[2] / "tests"
     if config.device == "cpu" or not (tests / "parity").is_dir() or find_spec("pytest") is None:
         reason = "tests of the GPU need one" if config.device == "cpu" else "this is no checkout with pytest"
         report.note(f"Recordings of the reference were not replayed: {reason}.")
         return {"replayed": False, "reason": reason}
     words = [sys.executable, "-m", "pytest", "-q", "-m", "gpu", "-p", "no:cacheprovider", str(tests)]
-    limit = max(1.0, min(TEST_SECONDS, progress.left))
+    limit = max(1.0, min(TEST_SECONDS, report.left))
     try:
         done = subprocess.run(words, cwd=tests.parent, capture_output=True, text=True, timeout=limit)
     except subprocess.TimeoutExpired:

@@ -1,12 +1,15 @@
-"""The output of a suite: tables and sentences on the terminal, the same as Markdown, and plots."""
+"""The output of a suite: tables and sentences on the terminal, the same as Markdown and JSON, and plots."""
 
 from __future__ import annotations
 
+import math
 import re
 import statistics
-from collections.abc import Callable, Sequence
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.table import Table
@@ -18,6 +21,7 @@ from warpvox.runs import write_summary
 
 __all__ = ["Report", "middle", "number", "put_into", "spread"]
 
+Item = TypeVar("Item")
 TABLES, PLOT_SIZE, DOTS = "tables.md", (11.0, 4.5), 110
 
 
@@ -52,14 +56,19 @@ def spread(value: float | Sequence[float] | None) -> str:
 class Report:
     """Collects what a suite shows on ``console``, for the files in ``folder``, which exists.
 
+    Files are written whole or not at all: after :meth:`row` and :meth:`run` the folder has everything up to there,
+    whatever becomes of the process.
+
     Attributes:
-        figures: JSON values for ``summary.json``, after ``about``; every table is among them, with all repetitions.
+        figures: JSON values for ``summary.json``, after ``about``: every table with all repetitions; of the parts of a
+            suite a list of rows or what they returned, their ``seconds``, which have ``failed``, what was ``left_out``.
+        end: when, by ``time.perf_counter()``, no row and no part begins any more.
     """
 
     def __init__(self, console: Console, folder: Path, about: dict[str, Any]) -> None:
-        self.console, self.folder = console, folder
-        self.figures: dict[str, Any] = about | {"tables": []}
-        self._parts: list[str] = []
+        self.console, self.folder, self.end = console, folder, math.inf
+        self.figures: dict[str, Any] = about | {"tables": [], "seconds": {}, "failed": [], "left_out": []}
+        self._texts: list[str] = []
 
     def table(
         self, title: str, headings: Sequence[str], rows: Sequence[Sequence[Any]], show: Callable[[Any], str] = number
@@ -75,12 +84,12 @@ class Report:
         self.console.print(shown)
         self.figures["tables"].append({"title": title, "headings": list(headings), "rows": list(map(list, rows))})
         lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *texts]
-        self._parts.append("\n".join([f"{title}:", "", *("| " + " | ".join(line) + " |" for line in lines)]))
+        self._texts.append("\n".join([f"{title}:", "", *("| " + " | ".join(line) + " |" for line in lines)]))
 
     def note(self, text: str) -> None:
         """Show a sentence."""
         echo(self.console, text)
-        self._parts.append(text)
+        self._texts.append(text)
 
     def status(self, text: str) -> Any:
         """A spinner while something takes time."""
@@ -102,10 +111,52 @@ class Report:
 
     def write(self) -> str:
         """Write all tables and sentences as ``tables.md``, the figures as ``summary.json``; returns the text."""
-        text = "\n\n".join(self._parts) + "\n"
+        text = "\n\n".join(self._texts) + "\n"
         write_text(self.folder / TABLES, text)
         write_summary(self.folder, self.figures)
         return text
+
+    @property
+    def left(self) -> float:
+        """Seconds that are left; negative when they are over."""
+        return self.end - time.perf_counter()
+
+    def time_for(self, what: str) -> bool:
+        """Whether time is left for something; if not, it is noted as left out."""
+        if self.left <= 0:
+            self.figures["left_out"].append(what)
+        return self.left > 0
+
+    def in_time(self, part: str, items: Iterable[Item], name: str = "{}") -> Iterator[Item]:
+        """Those items of a part for which time is left when their turn comes; ``name``: how they are called."""
+        return (item for item in items if self.time_for(f"{part}: {name.format(item)}"))
+
+    def row(self, part: str, text: str, noted: bool = False, **values: Any) -> None:
+        """Show a line and keep its values; ``noted``: the line stands among the tables, too."""
+        if noted:
+            self.note(f"{text}.")
+        else:
+            echo(self.console, f"  {text}")
+        self.figures.setdefault(part, []).append(values)
+        self.write()
+
+    def run(self, name: str, part: Callable[[], Any]) -> None:
+        """Do a part if there is time; keep what it returns or how it failed, and its seconds."""
+        if not self.time_for(name):
+            return
+        began = time.perf_counter()
+        echo(self.console, f"\n{name} ({self.left:.0f} s left)")
+        try:
+            found = part()
+            self.figures |= {} if found is None else {name: found}
+        except Exception as error:  # whatever it is, the other parts are worth having
+            self.figures["failed"].append(name)
+            text = f"{type(error).__name__}: {error}"
+            self.figures[f"{name}, error"] = {"error": text, "traceback": traceback.format_exc()}
+            self.note(f"FAILED, {name}: {text}")
+        finally:  # an interrupt, too
+            self.figures["seconds"][name] = round(time.perf_counter() - began, 1)
+            self.write()
 
 
 def put_into(path: Path, suite: str, text: str | None = None) -> None:
