@@ -19,8 +19,14 @@ import torch
 from rich.console import Console
 from simulated_cuda import SimulatedCuda
 
-from warpvox.bench import gpu, gpu_checks, gpu_rates, gpu_tools, progress as progress_module
-from warpvox.bench.progress import Progress
+from warpvox.bench import (
+    cases,
+    gpu,
+    gpu_checks,
+    gpu_rates,
+    gpu_tools,
+    report as report_module,
+)
 from warpvox.bench.report import Report
 from warpvox.cli.config import load
 from warpvox.configs.presets import training_preset
@@ -58,8 +64,8 @@ def test_every_part_runs(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_what_was_found_is_kept_when_the_call_is_cut_off(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     saved = []
-    write = progress_module.write_summary
-    monkeypatch.setattr(progress_module, "write_summary", lambda *content: (saved.append(1), write(*content)))
+    write = report_module.write_summary
+    monkeypatch.setattr(report_module, "write_summary", lambda *content: (saved.append(1), write(*content)))
 
     def cut_off(*_: object) -> None:
         assert len(saved) >= 7, "each row is saved by itself"
@@ -90,8 +96,8 @@ def test_a_part_that_fails_does_not_stop_the_others(warpvox: Callable, monkeypat
 
 
 @pytest.fixture
-def progress(tmp_path: Path) -> Progress:
-    return Progress(Report(Console(quiet=True), tmp_path), {}, seconds=1000.0)
+def report(tmp_path: Path) -> Report:
+    return Report(Console(quiet=True), tmp_path, {})
 
 
 def config_of(*words: str) -> Any:
@@ -99,30 +105,28 @@ def config_of(*words: str) -> Any:
 
 
 @pytest.mark.parametrize("task", ["Climber-v2", "Lifter-v0", "Thrower-v0", "Carrier-v0"])
-def test_float32_is_right_where_contacts_part_its_trajectories(task: str, progress: Progress) -> None:
+def test_float32_is_right_where_contacts_part_its_trajectories(task: str, report: Report) -> None:
     """Over 30 control steps from one state some environments of these tasks are 1e-5 to 1e-3 apart."""
-    gpu_checks.correctness(config_of("device=cpu", "design=walker"), progress, "correctness", [task], "float32")
-    assert progress.figures["correctness"][0]["pos"] < 6e-9
+    gpu_checks.correctness(config_of("device=cpu", "design=walker"), report, "correctness", [task], "float32")
+    assert report.figures["correctness"][0]["pos"] < 6e-9
 
 
 @pytest.mark.parametrize("wrong", [{"gravity": 110.1}, {"friction": 0.0}, {"drag": 0.11}])
-def test_a_kernel_that_is_a_little_wrong_is_found(
-    wrong: dict, progress: Progress, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    right = gpu_checks.make_vec
+def test_a_kernel_that_is_a_little_wrong_is_found(wrong: dict, report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
+    right = cases.make_vec
 
     def make(task: str, *words: Any, dtype: str, **options: Any) -> Any:
         physics = Physics.preset("evogym", **(wrong if dtype == "float32" else {}))
         return right(task, *words, dtype=dtype, physics=physics, **options)
 
-    monkeypatch.setattr(gpu_checks, "make_vec", make)
+    monkeypatch.setattr(cases, "make_vec", make)
     with pytest.raises(SimulationError, match="The device differs from the CPU in Walker-v0"):
         gpu_checks.correctness(
-            config_of("device=cpu", "design=walker"), progress, "correctness", ["Walker-v0"], "float32"
+            config_of("device=cpu", "design=walker"), report, "correctness", ["Walker-v0"], "float32"
         )
 
 
-def test_its_parts_run_on_a_device(progress: Progress, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_parts_run_on_a_device(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a simulated one; in float64 the lanes compute, which it does not have, and training is tested elsewhere."""
     monkeypatch.setattr(gpu_checks, "STEPS", 6)
     monkeypatch.setattr(gpu_rates, "training", lambda *_: None)
@@ -131,14 +135,13 @@ def test_its_parts_run_on_a_device(progress: Progress, monkeypatch: pytest.Monke
     monkeypatch.setattr(gpu_tools, "profile", lambda *_: None)
     with SimulatedCuda() as cuda:
         config = config_of("device=cuda:0", "tasks=[Walker-v0]", "design=mini")
-        for name, part in gpu._parts(config, replace(gpu.SMALL, envs=(8,)), progress).items():
+        for name, part in gpu._parts(config, replace(gpu.SMALL, envs=(8,)), report).items():
             if name != "double":
-                progress.run(name, part)
-    figures = progress.close()
+                report.run(name, part)
+    figures = report.figures
     assert figures["failed"] == figures["left_out"] == [], figures
     assert figures["smoke"]["layout"] == "group"
-    assert figures["graph"]["captured"] is True
-    assert figures["stream"]["num_envs"] == 8
+    assert figures["graph"]["num_envs"] == figures["stream"]["num_envs"] == 8
     assert figures["sizes"][0]["graph"] > 0
     assert {"graph", "stream", "sizes"} <= figures["seconds"].keys()
     assert all(graph.replays > 1 for graph in cuda.captured)
@@ -146,8 +149,8 @@ def test_its_parts_run_on_a_device(progress: Progress, monkeypatch: pytest.Monke
 
 @pytest.mark.skipif(os.name != "posix", reason="a script stands in for the tool")
 @pytest.mark.parametrize("errors", [0, 3])
-def test_a_sanitizer_that_is_there_is_used(errors: int, progress: Progress, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = progress.report.folder
+def test_a_sanitizer_that_is_there_is_used(errors: int, report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = report.folder
     tool = folder / "compute-sanitizer"
     tool.write_text(
         f'#!/bin/sh\necho "$@"\necho "========= ERROR SUMMARY: {errors} errors"\nexit {9 if errors else 0}\n'
@@ -156,44 +159,37 @@ def test_a_sanitizer_that_is_there_is_used(errors: int, progress: Progress, monk
     monkeypatch.setenv("PATH", str(folder), prepend=os.pathsep)
     config = SimpleNamespace(device="cuda:0", task="Walker-v0")
     with pytest.raises(SimulationError, match="memcheck, racecheck") if errors else nullcontext():
-        gpu_tools.sanitizer(config, progress)
-    rows = progress.figures["sanitizer"]
+        gpu_tools.sanitizer(config, report)
+    rows = report.figures["sanitizer"]
     assert [row["tool"] for row in rows] == list(gpu_tools.TOOLS)
     assert {row["good"] for row in rows} == {not errors}
     said = folder / "racecheck.txt"
     assert said.is_file() == bool(errors)
-    assert not errors or "gpu_sample cuda:0 Walker-v0 64 8 2" in said.read_text()
+    sample = 'bench.sample {"task": "Walker-v0", "num_envs": 64, "device": "cuda:0"} 8 2'
+    assert not errors or sample in said.read_text()
 
 
 def test_the_sample_for_tools_steps(capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["gpu_sample", "cpu", "Walker-v0", "8", "1", "2"])
-    runpy.run_module("warpvox.bench.gpu_sample", run_name="__main__")
+    monkeypatch.setattr(sys, "argv", ["sample", '{"task": "Walker-v0", "num_envs": 8, "device": "cpu"}', "1", "2"])
+    runpy.run_module("warpvox.bench.sample", run_name="__main__")
     assert capsys.readouterr().out == "finite\n"
 
 
-def test_no_part_begins_when_the_time_is_over(warpvox: Callable) -> None:
-    outcome = warpvox(*GPU, "tasks=[Walker-v0]", "seconds=1e-6")
-    assert outcome.code == 0, outcome.err
-    assert len(results()[1]["left_out"]) == 12
-    assert "Left out, for the 1e-06 s were over: smoke, correctness" in " ".join(outcome.out.split())
-
-
-def test_the_time_ends_within_a_part_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_ends_between_parts_and_within_one(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
-    monkeypatch.setattr(progress_module.time, "perf_counter", lambda: now[0])
-    progress = Progress(Report(Console(quiet=True), tmp_path), {}, seconds=10.0)
+    monkeypatch.setattr(report_module.time, "perf_counter", lambda: now[0])
 
     def tasks() -> None:
-        for name in ("one", "two", "three"):
-            if progress.time_for(f"tasks: {name}"):
-                progress.row("tasks", name, task=name)
+        for name in report.in_time("tasks", ("one", "two", "three")):
+            report.row("tasks", name, task=name)
             now[0] += 6.0
 
-    progress.run("tasks", tasks)
-    figures = progress.close()
-    assert [row["task"] for row in figures["tasks"]] == ["one", "two"]
-    assert figures["left_out"] == ["tasks: three"]
-    assert figures["seconds"] == {"tasks": 18.0}
+    monkeypatch.setattr(gpu, "_parts", lambda *_: {"tasks": tasks, "later": tasks})
+    gpu.run(SimpleNamespace(device="cpu", seconds=10.0), report)
+    assert [row["task"] for row in report.figures["tasks"]] == ["one", "two"]
+    assert report.figures["left_out"] == ["tasks: three", "later"]
+    assert report.figures["seconds"] == {"tasks": 12.0}
+    assert "Left out, for the 10 s were over: tasks: three, later." in report.write()
 
 
 def test_without_a_gpu_its_suite_says_so(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,7 +206,6 @@ def test_without_a_gpu_its_suite_says_so(warpvox: Callable, monkeypatch: pytest.
         (("Walker-v0", "float32", 16384), "5.30 to 13.8 M"),
         (("Walker-v0", "float64", 16384), "-"),
         (("Climber-v0", "float32", 16384), "-"),
-        (("Walker-v0", "float32", 8), "-"),
     ],
 )
 def test_predictions_stand_beside_what_was_predicted_for(asked: tuple, told: str) -> None:
@@ -218,15 +213,15 @@ def test_predictions_stand_beside_what_was_predicted_for(asked: tuple, told: str
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e-300])
-def test_equal_bit_for_bit_is_tested(offset: float) -> None:
-    one, other = ({"pos": torch.full((3,), value, dtype=torch.float64)} for value in (0.0, offset))
-    with pytest.raises(SimulationError, match="differ in pos") if offset else nullcontext():
-        gpu_checks._compare(one, other, "Runs")
+def test_equal_bit_for_bit_is_tested(offset: float, report: Report) -> None:
+    one, other = ({"reward": torch.full((3,), value, dtype=torch.float64)} for value in (0.0, offset))
+    with pytest.raises(SimulationError, match="differ in reward") if offset else nullcontext():
+        gpu_checks._compare(report, one, other, "Runs are equal.")
 
 
 @pytest.mark.parametrize("code", [0, 1])
 def test_the_tests_of_this_checkout_are_run(
-    code: int, tmp_path: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
+    code: int, report: Report, repository: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words: list[str] = []
 
@@ -236,6 +231,6 @@ def test_the_tests_of_this_checkout_are_run(
 
     monkeypatch.setattr(gpu_checks.subprocess, "run", tests)
     with pytest.raises(SimulationError, match="2 passed") if code else nullcontext():
-        found = gpu_checks.recordings(SimpleNamespace(device="cuda:0"), Report(Console(quiet=True), tmp_path), 60.0)
+        found = gpu_checks.recordings(SimpleNamespace(device="cuda:0"), report)
         assert found == {"replayed": True, "result": "2 passed"}
     assert words[-1] == str(repository / "tests")

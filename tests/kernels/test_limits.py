@@ -51,20 +51,6 @@ def test_the_assembler_is_looked_for_where_make_puts_it(repository):
     assert repository / "build" / "ptxas" / "nvidia" == FETCHED
 
 
-@pytest.mark.parametrize(("release", "taken"), [("12.0", False), ("99.1", True)])
-def test_an_assembler_on_the_path_that_is_too_old_is_not_taken(release, taken, tmp_path, monkeypatch):
-    monkeypatch.setattr("warpvox.bench.ptxas.FETCHED", tmp_path)
-    program = tmp_path / "ptxas"
-    program.write_text(f"#!/bin/sh\necho Cuda compilation tools, release {release}, V{release}.1\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    if taken:
-        assert find_program("ptxas") == program
-    else:
-        with pytest.raises(WarpvoxError, match=r"is of CUDA 12\.0, older than that of Warp .*make ptxas"):
-            find_program("ptxas")
-
-
 @needs_assembler
 @pytest.mark.parametrize(
     "architecture", [a if a in (80, 90) else pytest.param(a, marks=pytest.mark.slow) for a in ARCHITECTURES]
@@ -80,11 +66,10 @@ def test_a_walker_takes_few_instructions():
     env = make_vec("Walker-v0", num_envs=1, device="cpu", dtype="float32", lanes=1, threads=1)
     sim = Simulation([env.sim.worlds[0]] * 4, env.sim.options, layout="group", lanes=None)
     found = instructions(sim, steps=10, seed=0)
-    every, waves = (sum(getattr(count, name) for count in found.values()) for name in ("instructions", "wavefronts"))
-    assert all(0 <= count.wide <= count.instructions for count in found.values())
-    assert all(0 <= count.conflicts < count.wavefronts for count in found.values())
-    springs = found["springs: three Runge-Kutta stages"]
-    assert springs.wide == springs.conflicts == 0  # float32; elements of 8 bytes, and half a warp has all banks
+    assert all(0 <= wide <= every and 0 <= conflicts < waves for every, wide, waves, conflicts in found.values())
+    _, wide, _, conflicts = found["springs: three Runge-Kutta stages"]
+    assert wide == conflicts == 0  # float32; elements of 8 bytes, and half a warp has all banks
+    every, _, waves, _ = sum(found.values())
     assert 0.5 * INSTRUCTIONS < every <= INSTRUCTIONS
     assert 0.5 * WAVEFRONTS < waves <= WAVEFRONTS
 

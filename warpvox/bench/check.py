@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from warpvox.bench.cases import make
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import SimulationError
 
-__all__ = ["against_reference", "against_scalar", "waves"]
+__all__ = ["against_reference", "against_scalar"]
 
 STEPS = 60
 TOLERANCE = 1e-6
@@ -21,32 +22,22 @@ ROUNDING = {"float32": 1e-5, "float64": 1e-9}
 """Largest difference of the centre of mass over SHORT steps, in simulator units (0.1 a voxel)."""
 
 
-def waves(steps: int, actuators: int, seed: int) -> np.ndarray:
-    """float64 ``[steps, actuators]``: sine waves of a period of 25 steps with random phases."""
-    phase = np.random.default_rng(seed).uniform(0, 2 * np.pi, actuators)
-    return 1.1 + 0.45 * np.sin(2 * np.pi * np.arange(steps)[:, None] / 25 + phase)
-
-
 def against_reference(config: Any, task: str, body: np.ndarray, reference: Any, steps: int = STEPS) -> float:
-    """The largest difference of the centre of mass to the reference, which must have started the task.
+    """The largest difference of the centre of mass to the reference, which has started the task then.
 
     Raises:
         SimulationError: it is too large.
     """
-    env = make_vec(task, [body], 1, device=config.device, dtype="float64", auto_reset=False, threads=1)
+    env = make(config, [body], 1, task, dtype="float64", arithmetic=None, auto_reset=False, threads=1)
     env.reset()
-    actions = waves(steps, env.num_actions, config.seed)
+    actions = _waves(steps, env.num_actions, config.seed)
     ours = []
     for action in actions:
         env.step(action[None])
         ours.append(env.sim.com("robot")[0].tolist())
+    reference.start(task, body)
     error = float(np.abs(np.array(ours) - np.array(reference.centres(actions))).max())
-    if not error < TOLERANCE:
-        raise SimulationError(
-            f"{task}: the centre of mass differs from the reference by {error:.1e} within {steps} steps"
-            f" (allowed: {TOLERANCE:.0e}): no speed is worth printing."
-        )
-    return error
+    return _allowed(error, TOLERANCE, f"{task}: the centre of mass differs from the reference", steps)
 
 
 def against_scalar(env: VoxelVecEnv, seed: int) -> float:
@@ -65,7 +56,7 @@ def against_scalar(env: VoxelVecEnv, seed: int) -> float:
     env.reset(seed=env.seed)
     drawn = {name: env.memory[name][[0, -1]][..., : own.shape[-1]].cpu() for name, own in alone.memory.items()}
     alone.reset(memory=drawn or None)
-    actions = np.rint(waves(SHORT, env.num_actions, seed) * 1024) / 1024  # exact in every precision
+    actions = np.rint(_waves(SHORT, env.num_actions, seed) * 1024) / 1024  # exact in every precision
     error = 0.0
     for step, action in enumerate(actions):
         batch = torch.as_tensor(np.roll(action, step)).repeat(env.num_envs, 1)
@@ -76,9 +67,18 @@ def against_scalar(env: VoxelVecEnv, seed: int) -> float:
         error = max(error, float(apart.abs().max()))
     env.reset(seed=env.seed)
     allowed = ROUNDING[str(env.dtype).removeprefix("torch.")]
-    if not error < allowed:
-        raise SimulationError(
-            f"{env.spec.id}: an environment of the batch differs from one alone by {error:.1e} within {SHORT} steps"
-            f" (allowed: {allowed:.0e}): no speed is worth printing."
-        )
-    return error
+    return _allowed(error, allowed, f"{env.spec.id}: an environment of the batch differs from one alone", SHORT)
+
+
+def _waves(steps: int, actuators: int, seed: int) -> np.ndarray:
+    """float64 ``[steps, actuators]``: sine waves of a period of 25 steps with random phases."""
+    phase = np.random.default_rng(seed).uniform(0, 2 * np.pi, actuators)
+    return 1.1 + 0.45 * np.sin(2 * np.pi * np.arange(steps)[:, None] / 25 + phase)
+
+
+def _allowed(error: float, allowed: float, what: str, steps: int) -> float:
+    if error < allowed:
+        return error
+    raise SimulationError(
+        f"{what} by {error:.1e} within {steps} steps (allowed: {allowed:.0e}): no speed is worth printing."
+    )

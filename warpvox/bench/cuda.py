@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 import warp as wp
 
-from warpvox.bench.case import one_body, sampled_bodies
+from warpvox.bench.cases import make, one_body, sampled_bodies
 from warpvox.bench.ptxas import ARCHITECTURES, Limits, assemble, counted
 from warpvox.bench.report import Report, number
 from warpvox.bench.wavefronts import by_place
-from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ConfigError
 from warpvox.kernels.device import record, zeros
 from warpvox.kernels.group import WARP, Group, choose, group_kernel, places
@@ -41,20 +40,10 @@ ENVS, SETTLING = 8, 20
 SIDE, DIFFERENT = 5, 4
 """Cells of a side of random bodies, and how many of these share a warp."""
 HEADS = ["instructions", "in float64", "wavefronts", "of these by conflicts"]
-
-
-@dataclass(frozen=True)
-class Device:
-    """A GPU: multiprocessors, 10^9 cycles a second under load, float64 operations of a multiprocessor in a cycle."""
-
-    processors: int
-    clock: float
-    wide: int
-
-
-DEVICES = {
-    "A100": Device(108, 1.41, 32), "RTX 4090": Device(128, 2.52, 2), "H100, H200 SXM": Device(132, 1.98, 64),
-}  # fmt: skip
+"""What is counted of a warp, by environment and sub-step: instructions; wavefronts of shared memory, and those of them
+that conflicts of banks cause, which are counted where the addresses are in tables of the body."""
+DEVICES = {"A100": (108, 1.41, 32), "RTX 4090": (128, 2.52, 2), "H100, H200 SXM": (132, 1.98, 64)}
+"""Multiprocessors, 10^9 cycles a second under load, float64 operations of a multiprocessor in a cycle."""
 SCHEDULERS = 4
 """Of a multiprocessor: each issues an instruction of a warp in a cycle at most."""
 EFFICIENCY = 0.25, 0.5
@@ -67,17 +56,55 @@ RESERVED = 1024
 """Bytes of it that CUDA takes for every block."""
 
 
-class Count(NamedTuple):
-    """Counts of an environment and sub-step."""
+def run(config: Any, report: Report) -> None:
+    """Limits by compute capability, instructions by stage, predicted speeds, different bodies."""
+    sim = _simulation(config, [one_body(config)])
+    with report.status("compiling for CUDA, counting"):
+        found = instructions(sim, config.steps, config.seed)
+        _limits(report, _group(sim))
+    whole = sum(found.values())
+    _table(
+        report,
+        f"{config.task}: warp instructions and wavefronts of shared memory, of an environment and sub-step (machine"
+        f" code for 9.0; visits counted over {config.steps} control steps with random actions; conflicts of banks are"
+        " not counted for candidates, contacts and corrections of strain)",
+        "stage",
+        found | {"all stages": whole},
+    )
+    speeds = {name: _speeds(device, whole, sim.physics.substeps) for name, device in DEVICES.items()}
+    report.table(
+        f"{config.task}: predicted control steps per second of the physics, of a full GPU; {EFFICIENCY[0]:.0%} and"
+        f" {EFFICIENCY[1]:.0%} of the cycles issue an instruction",
+        ["GPU", "least", "most"],
+        [[name, *(f"{number(rate / 1e6)} M" for rate in rates)] for name, rates in speeds.items()],
+    )
+    bodies = sampled_bodies(SIDE, DIFFERENT, config.seed)
+    cases = {f"{DIFFERENT} different bodies": bodies} | {f"body {k} in all": [body] for k, body in enumerate(bodies)}
+    with report.status("counting for different bodies"):
+        counts = {
+            name: instructions(_simulation(config, those), config.steps, config.seed) for name, those in cases.items()
+        }
+        different = {name: sum(count.values()) for name, count in counts.items()}
+    title = f"{config.task}, random {SIDE}x{SIDE} bodies: the same of an environment in a warp of such"
+    _table(report, title, "", different)
 
-    instructions: float = 0.0
-    """Warp instructions."""
-    wide: float = 0.0
-    """Those in float64."""
-    wavefronts: float = 0.0
-    """Wavefronts of shared memory."""
-    conflicts: float = 0.0
-    """Those that conflicts of banks cause. Counted where the addresses are in tables of the body."""
+
+def _simulation(config: Any, bodies: Sequence[np.ndarray]) -> Simulation:
+    """Whole warps of environments, in which the bodies take turns."""
+    options = dict(device="cpu", dtype="float32", arithmetic=None, threads=1)
+    sims = [make(config, [body], 1, **options).sim for body in bodies]
+    worlds = [sims[k % len(sims)].worlds[0] for k in range(ENVS)]
+    return Simulation(worlds, sims[0].options, loose=sims[0].loose, layout="group")
+
+
+def _group(sim: Simulation) -> Group | None:
+    """The group of threads that computes such worlds on CUDA."""
+    return choose(sim.buffers.sizes["point"], sim.buffers.sizes["spring"], "float32", "cuda:0")
+
+
+def _table(report: Report, title: str, head: str, counts: Mapping[str, np.ndarray]) -> None:
+    rows = [[name, *map(float, count)] for name, count in counts.items()]
+    report.table(title, [head, *HEADS], rows, partial(number, digits=4))
 
 
 def visits(sim: Simulation, steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -105,39 +132,39 @@ def visits(sim: Simulation, steps: int, seed: int) -> tuple[np.ndarray, np.ndarr
     return np.stack(found).mean((0, 1, 2)), scratch.numpy().view(np.uint8)[:, : group.bytes]
 
 
-def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90) -> dict[str, Count]:
-    """Counts of an environment and sub-step, by stage.
+def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90) -> dict[str, np.ndarray]:
+    """The counts of ``HEADS`` of an environment and sub-step, by stage.
 
     The instructions of every place in the machine code, times its visits, over the environments of a warp. Loops that
     are unrolled stand in the code as often as they have rounds. What the compiler made in two versions counts twice.
     Wavefronts come from the addresses in the tables of the bodies, else from the code, without conflicts.
     """
-    sizes = sim.buffers.sizes
-    group = choose(sizes["point"], sizes["spring"], "float32", "cuda:0")
+    group = _group(sim)
     if group is None or group.springs > group.few * group.parts:
         raise ConfigError("Instructions are counted where all loops over springs are unrolled: take a smaller world.")
     rounds = dict.fromkeys(("relax", "stretch", "limit"), group.springs // group.parts)
     rounds |= dict.fromkeys(("point", "floor", "gather"), group.points // group.parts)
-    static, wide, shared = counted(group_kernel(group), architecture)
-    found = dict.fromkeys(STAGES, Count())
+    static = counted(group_kernel(group), architecture)
     sim.buffers.group, together = group, WARP // group.parts
     visited, memory = visits(sim, steps, seed)
     warps = [by_place(group, warp) for warp in memory.reshape(-1, together, group.bytes)]
     known = {name: np.mean([warp[name] for warp in warps], axis=0) for name in warps[0]}
+    found = {stage: np.zeros(len(HEADS)) for stage in STAGES}
     for name, times in zip(places(), visited, strict=True):
         stage = next(stage for stage, begins in STAGES.items() if name.startswith(begins))
+        every, wide, shared = static[name]
+        waves, least = known.get(name, (shared, shared))
         share = times / rounds.get(name, 1) / together
-        waves, least = known.get(name, (shared[name],) * 2)
-        new = static[name], wide[name], waves, waves - least
-        found[stage] = Count(*(count + share * more for count, more in zip(found[stage], new, strict=True)))
+        found[stage] += share * np.array([every, wide, waves, waves - least])
     return found
 
 
-def speed(device: Device, count: Count, substeps: int, efficiency: float) -> float:
+def _speeds(device: tuple[int, float, int], count: np.ndarray, substeps: int) -> list[float]:
     """Control steps per second of a full GPU: the least by all instructions, by those in float64, by shared memory."""
-    cycles = device.processors * device.clock * 1e9 / substeps
-    issued = cycles * SCHEDULERS * efficiency / count.instructions
-    return min(issued, cycles * device.wide / (WARP * count.wide), cycles / count.wavefronts)
+    (processors, clock, at_once), (every, wide, wavefronts, _) = device, count
+    cycles = processors * clock * 1e9 / substeps
+    by_others = min(cycles * at_once / (WARP * wide), cycles / wavefronts)
+    return [float(min(cycles * SCHEDULERS * share / every, by_others)) for share in EFFICIENCY]
 
 
 def blocks(limits: Limits, architecture: int) -> int:
@@ -146,85 +173,17 @@ def blocks(limits: Limits, architecture: int) -> int:
     return min(by_registers, SHARED[architecture] * 1024 // (limits.shared + RESERVED))
 
 
-def _limits(report: Report, group: Group) -> list[dict[str, int]]:
-    rows, found = [], []
+def _limits(report: Report, group: Group) -> None:
+    rows = []
     for architecture, name in ARCHITECTURES.items():
         with tempfile.TemporaryDirectory() as folder:
             limits = assemble(group_kernel(group), architecture, Path(folder))
         warps = blocks(limits, architecture)
         values = [limits.registers, limits.spilled, limits.stack, limits.shared, warps, warps * WARP // group.parts]
-        rows.append([f"{architecture / 10} ({name})", *(f"{value:,}" for value in values)])
-        found.append({"architecture": architecture} | vars(limits))
-    heads = [
-        "compute capability",
-        "registers",
-        "bytes spilled",
-        "stack",
-        "shared memory of a block",
-        "warps",
-        "environments",
-    ]
+        rows.append([f"{architecture / 10} ({name})", *values])
     report.table(
         f"Registers of a thread, bytes of memory, and warps and environments of {group.parts} threads that a"
         " multiprocessor has registers and shared memory for",
-        heads, rows,
-    )  # fmt: skip
-    return found
-
-
-def _simulation(config: Any, bodies: Sequence[np.ndarray]) -> Simulation:
-    """Whole warps of environments, in which the bodies take turns."""
-    sims = [make_vec(config.task, [body], 1, device="cpu", dtype="float32", threads=1).sim for body in bodies]
-    worlds = [sims[k % len(sims)].worlds[0] for k in range(ENVS)]
-    return Simulation(worlds, sims[0].options, loose=sims[0].loose, layout="group")
-
-
-def _total(found: dict[str, Count]) -> Count:
-    return Count(*map(sum, zip(*found.values(), strict=True)))
-
-
-def _different(config: Any, report: Report) -> dict[str, Count]:
-    """Counts for different random bodies that share a warp, and for each of them alone."""
-    bodies = sampled_bodies(SIDE, DIFFERENT, config.seed)
-    cases = {f"{DIFFERENT} different bodies": bodies} | {f"body {k} in all": [body] for k, body in enumerate(bodies)}
-    with report.status("counting for different bodies"):
-        found = {
-            name: _total(instructions(_simulation(config, those), config.steps, config.seed))
-            for name, those in cases.items()
-        }
-    report.table(
-        f"{config.task}, random {SIDE}x{SIDE} bodies: the same of an environment in a warp of such",
-        ["", *HEADS],
-        [[name, *(number(value, 4) for value in count)] for name, count in found.items()],
-    )
-    return found
-
-
-def run(config: Any, report: Report) -> dict[str, Any]:
-    """Limits by compute capability, instructions by stage, predicted speeds, different bodies."""
-    sim = _simulation(config, [one_body(config)])
-    with report.status("compiling for CUDA, counting"):
-        found = instructions(sim, config.steps, config.seed)
-        group = choose(sim.buffers.sizes["point"], sim.buffers.sizes["spring"], "float32", "cuda:0")
-        limits = _limits(report, group)
-    whole = _total(found)
-    rows = [[stage, *(number(value, 4) for value in count)] for stage, count in (found | {"all stages": whole}).items()]
-    report.table(
-        f"{config.task}: warp instructions and wavefronts of shared memory, of an environment and sub-step (machine"
-        f" code for 9.0; visits counted over {config.steps} control steps with random actions; conflicts of banks are"
-        " not counted for candidates, contacts and corrections of strain)",
-        ["stage", *HEADS],
+        ["compute capability", *"registers,bytes spilled,stack,shared memory of a block,warps,environments".split(",")],
         rows,
     )
-    speeds = {
-        name: [speed(device, whole, sim.physics.substeps, share) for share in EFFICIENCY]
-        for name, device in DEVICES.items()
-    }
-    report.table(
-        f"{config.task}: predicted control steps per second of the physics, of a full GPU; {EFFICIENCY[0]:.0%} and"
-        f" {EFFICIENCY[1]:.0%} of the cycles issue an instruction",
-        ["GPU", "least", "most"],
-        [[name, *(f"{number(rate / 1e6)} M" for rate in rates)] for name, rates in speeds.items()],
-    )
-    different = _different(config, report)
-    return {"task": config.task, "instructions": found, "limits": limits, "predicted": speeds, "different": different}

@@ -8,13 +8,12 @@ is written down and the others go on; what the time does not suffice for is left
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.bench import gpu_checks, gpu_rates, gpu_tools
-from warpvox.bench.machine import machine
-from warpvox.bench.progress import Progress
+from warpvox.bench import gpu_checks as checks, gpu_rates as rates, gpu_tools as tools
 from warpvox.bench.report import Report
 from warpvox.envs.registry import get_task, task_ids
 
@@ -22,8 +21,6 @@ __all__ = ["Size", "run"]
 
 FIRST = ("Walker-v0", "Carrier-v0", "Climber-v2", "BeamToppler-v0", "Balancer-v1")
 """Tasks that are compared before anything is measured: plain ground, a load, walls, a loose beam, a narrow support."""
-
-
 ON_CUDA = "sanitizer", "graph", "stream"
 """Parts that mean nothing on the CPU."""
 
@@ -45,43 +42,43 @@ LARGE = Size((16384, 65536, 4096, 1024), 4096, 16384, (5, 15, 25, 35), 1024, (40
 SMALL = Size((1, 8), 8, 8, (3,), 8, (8,), 2)
 
 
-def run(config: Any, report: Report) -> dict[str, Any]:
+def run(config: Any, report: Report) -> None:
     """All parts; ``failed`` names those that raised, ``left_out`` what no time was left for."""
     size = SMALL if config.device == "cpu" else LARGE
-    about = {"suite": config.suite, "machine": machine(config.device), "task": config.task, "device": config.device}
-    progress = Progress(report, about, config.seconds)
-    for name, part in _parts(config, size, progress).items():
-        progress.run(name, part)
-    return {"task": config.task, "device": config.device} | progress.close()
+    report.end = time.perf_counter() + config.seconds
+    for name, part in _parts(config, size, report).items():
+        report.run(name, part)
+    if left_out := report.figures["left_out"]:
+        report.note(f"Left out, for the {config.seconds:g} s were over: {', '.join(left_out)}.")
 
 
-def _parts(config: Any, size: Size, progress: Progress) -> dict[str, Callable[[], Any]]:
+def _parts(config: Any, size: Size, report: Report) -> dict[str, Callable[[], Any]]:
     """What is done, in this order; what an entry returns is kept under its name."""
     wanted = [get_task(task).id for task in config.tasks] or task_ids()
     first = [task for task in FIRST if task in wanted] or wanted[:1]
     rest = [task for task in wanted if task not in first]
-    report, checks, rates = progress.report, gpu_checks, gpu_rates
+    common = config, report
 
     def compared(part: str, tasks: list[str], dtype: str) -> Callable[[], Any]:
-        return lambda: checks.correctness(config, progress, part, tasks, dtype)
+        return lambda: checks.correctness(*common, part, tasks, dtype)
 
     parts = {
-        "smoke": lambda: checks.smoke(config, report),
-        "sanitizer": lambda: gpu_tools.sanitizer(config, progress),
+        "smoke": lambda: checks.smoke(*common),
+        "sanitizer": lambda: tools.sanitizer(*common),
         "correctness": compared("correctness", first, config.dtype),
-        "determinism": lambda: checks.determinism(config, report, size.checked),
-        "independence": lambda: checks.independence(config, report, size.checked),
-        "graph": lambda: checks.graph(config, report, size.checked),
-        "stream": lambda: checks.stream(config, report, size.checked),
-        "sizes": lambda: rates.sizes(config, progress, size.envs),
-        "profile": lambda: gpu_tools.profile(config, progress, size.training[-1]),
-        "training": lambda: rates.training(config, progress, size.training, size.designs),
-        "learning": lambda: rates.learning(config, progress),
-        "recordings": lambda: checks.recordings(config, report, progress.left),
+        "determinism": lambda: checks.determinism(*common, size.checked),
+        "independence": lambda: checks.independence(*common, size.checked),
+        "graph": lambda: checks.graph(*common, size.checked),
+        "stream": lambda: checks.stream(*common, size.checked),
+        "sizes": lambda: rates.sizes(*common, size.envs),
+        "profile": lambda: tools.profile(*common, size.training[-1]),
+        "training": lambda: rates.training(*common, size.training, size.designs),
+        "learning": lambda: rates.learning(*common),
+        "recordings": lambda: checks.recordings(*common),
         "other tasks": compared("other tasks", rest, config.dtype),
         "double": compared("double", first, "float64"),
-        "bodies": lambda: rates.bodies(config, progress, size.bodies, size.sides),
-        "tasks": lambda: rates.tasks(config, progress, wanted, size.tasks),
+        "bodies": lambda: rates.bodies(*common, size.bodies, size.sides),
+        "tasks": lambda: rates.tasks(*common, wanted, size.tasks),
         "other tasks, double": compared("other tasks, double", rest, "float64"),
     }
     left_out = set(ON_CUDA) if config.device == "cpu" else set()

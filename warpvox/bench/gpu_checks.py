@@ -14,10 +14,9 @@ from typing import Any
 import torch
 import warp as wp
 
-from warpvox.bench.case import one_body
-from warpvox.bench.progress import Progress
+from warpvox.bench import cases
 from warpvox.bench.report import Report, number
-from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import SimulationError
 
 __all__ = ["correctness", "determinism", "graph", "independence", "recordings", "smoke", "stream"]
@@ -40,13 +39,9 @@ QUERY = "nvidia-smi", "--query-gpu=name,driver_version,clocks.max.sm,power.limit
 
 
 def smoke(config: Any, report: Report) -> dict[str, Any]:
-    """The driver's report, and a few control steps with Warp's own check of every launch.
-
-    Raises:
-        SimulationError: a launch has failed, or the state is not finite.
-    """
+    """The driver's report, and a few control steps with Warp's own check of every launch."""
     asked = subprocess.run(QUERY, capture_output=True, text=True) if shutil.which(QUERY[0]) else None
-    found = {"driver": asked.stdout.strip() if asked else None, "layout": None}
+    driver = asked.stdout.strip() if asked else None
     before, wp.config.verify_cuda = wp.config.verify_cuda, True
     try:
         env = _make(config, 2 * ENVS)
@@ -57,21 +52,14 @@ def smoke(config: Any, report: Report) -> dict[str, Any]:
         wp.config.verify_cuda = before
     if not bool(torch.isfinite(obs).all()):
         raise SimulationError("The observations after three control steps are not finite.")
-    found["layout"] = env.sim.layout
-    report.note(f"{found['driver'] or config.device}: {FEW} control steps, layout {env.sim.layout}.")
-    return found
+    report.note(f"{driver or config.device}: {FEW} control steps, layout {env.sim.layout}.")
+    return {"driver": driver, "layout": env.sim.layout}
 
 
-def correctness(config: Any, progress: Progress, part: str, tasks: list[str], dtype: str) -> None:
-    """Tasks in one precision: each control step of the device against the CPU in float64, from the CPU's state.
-
-    Raises:
-        SimulationError: they are further apart than rounding explains.
-    """
+def correctness(config: Any, report: Report, part: str, tasks: list[str], dtype: str) -> None:
+    """Tasks in one precision: each control step of the device against the CPU in float64, from the CPU's state."""
     wrong: list[str] = []
-    for task in tasks:
-        if not progress.time_for(f"{part}: {task}"):
-            continue
+    for task in report.in_time(part, tasks):
         exact = _make(config, ENVS, task=task, dtype="float64", device="cpu", lanes=1)
         apart = _apart(exact, _make(config, ENVS, task=task, dtype=dtype))
         row = {name: float(values.quantile(SHARE)) for name, values in apart.items()}
@@ -82,12 +70,12 @@ def correctness(config: Any, progress: Progress, part: str, tasks: list[str], dt
         beyond = float((apart["pos"] > TOLERANCES[dtype]["pos"]).double().mean())
         text = f"{task}, {dtype}: " + ", ".join(f"{name} within {number(value)}" for name, value in row.items())
         text += f", {beyond:.2%} beyond" if beyond else ""
-        values = {"task": task, "dtype": dtype, "good": good, "beyond": beyond} | row
-        progress.row(part, f"{text}{'' if good else ' WRONG'}", **values)
+        values: dict[str, Any] = {"task": task, "dtype": dtype, "good": good, "beyond": beyond, **row}
+        report.row(part, f"{text}{'' if good else ' WRONG'}", **values)
     if wrong:
         raise SimulationError(f"The device differs from the CPU in {', '.join(wrong[:6])}.")
-    progress.report.note(
-        f"{dtype}, {len(progress.figures.get(part, []))} tasks: {SHARE:.0%} of the control steps are within the"
+    report.note(
+        f"{dtype}, {len(report.figures.get(part, []))} tasks: {SHARE:.0%} of the control steps are within the"
         " tolerances of the CPU in float64."
     )
 
@@ -113,64 +101,41 @@ def _apart(exact: VoxelVecEnv, env: VoxelVecEnv) -> dict[str, torch.Tensor]:
 
 
 def determinism(config: Any, report: Report, envs: int) -> dict[str, Any]:
-    """Two runs are equal bit for bit: centres, rewards, observations, state.
-
-    Raises:
-        SimulationError: they are not.
-    """
+    """Two runs are equal bit for bit: centres, rewards, observations, state."""
     env = _make(config, envs)
-    _compare(_outcomes(env), _outcomes(env), "Two runs of the same actions")
-    report.note(f"Two runs of {envs:,} environments over {STEPS} control steps are equal bit for bit.")
-    return {"num_envs": envs, "steps": STEPS}
+    said = f"Two runs of {envs:,} environments over {STEPS} control steps are equal bit for bit."
+    return _compare(report, _outcomes(env), _outcomes(env), said)
 
 
 def independence(config: Any, report: Report, envs: int) -> dict[str, Any]:
-    """The first environments of a large batch do what they do in a small one, bit for bit.
-
-    Raises:
-        SimulationError: they do not.
-    """
-    large = _outcomes(_make(config, max(envs, ENVS)))
-    small = _outcomes(_make(config, FEW))
-    first = {name: value[:FEW] for name, value in large.items()}
-    _compare(first, small, "Environments in batches of two sizes")
-    count = len(large["reward"])
-    report.note(f"Environments do the same in batches of {FEW} and of {count:,}, bit for bit.")
-    return {"num_envs": count, "steps": STEPS}
+    """The first environments of a large batch do what they do in a small one, bit for bit."""
+    large, small = _outcomes(_make(config, max(envs, ENVS))), _outcomes(_make(config, FEW))
+    said = f"Environments do the same in batches of {FEW} and of {len(large['reward']):,}, bit for bit."
+    return _compare(report, large, small, said)
 
 
 def graph(config: Any, report: Report, envs: int) -> dict[str, Any]:
-    """Control steps launched as one graph are those launched one by one, bit for bit, past ends of episodes.
-
-    Raises:
-        SimulationError: they are not.
-    """
-    options = dict(auto_reset=True, max_episode_steps=STEPS // 2)
+    """Control steps launched as one graph are those launched one by one, bit for bit, past ends of episodes."""
+    options: dict[str, Any] = dict(auto_reset=True, max_episode_steps=STEPS // 2)
     with_graph, without = (_outcomes(_make(config, envs, cuda_graph=wanted, **options)) for wanted in (True, False))
-    _compare(with_graph, without, "Steps with and without a graph")
-    report.note(f"{envs:,} environments over {STEPS} control steps are equal with and without a graph, bit for bit.")
-    return {"captured": True, "num_envs": envs}
+    said = f"{envs:,} environments over {STEPS} control steps are equal with and without a graph, bit for bit."
+    return _compare(report, with_graph, without, said)
 
 
 def stream(config: Any, report: Report, envs: int) -> dict[str, Any]:
-    """On a stream of one's own control steps are those on torch's first one, bit for bit.
-
-    Raises:
-        SimulationError: they are not.
-    """
+    """On a stream of one's own control steps are those on torch's first one, bit for bit."""
     env = _make(config, envs)
     expected = _outcomes(env)
     torch.cuda.synchronize(config.device)
+    said = f"{envs:,} environments over {STEPS} control steps are equal on another stream, bit for bit."
     with torch.cuda.stream(torch.cuda.Stream(config.device)):
-        _compare(_outcomes(env), expected, "Steps on another stream")
-    report.note(f"{envs:,} environments over {STEPS} control steps are equal on another stream, bit for bit.")
-    return {"num_envs": envs}
+        return _compare(report, _outcomes(env), expected, said)
 
 
 def _make(config: Any, envs: int, task: str | None = None, **options: Any) -> VoxelVecEnv:
-    common = dict(device=config.device, dtype=config.dtype, seed=config.seed, threads=config.threads, auto_reset=False)
-    common["lanes"] = 8 if config.device == "cpu" else None
-    return make_vec(task or config.task, [one_body(config)], envs, **(common | options))
+    lanes = 8 if config.device == "cpu" else None
+    given = dict(arithmetic=None, seed=config.seed, auto_reset=False, lanes=lanes) | options
+    return cases.make(config, [cases.one_body(config)], envs, task, **given)
 
 
 def _outcomes(env: VoxelVecEnv) -> dict[str, torch.Tensor]:
@@ -198,25 +163,26 @@ def _actions(env: VoxelVecEnv) -> Iterator[torch.Tensor]:
         yield (torch.randint(615, 1639, (env.num_actions, MOST), generator=random).T / 1024)[rows]
 
 
-def _compare(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor], what: str) -> None:
-    wrong = [name for name, value in expected.items() if not torch.equal(found[name], value)]
+def _compare(
+    report: Report, found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor], said: str
+) -> dict[str, Any]:
+    """Note that the first environments of ``found`` are those expected; SimulationError: they are not."""
+    wrong = [name for name, value in expected.items() if not torch.equal(found[name][: len(value)], value)]
     if wrong:
-        raise SimulationError(f"{what} differ in {', '.join(wrong)}.")
+        raise SimulationError(f"They differ in {', '.join(wrong)}; expected: {said}")
+    report.note(said)
+    return {"num_envs": len(found["reward"]), "steps": STEPS}
 
 
-def recordings(config: Any, report: Report, seconds: float) -> dict[str, Any]:
-    """The tests marked ``gpu``, recordings of the reference among them, where this is a checkout with pytest.
-
-    Raises:
-        SimulationError: a test has failed.
-    """
+def recordings(config: Any, report: Report) -> dict[str, Any]:
+    """The tests marked ``gpu``, recordings of the reference among them, where this is a checkout with pytest."""
     tests = Path(__file__).resolve().parents[2] / "tests"
     if config.device == "cpu" or not (tests / "parity").is_dir() or find_spec("pytest") is None:
         reason = "tests of the GPU need one" if config.device == "cpu" else "this is no checkout with pytest"
         report.note(f"Recordings of the reference were not replayed: {reason}.")
         return {"replayed": False, "reason": reason}
     words = [sys.executable, "-m", "pytest", "-q", "-m", "gpu", "-p", "no:cacheprovider", str(tests)]
-    limit = max(1.0, min(TEST_SECONDS, seconds))
+    limit = max(1.0, min(TEST_SECONDS, report.left))
     try:
         done = subprocess.run(words, cwd=tests.parent, capture_output=True, text=True, timeout=limit)
     except subprocess.TimeoutExpired:

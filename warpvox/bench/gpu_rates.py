@@ -8,13 +8,11 @@ from typing import Any
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
 from warpvox.batch.options import SimOptions
-from warpvox.bench.case import Case, full_body, one_body, sampled_bodies
+from warpvox.bench.cases import full_body, one_body, sampled_bodies
 from warpvox.bench.learning import learn
-from warpvox.bench.machine import available_memory
-from warpvox.bench.memory import per_environment
-from warpvox.bench.progress import Progress
-from warpvox.bench.report import middle, number
-from warpvox.bench.runner import Runner, clock, measure
+from warpvox.bench.machine import available_memory, per_environment
+from warpvox.bench.report import Report, middle, number
+from warpvox.bench.runner import Runner, measure, seconds
 from warpvox.configs.presets import training_preset
 from warpvox.kernels.step import record_step
 
@@ -37,12 +35,10 @@ def predicted(task: str, dtype: str, num_envs: int) -> str:
     return " to ".join(map(number, PREDICTED[num_envs])) + " M"
 
 
-def _runner(config: Any, count: int, task: str | None = None, bodies: Any = None, **options: Any) -> Runner:
-    """Environments with loaded kernels. What they compute is compared in the parts before."""
-    case = Case("", task or config.task, bodies or [one_body(config)], count, options)
-    runner = Runner(config, case, checked=False)
-    runner.fit()
-    return runner
+def _runner(config: Any, count: int, task: str | None = None, body: Any = None, **options: Any) -> Runner:
+    """Environments of one body. What they compute is compared in the parts before."""
+    body = one_body(config) if body is None else body
+    return Runner(config, [body], count, task, checked=False, **options)
 
 
 def _median(runner: Runner, config: Any) -> float:
@@ -50,23 +46,21 @@ def _median(runner: Runner, config: Any) -> float:
     return middle(measure({"": runner}, ["step"], config.repeats)[""]["step"])
 
 
-def sizes(config: Any, progress: Progress, counts: tuple[int, ...]) -> None:
+def sizes(config: Any, report: Report, counts: tuple[int, ...]) -> None:
     """The physics alone and whole steps, launched one by one and as a graph; predictions beside them."""
     rows, needed = [], 0.0
-    for count in counts:
-        if not progress.time_for(f"sizes: {count:,} environments"):
-            continue
+    for count in report.in_time("sizes", counts, "{:,} environments"):
         before = available_memory(config.device)
         if count * needed > before:
-            progress.report.note(f"{count:,} environments need {count * needed / 2**30:.1f} GiB: left out.")
+            report.note(f"{count:,} environments need {count * needed / 2**30:.1f} GiB: left out.")
             continue
         runner = _runner(config, count)
         taken, needed = before - available_memory(config.device), per_environment(runner.env)
         physics, step = _physics(runner), _median(runner, config)
         graph = None if config.device == "cpu" else _median(_runner(config, count, cuda_graph=True), config)
         told = predicted(config.task, config.dtype, count)
-        rows.append([f"{count:,}", number(physics), told, number(step), number(graph)])
-        progress.row(
+        rows.append([f"{count:,}", physics, told, step, graph])
+        report.row(
             "sizes",
             f"{count:,} environments: {number(physics / 1e6)} M (physics), predicted {told}; whole steps"
             f" {number(step / 1e6)} M, as a graph {number(graph and graph / 1e6)} M",
@@ -74,7 +68,7 @@ def sizes(config: Any, progress: Progress, counts: tuple[int, ...]) -> None:
             bytes=needed, taken=taken,
         )  # fmt: skip
     title = f"{config.task}, control steps per second, {config.dtype}, {config.device}; predicted: the physics"
-    progress.report.table(title, ["environments", "physics", "predicted", "step only", "as a graph"], rows)
+    report.table(title, ["environments", "physics", "predicted", "step only", "as a graph"], rows)
 
 
 def _physics(runner: Runner) -> float:
@@ -82,82 +76,68 @@ def _physics(runner: Runner) -> float:
     sim = runner.env.sim
     command = record_step(sim.buffers, sim.physics.substeps, 0, sim.buffers.packs)
     command.launch()
-    began = clock(runner.env.device)
-    for _ in range(LAUNCHES):
-        command.launch()
-    found = LAUNCHES * runner.num_envs / (clock(runner.env.device) - began)
+    taken = seconds(lambda: [command.launch() for _ in range(LAUNCHES)], runner.env.device)
     sim.forget_sensed()
-    return found
+    return LAUNCHES * runner.num_envs / taken
 
 
-def bodies(config: Any, progress: Progress, count: int, sides: tuple[int, ...]) -> None:
+def bodies(config: Any, report: Report, count: int, sides: tuple[int, ...]) -> None:
     """A different body in every environment beside one in all, then full bodies of several sizes."""
     designs = sampled_bodies(5, count, config.seed)
-    mixed = _runner(config, count, bodies=designs)
-    runners = {"different": mixed, "same": _runner(config, count, bodies=designs[:1])}
+    mixed = Runner(config, designs, count, checked=False)
+    runners = {"different": mixed, "same": _runner(config, count, body=designs[0])}
     found = measure(runners, ["step"], config.repeats)
     different, same, built = middle(found["different"]["step"]), middle(found["same"]["step"]), mixed.built
     text = f"{count:,} different bodies: {number(different)} steps/s, {different / same:.0%} of one in all"
     values = {"num_envs": count, "different": different, "same": same, "built": built}
-    progress.row("bodies", f"{text}; built in {built:.2f} s", noted=True, **values)
+    report.row("bodies", f"{text}; built in {built:.2f} s", noted=True, **values)
     rows = []
-    for side in sides:
-        if not progress.time_for(f"bodies: {side} x {side}"):
-            continue
-        runner = _runner(config, count, bodies=[full_body(side, config.seed)])
+    for side in report.in_time("bodies", sides, "{0} x {0}"):
+        runner = _runner(config, count, body=full_body(side, config.seed))
         rate, size = _median(runner, config), per_environment(runner.env)
-        progress.row("bodies", f"full {side} x {side}: {number(rate)} steps/s", side=side, rate=rate, bytes=size)
-        rows.append([f"{side} x {side}", number(rate), number(rate * side**2)])
+        report.row("bodies", f"full {side} x {side}: {number(rate)} steps/s", side=side, rate=rate, bytes=size)
+        rows.append([f"{side} x {side}", rate, rate * side**2])
     title = f"Full bodies, {count:,} environments, control steps per second"
-    progress.report.table(title, ["body", "steps/s", "voxel steps/s"], rows)
+    report.table(title, ["body", "steps/s", "voxel steps/s"], rows)
 
 
-def training(config: Any, progress: Progress, counts: tuple[int, ...], designs: int) -> None:
+def training(config: Any, report: Report, counts: tuple[int, ...], designs: int) -> None:
     """Whole iterations of PPO, and of a population of designs that are trained side by side."""
     rows = []
-    for count in counts:
-        if not progress.time_for(f"training: {count:,} environments"):
-            continue
-        runner = _runner(config, count)
-        found = {name: middle(values) for name, values in measure({"": runner}, ["step", "training"], 1)[""].items()}
-        text = f"{count:,} environments: {number(found['training'])} steps/s with training"
-        progress.row("training", text, num_envs=count, **found)
-        rows.append([f"{count:,}", number(found["step"]), number(found["training"])])
-    progress.report.table("Control steps per second", ["environments", "step only", "with training"], rows)
-    if not progress.time_for("training: population"):
+    for count in report.in_time("training", counts, "{:,} environments"):
+        found = measure({"": _runner(config, count)}, ["step", "training"], 1)[""]
+        rates: dict[str, Any] = {name: middle(values) for name, values in found.items()}
+        text = f"{count:,} environments: {number(rates['training'])} steps/s with training"
+        report.row("training", text, num_envs=count, **rates)
+        rows.append([f"{count:,}", *rates.values()])
+    report.table("Control steps per second", ["environments", "step only", "with training"], rows)
+    if not report.time_for("training: population"):
         return
     settings = training_preset("paper_wide", {"steps": POPULATION_STEPS})
     sim = SimOptions(config.device, config.dtype, config.arithmetic, threads=config.threads)
-    factory = EnvFactory(config.task, sim=sim)
-    population = PopulationTraining(factory, sampled_bodies(5, designs, config.seed), list(range(designs)), settings)
+    several = sampled_bodies(5, designs, config.seed), list(range(designs))
+    population = PopulationTraining(EnvFactory(config.task, sim=sim), *several, settings)
     population.iterate()  # loads the kernels
-    began = clock(config.device)
-    population.iterate()
-    rate = designs * settings.envs * POPULATION_STEPS / (clock(config.device) - began)
+    rate = designs * settings.envs * POPULATION_STEPS / seconds(population.iterate, config.device)
     text = f"{designs} designs of {settings.envs} environments side by side: {number(rate)} steps/s with training"
-    progress.row("training", text, noted=True, designs=designs, envs=settings.envs, rate=rate)
+    report.row("training", text, noted=True, designs=designs, envs=settings.envs, rate=rate)
 
 
-def learning(config: Any, progress: Progress) -> None:
+def learning(config: Any, report: Report) -> None:
     """How long it takes to the return that the configuration names."""
-    seconds = min(config.learning.seconds, LEARNING_SECONDS, max(progress.left, 1.0))
-    config = replace(config, learning=replace(config.learning, seconds=seconds))
+    limit = min(config.learning.seconds, LEARNING_SECONDS, max(report.left, 1.0))
+    config = replace(config, learning=replace(config.learning, seconds=limit))
     found = learn(config, one_body(config), config.learning.ppo[0], config.seed)
     took = f"{found['seconds']:.1f} s" if found["seconds"] is not None else "not reached"
-    text = (
-        f"ppo={config.learning.ppo[0]}, {found['num_envs']} environments: return {config.learning.stop_return:g}"
-        f" {took}, {found['steps']:,} control steps"
-    )
-    progress.row("learning", text, noted=True, **found)
+    text = f"ppo={config.learning.ppo[0]}, {found['num_envs']} environments: return {config.learning.stop_return:g}"
+    report.row("learning", f"{text} {took}, {found['steps']:,} control steps", noted=True, **found)
 
 
-def tasks(config: Any, progress: Progress, names: list[str], count: int) -> None:
+def tasks(config: Any, report: Report, names: list[str], count: int) -> None:
     """The speed of every task."""
     rows = []
-    for task in names:
-        if not progress.time_for(f"tasks: {task}"):
-            continue
+    for task in report.in_time("tasks", names):
         rate = _median(_runner(config, count, task), config)
-        progress.row("tasks", f"{task}: {number(rate)} steps/s", task=task, rate=rate)
-        rows.append([task, number(rate)])
-    progress.report.table(f"{count:,} environments, control steps per second", ["task", "step only"], rows)
+        report.row("tasks", f"{task}: {number(rate)} steps/s", task=task, rate=rate)
+        rows.append([task, rate])
+    report.table(f"{count:,} environments, control steps per second", ["task", "step only"], rows)

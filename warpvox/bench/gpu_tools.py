@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -11,10 +12,9 @@ from typing import Any
 
 import torch
 
-from warpvox.bench.case import one_body
-from warpvox.bench.progress import Progress
+from warpvox.bench.cases import make, one_body
+from warpvox.bench.report import Report
 from warpvox.bench.runner import training_of
-from warpvox.envs.vec_env import make_vec
 from warpvox.errors import SimulationError
 from warpvox.io.writing import write_text
 
@@ -24,70 +24,63 @@ TOOLS = "memcheck", "racecheck", "synccheck", "initcheck"
 SECONDS = 90
 """For one run under a tool, at most."""
 TOOLKIT = "/usr/local/cuda/bin"
+ONE_LAUNCH = "--set full --kernel-name regex:group_step --launch-skip 1 --launch-count 1".split()
 ITERATIONS, LINES = 3, 40
 """Iterations of the training that is profiled; rows of its table."""
 
 
-def sanitizer(config: Any, progress: Progress) -> None:
-    """Control steps of different bodies under compute-sanitizer, tool by tool.
-
-    Raises:
-        SimulationError: it has found an error.
-    """
-    program, wrong = _find("compute-sanitizer", progress), []
-    for tool in TOOLS if program else ():
-        if not progress.time_for(f"sanitizer: {tool}"):
-            continue
-        done = _sample([program, "--tool", tool, "--error-exitcode", "9"], config, (64, 8, 2), progress)
+def sanitizer(config: Any, report: Report) -> None:
+    """Control steps of different bodies under compute-sanitizer, tool by tool."""
+    program, wrong = _find("compute-sanitizer", report), []
+    for tool in report.in_time("sanitizer", TOOLS if program else ()):
+        done = _sample([str(program), "--tool", tool, "--error-exitcode", "9"], config, report, envs=64, bodies=8)
         if done is None:
             continue
         last = [line for line in done.stdout.splitlines() if "SUMMARY" in line][-1:] or [done.stderr[-300:]]
         good = done.returncode == 0
-        progress.row("sanitizer", f"{tool}: {last[0].strip('= ')}", tool=tool, good=good, said=last[0])
+        report.row("sanitizer", f"{tool}: {last[0].strip('= ')}", tool=tool, good=good, said=last[0])
         if not good:
-            write_text(progress.report.folder / f"{tool}.txt", done.stdout + done.stderr)
+            write_text(report.folder / f"{tool}.txt", done.stdout + done.stderr)
             wrong.append(tool)
     if wrong:
         raise SimulationError(f"compute-sanitizer complains: {', '.join(wrong)}; see the files in the folder.")
 
 
-def profile(config: Any, progress: Progress, count: int) -> None:
+def profile(config: Any, report: Report, count: int) -> None:
     """The group kernel under Nsight Compute (``ncu.txt``), and a training under torch's profiler (``profile.txt``)."""
-    program = _find("ncu", progress) if config.device != "cpu" else None
-    words = [program, "--set", "full", "--kernel-name", "regex:group_step", "--launch-skip", "1", "--launch-count", "1"]
-    done = program and _sample(words, config, (count, 1, 2), progress)
-    if done:
-        write_text(progress.report.folder / "ncu.txt", done.stdout + done.stderr)
-        progress.row("profile", "ncu.txt", noted=True, tool="ncu", good=done.returncode == 0)
-    options = dict(device=config.device, dtype=config.dtype, threads=config.threads)
-    training = training_of(make_vec(config.task, [one_body(config)], count, **options))
+    program = None if config.device == "cpu" else _find("ncu", report)
+    if program and (done := _sample([program, *ONE_LAUNCH], config, report, envs=count, bodies=1)):
+        write_text(report.folder / "ncu.txt", done.stdout + done.stderr)
+        report.row("profile", "ncu.txt", noted=True, tool="ncu", good=done.returncode == 0)
+    training = training_of(make(config, [one_body(config)], count))
     training.learn(1)
     with torch.profiler.profile() as found:  # of all that this torch can follow
         training.learn(ITERATIONS)
     order = "self_cpu_time_total" if config.device == "cpu" else "self_device_time_total"
     table = found.key_averages().table(sort_by=order, row_limit=LINES, max_name_column_width=80)
-    write_text(progress.report.folder / "profile.txt", table)
-    progress.row("profile", f"profile.txt, {ITERATIONS} iterations of {count:,} environments", noted=True, tool="torch")
+    write_text(report.folder / "profile.txt", table)
+    report.row("profile", f"profile.txt, {ITERATIONS} iterations of {count:,} environments", noted=True, tool="torch")
 
 
-def _find(name: str, progress: Progress) -> str | None:
+def _find(name: str, report: Report) -> str | None:
     """A program on PATH or in the CUDA toolkit; if there is none it is said."""
     found = shutil.which(name) or shutil.which(name, path=TOOLKIT)
     if found is None:
-        progress.report.note(f"There is no {name} here: left out.")
+        report.note(f"There is no {name} here: left out.")
     return found
 
 
 def _sample(
-    words: list[str], config: Any, sizes: tuple[int, int, int], progress: Progress
+    words: list[str], config: Any, report: Report, envs: int, bodies: int
 ) -> subprocess.CompletedProcess[str] | None:
-    """Run environments, bodies and control steps under a tool; None if that takes too long, which is said."""
-    limit = max(1.0, min(SECONDS, progress.left))
-    command = [*words, sys.executable, "-m", "warpvox.bench.gpu_sample", config.device, config.task, *map(str, sizes)]
+    """Two control steps under a tool; None if that takes too long, which is said."""
+    limit = max(1.0, min(SECONDS, report.left))
+    options = json.dumps({"task": config.task, "num_envs": envs, "device": config.device})
+    command = [*words, sys.executable, "-m", "warpvox.bench.sample", options, str(bodies), "2"]
     # with torch's cache of memory nothing that is written beyond an array would show
     surroundings = os.environ | {"PYTORCH_NO_CUDA_MEMORY_CACHING": "1"}
     try:
         return subprocess.run(command, capture_output=True, text=True, timeout=limit, env=surroundings)
     except subprocess.TimeoutExpired:
-        progress.report.note(f"{Path(words[0]).name} {' '.join(words[1:3])} was stopped after {limit:.0f} s.")
+        report.note(f"{Path(words[0]).name} {' '.join(words[1:3])} was stopped after {limit:.0f} s.")
         return None

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.bench.case import sampled_bodies
-from warpvox.bench.report import Report, middle, number
-from warpvox.bench.runner import clock
-from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.bench.cases import make, sampled_bodies
+from warpvox.bench.report import Report, middle
+from warpvox.bench.runner import seconds
+from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import SimulationError
-from warpvox.gradients import Gradients
+from warpvox.gradients import SMOOTHING, Gradients
 from warpvox.types import VOXEL, Cell
 
 __all__ = ["run"]
@@ -35,12 +35,8 @@ TIMED = 20
 """Control steps of a timed repetition."""
 
 
-def run(config: Any, report: Report) -> dict[str, Any]:
-    """The error of derivatives in the air, the time of a step with them, and displacements of gaits.
-
-    Raises:
-        SimulationError: derivatives are not those of the physics.
-    """
+def run(config: Any, report: Report) -> None:
+    """The error of derivatives in the air, the time of a step with them, and displacements of gaits."""
     keys, bodies = config.gradients, sampled_bodies(SIDE, config.gradients.bodies, config.seed)
     with report.status("checking"):
         error = _error(config, bodies)
@@ -49,26 +45,22 @@ def run(config: Any, report: Report) -> dict[str, Any]:
     report.note(f"Checked: derivatives by actions in the air, within {error:.2%} of finite differences in float64.")
     with report.status("measuring"):
         rates = _times(config, bodies)
-    plain, forward, both = (middle(rates[name]) for name in rates)
+    plain, *_ = map(middle, rates.values())
     title = f"{config.task}, {len(bodies)} different bodies {SIDE}x{SIDE}, microseconds a control step"
-    rows = [
-        [name, number(time), number(time / plain)] for name, time in zip(rates, (plain, forward, both), strict=True)
-    ]
+    rows = [[name, times, middle(times) / plain] for name, times in rates.items()]
     report.table(title, ["", "time", "ratio"], rows)
     with report.status("making gaits"):
-        gaits = {smoothing: _descend(config, bodies, smoothing) for smoothing in keys.smoothing}
-        waves = _waves(config, bodies, COST * keys.iterations)
-    shown = [[f"gradients, smoothing {smoothing:g}", *map(number, row)] for smoothing, row in gaits.items()]
-    shown.append([f"best of {COST * keys.iterations} random waves", *map(number, waves)])
+        gaits = {smoothing: _gaits(config, bodies, keys.iterations, smoothing) for smoothing in keys.smoothing}
+        waves = _gaits(config, bodies, COST * keys.iterations)
+    shown = [[f"gradients, smoothing {smoothing:g}", *row] for smoothing, row in gaits.items()]
+    shown.append([f"best of {COST * keys.iterations} random waves", *waves])
     title = f"Gaits of {PERIOD} steps, voxels in {keys.steps} steps after {keys.iterations} iterations"
     report.table(title, ["", "mean", "worst tenth", "best tenth"], shown)
-    found = {"error": error, "times": rates, "gaits": {str(smoothing): row for smoothing, row in gaits.items()}}
-    return found | {"waves": waves, "task": config.task}
+    report.figures["error"] = error
 
 
 def _make(config: Any, bodies: list[np.ndarray], **options: Any) -> VoxelVecEnv:
-    given = dict(dtype=config.dtype, arithmetic="fast", device=config.device, threads=config.threads) | options
-    return make_vec(config.task, designs=bodies, num_envs=len(bodies), layout="lanes", auto_reset=False, **given)
+    return make(config, bodies, len(bodies), arithmetic="fast", layout="lanes", auto_reset=False, **options)
 
 
 def _noise(shape: torch.Size, seed: int, device: str) -> torch.Tensor:
@@ -120,10 +112,9 @@ def _times(config: Any, bodies: list[np.ndarray]) -> dict[str, list[float]]:
     found: dict[str, list[float]] = {name: [] for name in ways}
     for repeat in range(config.repeats + 1):
         for name, way in ways.items():
-            began = clock(config.device)
-            way()
+            taken = seconds(way, config.device)
             if repeat:
-                found[name].append((clock(config.device) - began) / TIMED / len(bodies) * 1e6)
+                found[name].append(taken / TIMED / len(bodies) * 1e6)
     return found
 
 
@@ -138,46 +129,29 @@ def _wave(bodies: list[np.ndarray], num_actions: int, seed: int, device: str) ->
     return torch.tensor(table, device=device)
 
 
-def _actions(table: torch.Tensor) -> torch.Tensor:
-    return MIDDLE + SWING * torch.tanh(table)
+def _gaits(config: Any, bodies: list[np.ndarray], count: int, smoothing: float | None = None) -> list[float]:
+    """Mean, lowest and highest tenth of displacements by each body's best of ``count`` tables, in voxels.
 
-
-def _summary(gone: torch.Tensor) -> list[float]:
-    """Mean, lowest and highest tenth of displacements in simulator units, in voxels."""
-    voxels = gone.cpu().numpy() / VOXEL
-    return [float(x) for x in (voxels.mean(), *np.quantile(voxels, [0.1, 0.9]))]
-
-
-def _waves(config: Any, bodies: list[np.ndarray], count: int) -> list[float]:
-    """Displacements by the best of so many waves for each body."""
+    The tables are random waves; with ``smoothing`` those on the way of Adam, which begins with a wave.
+    """
     env = _make(config, bodies)
-    best = torch.full((len(bodies),), -torch.inf, dtype=torch.float64, device=env.sim.device)
-    for k in range(count):
-        env.reset(seed=config.seed)
-        actions = _actions(_wave(bodies, env.sim.num_actions, config.seed + k, env.sim.device))
-        start = env.sim.com(ROBOT)[:, 0]
-        for step in range(config.gradients.steps):
-            env.sim.step(actions[:, step % PERIOD])
-        best = torch.maximum(best, env.sim.com(ROBOT)[:, 0] - start)
-    return _summary(best)
-
-
-def _descend(config: Any, bodies: list[np.ndarray], smoothing: float) -> list[float]:
-    """Displacements by the best tables on the way of Adam, which begins with a wave."""
-    env = _make(config, bodies)
-    gradients, sim = Gradients(env.sim, smoothing), env.sim
-    table = _wave(bodies, sim.num_actions, config.seed, sim.device).requires_grad_()
+    gradients, sim = Gradients(env.sim, smoothing or SMOOTHING), env.sim
+    table = _wave(bodies, sim.num_actions, config.seed, sim.device).requires_grad_(smoothing is not None)
     optimizer = torch.optim.Adam([table], RATE, BETAS)
     best = torch.full((len(bodies),), -torch.inf, dtype=torch.float64, device=sim.device)
-    for _ in range(config.gradients.iterations):
+    for k in range(count):
+        if smoothing is None:
+            table = _wave(bodies, sim.num_actions, config.seed + k, sim.device)
         env.reset(seed=config.seed)
-        state = gradients.state()
-        start, actions = gradients.com(state, ROBOT)[:, 0], _actions(table)
+        state, actions = gradients.state(), MIDDLE + SWING * torch.tanh(table)
+        start = gradients.com(state, ROBOT)[:, 0]
         for step in range(config.gradients.steps):
             state = gradients.step(state, actions[:, step % PERIOD])
         gone = gradients.com(state, ROBOT)[:, 0] - start
         best = torch.maximum(best, gone.detach())
-        (table.grad,) = torch.autograd.grad(-gone.sum(), table)
-        torch.nan_to_num_(table.grad, 0.0, 0.0, 0.0)
-        optimizer.step()
-    return _summary(best)
+        if smoothing is not None:
+            (table.grad,) = torch.autograd.grad(-gone.sum(), table)
+            torch.nan_to_num_(table.grad, 0.0, 0.0, 0.0)
+            optimizer.step()
+    voxels = best.cpu().numpy() / VOXEL
+    return [float(x) for x in (voxels.mean(), *np.quantile(voxels, [0.1, 0.9]))]

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 
-from warpvox.bench.case import Case, sampled_bodies
+from warpvox.bench.cases import sampled_bodies
 from warpvox.bench.report import Report, middle, number, spread
-from warpvox.bench.runner import Runner, clock, measure, unit
-from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.bench.runner import Runner, measure, seconds, unit
 
 __all__ = ["run"]
 
@@ -24,52 +23,37 @@ FULL = np.array([[1, 3, 4, 3, 1], [2, 4, 3, 4, 2], [3, 1, 2, 1, 3], [4, 2, 1, 2,
 """A body without empty cells: a pack of different bodies has the springs of all cells, too."""
 
 
-def run(config: Any, report: Report) -> dict[str, Any]:
-    """Speeds, and the times of building and of exchanging bodies.
-
-    Raises:
-        SimulationError: an environment moves among other bodies otherwise than alone.
-    """
+def run(config: Any, report: Report) -> None:
+    """Speeds, and the times of building and of exchanging bodies."""
     count, bodies = config.num_envs, sampled_bodies(SIDE, config.num_envs, config.seed)
-    fast = {"arithmetic": "fast"}
-    mixed = Case(f"{count} different bodies", config.task, bodies, count, fast)
-    cases = [
-        mixed,
-        *(Case(f"body {k} in all", config.task, [body], count, fast) for k, body in enumerate(bodies[:ALONE])),
-    ]
-    cases.append(Case("a full body in all", config.task, [FULL], count, fast))
+    cases = {f"{count} different bodies": bodies}
+    cases |= {f"body {k} in all": [body] for k, body in enumerate(bodies[:ALONE])} | {"a full body in all": [FULL]}
     with report.status("building, checking, then measuring"):
-        runners = {case.name: Runner(config, case) for case in reversed(cases)}  # others load the kernels
-        built = runners[mixed.name].built
-        for runner in runners.values():
-            runner.fit()
-        rates = measure({case.name: runners[case.name] for case in cases}, ["step"], config.repeats)
-        found = {name: values["step"] for name, values in rates.items()}
-        open_to_change = replace(mixed, options=fast | {"grid": (SIDE, SIDE)})
-        changed = _exchange(Runner(config, open_to_change, checked=False).env, config.repeats, config.seed)
+        # that of different bodies last: the others load the kernels
+        made = {name: Runner(config, cases[name], arithmetic="fast") for name in reversed(cases)}
+        runners = {name: made[name] for name in cases}
+        rates = [found["step"] for found in measure(runners, ["step"], config.repeats).values()]
+        changed = _exchange(config, bodies)
+    built = next(iter(runners.values())).built
     worst = max(runner.error or 0.0 for runner in runners.values())
     report.note(f"Checked: each within {worst:.1e} of one environment alone in float64.")
     title = f"{config.task}, {count} environments, random {SIDE}x{SIDE} bodies, control steps per"
-    rows = [[name, spread(rates)] for name, rates in found.items()]
-    report.table(f"{title} {unit(config.device)}", ["", "step only"], rows)
-    ours, *sparse, full = map(middle, found.values())
+    rows = list(zip(cases, rates, strict=True))
+    report.table(f"{title} {unit(config.device)}", ["", "step only"], rows, spread)
+    ours, *sparse, full = map(middle, rates)
     report.note(
         f"Different bodies step at {ours / np.mean(sparse):.0%} of the speed of one in all (the mean of {ALONE}), and"
         f" at {ours / full:.0%} of that of a body without empty cells. They were built in {built:.2f} s;"
         f" {count // CHANGED} of {count} were exchanged in {number(1e3 * middle(changed))} ms."
     )
-    mixed_rates, *alone_rates, full_rates = found.values()
-    figures = {"task": config.task, "mixed": mixed_rates, "alone": alone_rates, "full": full_rates}
-    return figures | {"built": built, "changed": changed, "check_error": worst}
+    report.figures |= {"built": built, "changed": changed, "check_error": worst}
 
 
-def _exchange(env: VoxelVecEnv, repeats: int, seed: int) -> list[float]:
+def _exchange(config: Any, bodies: list[np.ndarray]) -> list[float]:
     """Seconds in which one of CHANGED environments gets another body."""
-    mask = torch.arange(env.num_envs, device=env.device) % CHANGED == 0
-    found = []
-    for repeat in range(repeats + 1):
-        bodies = sampled_bodies(SIDE, int(mask.sum()), seed + 1 + repeat)
-        began = clock(env.device)
-        env.set_designs(bodies, mask)
-        found.append(clock(env.device) - began)
+    env = Runner(config, bodies, checked=False, arithmetic="fast", grid=(SIDE, SIDE)).env
+    mask, found = torch.arange(env.num_envs, device=env.device) % CHANGED == 0, []
+    for repeat in range(config.repeats + 1):
+        others = sampled_bodies(SIDE, int(mask.sum()), config.seed + 1 + repeat)
+        found.append(seconds(partial(env.set_designs, others, mask), env.device))
     return found[1:]

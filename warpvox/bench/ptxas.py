@@ -10,11 +10,13 @@ import re
 import shutil
 import subprocess
 import tempfile
-from collections import Counter
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from warpvox.errors import WarpvoxError
@@ -39,32 +41,18 @@ class Limits:
 
 
 def find_program(name: str) -> Path:
-    """The program ``ptxas`` or ``nvdisasm``.
-
-    Raises:
-        WarpvoxError: it is nowhere, or that on PATH is too old for the code that Warp makes; says how to get it.
-    """
-    fetched = sorted(FETCHED.glob(f"*/bin/{name}"))
-    if fetched:
-        return fetched[-1]
-    found = shutil.which(name)
+    """The program ``ptxas`` or ``nvdisasm``, fetched or on PATH; WarpvoxError: it is nowhere."""
+    found = max(map(str, FETCHED.glob(f"*/bin/{name}")), default=shutil.which(name))
     if found is None:
         raise WarpvoxError(f"There is no program {name!r}: `make ptxas` fetches it (Linux, x86-64).")
-    said = subprocess.run([found, "--version"], capture_output=True, text=True, check=False).stdout
-    release = re.search(r"release (\d+)\.(\d+)", said)
-    version = (int(release[1]), int(release[2])) if release else (0, 0)
-    if version < wp.get_cuda_toolkit_version():
-        ours, theirs = (".".join(map(str, numbers)) for numbers in (version, wp.get_cuda_toolkit_version()))
-        raise WarpvoxError(
-            f"{found} is of CUDA {ours}, older than that of Warp ({theirs}): `make ptxas` fetches a newer one."
-        )
     return Path(found)
 
 
 def _run(program: str, *arguments: str) -> tuple[str, str]:
     done = subprocess.run([find_program(program), *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
-        raise WarpvoxError(f"{program} failed: {done.stderr.strip()[-500:]}")
+        said = done.stderr.strip()[-500:]
+        raise WarpvoxError(f"{program} failed; one that is too old for Warp `make ptxas` replaces: {said}")
     return done.stdout, done.stderr
 
 
@@ -85,17 +73,14 @@ def assemble(kernel: wp.Kernel, architecture: int, folder: Path, lines: bool = F
     used = re.search(r"Used (\d+) registers.*", said)
     if used is None or not frames:
         raise WarpvoxError(f"ptxas said something else than expected: {said[-500:]}")
-    shared = re.search(r"(\d+) bytes smem", used[0])
-    stack = re.search(r"(\d+) bytes cumulative stack", used[0])
+    stack, shared = (re.search(rf"(\d+) bytes {what}", used[0]) for what in ("cumulative stack", "smem"))
+    own, stored, loaded = zip(*frames, strict=True)
     return Limits(
-        int(used[1]),
-        int(stack[1]) if stack else max(frame[0] for frame in frames),
-        sum(frame[1] + frame[2] for frame in frames),
-        int(shared[1]) if shared else 0,
+        int(used[1]), int(stack[1]) if stack else max(own), sum(stored + loaded), int(shared[1]) if shared else 0
     )
 
 
-def counted(kernel: wp.Kernel, architecture: int = 90) -> tuple[Counter[str], Counter[str], Counter[str]]:
+def counted(kernel: wp.Kernel, architecture: int = 90) -> Mapping[str, np.ndarray]:
     """Instructions of the machine code by the place of the source (``COUNT`` in ``native/group``) they come from.
 
     All, those in float64 (conversions included), and the wavefronts of shared memory that they would take without
@@ -106,9 +91,7 @@ def counted(kernel: wp.Kernel, architecture: int = 90) -> tuple[Counter[str], Co
         assemble(kernel, architecture, folder, lines=True)
         assembly, _ = _run("nvdisasm", "-c", "-gi", str(folder / "kernel.cubin"))
         place = _places(next(folder.glob("*.cu")).read_text(encoding="utf-8"))
-    found: Counter[str] = Counter()
-    wide: Counter[str] = Counter()
-    shared: Counter[str] = Counter()
+    found: Mapping[str, np.ndarray] = defaultdict(lambda: np.zeros(3, int))
     chain: list[int] = []  # lines of the generated source: of the instruction, and of the calls that were inlined
     begins, apart = True, False  # apart: the detours of diverged warps and of special numbers, at the end of the code
     for line in assembly.splitlines():
@@ -120,11 +103,10 @@ def counted(kernel: wp.Kernel, architecture: int = 90) -> tuple[Counter[str], Co
             begins = True
             apart |= "WARPSYNC.COLLECTIVE" in line
             at = OUTSIDE if apart else next((place[at] for at in chain if place.get(at)), OUTSIDE)
-            found[at] += 1
-            wide[at] += bool(re.search(r"\*/ +(@!?U?P\d+ +)?(D[A-Z]+|F2F\.\w*F64)", line))
+            wide = re.search(r"\*/ +(@!?U?P\d+ +)?(D[A-Z]+|F2F\.\w*F64)", line)
             access = re.search(r"\*/ +(?:@!?U?P\d+ +)?(?:LDS|STS|ATOMS)(\.64|\.128)?", line)
-            shared[at] += (int((access[1] or ".32")[1:]) // 32) if access else 0
-    return found, wide, shared
+            found[at] += 1, bool(wide), int((access[1] or ".32")[1:]) // 32 if access else 0
+    return found
 
 
 def _places(source: str) -> dict[int, Any]:

@@ -4,10 +4,11 @@ Runs as a script under an interpreter that has evogym installed (Python 3.10, no
 request a line from stdin and answers each with one JSON line on stdout:
 
 - ``{"do": "start", "task": ..., "body": ...}`` comes first and gives the versions;
-- ``{"do": "check", "actions": [steps][actuators]}`` gives ``com`` ``[steps][2]``, the robot's centre of mass
+- ``{"do": "check", "actions": [steps][actuators]}`` gives ``[steps][2]``, the robot's centre of mass
   after each step from a reset on;
-- ``{"do": "time", "actions": ...}`` gives the CPU ``seconds`` of these steps, which go on with the episode,
-  rewards and observations included. Resets of episodes that end in between are not counted.
+- ``{"do": "time", "actions": ...}`` gives the CPU seconds of these steps, which go on with the episode,
+  rewards and observations included;
+- ``{"error": ...}`` is the answer where the reference fails.
 """
 
 import json
@@ -16,11 +17,13 @@ import sys
 import time
 import warnings
 
+import numpy
+
 
 def main():
     """Answer requests until stdin ends."""
     # Whatever the libraries print must not mix with the answers.
-    answers = os.fdopen(os.dup(1), "w")
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
     warnings.filterwarnings("ignore")
     env = None
@@ -30,11 +33,10 @@ def main():
             if request["do"] == "start":
                 env, answer = start(request["task"], request["body"])
             else:
-                answer = {"check": check, "time": measure}[request["do"]](env, request["actions"])
+                answer = {"check": centres, "time": cpu_seconds}[request["do"]](env, numpy.array(request["actions"]))
         except Exception as error:
             answer = {"error": f"{type(error).__name__}: {error}"}
-        answers.write(json.dumps(answer) + "\n")
-        answers.flush()
+        print(json.dumps(answer), file=answers)
 
 
 def start(task, body):
@@ -43,7 +45,6 @@ def start(task, body):
 
     import evogym.envs  # noqa: F401  (registers)
     import gymnasium
-    import numpy
 
     gymnasium.logger.min_level = 50
     env = gymnasium.make(task, body=numpy.array(body, dtype=float), disable_env_checker=True)
@@ -51,33 +52,28 @@ def start(task, body):
     return env, {"python": sys.version.split()[0], "evogym": version("evogym")}
 
 
-def check(env, actions):
+def centres(env, actions):
     """The trajectory of the centre of mass."""
-    import numpy
-
     env.reset()
     com = []
     for action in actions:
-        env.step(numpy.array(action))
+        env.step(action)
         world = env.unwrapped
         com.append(world.object_pos_at_time(world.get_time(), "robot").mean(axis=1).tolist())
     env.reset()
-    return {"com": com}
+    return com
 
 
-def measure(env, actions):
-    """CPU seconds of the steps."""
-    import numpy
-
-    seconds = 0.0
-    began = time.process_time()
-    for action in numpy.array(actions):
+def cpu_seconds(env, actions):
+    """CPU seconds of the steps of a gymnasium environment; resets of episodes that end in between are not counted."""
+    seconds, began = 0.0, time.process_time()
+    for action in actions:
         _, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
             seconds += time.process_time() - began
             env.reset()
             began = time.process_time()
-    return {"seconds": seconds + time.process_time() - began}
+    return seconds + time.process_time() - began
 
 
 if __name__ == "__main__":

@@ -51,8 +51,6 @@ LARGEST = 1 << 32
 """Bytes that the arrays of a file may have together (4 GiB)."""
 LARGEST_HEADER = 1 << 26
 """Bytes of a file's header (64 MiB)."""
-MOST_SCENES = 1 << 16
-"""Scenes that a file may hold."""
 AGENTS = ("zero", "random", "sine")
 """Agents that need no training: all actuators at rest, uniformly random actions, a steady gait."""
 ARRAYS = {
@@ -217,8 +215,6 @@ class Rollout:
         """
         header, arrays = _read(Path(path))
         try:
-            if len(header["scenes"]) > MOST_SCENES:
-                raise ValueError(f"there are at most {MOST_SCENES} scenes")
             scenes = tuple(scene_from_json(scene) for scene in header["scenes"])
             metadata = dict(header["metadata"])
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:

@@ -16,9 +16,6 @@ from warpvox.types import VOXEL, Cell
 
 __all__ = ["Scene", "SceneObject", "check_scene", "scene_from_json", "scene_of", "scene_to_json", "stretch"]
 
-MOST_OBJECTS = 1000
-"""Objects that a scene may have."""
-
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
@@ -175,8 +172,6 @@ def scene_from_json(scene: Mapping[str, Any]) -> Scene:
     Raises:
         KeyError, TypeError, ValueError, OverflowError: it is not one.
     """
-    if len(scene["objects"]) > MOST_OBJECTS:
-        raise ValueError(f"a scene has at most {MOST_OBJECTS} objects")
     objects = tuple(
         SceneObject(
             name=_text(obj["name"]),

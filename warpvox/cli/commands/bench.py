@@ -16,7 +16,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
 from warpvox.errors import SimulationError, listing
 from warpvox.io.console import echo
-from warpvox.runs import new_folder, write_summary
+from warpvox.runs import new_folder
 
 __all__ = ["run"]
 
@@ -34,23 +34,25 @@ def measure(config: Any, console: Console) -> Path:
     """
     with console.status("preparing"):
         from warpvox.bench.machine import machine, machine_line
-        from warpvox.bench.report import Document, Report
+        from warpvox.bench.report import Report, put_into
         from warpvox.cli.process import prepare
         from warpvox.devices.names import resolve_device
 
         suite = import_module(f"warpvox.bench.{config.suite}")
         prepare(config.torch_threads, config.seed)
         config.device = resolve_device(config.device or ("cuda" if config.suite == "gpu" else "cpu"))
-        document = Document(Path(config.document), config.suite) if config.document else None
+        document = Path(config.document) if config.document else None
+        if document:
+            put_into(document, config.suite)
     with new_folder(config.output_dir, "bench", config.suite, config.name, to_yaml(config)) as folder:
-        report, facts = Report(console, folder), machine(config.device)
+        facts = machine(config.device)
+        report = Report(console, folder, {"suite": config.suite, "task": config.task, "machine": facts})
         echo(console, machine_line(facts))
-        figures = suite.run(config, report)
-        write_summary(folder, {"suite": config.suite, "machine": facts} | figures)
+        suite.run(config, report)
         text = report.write()
-        if document is not None:
-            document.replace(f"{text}\nMachine: {machine_line(facts)}.\n")
+        if document:
+            put_into(document, config.suite, f"{text}\nMachine: {machine_line(facts)}.\n")
         echo(console, f"figures: {folder / 'summary.json'}")
-    if figures.get("failed"):
-        raise SimulationError(f"These parts failed: {listing(figures['failed'])}; see {folder / 'summary.json'}.")
+    if failed := report.figures.get("failed"):
+        raise SimulationError(f"These parts failed: {listing(failed)}; see {folder / 'summary.json'}.")
     return folder

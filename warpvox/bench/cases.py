@@ -1,46 +1,22 @@
-"""A case of a benchmark: what is simulated, as data; and the bodies of cases."""
+"""Bodies and environments that the suites measure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from warpvox.algos.training.bodies import load_bodies
 from warpvox.design import sample_design
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError, DesignError
 from warpvox.types import Cell
 
-__all__ = ["Case", "full_body", "one_body", "sampled_bodies", "sampled_or_full"]
+__all__ = ["full_body", "make", "one_body", "sampled_bodies", "sampled_or_full"]
 
 
-@dataclass(frozen=True)
-class Case:
-    """Environments of one task that are timed together.
-
-    Attributes:
-        name: of its row in the tables.
-        task: its id.
-        bodies: int8 ``[rows, columns]`` each, in equal blocks of the environments.
-        num_envs: environments stepped together.
-        options: of ``make_vec``, where they differ from the configuration's.
-    """
-
-    name: str
-    task: str
-    bodies: Sequence[np.ndarray]
-    num_envs: int
-    options: dict[str, Any] = field(default_factory=dict)
-
-
-def one_body(config: Any) -> np.ndarray:
-    """The body that ``design`` names.
-
-    Raises:
-        ConfigError: it names several.
-    """
+def one_body(config: Any) -> Any:
+    """The body that ``design`` names; ConfigError: it names several."""
     bodies = load_bodies(config.design, config.seed)
     if len(bodies) > 1:
         raise ConfigError(f"bench measures one body at a time, got {len(bodies)}.")
@@ -69,3 +45,9 @@ def sampled_or_full(side: int, count: int, seed: int) -> tuple[list[np.ndarray],
         return sampled_bodies(side, count, seed), True
     except DesignError:
         return [full_body(side, seed + k) for k in range(count)], False
+
+
+def make(config: Any, bodies: Any, num_envs: int, task: str | None = None, **options: Any) -> VoxelVecEnv:
+    """Environments as the configuration describes them; ``task`` and ``options`` of ``make_vec`` go before it."""
+    common = {name: getattr(config, name) for name in ("device", "dtype", "arithmetic", "threads")}
+    return make_vec(task or config.task, bodies, num_envs, **(common | options))
