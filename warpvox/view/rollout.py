@@ -27,9 +27,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +149,7 @@ class Rollout:
         """The environments in the order of their returns, the highest first; each keeps its name (:attr:`names`)."""
         order = np.argsort(-self.returns[-1], kind="stable")
         arrays = {name: getattr(self, name) for name in ARRAYS}
-        arrays = {name: value[order] if name == "design_index" else value[:, order] for name, value in arrays.items()}
+        arrays = {name: value[..., order] if value.ndim < 3 else value[:, order] for name, value in arrays.items()}
         names = [self.names[env] for env in order]
         return Rollout(scenes=self.scenes, metadata=self.metadata | {"names": names}, **arrays)
 
@@ -156,15 +157,19 @@ class Rollout:
         """The scene of an environment."""
         return self.scenes[self.design_index[env]]
 
-    def check_env(self, env: int) -> int:
-        """Return ``env`` if there is such an environment.
+    def check_envs(self, envs: int | Iterable[int] | None) -> list[int]:
+        """Return environments as a list; None: all.
 
         Raises:
-            RolloutError: there is not.
+            RolloutError: there is no such environment, or none was chosen.
         """
-        if not is_integer(env) or not 0 <= env < self.num_envs:
-            raise RolloutError(f"No environment {env!r}: the rollout has {self.num_envs}, counted from 0.")
-        return int(env)
+        chosen = range(self.num_envs) if envs is None else list(envs) if isinstance(envs, Iterable) else [envs]
+        for env in chosen:
+            if not is_integer(env) or not 0 <= env < self.num_envs:
+                raise RolloutError(f"No environment {env!r}: the rollout has {self.num_envs}, counted from 0.")
+        if not chosen:
+            raise RolloutError("No environment was chosen.")
+        return [int(env) for env in chosen]
 
     def check_frame(self, frame: int) -> int:
         """Return ``frame`` with negative numbers counted from the end.
@@ -184,7 +189,8 @@ class Rollout:
             frame: an index, which gives float32 ``[cells]``, or a slice, which gives ``[frames, cells]``.
             env: environment; the cells are those of ``scene(env).cells``.
         """
-        return stretch(self.scene(env), self.positions[frame, env])
+        scene = self.scene(env)
+        return stretch(scene.cells, self.positions[frame, env][..., scene.corners, :])
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the rollout to ``path`` (``.npz``), whole or not at all; return the path.
@@ -220,14 +226,12 @@ class Rollout:
             if len(header["scenes"]) > MOST_SCENES:
                 raise ValueError(f"there are at most {MOST_SCENES} scenes")
             scenes = tuple(scene_from_json(scene) for scene in header["scenes"])
-            metadata = dict(header["metadata"])
+            return cls(scenes=scenes, metadata=dict(header["metadata"]), **arrays)
+        except RolloutError as error:
+            raise RolloutError(f"{path} is damaged: {error}") from None
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
             reason = f"'{error.args[0]}' is missing" if isinstance(error, KeyError) else error
             raise RolloutError(f"{path} is damaged: its header does not describe scenes ({reason}).") from None
-        try:
-            return cls(scenes=scenes, metadata=metadata, **arrays)
-        except RolloutError as error:
-            raise RolloutError(f"{path} is damaged: {error}") from None
 
 
 # -------------------------------------------------------------------------------------------------- recording
@@ -267,7 +271,6 @@ def record(
     act = _agent(policy, env) if isinstance(policy, str) else policy
     scenes, gather = scenes_of(env.sim)
     limit = env.max_episode_steps if num_steps is None else min(int(num_steps), env.max_episode_steps)
-    label = policy if isinstance(policy, str) else "policy"
     resets_itself, env.auto_reset = env.auto_reset, False
     try:
         with torch.no_grad():
@@ -283,14 +286,10 @@ def record(
         "seed": _plain_seed(getattr(env, "seed", None)),
         "dtype": str(env.sim.dtype).removeprefix("torch."),
         "arithmetic": env.sim.arithmetic,
-        "agent": label,
+        "agent": policy if isinstance(policy, str) else "policy",
     }
-    return Rollout(
-        design_index=env.sim.design_index.cpu().numpy(),
-        scenes=scenes,
-        metadata=about | dict(metadata or {}),
-        **columns,
-    )
+    index = env.sim.design_index.cpu().numpy()
+    return Rollout(design_index=index, scenes=scenes, metadata=about | dict(metadata or {}), **columns)
 
 
 def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], np.ndarray]) -> dict[str, np.ndarray]:
@@ -355,14 +354,9 @@ def _agent(name: str, env: Any) -> Callable[[Any], Any]:
     if name == "random":
         return lambda obs: ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * draw()
     # One second a cycle, each actuator with a phase of its own: enough for most bodies to get somewhere.
-    phase = 2 * torch.pi * draw()
-    steps = iter(range(2**62))
-
-    def sine(obs: Any) -> Any:
-        middle, swing = (ACTION_LOW + ACTION_HIGH) / 2, (ACTION_HIGH - ACTION_LOW) / 2
-        return middle + swing * torch.sin(2 * torch.pi * FRAME_SECONDS * next(steps) + phase)
-
-    return sine
+    phase, steps = 2 * torch.pi * draw(), count()
+    middle, swing = (ACTION_LOW + ACTION_HIGH) / 2, (ACTION_HIGH - ACTION_LOW) / 2
+    return lambda obs: middle + swing * torch.sin(2 * torch.pi * FRAME_SECONDS * next(steps) + phase)
 
 
 def _draws(env: Any) -> Callable[[], Any]:
@@ -439,14 +433,9 @@ def _check_shapes(rollout: Rollout) -> None:
     shape = rollout.positions.shape
     if len(shape) != 4 or shape[0] < 1 or shape[1] < 1 or shape[3] != 2:
         raise RolloutError(f"positions must be [frames, envs, points, 2] with a frame or more, got {list(shape)}.")
-    frames, envs = shape[:2]
-    expected = {
-        "design_index": (envs,),
-        "actions": (frames - 1, envs, rollout.actions.shape[-1] if rollout.actions.ndim else 0),
-        "rewards": (frames - 1, envs),
-        "terminated": (frames - 1, envs),
-        "truncated": (frames - 1, envs),
-    }
+    steps, envs = shape[0] - 1, shape[1]
+    expected = dict.fromkeys(("rewards", "terminated", "truncated"), (steps, envs))
+    expected |= {"design_index": (envs,), "actions": (steps, envs, *rollout.actions.shape[-1:])}
     for name, want in expected.items():
         got = getattr(rollout, name).shape
         if got != want:

@@ -68,15 +68,13 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     Raises:
         RolloutError: another suffix, no such environment, a stride below 1, or a stage that does not fit into memory.
     """
-    from pxr import Sdf, Tf, Usd, UsdGeom
+    from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux
 
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         raise RolloutError(f"A USD file ends in .usdc, .usd or .usda, got {str(path)!r}.")
     check_integer("stride", stride, 1, error=RolloutError)
-    chosen = [rollout.check_env(env) for env in (range(rollout.num_envs) if envs is None else envs)]
-    if not chosen:
-        raise RolloutError("No environment was chosen to be written.")
+    chosen = rollout.check_envs(envs)
     frames = list(range(0, rollout.num_frames, stride))
     _check_fits(rollout, chosen, len(frames), stride)
     stage = Usd.Stage.CreateInMemory(f"rollout{suffix}")
@@ -89,7 +87,11 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     stage.SetEndTimeCode(frames[-1])
     world = UsdGeom.Xform.Define(stage, "/World")
     stage.SetDefaultPrim(world.GetPrim())
-    _describe(world.GetPrim(), rollout, chosen)
+    for key, value in rollout.metadata.items():  # values that USD can hold
+        if isinstance(value, str | bool | float) or (isinstance(value, int) and abs(value) < 2**31):
+            name = Tf.MakeValidIdentifier(str(key))
+            world.GetPrim().SetCustomDataByKey(f"warpvox:{name}", value)
+    world.GetPrim().SetCustomDataByKey("warpvox:meanReturn", float(rollout.returns[-1, chosen].mean()))
     materials = _define_materials(stage)
     places = _places(rollout, chosen)
     for env, place in zip(chosen, places, strict=True):
@@ -98,7 +100,10 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
         with Sdf.ChangeBlock():
             _animate(layer, rollout, env, frames)
     _define_cameras(stage, rollout, chosen, places, frames)
-    _define_lights(stage)
+    sun = UsdLux.DistantLight.Define(stage, "/World/sun")
+    sun.CreateIntensityAttr(2.0)
+    UsdGeom.Xformable(sun).AddRotateXYZOp().Set(Gf.Vec3f(-35.0, 20.0, 0.0))
+    UsdLux.DomeLight.Define(stage, "/World/sky").CreateIntensityAttr(0.6)
     with atomic_path(path) as temporary:
         try:
             written = layer.Export(str(temporary))
@@ -125,19 +130,6 @@ def _check_fits(rollout: Rollout, envs: list[int], frames: int, stride: int) -> 
 
 def _root(env: int) -> str:
     return f"/World/env_{env:03d}"
-
-
-def _describe(prim: Any, rollout: Rollout, envs: list[int]) -> None:
-    """Metadata of the whole, values that USD can hold only."""
-    for key, value in rollout.metadata.items():
-        if isinstance(value, str | bool | float) or (isinstance(value, int) and abs(value) < 2**31):
-            prim.SetCustomDataByKey(f"warpvox:{_identifier(key)}", value)
-    prim.SetCustomDataByKey("warpvox:meanReturn", float(rollout.returns[-1, envs].mean()))
-
-
-def _identifier(key: object) -> str:
-    text = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in str(key))
-    return text if text and not text[0].isdigit() else f"_{text}"
 
 
 def _define_materials(stage: Any) -> dict[Cell, Any]:
@@ -216,7 +208,7 @@ def _define_mesh(stage: Any, path: str, quads: np.ndarray, extent: np.ndarray) -
 
 
 def _bind(mesh: Any, cells: np.ndarray, materials: dict[Cell, Any]) -> None:
-    """A GeomSubset with its material for each cell type that occurs."""
+    """Add a GeomSubset with its material for each cell type that occurs."""
     from pxr import UsdGeom, UsdShade, Vt
 
     binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
@@ -305,15 +297,6 @@ def _define_camera(stage: Any, path: str) -> Any:
     camera.CreateFocalLengthAttr(FOCAL)
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 10000.0))
     return camera.AddTranslateOp()
-
-
-def _define_lights(stage: Any) -> None:
-    from pxr import Gf, UsdGeom, UsdLux
-
-    sun = UsdLux.DistantLight.Define(stage, "/World/sun")
-    sun.CreateIntensityAttr(2.0)
-    UsdGeom.Xformable(sun).AddRotateXYZOp().Set(Gf.Vec3f(-35.0, 20.0, 0.0))
-    UsdLux.DomeLight.Define(stage, "/World/sky").CreateIntensityAttr(0.6)
 
 
 def _vec3(values: np.ndarray) -> Any:
