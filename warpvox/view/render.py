@@ -133,7 +133,7 @@ def draw_frame(
     hud: bool = True,
     voxels: float | None = None,
 ) -> np.ndarray:
-    """A picture of one frame, uint8 ``[height, width, 3]``; arguments and errors as of :class:`Film`, which many need."""
+    """A picture of one frame, uint8 ``[height, width, 3]``; arguments and errors as of :class:`Film`."""
     return Film(rollout, env, size, hud, voxels).array(frame)
 
 

@@ -68,16 +68,7 @@ ARRAYS = {
 
 @dataclass(eq=False)
 class Rollout:
-    """Recorded environments; see the module's text for shapes and units.
-
-    Attributes:
-        positions: float32 ``[T + 1, E, P, 2]`` in simulator units (0.1 a voxel); entry 0 follows the reset.
-        design_index: int32 ``[E]``, index into ``scenes``.
-        scenes: the distinct worlds.
-        actions: float32 ``[T, E, A]`` in [0.6, 1.6].
-        rewards: float64 ``[T, E]``.
-        terminated, truncated: bool ``[T, E]``; they stay True after the end of an episode.
-        metadata: JSON values: task, rules, seed, ...
+    """Recorded environments, as the module's text describes arrays and metadata; ``scenes`` are the distinct worlds.
 
     Raises:
         RolloutError: parts that do not fit together.
@@ -372,12 +363,12 @@ def _draws(env: Any) -> Callable[[], Any]:
         return lambda: torch.rand((env.num_envs, env.num_actions), generator=generator)
     generators = [torch.Generator().manual_seed(one % 2**64) for one in seed]
     block = env.num_envs // len(seed)
-    counts = env.action_mask.sum(1)[env.design_index[::block]].tolist()
+    widths = env.action_mask.sum(1)[env.design_index[::block]].tolist()
 
     def draw() -> Any:
         values = torch.zeros((env.num_envs, env.num_actions))
-        for number, (generator, count) in enumerate(zip(generators, counts, strict=True)):
-            values[number * block : (number + 1) * block, :count] = torch.rand((block, count), generator=generator)
+        for begin, generator, width in zip(range(0, env.num_envs, block), generators, widths, strict=True):
+            values[begin : begin + block, :width] = torch.rand((block, width), generator=generator)
         return values
 
     return draw

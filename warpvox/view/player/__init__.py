@@ -93,9 +93,9 @@ def fill_template(template: str, values: Mapping[str, Any], **texts: str) -> str
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
 
 
-def asset(name: str) -> str:
-    """A file of this package as text."""
-    return files(__name__).joinpath(name).read_text(encoding="utf-8")
+def asset(name: str, package: str = __name__) -> str:
+    """A file of a package as text."""
+    return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
 def _describe(rollout: Rollout, envs: list[int], scale: int, every: int) -> dict[str, Any]:
