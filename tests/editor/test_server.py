@@ -16,7 +16,7 @@ from damage import damaged_bytes, damaged_tree, refusals
 from warpvox.code import Code
 from warpvox.design import example_designs
 from warpvox.editor.documents import document_of
-from warpvox.editor.server import ACTIONS, LARGEST, EditorServer
+from warpvox.editor.server import LARGEST, EditorServer
 from warpvox.errors import DeviceError, WarpvoxError
 
 WALKER = document_of(example_designs()["walker"])
