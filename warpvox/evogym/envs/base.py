@@ -18,14 +18,14 @@ import numpy as np
 from gymnasium import error, spaces
 from gymnasium.utils import seeding
 
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.envs.adapters.base import WINDOWED, check_mode, metadata_here
+from warpvox.errors import did_you_mean, listing
 from warpvox.evogym import sim, simulator_cpp, utils, viewer, world
 from warpvox.evogym.sim import EvoSim
 from warpvox.evogym.utils import *  # noqa: F403
 from warpvox.evogym.viewer import EvoViewer
 from warpvox.evogym.world import EvoWorld, WorldObject
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
-from warpvox.view.window import why_no_window
 
 # As in the release, `from evogym.envs import *` also gives what the modules import.
 __all__ = [
@@ -56,7 +56,6 @@ __all__ = [
 ]
 __all__ += utils.__all__
 
-_WINDOWED = ("human", "screen")
 _RENDER_OPTIONS = ("verbose", "hide_background", "hide_grid", "hide_edges", "hide_voxels")
 
 
@@ -105,18 +104,14 @@ class EvoGymBase(gym.Env):
     def __init__(
         self, world: EvoWorld, render_mode: str | None = None, render_options: dict[str, Any] | None = None
     ) -> None:
-        modes = self.metadata["render_modes"]
-        if render_mode is not None and render_mode not in modes:
-            hint = did_you_mean(render_mode, modes)
-            raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {render_mode!r}.{hint}")
+        check_mode(render_mode, self.metadata["render_modes"])
         self._sim = EvoSim(world)
         self._default_viewer = EvoViewer(self._sim)
         self.render_mode = self._render_mode = render_mode
         self._render_options = _known(render_options or {})
-        if render_mode in _WINDOWED:
+        if render_mode in WINDOWED:
             self._default_viewer.show_debug_window()  # fails now rather than in the first step
-        if why_no_window() is not None:
-            self.metadata = self.metadata | {"render_modes": [mode for mode in modes if mode not in _WINDOWED]}
+        self.metadata = metadata_here(self.metadata)
 
     def step(self, action: dict[str, np.ndarray]) -> bool:
         """One control step.
@@ -134,7 +129,7 @@ class EvoGymBase(gym.Env):
         for name, goals in action.items():
             self._sim.set_action(name, np.minimum(np.maximum(goals, ACTION_LOW), ACTION_HIGH))  # faster than clip
         stopped = self._sim.step()
-        if self._render_mode in _WINDOWED:
+        if self._render_mode in WINDOWED:
             self.render()
         return stopped
 
