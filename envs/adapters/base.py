@@ -10,7 +10,7 @@ from gymnasium.spaces import Box
 
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.types import ACTION_HIGH, ACTION_LOW
-from warpvox.view.window import why_no_window
+from warpvox.view import window
 
 __all__ = ["WINDOWED", "Adapter", "check_mode", "metadata_here", "spaces_of"]
 
@@ -68,7 +68,7 @@ def check_mode(mode: object, modes: Sequence[str]) -> None:
 
 def metadata_here(metadata: dict[str, Any]) -> dict[str, Any]:
     """Metadata of an environment with those render modes alone that work on this machine."""
-    if why_no_window() is None:
+    if window.why_no_window() is None:
         return metadata
     return metadata | {"render_modes": [mode for mode in metadata["render_modes"] if mode not in WINDOWED]}
 

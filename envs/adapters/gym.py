@@ -13,8 +13,8 @@ from warpvox.envs.adapters.base import Adapter, check_mode, metadata_here, space
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ActionError, ConfigError, DisplayError
+from warpvox.view import window
 from warpvox.view.rollout import FRAME_SECONDS
-from warpvox.view.window import Window, why_no_window
 
 __all__ = ["VoxelEnv", "register", "register_task"]
 
@@ -97,7 +97,7 @@ class VoxelEnv(Adapter, gymnasium.Env):
         from warpvox.envs.adapters.single import fast_stepper
 
         check_mode(render_mode, VoxelEnv.metadata["render_modes"])
-        if render_mode == "human" and (reason := why_no_window()) is not None:
+        if render_mode == "human" and (reason := window.why_no_window()) is not None:
             raise DisplayError(f"render_mode='human' shows a window, but {reason}; render_mode='rgb_array' needs none.")
         self.metadata = metadata_here(VoxelEnv.metadata)
         bodies, links = (None if body is None else [body]), [connections]
@@ -106,7 +106,7 @@ class VoxelEnv(Adapter, gymnasium.Env):
         self._make(task, bodies, 1, options, defaults, connections=links, body=None, seed=0, **limit)
         self.render_mode, self.render_size = render_mode, render_size
         self.observation_space, self.action_space = spaces_of(self.vec)
-        self._window: Window | None = None
+        self._window: window.Window | None = None
         self._next_frame = 0.0
         self._ended: np.ndarray | None = None  # the observation with which the episode has ended
         self._fast = fast_stepper(self.vec)
@@ -192,7 +192,7 @@ class VoxelEnv(Adapter, gymnasium.Env):
         if self.render_mode != "human":
             return
         if self._window is None:
-            self._window = Window(self.render_size, f"{NAMESPACE} {self.vec.spec.id}")
+            self._window = window.Window(self.render_size, f"{NAMESPACE} {self.vec.spec.id}")
         if self._window.closed:
             return
         early = self._next_frame - time.perf_counter()

@@ -52,7 +52,7 @@ def paint(
     draw = ImageDraw.Draw(image)
     if not hide_grid:
         _grid(draw, corner, view, scale, large)
-    points = engine.all_positions(engine.time)
+    points = engine.positions(engine.time)
     # Clipped: drawing is exact within the picture, and far points would overflow Pillow's integers.
     places = np.clip((points - corner) * scale, -1e6, 1e6)
     places[:, 1] = large[1] - places[:, 1]

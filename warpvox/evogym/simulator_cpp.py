@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpvox.errors import DisplayError, SimulationError, WorldError, listing
+from warpvox.errors import DisplayError, SimulationError, WorldError
 from warpvox.evogym.errors import ArgumentError
 from warpvox.evogym.picture import paint
 from warpvox.io.reading import Missing, Unreadable, read_text
+from warpvox.view.window import OTHERWISE, Window, why_no_window
 from warpvox.world import LARGEST_FILE, World, WorldObject
 
 if TYPE_CHECKING:
     from warpvox.evogym.engine import Engine
-    from warpvox.view.window import Window
 
 __all__ = ["Camera", "Sim", "Viewer"]
 
@@ -37,9 +37,12 @@ class Sim:
     def _engine(self) -> Engine:
         """The running simulation; from its first use on no object can be added."""
         if self._running is None:
-            _quiet_warp()
-            from warpvox.evogym.engine import Engine  # brings torch and Warp, which worlds alone do not need
+            import warp  # and torch, which worlds alone do not need
 
+            from warpvox.evogym.engine import Engine
+
+            if warp.config.log_level == warp.LOG_INFO:  # unless the script has chosen what Warp reports
+                warp.config.log_level = warp.LOG_WARNING
             self._running = Engine(self._plan)
         return self._running
 
@@ -133,7 +136,6 @@ class Sim:
         Raises:
             ArgumentError: no such robot, or no actuator there.
         """
-        self._check_robot(robot_name)
         action = np.asarray(action, float).reshape(-1, 2)
         known = self._engine.actuators(robot_name)
         wrong = np.setdiff1d(action[:, 0], known)
@@ -155,7 +157,6 @@ class Sim:
         Raises:
             ArgumentError: no such object.
         """
-        self._engine.check(object_name)
         self._engine.translate(object_name, x, y)
 
     # -------------------------------------------------------------------------------------------- looking
@@ -166,43 +167,27 @@ class Sim:
 
     def pos_at_time(self, sim_time: int) -> np.ndarray:
         """``[2, points]``: positions of all points, object by object."""
-        return _rows(self._engine.all_positions(sim_time))
+        return _rows(self._engine.positions(sim_time))
 
     def vel_at_time(self, sim_time: int) -> np.ndarray:
         """``[2, points]``: velocities of all points, in simulator units per inner time (30 x 1e-4 a step)."""
-        return _rows(self._engine.all_velocities(sim_time))
+        return _rows(self._engine.velocities(sim_time))
 
     def object_pos_at_time(self, sim_time: int, object_name: str) -> np.ndarray:
         """``[2, points]``: positions of an object's points."""
-        self._engine.check(object_name)
         return _rows(self._engine.positions(sim_time, object_name))
 
     def object_vel_at_time(self, sim_time: int, object_name: str) -> np.ndarray:
         """``[2, points]``: velocities of an object's points."""
-        self._engine.check(object_name)
         return _rows(self._engine.velocities(sim_time, object_name))
 
     def object_orientation_at_time(self, time: int, object_name: str) -> float:
         """The turn of an object since time 0, counter-clockwise, radians in [0, 2 pi]."""
-        self._engine.check(object_name)
         return self._engine.orientation(time, object_name)
 
     def get_indices_of_actuators(self, robot_name: str) -> np.ndarray:
         """int32 ``[1, actuators]``: flat indices of their cells, row by row from the top."""
-        self._check_robot(robot_name)
         return self._engine.actuators(robot_name)[None]
-
-    def _check_robot(self, name: str) -> None:
-        if name not in self._engine.robots:
-            raise ArgumentError(f"{name} is not a valid robot name; robots are {listing(self._engine.robots)}.")
-
-
-def _quiet_warp() -> None:
-    """Keep Warp from reporting what it loads, unless the script has chosen what it reports."""
-    import warp
-
-    if warp.config.log_level == warp.LOG_INFO:
-        warp.config.log_level = warp.LOG_WARNING
 
 
 def _rows(points: np.ndarray) -> np.ndarray:
@@ -251,15 +236,11 @@ class Viewer:
     """Paints a simulation for cameras, or in a window.
 
     Args:
-        sim: the simulation to paint.
+        sim: the simulation to paint; may be exchanged.
     """
 
     def __init__(self, sim: Sim) -> None:
-        self._sim, self._window, self._shown = sim, None, False
-
-    def look_at(self, sim: Sim) -> None:
-        """Paint another simulation from now on, in the same window."""
-        self._sim = sim
+        self.sim, self.shown, self._window = sim, False, None
 
     def init(self) -> None:
         """Nothing: kept because scripts may call it."""
@@ -280,24 +261,15 @@ class Viewer:
         """
         if dont_clear:
             raise ArgumentError("dont_clear=True is not available: every picture is painted anew.")
-        if not (camera.is_renderable or self._shown):
-            return
-        window = None if camera.is_renderable else self._open(camera.resolution)
-        if window is not None and not window.visible:
-            return
-        hidden = (hide_background, hide_grid, hide_edges, hide_boxels)
-        picture = paint(self._sim._engine, camera.pos, camera.size, camera.resolution, *hidden)
-        if window is None:
-            camera._image = picture
-        else:
-            window.show(picture)
-
-    def _open(self, size: tuple[int, int]) -> Window:
-        if self._window is None:
-            from warpvox.view.window import Window
-
-            self._window = Window(size, "warpvox")
-        return self._window
+        if not camera.is_renderable and self.shown and self._window is None:
+            self._window = Window(camera.resolution, "warpvox")
+        if camera.is_renderable or (self.shown and self._window is not None and self._window.visible):
+            hidden = (hide_background, hide_grid, hide_edges, hide_boxels)
+            picture = paint(self.sim._engine, camera.pos, camera.size, camera.resolution, *hidden)
+            if camera.is_renderable or self._window is None:
+                camera._image = picture
+            else:
+                self._window.show(picture)
 
     def show_debug_window(self) -> None:
         """Let pictures of window cameras be shown; the window opens with the first.
@@ -305,24 +277,22 @@ class Viewer:
         Raises:
             DisplayError: windows cannot be shown here.
         """
-        from warpvox.view.window import OTHERWISE, why_no_window
-
         reason = why_no_window()
         if reason is not None:
             raise DisplayError(f"The modes 'screen' and 'human' show a window, but {reason}. {OTHERWISE}")
-        self._shown = True
+        self.shown = True
         if self._window is not None:
             self._window.unhide()
 
     def hide_debug_window(self) -> None:
         """Take the window off the screen."""
-        self._shown = False
+        self.shown = False
         if self._window is not None:
             self._window.hide()
 
     def close(self) -> None:
-        """Close the window."""
-        self._shown = False
+        """Close the window. Harmless to repeat."""
+        self.shown = False
         if self._window is not None:
             self._window.close()
             self._window = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import random
 import time
 from bisect import bisect_left
@@ -167,6 +168,16 @@ class Timer:
             self._begin, self._steps = self._begin + 1, 0
 
 
+def _in_parallel(verb: str, result: Callable[[int, int], int]) -> Callable[[Pair, int | Pair], Pair]:
+    def calculate(self: Pair, other: int | Pair) -> Pair:
+        x, y = (other.x, other.y) if isinstance(other, Pair) else (other, other)
+        if not isinstance(x, int):
+            raise ArgumentTypeError(f"Cannot {verb} a Pair and {other!r} of type {type(other).__name__}.")
+        return Pair(result(self.x, x), result(self.y, y))
+
+    return calculate
+
+
 class Pair:
     """Two integers, x and y, that are added, subtracted, multiplied and divided (rounding down) in parallel.
 
@@ -182,38 +193,22 @@ class Pair:
                 raise ArgumentTypeError(f"A Pair holds integers, got {value!r} of type {type(value).__name__}.")
         self.x, self.y = int(x), int(y)
 
-    def _with(self, other: int | Pair, verb: str, result: Callable[[int, int], int]) -> Pair:
-        x, y = (other.x, other.y) if isinstance(other, Pair) else (other, other)
-        if not isinstance(x, int):
-            raise ArgumentTypeError(f"Cannot {verb} a Pair and {other!r} of type {type(other).__name__}.")
-        return Pair(result(self.x, x), result(self.y, y))
-
     def __getitem__(self, key: int) -> int:
         if key not in (0, 1):
             raise IndexError(f"A Pair has the entries 0 and 1, got {key!r}.")
         return self.y if key else self.x
 
-    def __add__(self, other: int | Pair) -> Pair:
-        return self._with(other, "add", lambda a, b: a + b)
-
-    def __sub__(self, other: int | Pair) -> Pair:
-        return self._with(other, "subtract", lambda a, b: a - b)
-
-    def __mul__(self, other: int | Pair) -> Pair:
-        return self._with(other, "multiply", lambda a, b: a * b)
-
-    def __floordiv__(self, other: int | Pair) -> Pair:
-        return self._with(other, "divide", lambda a, b: a // b)
-
-    __truediv__ = __floordiv__
-
-    def __mod__(self, other: int | Pair) -> Pair:
-        return self._with(other, "take the remainder of", lambda a, b: a % b)
+    __add__ = _in_parallel("add", operator.add)
+    __sub__ = _in_parallel("subtract", operator.sub)
+    __mul__ = _in_parallel("multiply", operator.mul)
+    __truediv__ = __floordiv__ = _in_parallel("divide", operator.floordiv)
+    __mod__ = _in_parallel("take the remainder of", operator.mod)
+    each_max = _in_parallel("compare", max)
+    each_min = _in_parallel("compare", min)
 
     def __eq__(self, other: object) -> bool:
-        if isinstance(other, Pair):
-            return self.x == other.x and self.y == other.y
-        return isinstance(other, int) and self.x == other and self.y == other
+        x, y = (other.x, other.y) if isinstance(other, Pair) else (other, other)
+        return isinstance(x, int) and (self.x, self.y) == (x, y)
 
     def __hash__(self) -> int:
         return hash((self.x, self.y))
@@ -221,20 +216,6 @@ class Pair:
     def abs(self) -> Pair:
         """The magnitudes."""
         return Pair(abs(self.x), abs(self.y))
-
-    def each_max(self, other: Pair) -> Pair:
-        """The larger x and the larger y."""
-        return self._with(self._pair(other), "compare", max)
-
-    def each_min(self, other: Pair) -> Pair:
-        """The smaller x and the smaller y."""
-        return self._with(self._pair(other), "compare", min)
-
-    @staticmethod
-    def _pair(other: object) -> Pair:
-        if not isinstance(other, Pair):
-            raise ArgumentTypeError(f"Expected a Pair, got {other!r} of type {type(other).__name__}.")
-        return other
 
     def copy(self) -> Pair:
         """An independent Pair."""
