@@ -18,14 +18,7 @@ from warpvox.world import World, WorldObject
 
 __all__ = ["block", "columns", "heights", "rows", "task_team", "task_world"]
 
-_CELLS = {
-    ".": Cell.EMPTY,
-    "R": Cell.RIGID,
-    "S": Cell.SOFT,
-    "H": Cell.H_ACT,
-    "V": Cell.V_ACT,
-    "F": Cell.FIXED,
-}
+_CELLS = {".": Cell.EMPTY, "R": Cell.RIGID, "S": Cell.SOFT, "H": Cell.H_ACT, "V": Cell.V_ACT, "F": Cell.FIXED}
 _RUN = re.compile(r"(\d*)([.RSHVF])")
 
 

@@ -54,13 +54,11 @@ def _arrives(limit, bonus):
 STAIRS_UP = rows("ground", "21F", "20. 10F", "29. 8F", "36. 7F", "42. 6F", "47. 5F", "51. 5F", "55. 7F", "61. 9F")
 
 STAIRS_DOWN = rows(
-    *["ground", "65. 10F", "61. 5F", "57. 5F", "52. 6F", "47. 6F"],
-    *["41. 7F", "35. 7F", "28. 8F", "20. 9F", "21F"],
+    *["ground", "65. 10F", "61. 5F", "57. 5F", "52. 6F", "47. 6F"], *["41. 7F", "35. 7F", "28. 8F", "20. 9F", "21F"]
 )
 
 BUMPS = heights(
-    "ground",
-    "1x22 2 1x5 2 1x4 2x2 1x4 2 1x2 2x2 1 2 1 2 1x2 2x2 1x2 2 3 2x2 1 2 3 1 2x2 3 2 1 2x2 1x3 2 1x7",
+    "ground", "1x22 2 1x5 2 1x4 2x2 1x4 2 1x2 2x2 1 2 1 2 1x2 2x2 1x2 2 3 2x2 1 2 3 1 2x2 3 2 1 2x2 1x3 2 1x7"
 )
 
 ROUGH = heights(

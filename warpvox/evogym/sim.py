@@ -53,19 +53,11 @@ class EvoSim(Sim):
         self.revert(0)
 
     def get_actuator_indices(self, robot_name: str) -> np.ndarray:
-        """int32 ``[actuators]``: flat indices of a robot's actuators, row by row from the top.
-
-        Raises:
-            ArgumentError (a ValueError): there is no such robot.
-        """
+        """int32 ``[actuators]``: flat indices of a robot's actuators, row by row from the top."""
         return self._engine.actuators(robot_name)
 
     def get_dim_action_space(self, robot_name: str) -> int:
-        """Number of a robot's actuators.
-
-        Raises:
-            ArgumentError: there is no such robot.
-        """
+        """Return the number of a robot's actuators; ArgumentError (a ValueError): there is no such robot."""
         return len(self.get_actuator_indices(robot_name))
 
     def set_action(self, robot_name: str, action: np.ndarray) -> None:

@@ -118,11 +118,7 @@ class Sim:
     # ------------------------------------------------------------------------------------------- stepping
 
     def step(self) -> bool:
-        """One control step of 30 sub-steps.
-
-        Returns:
-            Whether a robot has folded into itself. The step is then undone, and the time stays.
-        """
+        """Take a control step of 30 sub-steps; True if a robot has folded into itself: the step is undone then."""
         return self._engine.step()
 
     def set_action(self, robot_name: str, action: np.ndarray) -> None:
@@ -144,19 +140,11 @@ class Sim:
         self._engine.goals[robot_name][np.searchsorted(known, action[:, 0])] = action[:, 1]
 
     def revert(self, sim_time: int) -> None:
-        """Go back to a time that has been; what came after it is forgotten. Targets of actuators stay as they are.
-
-        Raises:
-            ArgumentError: there is no record of that time.
-        """
+        """Go back to a recorded time, else ArgumentError, and forget what came after it; targets of actuators stay."""
         self._engine.revert(sim_time)
 
     def translate_object(self, x: float, y: float, object_name: str) -> None:
-        """Move an object by (x, y) at once; overlaps are not checked.
-
-        Raises:
-            ArgumentError: no such object.
-        """
+        """Move an object by (x, y) at once; overlaps are not checked. ArgumentError: no such object."""
         self._engine.translate(object_name, x, y)
 
     # -------------------------------------------------------------------------------------------- looking
@@ -166,7 +154,11 @@ class Sim:
         return self._engine.time
 
     def pos_at_time(self, sim_time: int) -> np.ndarray:
-        """``[2, points]``: positions of all points, object by object."""
+        """Return the positions of all points ``[2, points]``, object by object.
+
+        Raises:
+            ArgumentError: the time is not recorded. ArgumentTypeError: it is not an integer.
+        """
         return _rows(self._engine.positions(sim_time))
 
     def vel_at_time(self, sim_time: int) -> np.ndarray:
@@ -174,7 +166,7 @@ class Sim:
         return _rows(self._engine.velocities(sim_time))
 
     def object_pos_at_time(self, sim_time: int, object_name: str) -> np.ndarray:
-        """``[2, points]``: positions of an object's points."""
+        """Return the positions of an object's points ``[2, points]``; ArgumentError also for an unknown object."""
         return _rows(self._engine.positions(sim_time, object_name))
 
     def object_vel_at_time(self, sim_time: int, object_name: str) -> np.ndarray:
@@ -204,7 +196,9 @@ class Camera:
 
     def __init__(self, is_renderable: bool) -> None:
         self.is_renderable = is_renderable
-        self.pos, self.size, self.resolution = (0.0, 0.0), (1.0, 1.0), (320, 320)
+        self.set_pos(0.0, 0.0)
+        self.set_size(1.0, 1.0)
+        self.set_resolution(320, 320)
         self._image = np.zeros(0, np.uint8)
 
     def set_pos(self, x: float, y: float) -> None:

@@ -18,24 +18,8 @@ from warpvox.evogym.errors import ArgumentTypeError, RangeError
 from warpvox.types import Cell
 
 # EvoGym's modules have no __all__: scripts that say `from evogym import *` also get what the modules import.
-__all__ = [
-    "BASELINE_ENV_NAMES",
-    "VOXEL_TYPES",
-    "Optional",
-    "Pair",
-    "Timer",
-    "Tuple",
-    "draw",
-    "get_full_connectivity",
-    "get_uniform",
-    "has_actuator",
-    "hashable",
-    "is_connected",
-    "np",
-    "random",
-    "sample_robot",
-    "time",
-]
+__all__ = ["BASELINE_ENV_NAMES", "VOXEL_TYPES", "Optional", "Pair", "Timer", "Tuple", "draw", "get_full_connectivity"]
+__all__ += ["get_uniform", "has_actuator", "hashable", "is_connected", "np", "random", "sample_robot", "time"]
 
 VOXEL_TYPES = {cell.name: int(cell) for cell in Cell}
 """Types of cells: EMPTY 0, RIGID 1, SOFT 2, H_ACT 3, V_ACT 4, FIXED 5."""
@@ -57,27 +41,23 @@ BASELINE_ENV_NAMES = [
 
 
 def get_uniform(x: int) -> np.ndarray:
-    """The uniform distribution over ``x`` outcomes, float64 ``[x]``.
-
-    Raises:
-        RangeError: ``x`` is not positive.
-    """
+    """Return the uniform distribution over ``x`` outcomes, float64 ``[x]``; RangeError unless ``x`` is positive."""
     if x <= 0:
         raise RangeError(f"A distribution needs at least one outcome, got size {x}.")
     return np.full(x, 1.0) / x
 
 
 def draw(pd: np.ndarray) -> int:
-    """Draw an index with relative weights ``pd`` from Python's global generator ``random``.
-
-    Raises:
-        RangeError: no weights, a negative one, or all 0.
-    """
+    """Draw an index with relative weights ``pd`` from Python's generator ``random``; errors as of ``_drawer``."""
     return _drawer(pd)()
 
 
 def _drawer(pd: object) -> Callable[[], int]:
-    """A function that draws indices; the same numbers of ``random`` give the same indices as in the release."""
+    """Make a function that draws indices; the same numbers of ``random`` give the same indices as in the release.
+
+    Raises:
+        RangeError: no weights, a negative one, or all 0.
+    """
     weights = np.array(pd)
     if weights.size == 0 or not np.all(weights >= 0) or not weights.sum() > 0:
         raise RangeError(f"Weights must be at least one number >= 0, and not all 0, got {pd!r}.")

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import atexit
 import functools
 import math
 import os
 import random
-import shutil
-import tempfile
 import warnings
 from collections.abc import Callable
 from typing import Any, Dict, List, Optional, Tuple  # noqa: UP035  # scripts take these from here
@@ -21,6 +18,7 @@ from gymnasium.utils import seeding
 from warpvox.envs.adapters.base import WINDOWED, check_mode, metadata_here
 from warpvox.errors import did_you_mean, listing
 from warpvox.evogym import sim, simulator_cpp, utils, viewer, world
+from warpvox.evogym.envs.files import world_files
 from warpvox.evogym.sim import EvoSim
 from warpvox.evogym.utils import *  # noqa: F403
 from warpvox.evogym.viewer import EvoViewer
@@ -28,32 +26,9 @@ from warpvox.evogym.world import EvoWorld, WorldObject
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 
 # As in the release, `from evogym.envs import *` also gives what the modules import.
-__all__ = [
-    "Any",
-    "BenchmarkBase",
-    "Dict",
-    "EvoGymBase",
-    "EvoSim",
-    "EvoViewer",
-    "EvoWorld",
-    "List",
-    "Optional",
-    "Tuple",
-    "WorldObject",
-    "error",
-    "gym",
-    "math",
-    "np",
-    "os",
-    "random",
-    "seeding",
-    "sim",
-    "simulator_cpp",
-    "spaces",
-    "utils",
-    "viewer",
-    "world",
-]
+__all__ = ["Any", "BenchmarkBase", "Dict", "EvoGymBase", "EvoSim", "EvoViewer", "EvoWorld", "List", "Optional", "Tuple"]
+__all__ += ["WorldObject", "error", "gym", "math", "np", "os", "random", "seeding", "sim", "simulator_cpp", "spaces"]
+__all__ += ["utils", "viewer", "world"]
 __all__ += utils.__all__
 
 _RENDER_OPTIONS = ("verbose", "hide_background", "hide_grid", "hide_edges", "hide_voxels")
@@ -108,7 +83,14 @@ class EvoGymBase(gym.Env):
         self._sim = EvoSim(world)
         self._default_viewer = EvoViewer(self._sim)
         self.render_mode = self._render_mode = render_mode
-        self._render_options = _known(render_options or {})
+        self._render_options = {}
+        for name, value in (render_options or {}).items():
+            if name in _RENDER_OPTIONS:
+                self._render_options[name] = value
+            else:
+                hint = did_you_mean(name, _RENDER_OPTIONS)
+                text = f"There is no render option {name!r}; there are {listing(_RENDER_OPTIONS)}.{hint}"
+                warnings.warn(text, stacklevel=2)
         if render_mode in WINDOWED:
             self._default_viewer.show_debug_window()  # fails now rather than in the first step
         self.metadata = metadata_here(self.metadata)
@@ -175,9 +157,13 @@ class EvoGymBase(gym.Env):
 
     # --------------------------------------------------------------------------------------------- observations
 
+    def _points_of(self, name: str) -> np.ndarray:
+        """``[2, points]`` of an object in voxels, also where a subclass measures otherwise."""
+        return self._sim.object_pos_at_time(self._sim.get_time(), name)
+
     def get_pos_com_obs(self, object_name: str) -> np.ndarray:
         """``[2]``: an object's centre of mass."""
-        return self._sim.object_pos_at_time(self._sim.get_time(), object_name).mean(axis=1)
+        return self._points_of(object_name).mean(axis=1)
 
     def get_vel_com_obs(self, object_name: str) -> np.ndarray:
         """``[2]``: velocity of an object's centre of mass."""
@@ -185,7 +171,7 @@ class EvoGymBase(gym.Env):
 
     def get_relative_pos_obs(self, object_name: str) -> np.ndarray:
         """``[2 points]``: an object's points relative to its centre of mass, all x before all y."""
-        points = self._sim.object_pos_at_time(self._sim.get_time(), object_name)
+        points = self._points_of(object_name)
         return (points - points.mean(axis=1, keepdims=True)).flatten()
 
     def get_ort_obs(self, object_name: str) -> np.ndarray:
@@ -218,11 +204,9 @@ class EvoGymBase(gym.Env):
     def _scan(self, name: str, terrain: list[str], reach: int, sight: float, up: int) -> np.ndarray | Any:
         if len(terrain) == 0:
             return None
-        # By name and in voxels even where a subclass measures otherwise.
-        x, y = EvoGymBase.get_pos_com_obs(self, name)
-        points = np.concatenate([self._sim.object_pos_at_time(self._sim.get_time(), each) for each in terrain], axis=1)
-        offsets = np.arange(-reach, reach + 1)
-        left, right = x + (offsets - 0.5), x + (offsets + 0.5)
+        x, y = self._points_of(name).mean(axis=1)
+        points = np.concatenate([self._points_of(each) for each in terrain], axis=1)
+        left, right = (x + (np.arange(-reach, reach + 1) + half) for half in (-0.5, 0.5))
         beyond = points[1] > y if up > 0 else points[1] < y
         points = points[:, beyond & (points[0] > left[0]) & (points[0] < right[-1])]
         inside = (points[0] > left[:, None]) & (points[0] < right[:, None])
@@ -230,29 +214,9 @@ class EvoGymBase(gym.Env):
         return np.clip(distance, 0, sight)
 
 
-def _known(options: dict[str, Any]) -> dict[str, Any]:
-    for name in options:
-        if name not in _RENDER_OPTIONS:
-            hint = did_you_mean(name, _RENDER_OPTIONS)
-            text = f"There is no render option {name!r}; there are {listing(_RENDER_OPTIONS)}.{hint}"
-            warnings.warn(text, stacklevel=3)
-    return {name: value for name, value in options.items() if name in _RENDER_OPTIONS}
-
-
 class _WorldFiles:
-    """A folder with the benchmark's worlds as files of EvoGym's design tool, written when it is first asked for."""
-
-    def __init__(self) -> None:
-        self._folder: str | None = None
-
     def __get__(self, instance: object, owner: type) -> str:
-        if self._folder is None:
-            from warpvox.evogym.envs.files import write_worlds
-
-            self._folder = tempfile.mkdtemp(prefix="warpvox-worlds-")
-            atexit.register(shutil.rmtree, self._folder, ignore_errors=True)
-            write_worlds(self._folder)
-        return self._folder
+        return world_files()
 
 
 class BenchmarkBase(EvoGymBase):
