@@ -43,7 +43,7 @@ from warpvox.io.writing import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 from warpvox.view.scene import Scene, check_scene, scene_from_json, scene_of, scene_to_json, stretch
 
-__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "points_of", "record", "scenes_of"]
+__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "facts_of", "points_of", "record", "scenes_of"]
 
 FORMAT, VERSION = "warpvox-rollout", 1
 FRAME_SECONDS = 1 / 50
@@ -270,17 +270,20 @@ def record(
         env.auto_reset = resets_itself
         if resets_itself:
             env.reset()
-    about = {
+    about = facts_of(env) | {"agent": policy if isinstance(policy, str) else "policy"} | dict(metadata or {})
+    return Rollout(design_index=env.sim.design_index.cpu().numpy(), scenes=scenes, metadata=about, **columns)
+
+
+def facts_of(env: Any) -> dict[str, Any]:
+    """Return how environments are computed, as JSON values."""
+    return {
         "task": getattr(getattr(env, "spec", None), "id", None),
         "rules": getattr(env, "rules", None),
         "physics": env.sim.physics.label,
         "seed": _plain_seed(getattr(env, "seed", None)),
         "dtype": str(env.sim.dtype).removeprefix("torch."),
         "arithmetic": env.sim.arithmetic,
-        "agent": policy if isinstance(policy, str) else "policy",
     }
-    index = env.sim.design_index.cpu().numpy()
-    return Rollout(design_index=index, scenes=scenes, metadata=about | dict(metadata or {}), **columns)
 
 
 def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], np.ndarray]) -> dict[str, np.ndarray]:
