@@ -148,10 +148,9 @@ class RslRlVecEnv(VecEnv):
         self.env.not_finite()  # warns of non-finite terms; the device is read below anyway
         count, total, length, *ends = self._sums.tolist()
         self._clear_episodes()
-        means = (
-            {"return": total / count, "length": length / count} if count else dict.fromkeys(("return", "length"), nan)
-        )
-        return {"episodes": int(count)} | means | dict(zip(STOP_CAUSES, map(int, ends), strict=True))
+        means = (total / count, length / count) if count else (nan, nan)
+        names = ("episodes", "return", "length", *STOP_CAUSES)
+        return dict(zip(names, (int(count), *means, *map(int, ends)), strict=True))
 
     def state(self) -> dict[str, Any]:
         """Everything that changes, as tensors: what :meth:`set_state` takes back."""
