@@ -37,6 +37,8 @@ class Episodes:
         self.returns = torch.zeros(num_envs, dtype=torch.float64, device=device)
         self.terminated = torch.zeros(num_envs, dtype=torch.bool, device=device)
         self.truncated = torch.zeros_like(self.terminated)
+        self._counts = {"length": self.length, "return": self.returns}
+        self._counts |= {"terminated": self.terminated, "truncated": self.truncated}
         self.limit = torch.full((), limit, dtype=torch.long, device=device)
         self.memory: dict[str, torch.Tensor] = {}
         self.before: dict[Quantity, torch.Tensor] = {}
@@ -44,7 +46,7 @@ class Episodes:
 
     def clear(self, mask: torch.Tensor | None = None) -> None:
         """Set counters and flags to 0, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
-        for tensor in (self.length, self.returns, self.terminated, self.truncated):
+        for tensor in self._counts.values():
             if mask is None:
                 tensor.zero_()
             else:
@@ -81,19 +83,12 @@ class Episodes:
 
     def state(self) -> dict[str, torch.Tensor]:
         """Copies of the counts and flags."""
-        return {
-            "length": self.length.clone(),
-            "return": self.returns.clone(),
-            "terminated": self.terminated.clone(),
-            "truncated": self.truncated.clone(),
-        }
+        return {name: tensor.clone() for name, tensor in self._counts.items()}
 
     def set_state(self, state: Mapping[str, torch.Tensor]) -> None:
         """Take over what :meth:`state` gave."""
-        self.length.copy_(state["length"])
-        self.returns.copy_(state["return"])
-        self.terminated.copy_(state["terminated"])
-        self.truncated.copy_(state["truncated"])
+        for name, tensor in self._counts.items():
+            tensor.copy_(state[name])
 
 
 def state_rows(state: Any, rows: torch.Tensor) -> Any:

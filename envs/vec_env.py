@@ -148,11 +148,8 @@ class VoxelVecEnv:
         if obs.startswith("timed"):
             spec = replace(spec, observations=timed_observations(spec.observations, self.episodes))
         self.spec, self.rules, self.sim, self.seed, self.auto_reset = spec, rules, sim, seed, auto_reset
-        self._has_code = spec.has_code
-        self.designs = designs
-        self.num_envs = sim.num_envs
-        self.device, self.dtype = sim.device, sim.dtype
-        self._limit = spec.max_episode_steps
+        self._has_code, self._limit = spec.has_code, spec.max_episode_steps
+        self.designs, self.num_envs, self.device, self.dtype = designs, sim.num_envs, sim.device, sim.dtype
         block = sim.num_envs // len(designs)
         self._blocks = len(designs)  # of environments that may have seeds of their own
         self.design_index = torch.arange(len(designs), device=sim.device).repeat_interleave(block)
@@ -302,10 +299,8 @@ class VoxelVecEnv:
             if isinstance(term.function, VoxelGrid):
                 term.function.refresh()
         worlds = self.sim.worlds
-        if self.spec.partners:
-            self.designs = [{name: world.objects[name].grid for name in self.spec.robots} for world in worlds]
-        else:
-            self.designs = [world.objects[ROBOT].grid for world in worlds]
+        teams = [{name: world.objects[name].grid for name in self.spec.robots} for world in worlds]
+        self.designs = list(teams) if self.spec.partners else [team[ROBOT] for team in teams]
         self.design_index.copy_(self.sim.design_index)
         self._describe(torch.arange(len(worlds), device=self.device))
         if self.dump is not None:
@@ -398,13 +393,10 @@ class VoxelVecEnv:
         truncated = truncated if going is None else truncated & going
         done = terminated | truncated
         episodes.returns.add_(reward)
+        returns, length = episodes.returns.to(self.dtype, copy=True), episodes.length.to(self.dtype)
         info = {
             "final_obs": obs,
-            "episode": {
-                "return": episodes.returns.to(self.dtype, copy=True),
-                "length": episodes.length.to(self.dtype),
-                "done": done,
-            },
+            "episode": {"return": returns, "length": length, "done": done},
             "unstable": unstable,
             "diverged": diverged,
             "reward_terms": terms,
