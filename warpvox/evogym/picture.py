@@ -32,18 +32,14 @@ def paint(
     hide_edges: bool = False,
     hide_voxels: bool = False,
 ) -> np.ndarray:
-    """The present state.
+    """Return a picture of the present state, uint8 ``[height, width, 3]``.
 
     Args:
-        engine: the simulation.
         middle: the centre of the picture, in simulator units.
         view: width and height of what is seen, in simulator units; stretched to the picture.
         size: width and height in pixels.
         hide_background: white instead of the sky.
         hide_grid, hide_edges, hide_voxels: leave out the grid, the outlines of objects, the cells.
-
-    Returns:
-        uint8 ``[height, width, 3]``.
     """
     large = (size[0] * SMOOTH, size[1] * SMOOTH)
     scale = np.array(large) / view

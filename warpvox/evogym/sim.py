@@ -33,9 +33,6 @@ class EvoSim(Sim):
     Objects come robots first, then the others, each by name; their points in the order of their cells, row by row from
     the top.
 
-    Args:
-        world: what there is.
-
     Raises:
         WorldError: an object is not valid. SimulationError: the world is empty.
     """
@@ -61,14 +58,9 @@ class EvoSim(Sim):
         return len(self.get_actuator_indices(robot_name))
 
     def set_action(self, robot_name: str, action: np.ndarray) -> None:
-        """Set targets of a robot's actuators from the next step on.
+        """Set targets of a robot's actuators from the next step on: lengths of their sides in units of rest length.
 
-        Args:
-            robot_name: of the robot.
-            action: ``[actuators]``, lengths of their sides in units of their rest length. Not clipped.
-
-        Raises:
-            ArgumentError: no such robot, or another number of values.
+        ``action``: ``[actuators]``, not clipped. ArgumentError: no such robot, or another number of values.
         """
         goals = self._engine.goals_of(robot_name)
         values = np.asarray(action).reshape(-1)

@@ -59,21 +59,17 @@ class Sim:
     def read_object_from_array(
         self, grid: np.ndarray, connections: np.ndarray, object_name: str, x: float, y: float
     ) -> bool:
-        """Add an object.
+        """Add an object of cells ``[rows, columns]``, row 0 on top, and pairs of flat indices ``[2, k]``; return True.
 
-        Args:
-            grid: cells ``[rows, columns]``, row 0 on top.
-            connections: ``[2, k]`` pairs of flat indices into ``grid``.
-            object_name: unique name.
-            x, y: cell of the lower left corner.
-
-        Returns:
-            True.
+        ``x``, ``y``: cell of its lower left corner.
 
         Raises:
             WorldError: it is not valid or overlaps another object. SimulationError: the simulation has begun.
         """
-        self._add(WorldObject.from_array(object_name, grid, int(x), int(y), connections))
+        obj = WorldObject.from_array(object_name, grid, int(x), int(y), connections)
+        if self._running is not None:
+            raise SimulationError(f"'{obj.name}' cannot be added: the simulation has begun. Add objects before.")
+        self._plan.add_object(obj)
         return True
 
     def read_robot_from_array(
@@ -83,11 +79,7 @@ class Sim:
         return self.read_object_from_array(grid, connections, robot_name, x, y)
 
     def read_object_from_file(self, file_name: str, object_name: str, x: float, y: float) -> bool:
-        """Add an object from a file of integers: columns, rows, the cells from the top row on, pairs of indices.
-
-        Raises:
-            FileNotFoundError: no such file. Otherwise as :meth:`read_object_from_array`.
-        """
+        """Add an object from a file of integers: columns, rows, the cells from the top row on, pairs of indices."""
         try:
             words = read_text(file_name, LARGEST_FILE).split()
         except Missing:
@@ -110,11 +102,6 @@ class Sim:
         """Add a robot; as :meth:`read_object_from_file`."""
         return self.read_object_from_file(file_name, robot_name, x, y)
 
-    def _add(self, obj: WorldObject) -> None:
-        if self._running is not None:
-            raise SimulationError(f"'{obj.name}' cannot be added: the simulation has begun. Add objects before.")
-        self._plan.add_object(obj)
-
     # ------------------------------------------------------------------------------------------- stepping
 
     def step(self) -> bool:
@@ -124,13 +111,8 @@ class Sim:
     def set_action(self, robot_name: str, action: np.ndarray) -> None:
         """Set targets of actuators from the next step on; they hold until others are set.
 
-        Args:
-            robot_name: of the robot.
-            action: ``[k, 2]``, the flat index of an actuator's cell and the target length of its sides in units of
-                their rest length (1.0 before anything is set). Not clipped.
-
-        Raises:
-            ArgumentError: no such robot, or no actuator there.
+        ``action``: ``[k, 2]``, the flat index of an actuator's cell and the target length of its sides in units of
+        their rest length (1.0 before anything is set). Not clipped. ArgumentError: no such robot, or no actuator there.
         """
         action = np.asarray(action, float).reshape(-1, 2)
         known = self._engine.actuators(robot_name)
@@ -188,11 +170,7 @@ def _rows(points: np.ndarray) -> np.ndarray:
 
 
 class Camera:
-    """The view of a picture.
-
-    Args:
-        is_renderable: as released, True for a camera of images and False for one of windows.
-    """
+    """The view of a picture; ``is_renderable``, as released: True for a camera of images, False for one of windows."""
 
     def __init__(self, is_renderable: bool) -> None:
         self.is_renderable = is_renderable
@@ -227,11 +205,7 @@ class Camera:
 
 
 class Viewer:
-    """Paints a simulation for cameras, or in a window.
-
-    Args:
-        sim: the simulation to paint; may be exchanged.
-    """
+    """Paints ``sim``, which may be exchanged, for cameras, or in a window."""
 
     def __init__(self, sim: Sim) -> None:
         self.sim, self.shown, self._window = sim, False, None
@@ -248,11 +222,7 @@ class Viewer:
         hide_boxels: bool = False,
         dont_clear: bool = False,
     ) -> None:
-        """Paint what a camera sees, into its image, or into the window if it is shown.
-
-        Raises:
-            ArgumentError: ``dont_clear``, which painted over the last picture, is asked for.
-        """
+        """Paint what a camera sees, into its image, or the window if it is shown. ``dont_clear``: ArgumentError."""
         if dont_clear:
             raise ArgumentError("dont_clear=True is not available: every picture is painted anew.")
         if not camera.is_renderable and self.shown and self._window is None:
@@ -266,11 +236,7 @@ class Viewer:
                 self._window.show(picture)
 
     def show_debug_window(self) -> None:
-        """Let pictures of window cameras be shown; the window opens with the first.
-
-        Raises:
-            DisplayError: windows cannot be shown here.
-        """
+        """Let pictures of window cameras be shown; the window opens with the first. DisplayError: there can be none."""
         reason = why_no_window()
         if reason is not None:
             raise DisplayError(f"The modes 'screen' and 'human' show a window, but {reason}. {OTHERWISE}")

@@ -78,11 +78,7 @@ class EvoViewer:
         self.resolution = _checked("resolution", resolution)
 
     def set_target_rps(self, target_rps: int | None) -> None:
-        """Set how many pictures a second are made at most; None: as many as possible.
-
-        Raises:
-            RangeError: fewer than two.
-        """
+        """Set how many pictures a second are made at most, two or more (else RangeError); None: all that can be."""
         if target_rps is not None and int(target_rps) < 2:
             raise RangeError(f"The lowest target rps is 2, got {target_rps}.")
         self._timer = Timer(None if target_rps is None else int(target_rps))
@@ -164,13 +160,11 @@ class EvoViewer:
         """Show or return a picture of the present state.
 
         Args:
-            mode: ``screen`` or ``human`` show it in a window, ``img`` or ``rgb_array`` return it.
+            mode: ``screen`` or ``human`` show it in a window and return None; ``img`` or ``rgb_array`` return it, uint8
+                ``[height, width, 3]``.
             verbose: print once a second how many pictures a second are made.
             hide_background, hide_grid, hide_edges, hide_voxels: leave out the colour of the sky, the grid, the outlines
                 of objects, the cells.
-
-        Returns:
-            uint8 ``[height, width, 3]``, or None from a window.
 
         Raises:
             ArgumentError: unknown mode. DisplayError: there is no display for a window.

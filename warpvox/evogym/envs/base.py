@@ -64,7 +64,6 @@ class EvoGymBase(gym.Env):
     ``step`` and ``reset`` that call those of this class.
 
     Args:
-        world: what there is.
         render_mode: ``human`` or ``screen`` show every step in a window; with ``rgb_array`` or ``img``
             :meth:`render` returns a picture; None: nothing is rendered.
         render_options: ``verbose``, ``hide_background``, ``hide_grid``, ``hide_edges``, ``hide_voxels``, all False by
@@ -96,14 +95,11 @@ class EvoGymBase(gym.Env):
         self.metadata = metadata_here(self.metadata)
 
     def step(self, action: dict[str, np.ndarray]) -> bool:
-        """One control step.
+        """Take a control step; return whether self-folding stopped it: it is then undone.
 
         Args:
             action: target lengths ``[actuators]`` by the name of the robot, clipped to [0.6, 1.6]. A robot that is not
                 named keeps its targets.
-
-        Returns:
-            Whether the simulation was stopped by self-folding; the step is then undone.
 
         Raises:
             ArgumentError (a ValueError): no such robot, or another number of values.
@@ -131,11 +127,7 @@ class EvoGymBase(gym.Env):
         return self._default_viewer
 
     def render(self) -> np.ndarray | None:
-        """A picture of the present state as ``render_mode`` and ``render_options`` say.
-
-        Returns:
-            uint8 ``[height, width, 3]`` in the modes ``img`` and ``rgb_array``, else None.
-        """
+        """Make a picture as ``render_mode`` says: uint8 ``[height, width, 3]``, or None from a window and without a mode."""
         if self._render_mode is None:
             return None
         return self.default_viewer.render(self._render_mode, **self._render_options)
@@ -181,17 +173,12 @@ class EvoGymBase(gym.Env):
     def get_floor_obs(
         self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
     ) -> np.ndarray | Any:
-        """Depth of the terrain below an object's centre of mass.
+        """Depths ``[2 sight_dist + 1]`` of the terrain below an object's centre of mass; as released None without.
 
         Args:
-            object_name: of the object.
             terrain_list: names of the objects that are terrain.
             sight_dist: windows to the left and to the right; each is a voxel wide, one lies about the centre of mass.
-            sight_range: how far down is seen.
-
-        Returns:
-            ``[2 sight_dist + 1]``: down to the highest point of the terrain below the centre of mass, ``sight_range``
-            at most. None without terrain, as released.
+            sight_range: how far down is seen, where there is no point of the terrain.
         """
         return self._scan(object_name, terrain_list, sight_dist, sight_range, -1)
 

@@ -91,10 +91,7 @@ class TaskEnv(BenchmarkBase):
         return sum(terms.values()), ended
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One control step.
-
-        Returns:
-            Observation, reward, terminated, False (the time limit is gymnasium's), and an empty dictionary.
+        """Take a control step: observation, reward, terminated, False (the time limit is gymnasium's), and no infos.
 
         Raises:
             ArgumentError (a ValueError): another number of values than actuators.
