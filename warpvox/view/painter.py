@@ -35,7 +35,7 @@ STEADY = (9.0, 22.0)  # frames over which the camera's motion is smoothed, along
 
 
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """The font that comes with Pillow: no files, no surprises."""
+    """Load the font that comes with Pillow: no files, no surprises."""
     return ImageFont.load_default(size)
 
 
@@ -183,8 +183,10 @@ class Canvas:
         """All cells of the world from ``_low`` to ``_high`` that never move."""
         scale = self.scale
         columns, rows = np.arange(self._low[0], self._high[0]), np.arange(self._low[1], self._high[1])[::-1]
-        terrain = _window(self.scene.terrain, rows, columns)
-        inside_x = (columns >= 0) & (columns < self.scene.width)
+        height, width = self.scene.terrain.shape
+        inside_x, terrain = (columns >= 0) & (columns < width), np.zeros((len(rows), len(columns)), np.int8)
+        seen = (rows >= 0) & (rows < height)
+        terrain[np.ix_(seen, inside_x)] = self.scene.terrain[np.ix_(height - 1 - rows[seen], columns[inside_x])]
         inside = (rows >= 0)[:, None] & inside_x[None, :]
         colours = np.where(inside[..., None], np.array(SKY, np.uint8), np.array(BEYOND, np.uint8))
         colours[terrain != Cell.EMPTY] = GROUND
@@ -225,12 +227,10 @@ def _mesh(scene: Scene, number: int) -> Mesh:
     begin = sum(len(other.cells) for other in scene.moving[:number])
     sides = np.stack([obj.corners, np.roll(obj.corners, -1, axis=1)], axis=-1).reshape(-1, 2)
     owners = np.repeat(np.arange(len(obj.cells)), 4)
-    _, first, index, counts = np.unique(
-        np.sort(sides, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
-    )
-    dark = np.isin(obj.cells, (int(Cell.RIGID), int(Cell.FIXED)))
-    all_dark = np.ones(len(first), bool)
-    np.logical_and.at(all_dark, index.reshape(-1), dark[owners])
+    ends = np.sort(sides, axis=1)
+    _, first, index, counts = np.unique(ends, axis=0, return_index=True, return_inverse=True, return_counts=True)
+    pale = ~np.isin(obj.cells, (int(Cell.RIGID), int(Cell.FIXED)))
+    all_dark = np.bincount(index.reshape(-1), pale[owners]) == 0
     return Mesh(
         corners=obj.corners,
         columns=np.arange(begin, begin + len(obj.cells)),
@@ -245,15 +245,6 @@ def _seen(xy: np.ndarray, shapes: np.ndarray, size: tuple[int, int], rim: int) -
     """bool ``[shapes]``: those of which some part, with a rim, may lie in the picture. Bridges are longer than it."""
     ends = xy[shapes]
     return ((ends.max(axis=1) >= -rim) & (ends.min(axis=1) <= np.array(size) + rim)).all(axis=1)
-
-
-def _window(terrain: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Cells of the terrain at rows (counted upward) and columns that may lie outside of the world."""
-    height, width = terrain.shape
-    out = np.zeros((len(rows), len(columns)), np.int8)
-    r, c = (rows >= 0) & (rows < height), (columns >= 0) & (columns < width)
-    out[np.ix_(r, c)] = terrain[np.ix_(height - 1 - rows[r], columns[c])]
-    return out
 
 
 def _rule(

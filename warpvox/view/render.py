@@ -331,8 +331,7 @@ def _gif_palette(sample: Sequence[Image.Image]) -> tuple[bytes, np.ndarray]:
     sheet = Image.fromarray(np.concatenate([np.asarray(image) for image in sample]))
     reduced = sheet.quantize(GIF_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     colours = np.array(reduced.getpalette("RGB"), np.uint8).reshape(-1, 3)[:GIF_COLOURS]
-    levels = np.arange(32) * 8 + 4
-    cells = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    cells = np.indices((32, 32, 32)).reshape(3, -1).T[:, None] * 8 + 4
     near = [((part.astype(np.float32) - colours) ** 2).sum(-1).argmin(-1) for part in np.array_split(cells, 16)]
     table = np.concatenate(near).astype(np.uint8)
     # Of the colours that share a cell the most frequent one owns it, so that large areas keep their exact

@@ -20,7 +20,6 @@ and ``sky``. Task, rules and returns are in the custom data of ``/World`` and of
 from __future__ import annotations
 
 import os
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -165,10 +164,14 @@ def _linear(colour: np.ndarray) -> np.ndarray:
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
+def _sizes(rollout: Rollout, envs: list[int]) -> np.ndarray:
+    """Width and height of the environments' worlds, float64 ``[envs, 2]``."""
+    return np.array([[rollout.scene(env).width, rollout.scene(env).height] for env in envs]) * VOXEL
+
+
 def _places(rollout: Rollout, envs: list[int]) -> np.ndarray:
     """Places of the environments, float64 ``[envs, 2]``: in rows of ENVS_PER_ROW, all cells of one size."""
-    sizes = np.array([[rollout.scene(env).width, rollout.scene(env).height] for env in envs]) * VOXEL
-    step = sizes.max(axis=0) + GAP
+    step = _sizes(rollout, envs).max(axis=0) + GAP
     number = np.arange(len(envs))
     return np.stack([number % ENVS_PER_ROW, -(number // ENVS_PER_ROW)], axis=1) * step
 
@@ -231,9 +234,8 @@ def _define_terrain(stage: Any, path: str, terrain: np.ndarray, material: Any) -
     ends = [(columns, upper), (columns, upper - 1), (columns + 1, upper - 1), (columns + 1, upper)]
     numbers = np.stack([y * (width + 1) + x for x, y in ends], axis=1)
     used, quads = np.unique(numbers, return_inverse=True)
-    points = np.zeros((len(used), 3), np.float32)
-    points[:, 0], points[:, 1] = used % (width + 1) * VOXEL, used // (width + 1) * VOXEL
-    points[:, 2] = -BEHIND
+    corners = used % (width + 1) * VOXEL, used // (width + 1) * VOXEL, np.full(len(used), -BEHIND)
+    points = np.stack(corners, axis=1).astype(np.float32)
     mesh = _define_mesh(stage, path, quads.reshape(-1, 4), np.array([points.min(axis=0), points.max(axis=0)]))
     mesh.GetPointsAttr().Set(_vec3(points))
     colour = _linear(np.array(RAMPS[Cell.FIXED][1]))
@@ -257,14 +259,11 @@ def _animate(layer: Any, rollout: Rollout, env: int, frames: list[int]) -> None:
 
 
 def _changes(values: np.ndarray, interpolated: bool) -> list[int]:
-    """Frames that must be written: those unlike the one before, and, if between samples values are
-    interpolated, the last one before each change as well."""
+    """Frames that must be written: those unlike the one before, and, if values between samples are interpolated, the
+    last one before each change as well."""
     differs = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
-    moved = [0, *(np.flatnonzero(differs) + 1)]
-    if interpolated:
-        held = [after - 1 for before, after in pairwise(moved) if after - 1 > before]
-        moved = sorted([*moved, *held])
-    return [int(frame) for frame in moved]
+    moved = np.flatnonzero(differs) + 1
+    return sorted({0, *moved.tolist(), *((moved - 1).tolist() if interpolated else [])})
 
 
 def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.ndarray, frames: list[int]) -> None:
@@ -280,8 +279,7 @@ def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.nd
     for frame in frames:
         x, y = (corner[frame] + view / 2 + places[0]).tolist()
         follow.Set(Gf.Vec3d(x, y, distance), float(frame))
-    sizes = np.array([[rollout.scene(env).width, rollout.scene(env).height] for env in envs]) * VOXEL
-    low, high = places.min(axis=0), (places + sizes).max(axis=0)
+    low, high = places.min(axis=0), (places + _sizes(rollout, envs)).max(axis=0)
     away = 1.1 * max((high[0] - low[0]) / APERTURE[0], (high[1] - low[1]) / APERTURE[1]) * FOCAL
     middle = ((low + high) / 2).tolist()
     _define_camera(stage, "/World/overview").Set(Gf.Vec3d(*middle, away))
