@@ -142,7 +142,5 @@ def _finite_frames(positions: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore", invalid="ignore"):
         frames = positions.astype(np.float32)
     good = np.isfinite(frames).all((1, 2))
-    if not good.any():
-        return np.zeros_like(frames)
-    last = np.maximum.accumulate(np.where(good, np.arange(len(frames)), -1))
-    return frames[np.where(last < 0, good.argmax(), last)]
+    last = np.maximum.accumulate(np.where(good, np.arange(len(frames)), good.argmax()))
+    return frames[last] if good.any() else np.zeros_like(frames)

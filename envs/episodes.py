@@ -17,11 +17,6 @@ class Episodes:
 
     Every tensor is made once and written to in place, never replaced, so that a captured step finds it again.
 
-    Args:
-        num_envs: how many.
-        device: where.
-        limit: control steps after which an episode is truncated.
-
     Attributes:
         length: long ``[num_envs]``, control steps so far.
         returns: float64 ``[num_envs]``, sum of the rewards so far.
@@ -66,14 +61,10 @@ class Episodes:
             return
         mine = {id(tensor) for tensor in self.memory.values()}
         # The new value of one entry may be the tensor of another, which is written to here: copy it first.
-        values = {
-            name: value.clone() if id(value) in mine and value is not self.memory[name] else value
-            for name, value in values.items()
-        }
-        for name, value in values.items():
+        new = {name: value for name, value in values.items() if value is not self.memory[name]}
+        for name, value in {name: value.clone() if id(value) in mine else value for name, value in new.items()}.items():
             held = self.memory[name]
-            if value is not held:
-                held.copy_(value if mask is None else _where(mask, value, held))
+            held.copy_(value if mask is None else torch.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, held))
 
     def set_before(self, state: Snapshot) -> None:
         """Write the quantities of ``state`` that rewards will compare the next step with."""
@@ -101,8 +92,3 @@ def state_rows(state: Any, rows: torch.Tensor) -> Any:
     if isinstance(state, dict):
         return {name: state_rows(value, rows) for name, value in state.items()}
     return None if state is None else state[rows]
-
-
-def _where(mask: torch.Tensor, new: torch.Tensor, old: torch.Tensor) -> torch.Tensor:
-    """Rows of ``new`` where the mask says so, else of ``old``."""
-    return torch.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)

@@ -195,9 +195,7 @@ class VoxelEnv(Adapter, gymnasium.Env):
             self._window = window.Window(self.render_size, f"{NAMESPACE} {self.vec.spec.id}")
         if self._window.closed:
             return
-        early = self._next_frame - time.perf_counter()
-        if 0 < early < 1:
-            time.sleep(early)  # in real time
+        time.sleep(max(0.0, self._next_frame - time.perf_counter()))  # in real time
         self._window.show(self._pictures()[0])
         self._next_frame = time.perf_counter() + FRAME_SECONDS
 

@@ -120,21 +120,10 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
         self._obs = np.where(mask[:, None], fresh, self._obs)
 
     def set_designs(self, designs: object, mask: np.ndarray, connections: Sequence[object] | None = None) -> np.ndarray:
-        """Replace the bodies of some environments, which begin a new episode; the others continue.
-
-        Args:
-            designs, mask, connections: as in :meth:`warpvox.envs.vec_env.VoxelVecEnv.set_designs`.
-
-        Returns:
-            Observations ``[num_envs, num_obs]``; those of the others are of the last step.
-
-        Raises:
-            SimulationError, DesignError, WorldError, ConfigError: as there.
-        """
+        """:meth:`warpvox.envs.vec_env.VoxelVecEnv.set_designs`; observations of the others are of the last step."""
         fresh = self.vec.set_designs(designs, mask, connections).cpu().numpy()
-        mask = np.asarray(mask)
-        self._obs = np.where(mask[:, None], fresh, self._obs)
-        self._ended = self._ended & ~mask
+        self._obs = np.where(np.asarray(mask)[:, None], fresh, self._obs)
+        self._ended = self._ended & ~np.asarray(mask)
         self._view = None  # it has drawn the old bodies
         return self._obs.copy()
 

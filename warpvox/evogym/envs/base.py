@@ -127,7 +127,7 @@ class EvoGymBase(gym.Env):
         return self._default_viewer
 
     def render(self) -> np.ndarray | None:
-        """Make a picture as ``render_mode`` says: uint8 ``[height, width, 3]``, or None in a window or without."""
+        """Return a picture, uint8 ``[height, width, 3]``; without a mode, or in a window, None."""
         if self._render_mode is None:
             return None
         return self.default_viewer.render(self._render_mode, **self._render_options)
