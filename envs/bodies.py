@@ -9,10 +9,11 @@ import numpy as np
 
 from warpvox.design import Design, load_design
 from warpvox.envs.spec import ROBOT, TaskSpec
-from warpvox.envs.worlds import task_team
+from warpvox.envs.worlds import task_team, task_world
 from warpvox.errors import ConfigError, DesignError
+from warpvox.world import World
 
-__all__ = ["load_connections", "load_designs", "one_body"]
+__all__ = ["load_worlds", "one_body"]
 
 DEFAULT_DESIGN = "walker"
 
@@ -26,8 +27,12 @@ def one_body(body: object, designs: Any, connections: Any) -> tuple[Any, Any]:
     return [body], None if connections is None else [connections]
 
 
-def load_designs(spec: TaskSpec, designs: Any) -> list[Design | dict[str, Design]]:
-    """Valid bodies; for a task with several robots those of all, by name."""
+def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[Design | dict[str, Design]], list[World]]:
+    """Valid bodies (for a task with several robots those of all, by name), and the world of each.
+
+    Raises:
+        DesignError, WorldError: a body that is not valid, or does not fit. ConfigError: not a connection for each.
+    """
     if designs is None:
         designs = [DEFAULT_DESIGN]
     single = isinstance(designs, str | Mapping) or (isinstance(designs, np.ndarray) and designs.ndim in (0, 2))
@@ -43,14 +48,8 @@ def load_designs(spec: TaskSpec, designs: Any) -> list[Design | dict[str, Design
         except DesignError as error:
             raise DesignError(f"Design {number}: {error}" if len(bodies) > 1 else str(error)) from None
         loaded.append(team if spec.partners else team[ROBOT])
-    return loaded
-
-
-def load_connections(connections: Sequence[object] | np.ndarray | None, count: int) -> Sequence[Any] | np.ndarray:
-    if connections is None:
-        return [None] * count
-    if not isinstance(connections, Sequence | np.ndarray):
-        raise ConfigError(f"connections must be a list with one entry a design, got {type(connections).__name__}.")
-    if len(connections) != count:
-        raise ConfigError(f"connections must have one entry a design ({count}), got {len(connections)}.")
-    return connections
+    links = [None] * len(loaded) if connections is None else connections
+    if not isinstance(links, Sequence | np.ndarray) or len(links) != len(loaded):
+        got = len(links) if isinstance(links, Sequence | np.ndarray) else type(links).__name__
+        raise ConfigError(f"connections must be a list with one entry a design ({len(loaded)}), got {got}.")
+    return loaded, [task_world(spec, body, link) for body, link in zip(loaded, links, strict=True)]

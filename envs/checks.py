@@ -14,7 +14,7 @@ import torch
 from warpvox.envs.about import about_of
 from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.snapshot import Snapshot
-from warpvox.envs.spec import Memory, Observation, TaskSpec, Term
+from warpvox.envs.spec import Observation, TaskSpec, Term
 from warpvox.errors import SimulationError, TaskError, listing
 from warpvox.simulation import Simulation
 
@@ -35,7 +35,7 @@ def check_memory(spec: TaskSpec, sim: Simulation, draws: RandomStream) -> None:
             expected = f"integers [{sim.num_envs}, 2] on {sim.device}: cells to the right and up"
             if isinstance(value, torch.Tensor) and (value.dtype.is_floating_point or tuple(value.shape[1:]) != (2,)):
                 raise TaskError(f"{what} must begin with {expected}; got {_got(value)}.")
-        if not _has_rows(value, sim) or value.ndim < 1:
+        if not _has_rows(value, sim):
             raise TaskError(f"{what} must begin with {expected}; got {_got(value)}.")
         _check_finite(what, value)
 
@@ -50,30 +50,33 @@ def check_terms(spec: TaskSpec, sim: Simulation, state: Snapshot) -> None:
         TaskError: what is wrong, with the name of the term, what was expected and what it gave.
     """
     for term in spec.rewards:
-        _check_numbers(_name(term, spec), term(state, state), sim)
+        _check_column(_name(term, spec), term(state, state), "numbers", sim)
     for term in spec.observations:
         _check_observation(_name(term, spec), term, term(state), sim)
     for term in spec.terminations:
-        value = term(state)
-        if not _has_rows(value, sim) or value.dtype != torch.bool or value.ndim != 1:
-            raise TaskError(
-                f"{_name(term, spec)} must give bool [{sim.num_envs}] on {sim.device}, one for each environment; got"
-                f" {_got(value)}.{_axis(value)}"
-            )
+        _check_column(_name(term, spec), term(state), "bool", sim)
     for memory in spec.memory:
-        if memory.update is not None:
-            _check_update(memory, spec, state)
+        before, after = state.memory_values[memory.name], memory.advance(state)
+        kinds = [(each.shape, each.dtype, each.device) for each in (before, after) if isinstance(each, torch.Tensor)]
+        if kinds[1:] != kinds[:1]:
+            raise TaskError(
+                f"The update of the memory '{memory.name}' of the task '{spec.id}' must give what the memory began"
+                f" with, {_got(before)}; got {_got(after)}."
+            )
 
 
 def _name(term: Term, spec: TaskSpec) -> str:
     return f"The {term.kind} '{term.name}' of the task '{spec.id}'"
 
 
-def _check_numbers(what: str, value: Any, sim: Simulation) -> None:
-    if not _has_rows(value, sim) or value.ndim != 1 or value.dtype.is_complex:
+def _check_column(what: str, value: Any, kind: str, sim: Simulation) -> None:
+    """Check a number or (``kind``) a bool for each environment."""
+    rows = _has_rows(value, sim)
+    if not rows or value.ndim != 1 or value.dtype.is_complex or (kind == "bool") > (value.dtype == torch.bool):
+        axis = " Leave its last axis out: value[:, 0]." if getattr(value, "shape", ())[1:] == (1,) else ""
         raise TaskError(
-            f"{what} must give numbers [{sim.num_envs}] on {sim.device}, one for each environment; got"
-            f" {_got(value)}.{_axis(value)}"
+            f"{what} must give {kind} [{sim.num_envs}] on {sim.device}, one for each environment; got"
+            f" {_got(value)}.{axis}"
         )
     _check_finite(what, value)
 
@@ -101,25 +104,14 @@ def _check_observation(what: str, term: Observation, value: Any, sim: Simulation
     _check_finite(what, value)
 
 
-def _check_update(memory: Memory, spec: TaskSpec, state: Snapshot) -> None:
-    before, after = state.memory_values[memory.name], memory.advance(state)
-    same = isinstance(after, torch.Tensor) and after.shape == before.shape and after.dtype == before.dtype
-    if not same or after.device != before.device:
-        raise TaskError(
-            f"The update of the memory '{memory.name}' of the task '{spec.id}' must give what the memory began with,"
-            f" {_got(before)}; got {_got(after)}."
-        )
-
-
 def _has_rows(value: Any, sim: Simulation) -> bool:
     """Whether something is a tensor with a row for each environment, where the environments are."""
-    if not isinstance(value, torch.Tensor) or value.layout is not torch.strided or not value.ndim:
-        return False
-    return len(value) == sim.num_envs and value.device == torch.device(sim.device)
+    strided = isinstance(value, torch.Tensor) and value.layout is torch.strided
+    return strided and value.shape[:1] == (sim.num_envs,) and value.device == torch.device(sim.device)
 
 
 def _check_finite(what: str, value: torch.Tensor) -> None:
-    bad = ~torch.isfinite(value).flatten(1).all(1) if value.ndim > 1 else ~torch.isfinite(value)
+    bad = ~torch.isfinite(value).reshape(len(value), -1).all(1)
     if bool(bad.any()):
         raise TaskError(
             f"{what} is not finite (NaN or infinite) in {int(bad.sum())} of {len(value)} environments at the beginning"
@@ -131,13 +123,6 @@ def _got(value: Any) -> str:
     if not isinstance(value, torch.Tensor):
         return f"{type(value).__name__} {value!r:.60}"
     return f"{str(value.dtype).removeprefix('torch.')} {list(value.shape)} on {value.device}"
-
-
-def _axis(value: Any) -> str:
-    """Advice to drop a superfluous last axis."""
-    if isinstance(value, torch.Tensor) and value.ndim == 2 and value.shape[1] == 1:
-        return " Leave its last axis out: value[:, 0]."
-    return ""
 
 
 # ------------------------------------------------------------------------------------------------ states

@@ -159,11 +159,8 @@ def design_episodes(
     """
     without = ("designs", "body", "connections", "grid")
     check_known(options, design_episodes, make_vec, without=without)
-    given = {"revise": revise, "actions": actions, "invalid": invalid}
-    for name, value in given.items():
-        if not isinstance(value, str) or value not in CHOICES[name]:
-            hint = did_you_mean(str(value), CHOICES[name])
-            raise ConfigError(f"{name} must be one of {listing(CHOICES[name])}, got {value!r:.80}.{hint}")
+    for name, value in {"revise": revise, "actions": actions, "invalid": invalid}.items():
+        _check_choice(name, value, CHOICES[name])
     shape = check_shape("shape", shape)
     if get_task(task).partners:
         raise ConfigError(f"Bodies are designed in tasks of one robot; {get_task(task).id} has several.")
@@ -172,29 +169,27 @@ def design_episodes(
     check_integer("design_steps", design_steps, 1)
     if not is_number(penalty):
         raise ConfigError(f"penalty must be a number, got {penalty!r:.80}.")
-    prices, beginning = _prices(cost), _start(start, shape)
-    body = [np.full(shape, int(Cell.H_ACT), np.int8)]
+    prices = [cost] * 4 if is_number(cost) else cost
+    if not isinstance(prices, Sequence) or len(prices) != 4 or not all(is_number(price) for price in prices):
+        raise ConfigError(f"cost must be a number, or four (rigid, soft, horizontal, vertical), got {cost!r:.80}.")
+    beginning, body = _start(start, shape), [np.full(shape, int(Cell.H_ACT), np.int8)]
     settings: dict[str, Any] = {} if options.get("sim") else {"arithmetic": "fast"}
     settings = {"obs": "voxel"} | settings | options | {"grid": shape}
     env = make_vec(task, body, num_envs, auto_reset=False, **settings)
     layout = DesignLayout(*shape, env.num_obs, env.num_actions, revise, actions)
-    return DesignVecEnv(env, layout, design_steps, beginning, invalid, float(penalty), prices, auto_reset)
+    return DesignVecEnv(env, layout, design_steps, beginning, invalid, float(penalty), (0.0, *prices), auto_reset)
 
 
-def _prices(cost: object) -> list[float]:
-    """The cost of a voxel by its type, empty first."""
-    prices = [cost] * 4 if is_number(cost) else cost
-    if not isinstance(prices, Sequence) or len(prices) != 4 or not all(is_number(price) for price in prices):
-        raise ConfigError(f"cost must be a number, or four (rigid, soft, horizontal, vertical), got {cost!r:.80}.")
-    return [0.0, *map(float, prices)]
+def _check_choice(name: str, value: object, choices: Sequence[str], more: str = "") -> None:
+    if not isinstance(value, str) or value not in choices:
+        hint = did_you_mean(str(value), choices)
+        raise ConfigError(f"{name} must be one of {listing(choices)}{more}, got {value!r:.80}.{hint}")
 
 
 def _start(start: Any, shape: tuple[int, int]) -> np.ndarray | None:
     """The cells that a design begins with; None: those of a random body."""
     if isinstance(start, str):
-        if start not in ("empty", "random"):
-            hint = did_you_mean(start, ("empty", "random"))
-            raise ConfigError(f"start must be empty, random or a grid of cell types, got {start!r:.80}.{hint}")
+        _check_choice("start", start, ("empty", "random"), " or a grid of cell types")
         return None if start == "random" else np.zeros(shape, np.int8)
     grid = as_grid(start, what="start")
     if grid.shape != shape or (grid >= NUM_TYPES).any():
@@ -233,15 +228,13 @@ class DesignVecEnv:
         self._start, self._invalid, self._penalty = start, invalid, penalty
         self._prices = torch.tensor(prices, dtype=torch.float64, device=self.device)
         self._starts = RandomStream(env.seed, self.num_envs, "cpu")
-        self._skipped = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
-        flags: dict[str, Any] = dict(dtype=torch.bool, device=self.device)
-        self.designing = torch.ones(self.num_envs, **flags)
-        self.terminated, self.truncated = (torch.zeros(self.num_envs, **flags) for _ in range(2))
+        self._whole = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        self.designing, self.terminated, self.truncated = self._whole, ~self._whole, ~self._whole
+        self._length, self._skipped = (torch.zeros_like(self._whole, dtype=torch.long) for _ in range(2))
+        self._returns = torch.zeros_like(self._whole, dtype=torch.float64)
         self.cells = torch.zeros(self.num_envs, layout.rows, layout.columns, dtype=torch.int8, device=self.device)
-        self._length = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
-        self._returns = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
         self._task = torch.zeros(self.num_envs, layout.task, dtype=self.dtype, device=self.device)
-        self._begin(torch.ones(self.num_envs, **flags))
+        self._begin(self._whole)
 
     # ------------------------------------------------------------- description
 
@@ -302,8 +295,7 @@ class DesignVecEnv:
         Returns:
             Observations ``[num_envs, num_obs]`` and an empty dictionary.
         """
-        whole = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        mask = whole if mask is None else check_mask(mask, whole)
+        mask = self._whole if mask is None else check_mask(mask, self._whole)
         if seed is not None:
             self.env.reset(seed, mask=mask)
             self._starts.begin(seed, mask.cpu())
@@ -373,14 +365,13 @@ class DesignVecEnv:
         self._returns = self._returns + reward + paid
         done = terminated | truncated
         obs = self._observe(task)
-        terms = {name: values * going for name, values in info["reward_terms"].items()} | {"design": paid}
         length, returns = self._length.to(self.dtype), self._returns.to(self.dtype, copy=True)
         info = {
             "final_obs": obs,
             "episode": {"return": returns, "length": length, "done": done},
             "unstable": info["unstable"] & going,
             "diverged": info["diverged"] & going,
-            "reward_terms": terms,
+            "reward_terms": {name: values * going for name, values in info["reward_terms"].items()} | {"design": paid},
             "design": {"done": complete, "valid": valid},
         }
         self._task = task
@@ -399,11 +390,10 @@ class DesignVecEnv:
             actions = torch.as_tensor(actions, device=self.device)
         except Exception as error:  # `as_tensor` may raise anything for what is no array
             raise ActionError(f"Actions must be a tensor or array of numbers: {str(error)[:200]}.") from None
-        if tuple(actions.shape) != (self.num_envs, self.num_actions):
-            expected = [self.num_envs, self.num_actions]
-            raise ActionError(
-                f"Actions must have the shape {expected} [num_envs, num_actions], got {list(actions.shape)}."
-            )
+        expected = [self.num_envs, self.num_actions]
+        if list(actions.shape) != expected:
+            got = list(actions.shape)
+            raise ActionError(f"Actions must have the shape {expected} [num_envs, num_actions], got {got}.")
         actions = torch.where(self.action_mask, actions, AT_REST)
         if actions.device.type == "cpu" and not bool(torch.isfinite(actions).all()):
             bad = int((~torch.isfinite(actions)).nonzero()[0, 0])
@@ -417,12 +407,11 @@ class DesignVecEnv:
             types = actions.unflatten(1, (layout.revised, NUM_TYPES)).argmax(-1)
         else:
             types = actions.nan_to_num().round().clamp(0, NUM_TYPES - 1)
-        cells = self.cells.flatten(1)
-        if layout.revise == "all":
-            cells = types.to(torch.int8)
-        else:
-            cells = cells.scatter(1, ((self._length - 1).clamp(min=0) % layout.cells)[:, None], types.to(torch.int8))
-        return cells.unflatten(1, (layout.rows, layout.columns))
+        types = types.to(torch.int8)
+        if layout.revise == "one":
+            place = ((self._length - 1).clamp(min=0) % layout.cells)[:, None]
+            types = self.cells.flatten(1).scatter(1, place, types)
+        return types.unflatten(1, (layout.rows, layout.columns))
 
     def _complete(self, complete: torch.Tensor, task: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Begin the control stage where designs are complete.
@@ -468,9 +457,9 @@ class DesignVecEnv:
 
     def state(self) -> dict[str, Any]:
         """The full state, as tensors with a row for every environment, for :meth:`set_state`."""
-        bodies = [self.env.designs[design] for design in self.env.design_index.tolist()]
         own = {name.strip("_"): getattr(self, name).clone() for name in self._STATE}
-        bodies = torch.from_numpy(np.stack(bodies)).to(self.device)
+        bodies = np.stack([self.env.designs[design] for design in self.env.design_index.tolist()])
+        bodies = torch.from_numpy(bodies).to(self.device)
         return own | {"env": self.env.state(), "bodies": bodies, "episode": self._starts.episode.clone()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -480,8 +469,7 @@ class DesignVecEnv:
             SimulationError: the state is that of other environments, or lacks something.
         """
         check_fields(state, self.state() | {"env": {}})
-        whole = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        self.env.set_designs(list(state["bodies"].cpu().numpy()), whole)
+        self.env.set_designs(list(state["bodies"].cpu().numpy()), self._whole)
         self.env.set_state(state["env"])
         for name in self._STATE:
             setattr(self, name, state[name.strip("_")].to(self.device, copy=True))

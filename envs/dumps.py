@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 
 from warpvox.errors import RolloutError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
-from warpvox.view.rollout import Rollout, points_of
+from warpvox.view.rollout import Rollout, facts_of, points_of
 
 if TYPE_CHECKING:
     from warpvox.envs.vec_env import VoxelVecEnv
@@ -62,8 +62,7 @@ class DivergenceDump:
     def clear(self, mask: torch.Tensor | None = None) -> None:
         """Drop the steps of environments (bool ``[num_envs]``; None: all): their next one does not follow them."""
         mask = torch.ones_like(self._at, dtype=torch.bool) if mask is None else mask
-        self._at = self._at.masked_fill(mask, -1)
-        self._begun = self._begun.masked_fill(mask, self._count)
+        self._at, self._begun = self._at.masked_fill(mask, -1), self._begun.masked_fill(mask, self._count)
 
     def before(self, actions: torch.Tensor) -> None:
         """Record the state before a step, and its actions ``[num_envs, num_actions]``."""
@@ -116,7 +115,7 @@ class DivergenceDump:
         )
         scene = self._scenes[int(self.env.sim.design_index[env])]
         shown = _finite_frames(positions[:, : scene.num_points])
-        spec, over = self.env.spec, np.zeros((steps, 1), bool)
+        over = np.zeros((steps, 1), bool)
         over[-1] = True
         return Rollout(
             positions=np.concatenate([shown, shown[-1:]])[:, None],
@@ -126,12 +125,8 @@ class DivergenceDump:
             rewards=rewards[:, None],
             terminated=over,
             truncated=np.zeros_like(over),
-            metadata={
-                "task": spec.id,
-                "rules": self.env.rules,
-                "physics": self.env.sim.physics.label,
-                "dtype": str(self.env.sim.dtype).removeprefix("torch."),
-                "arithmetic": self.env.sim.arithmetic,
+            metadata=facts_of(self.env)
+            | {
                 "agent": "policy",
                 "diverged": True,
                 "environment": env,
@@ -147,7 +142,5 @@ def _finite_frames(positions: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore", invalid="ignore"):
         frames = positions.astype(np.float32)
     good = np.isfinite(frames).all((1, 2))
-    if not good.any():
-        return np.zeros_like(frames)
-    last = np.maximum.accumulate(np.where(good, np.arange(len(frames)), -1))
-    return frames[np.where(last < 0, good.argmax(), last)]
+    last = np.maximum.accumulate(np.where(good, np.arange(len(frames)), good.argmax()))
+    return frames[last] if good.any() else np.zeros_like(frames)

@@ -17,11 +17,6 @@ class Episodes:
 
     Every tensor is made once and written to in place, never replaced, so that a captured step finds it again.
 
-    Args:
-        num_envs: how many.
-        device: where.
-        limit: control steps after which an episode is truncated.
-
     Attributes:
         length: long ``[num_envs]``, control steps so far.
         returns: float64 ``[num_envs]``, sum of the rewards so far.
@@ -37,6 +32,8 @@ class Episodes:
         self.returns = torch.zeros(num_envs, dtype=torch.float64, device=device)
         self.terminated = torch.zeros(num_envs, dtype=torch.bool, device=device)
         self.truncated = torch.zeros_like(self.terminated)
+        self._counts = {"length": self.length, "return": self.returns}
+        self._counts |= {"terminated": self.terminated, "truncated": self.truncated}
         self.limit = torch.full((), limit, dtype=torch.long, device=device)
         self.memory: dict[str, torch.Tensor] = {}
         self.before: dict[Quantity, torch.Tensor] = {}
@@ -44,7 +41,7 @@ class Episodes:
 
     def clear(self, mask: torch.Tensor | None = None) -> None:
         """Set counters and flags to 0, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
-        for tensor in (self.length, self.returns, self.terminated, self.truncated):
+        for tensor in self._counts.values():
             if mask is None:
                 tensor.zero_()
             else:
@@ -64,14 +61,10 @@ class Episodes:
             return
         mine = {id(tensor) for tensor in self.memory.values()}
         # The new value of one entry may be the tensor of another, which is written to here: copy it first.
-        values = {
-            name: value.clone() if id(value) in mine and value is not self.memory[name] else value
-            for name, value in values.items()
-        }
-        for name, value in values.items():
+        new = {name: value for name, value in values.items() if value is not self.memory[name]}
+        for name, value in {name: value.clone() if id(value) in mine else value for name, value in new.items()}.items():
             held = self.memory[name]
-            if value is not held:
-                held.copy_(value if mask is None else _where(mask, value, held))
+            held.copy_(value if mask is None else torch.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, held))
 
     def set_before(self, state: Snapshot) -> None:
         """Write the quantities of ``state`` that rewards will compare the next step with."""
@@ -81,19 +74,12 @@ class Episodes:
 
     def state(self) -> dict[str, torch.Tensor]:
         """Copies of the counts and flags."""
-        return {
-            "length": self.length.clone(),
-            "return": self.returns.clone(),
-            "terminated": self.terminated.clone(),
-            "truncated": self.truncated.clone(),
-        }
+        return {name: tensor.clone() for name, tensor in self._counts.items()}
 
     def set_state(self, state: Mapping[str, torch.Tensor]) -> None:
         """Take over what :meth:`state` gave."""
-        self.length.copy_(state["length"])
-        self.returns.copy_(state["return"])
-        self.terminated.copy_(state["terminated"])
-        self.truncated.copy_(state["truncated"])
+        for name, tensor in self._counts.items():
+            tensor.copy_(state[name])
 
 
 def state_rows(state: Any, rows: torch.Tensor) -> Any:
@@ -106,8 +92,3 @@ def state_rows(state: Any, rows: torch.Tensor) -> Any:
     if isinstance(state, dict):
         return {name: state_rows(value, rows) for name, value in state.items()}
     return None if state is None else state[rows]
-
-
-def _where(mask: torch.Tensor, new: torch.Tensor, old: torch.Tensor) -> torch.Tensor:
-    """Rows of ``new`` where the mask says so, else of ``old``."""
-    return torch.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)

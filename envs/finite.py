@@ -21,11 +21,6 @@ class FiniteGuard:
     On the CPU :func:`all_finite` decides whether there is anything to do. Elsewhere reading it would wait for the
     device: masks are applied in every step, and counts stay on the device until :meth:`report` reads them.
 
-    Args:
-        spec: the task.
-        sim: its simulation.
-        layout: of its observations.
-
     Methods take ``on_cpu``: whether results can be read without waiting for a device.
     """
 
@@ -66,12 +61,7 @@ class FiniteGuard:
     def step(
         self, obs: torch.Tensor, terms: dict[str, torch.Tensor], where: torch.Tensor, on_cpu: bool
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """The observation of a step as :meth:`observation` has it, and where the step gave something not finite.
-
-        Args:
-            terms: parts of the reward, ``[num_envs]`` each.
-            where: as for :meth:`observation`.
-        """
+        """As :meth:`observation` of a step with these parts of the reward, ``[num_envs]`` each, also not finite."""
         obs, odd = self.observation(obs, where)
         if self._rewards:
             bad = torch.stack([~torch.isfinite(terms[name]) for name in self._rewards]) & where
@@ -99,10 +89,7 @@ class FiniteGuard:
         return {name: count + self._earlier.get(name, 0) for name, count in found.items()}
 
     def report(self) -> dict[str, int]:
-        """In how many environments each term was not finite so far; warns of terms that it has not named before.
-
-        Waits for the device.
-        """
+        """:meth:`_counts` above 0, with a warning of terms that were not named before; waits for the device."""
         found = {name: count for name, count in self._counts().items() if count}
         for name in [name for name in found if name not in self._named]:
             self._named.add(name)

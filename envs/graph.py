@@ -41,10 +41,9 @@ def capture_on_cuda(device: str) -> Capture:
             finally:
                 kept = wp.capture_end(stream=ours)  # keeps the kernels' modules loaded
 
-        def replay() -> None:
+        def replay(keeps: tuple = (graph, kept, stream)) -> None:
             graph.replay()
 
-        replay.keeps = (graph, kept, stream)
         return replay, results
 
     return capture

@@ -51,9 +51,6 @@ def known_returns() -> dict[str, KnownReturn]:
     """By the id of the task; tasks of the benchmark only."""
     text = files("warpvox.envs").joinpath(FILE).read_text(encoding="utf-8")
     rows: list[dict[str, Any]] = list(csv.DictReader(text.splitlines()))
-    return {
-        row["task"]: KnownReturn(
-            **row | {"random": float(row["random"]), "best": float(row["best"]) if row["best"] else None}
-        )
-        for row in rows
-    }
+    for row in rows:
+        row |= {"random": float(row["random"]), "best": float(row["best"]) if row["best"] else None}
+    return {row["task"]: KnownReturn(**row) for row in rows}

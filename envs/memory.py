@@ -94,10 +94,9 @@ def ask(
         device: resolved.
         key: sets how many they are; ``step``: in multiples of this.
     """
-    free = free_memory(device)
-    if free is None or count <= MEMORY_SHARE * free / each:
+    if count <= (most := fitting(each, device)):
         return
-    fits = int(MEMORY_SHARE * free / each)
+    free, fits = most * each / MEMORY_SHARE, int(most)
     whole = step * MAX_WIDTH if fits >= step * MAX_WIDTH else step  # packs that are full
     fits = fits // whole * whole
     remedy = f"{fits:,} fit: {key}={fits}" if fits else "not even the least number fits: free some memory"

@@ -47,7 +47,13 @@ class ObservationLayout:
     def refresh(self) -> torch.Tensor:
         """Read the sizes of the designs again, after they have changed: columns ``[designs, terms]``."""
         sim, terms = self._sim, self._terms
-        real = [self._real_columns(term, value, sim) for term, value in zip(terms, self._values, strict=True)]
+        # which of a term's flattened columns each design has, bool [designs, k]
+        real = [
+            sim.point_mask(dict(term.params)["name"]).cpu().repeat(1, 2)
+            if value.ndim == 3
+            else torch.ones((sim.num_designs, value.shape[1]), dtype=torch.bool)
+            for term, value in zip(terms, self._values, strict=True)
+        ]
         counts = torch.stack([mask.sum(1) for mask in real], dim=1)  # [designs, terms]
         full = torch.cat(real, dim=1)
         totals = counts.sum(1)
@@ -71,14 +77,6 @@ class ObservationLayout:
             else:
                 self._gather.copy_(source)  # in place: a captured step may read it
         return counts
-
-    @staticmethod
-    def _real_columns(term: Observation, value: torch.Tensor, sim: Simulation) -> torch.Tensor:
-        """bool ``[designs, k]``: which of a term's flattened columns each design has."""
-        if value.ndim == 3:
-            points = sim.point_mask(dict(term.params)["name"]).cpu()
-            return torch.cat([points, points], dim=1)
-        return torch.ones((sim.num_designs, value.shape[1]), dtype=torch.bool)
 
     def observe(self, state: Snapshot) -> torch.Tensor:
         """A fresh tensor ``[num_envs, num_obs]`` in the simulation's dtype."""

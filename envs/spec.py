@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import traceback
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
@@ -37,7 +38,6 @@ __all__ = [
     "TaskSpec",
     "Term",
     "Termination",
-    "ends",
     "observes",
     "rewards",
     "terminates",
@@ -64,12 +64,7 @@ class Term:
     kind: ClassVar[str] = "term"
 
     def __call__(self, *states: object) -> Tensor:
-        try:
-            return self.function(*states, **dict(self.params))
-        except Exception as error:
-            if shortage(error):
-                raise
-            raise TaskError(f"The {self.kind} '{self.name}' has failed: {_told(error)}") from error
+        return _call(lambda: f"{self.kind} '{self.name}'", self.function, *states, **dict(self.params))
 
     @property
     def name(self) -> str:
@@ -132,27 +127,23 @@ class Memory:
 
     def begin(self, draws: RandomStream) -> Tensor:
         """The value of ``start``."""
-        try:
-            return self.start(draws)
-        except Exception as error:
-            if shortage(error):
-                raise
-            raise TaskError(f"The start of the memory '{self.name}' has failed: {_told(error)}") from error
+        return _call(lambda: f"start of the memory '{self.name}'", self.start, draws)
 
     def advance(self, state: Snapshot) -> Tensor:
         """The value of ``update``; without one, the present value."""
         if self.update is None:
             return state.memory_values[self.name]
-        try:
-            return self.update(state)
-        except Exception as error:
-            if shortage(error):
-                raise
-            raise TaskError(f"The update of the memory '{self.name}' has failed: {_told(error)}") from error
+        return _call(lambda: f"update of the memory '{self.name}'", self.update, state)
 
 
-def _a(kind: type) -> str:
-    return f"an {kind.__name__}" if kind is Observation else f"a {kind.__name__}"
+def _call(what: Callable[[], str], function: Callable[..., Tensor], *args: Any, **params: Any) -> Tensor:
+    """Call a function of a task; TaskError says what has failed."""
+    try:
+        return function(*args, **params)
+    except Exception as error:
+        if shortage(error):
+            raise
+        raise TaskError(f"The {what()} has failed: {_told(error)}") from error
 
 
 def _is_ours(function: Callable[..., Any]) -> bool:
@@ -184,9 +175,6 @@ def rewards(function: Callable[..., Tensor], name: str = "robot", weight: float 
 def terminates(function: Callable[..., Tensor], name: str = "robot", bonus: float = 0.0, **params: Any) -> Termination:
     """A termination of the episode, for what the object ``name`` does."""
     return Termination(function, (("name", name), *params.items()), bonus)
-
-
-ends = terminates  # the former name
 
 
 @dataclass(frozen=True)
@@ -240,16 +228,13 @@ class TaskSpec:
         self._check_parts()
         if not self.observations or self.max_episode_steps < 1:
             raise TaskError(f"The task '{self.id}' needs an observation and at least one step an episode.")
-        names = [term.name for term in (*self.rewards, *self.terminations)]
-        twice = {name for name in names if names.count(name) > 1}
-        seen = [term.name for term in self.observations]
-        twice |= {name for name in seen if seen.count(name) > 1}
-        kept = [memory.name for memory in self.memory]
-        twice |= {name for name in kept if kept.count(name) > 1}
-        if self.randomized and "offset" not in kept:
+        if self.randomized and all(memory.name != "offset" for memory in self.memory):
             raise TaskError(
                 f"The task '{self.id}' randomizes objects but has no memory named 'offset' that says how far."
             )
+        parts = (self.observations, (*self.rewards, *self.terminations), self.memory)
+        counts = [Counter(part.name for part in some) for some in parts]
+        twice = {name for count in counts for name in count if count[name] > 1}
         if twice:
             raise TaskError(
                 f"The task '{self.id}' has several observations, reward terms, end terms or memories named"
@@ -268,7 +253,10 @@ class TaskSpec:
                 if not isinstance(part, kind):
                     given = getattr(part, "__name__", None)
                     hint = f": {MAKERS.get(name, 'Memory')}({given})" if given else f", got {part!r:.60}"
-                    raise TaskError(f"{name}[{number}] of the task '{self.id}' must be {_a(kind)}{hint}.")
+                    article = "an" if kind is Observation else "a"
+                    raise TaskError(
+                        f"{name}[{number}] of the task '{self.id}' must be {article} {kind.__name__}{hint}."
+                    )
         objects = [obj.name for obj in self.objects] + list(self.robots)
         for name in self.randomized:
             if name not in objects:

@@ -14,7 +14,7 @@ from warpvox.batch.options import SimKeywords, SimOptions
 from warpvox.checks import check_integer, check_mask
 from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
-from warpvox.envs.bodies import load_connections, load_designs, one_body
+from warpvox.envs.bodies import load_worlds, one_body
 from warpvox.envs.checks import check_fields, check_memory, check_terms
 from warpvox.envs.dumps import DivergenceDump
 from warpvox.envs.episodes import Episodes
@@ -28,7 +28,6 @@ from warpvox.envs.snapshot import Quantity, Snapshot
 from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.terms.elapsed import retimed, timed_observations
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
-from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, DesignError, SimulationError, did_you_mean, listing
 from warpvox.simulation import Simulation
 
@@ -89,8 +88,7 @@ def make_vec(
     spec = get_task(task).under(rules)
     if max_episode_steps is not None:
         spec = replace(spec, max_episode_steps=check_integer("max_episode_steps", max_episode_steps, 1))
-    designs, connections = one_body(body, designs, connections)
-    bodies = load_designs(spec, designs)
+    bodies, worlds = load_worlds(spec, *one_body(body, designs, connections))
     count = check_integer("num_envs", num_envs, 1)
     if count % len(bodies):
         below = count - count % len(bodies)
@@ -98,8 +96,6 @@ def make_vec(
         what = f"a multiple of the number of designs ({len(bodies)})"
         raise ConfigError(f"num_envs must be {what}, got {count}; try {near}.")
     _check_seeds(seed, len(bodies), count)
-    links = load_connections(connections, len(bodies))
-    worlds = [task_world(spec, body, links[d]) for d, body in enumerate(bodies)]
     sim = sim.resolved(count, rules)
     if sim.memory_check and (count > 1 or sim.grid is not None):
         ask(environment_bytes(spec, worlds, count, sim, obs=obs), count, sim.device, step=len(bodies))
@@ -152,11 +148,8 @@ class VoxelVecEnv:
         if obs.startswith("timed"):
             spec = replace(spec, observations=timed_observations(spec.observations, self.episodes))
         self.spec, self.rules, self.sim, self.seed, self.auto_reset = spec, rules, sim, seed, auto_reset
-        self._has_code = spec.has_code
-        self.designs = designs
-        self.num_envs = sim.num_envs
-        self.device, self.dtype = sim.device, sim.dtype
-        self._limit = spec.max_episode_steps
+        self._has_code, self._limit = spec.has_code, spec.max_episode_steps
+        self.designs, self.num_envs, self.device, self.dtype = designs, sim.num_envs, sim.device, sim.dtype
         block = sim.num_envs // len(designs)
         self._blocks = len(designs)  # of environments that may have seeds of their own
         self.design_index = torch.arange(len(designs), device=sim.device).repeat_interleave(block)
@@ -191,8 +184,7 @@ class VoxelVecEnv:
         self.obs_mask = self.layout.mask[worlds]
         self.action_mask = self.sim.action_mask[worlds]
         self.obs_columns = [self.layout.columns[d] for d in worlds.tolist()]
-        action_columns = self.sim.action_columns
-        self.action_columns = [action_columns[d] for d in worlds.tolist()]
+        self.action_columns = [self.sim.action_columns[d] for d in worlds.tolist()]
 
     @property
     def num_designs(self) -> int:
@@ -297,11 +289,9 @@ class VoxelVecEnv:
         mask = check_mask(mask, self.design_index)
         if designs is None:
             raise DesignError("set_designs needs a body, or a list of bodies; got None.")
-        count, bodies = int(mask.sum()), load_designs(self.spec, designs)
-        if len(bodies) not in (1, count):
-            raise ConfigError(f"{count} environments need a design each, or one for all; got {len(bodies)}.")
-        links = load_connections(connections, len(bodies))
-        worlds = [task_world(self.spec, body, links[d]) for d, body in enumerate(bodies)]
+        count, worlds = int(mask.sum()), load_worlds(self.spec, designs, connections)[1]
+        if len(worlds) not in (1, count):
+            raise ConfigError(f"{count} environments need a design each, or one for all; got {len(worlds)}.")
         self.sim.set_worlds(worlds if len(worlds) == count else worlds * count, mask)
         self.layout.refresh()
         self._finite.refresh()
@@ -309,10 +299,8 @@ class VoxelVecEnv:
             if isinstance(term.function, VoxelGrid):
                 term.function.refresh()
         worlds = self.sim.worlds
-        if self.spec.partners:
-            self.designs = [{name: world.objects[name].grid for name in self.spec.robots} for world in worlds]
-        else:
-            self.designs = [world.objects[ROBOT].grid for world in worlds]
+        teams = [{name: world.objects[name].grid for name in self.spec.robots} for world in worlds]
+        self.designs = list(teams) if self.spec.partners else [team[ROBOT] for team in teams]
         self.design_index.copy_(self.sim.design_index)
         self._describe(torch.arange(len(worlds), device=self.device))
         if self.dump is not None:
@@ -405,13 +393,10 @@ class VoxelVecEnv:
         truncated = truncated if going is None else truncated & going
         done = terminated | truncated
         episodes.returns.add_(reward)
+        returns, length = episodes.returns.to(self.dtype, copy=True), episodes.length.to(self.dtype)
         info = {
             "final_obs": obs,
-            "episode": {
-                "return": episodes.returns.to(self.dtype, copy=True),
-                "length": episodes.length.to(self.dtype),
-                "done": done,
-            },
+            "episode": {"return": returns, "length": length, "done": done},
             "unstable": unstable,
             "diverged": diverged,
             "reward_terms": terms,
@@ -550,8 +535,6 @@ class VoxelVecEnv:
                 the message names it, and nothing has changed.
         """
         like = self.state()
-        if isinstance(state, Mapping):
-            state = {"world": like["world"]} | dict(state)  # files of earlier versions do not say
         check_fields(state, like | {"sim": dict.fromkeys(like["sim"], torch.Tensor)})
         if not torch.equal(state["world"].to(self.device), like["world"]):
             raise SimulationError("The state is that of other worlds: bodies have been exchanged since.")

@@ -24,12 +24,7 @@ from warpvox.world import WorldObject
 __all__ = ["FEATURES", "NUM_FEATURES", "VoxelGrid", "VoxelLayout", "voxel_layouts", "voxel_observations"]
 
 CELLS = (Cell.EMPTY, Cell.RIGID, Cell.SOFT, Cell.H_ACT, Cell.V_ACT)
-FEATURES = {
-    "positions": slice(0, 8),
-    "velocities": slice(8, 16),
-    "type": slice(16, 21),
-    "neighbours": slice(21, 25),
-}
+FEATURES = {"positions": slice(0, 8), "velocities": slice(8, 16), "type": slice(16, 21), "neighbours": slice(21, 25)}
 """Columns of the features of a cell.
 
 ``positions``: x and y of the corners (top left, top right, bottom right, bottom left, as the body was designed) about

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 
 import numpy as np
 
@@ -18,14 +19,7 @@ from warpvox.world import World, WorldObject
 
 __all__ = ["block", "columns", "heights", "rows", "task_team", "task_world"]
 
-_CELLS = {
-    ".": Cell.EMPTY,
-    "R": Cell.RIGID,
-    "S": Cell.SOFT,
-    "H": Cell.H_ACT,
-    "V": Cell.V_ACT,
-    "F": Cell.FIXED,
-}
+_CELLS = {".": Cell.EMPTY, "R": Cell.RIGID, "S": Cell.SOFT, "H": Cell.H_ACT, "V": Cell.V_ACT, "F": Cell.FIXED}
 _RUN = re.compile(r"(\d*)([.RSHVF])")
 
 
@@ -100,15 +94,10 @@ def task_world(task: TaskSpec, body: object, connections: object = None) -> Worl
 
 def _stack(lines: Sequence[str]) -> np.ndarray:
     """Lines as int8 ``[lines, cells]``, padded with empty cells."""
-    parsed = [_parse(line) for line in lines]
-    grid = np.zeros((len(parsed), max(len(cells) for cells in parsed)), np.int8)
-    for row, cells in zip(grid, parsed, strict=True):
-        row[: len(cells)] = cells
-    return grid
-
-
-def _parse(line: str) -> list[int]:
-    packed = line.replace(" ", "")
-    if _RUN.sub("", packed):
-        raise WorldError(f"Cannot read the terrain line {line!r}: expected runs such as '20. 10F'.")
-    return [int(_CELLS[letter]) for count, letter in _RUN.findall(packed) for _ in range(int(count or 1))]
+    parsed = []
+    for line in lines:
+        packed = line.replace(" ", "")
+        if _RUN.sub("", packed):
+            raise WorldError(f"Cannot read the terrain line {line!r}: expected runs such as '20. 10F'.")
+        parsed.append([_CELLS[letter] for count, letter in _RUN.findall(packed) for _ in range(int(count or 1))])
+    return np.array(list(zip_longest(*parsed, fillvalue=Cell.EMPTY)), np.int8).T

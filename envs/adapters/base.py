@@ -8,10 +8,14 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from warpvox.errors import ConfigError, listing
+from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.types import ACTION_HIGH, ACTION_LOW
+from warpvox.view import window
 
-__all__ = ["Adapter", "spaces_of"]
+__all__ = ["WINDOWED", "Adapter", "check_mode", "metadata_here", "spaces_of"]
+
+WINDOWED = ("human", "screen")
+"""Render modes that show a window."""
 
 
 class Adapter:
@@ -58,7 +62,15 @@ class Adapter:
 def check_mode(mode: object, modes: Sequence[str]) -> None:
     """Raise ConfigError for a render mode that there is not."""
     if mode is not None and mode not in modes:
-        raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {mode!r:.80}.")
+        hint = did_you_mean(str(mode), modes)
+        raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {mode!r:.80}.{hint}")
+
+
+def metadata_here(metadata: dict[str, Any]) -> dict[str, Any]:
+    """Metadata of an environment with those render modes alone that work on this machine."""
+    if window.why_no_window() is None:
+        return metadata
+    return metadata | {"render_modes": [mode for mode in metadata["render_modes"] if mode not in WINDOWED]}
 
 
 def spaces_of(env: Any) -> tuple[Box, Box]:

@@ -9,10 +9,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from warpvox.envs.adapters.base import Adapter, check_mode, spaces_of
+from warpvox.envs.adapters.base import Adapter, check_mode, metadata_here, spaces_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ActionError, ConfigError, DisplayError
+from warpvox.view import window
 from warpvox.view.rollout import FRAME_SECONDS
 
 __all__ = ["VoxelEnv", "register", "register_task"]
@@ -95,31 +96,21 @@ class VoxelEnv(Adapter, gymnasium.Env):
     ) -> None:
         from warpvox.envs.adapters.single import fast_stepper
 
-        self._check_mode(render_mode)
+        check_mode(render_mode, VoxelEnv.metadata["render_modes"])
+        if render_mode == "human" and (reason := window.why_no_window()) is not None:
+            raise DisplayError(f"render_mode='human' shows a window, but {reason}; render_mode='rgb_array' needs none.")
+        self.metadata = metadata_here(VoxelEnv.metadata)
         bodies, links = (None if body is None else [body]), [connections]
         defaults = {"device": "cpu", "dtype": "float64", "threads": 1}
         limit = {"auto_reset": False, "max_episode_steps": _NO_LIMIT}
         self._make(task, bodies, 1, options, defaults, connections=links, body=None, seed=0, **limit)
         self.render_mode, self.render_size = render_mode, render_size
         self.observation_space, self.action_space = spaces_of(self.vec)
-        self._window: Any = None
+        self._window: window.Window | None = None
         self._next_frame = 0.0
         self._ended: np.ndarray | None = None  # the observation with which the episode has ended
         self._fast = fast_stepper(self.vec)
         self._zeros = np.zeros(self.action_space.shape)
-
-    def _check_mode(self, mode: str | None) -> None:
-        """Refuse modes that there are not, or not here; ``metadata`` becomes that of this machine."""
-        from warpvox.view.window import why_no_window
-
-        modes = VoxelEnv.metadata["render_modes"]
-        check_mode(mode, modes)
-        reason = why_no_window()
-        if reason is None:
-            return
-        if mode == "human":
-            raise DisplayError(f"render_mode='human' shows a window, but {reason}; render_mode='rgb_array' needs none.")
-        self.metadata = VoxelEnv.metadata | {"render_modes": [name for name in modes if name != "human"]}
 
     @property
     def sim(self) -> Any:
@@ -193,24 +184,18 @@ class VoxelEnv(Adapter, gymnasium.Env):
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without a render_mode: gymnasium.make(..., render_mode=...).")
             return None
-        if self.render_mode == "human":
-            self._show()
-            return None
-        return self._pictures()[0]
+        self._show()
+        return self._pictures()[0] if self.render_mode == "rgb_array" else None
 
     def _show(self) -> None:
         """In human mode: the state in the window, which is opened if need be; one that was closed stays closed."""
         if self.render_mode != "human":
             return
         if self._window is None:
-            from warpvox.view.window import Window
-
-            self._window = Window(self.render_size, f"{NAMESPACE} {self.vec.spec.id}")
+            self._window = window.Window(self.render_size, f"{NAMESPACE} {self.vec.spec.id}")
         if self._window.closed:
             return
-        early = self._next_frame - time.perf_counter()
-        if 0 < early < 1:
-            time.sleep(early)  # in real time
+        time.sleep(max(0.0, self._next_frame - time.perf_counter()))  # in real time
         self._window.show(self._pictures()[0])
         self._next_frame = time.perf_counter() + FRAME_SECONDS
 

@@ -106,16 +106,13 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
             mask = np.ones(self.num_envs, dtype=bool)
             self._obs = self.vec.reset(seed)[0].cpu().numpy()
         else:
-            self._restart(self._check_mask(mask), seed)
+            if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+                raise ConfigError(f"options['reset_mask'] must be a bool array [{self.num_envs}], got {mask!r:.80}.")
+            if not mask.any():
+                raise ConfigError("options['reset_mask'] must be True for one environment at least.")
+            self._restart(mask, seed)
         self._ended = self._ended & ~mask
         return self._obs.copy(), {}
-
-    def _check_mask(self, mask: Any) -> np.ndarray:
-        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
-            raise ConfigError(f"options['reset_mask'] must be a bool array [{self.num_envs}], got {mask!r:.80}.")
-        if not mask.any():
-            raise ConfigError("options['reset_mask'] must be True for one environment at least.")
-        return mask
 
     def _restart(self, mask: np.ndarray, seed: Sequence[int] | None = None) -> None:
         """Begin an episode where ``mask`` is True; the others keep their observation."""
@@ -123,21 +120,10 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
         self._obs = np.where(mask[:, None], fresh, self._obs)
 
     def set_designs(self, designs: object, mask: np.ndarray, connections: Sequence[object] | None = None) -> np.ndarray:
-        """Replace the bodies of some environments, which begin a new episode; the others continue.
-
-        Args:
-            designs, mask, connections: as in :meth:`warpvox.envs.vec_env.VoxelVecEnv.set_designs`.
-
-        Returns:
-            Observations ``[num_envs, num_obs]``; those of the others are of the last step.
-
-        Raises:
-            SimulationError, DesignError, WorldError, ConfigError: as there.
-        """
+        """:meth:`warpvox.envs.vec_env.VoxelVecEnv.set_designs`; observations of the others are of the last step."""
         fresh = self.vec.set_designs(designs, mask, connections).cpu().numpy()
-        mask = np.asarray(mask)
-        self._obs = np.where(mask[:, None], fresh, self._obs)
-        self._ended = self._ended & ~mask
+        self._obs = np.where(np.asarray(mask)[:, None], fresh, self._obs)
+        self._ended = self._ended & ~np.asarray(mask)
         self._view = None  # it has drawn the old bodies
         return self._obs.copy()
 
@@ -194,10 +180,8 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     """The mode that is meant by a member of the enumeration, its name or its value."""
-    if isinstance(mode, AutoresetMode):
-        return mode
     for known in AutoresetMode:
-        if str(mode).casefold() in (known.name.casefold(), known.value.casefold()):
+        if mode is known or str(mode).casefold() in (known.name.casefold(), known.value.casefold()):
             return known
     names = [known.name for known in AutoresetMode]
     raise ConfigError(f"autoreset_mode must be one of {listing(names)}, got {mode!r:.80}.{did_you_mean(mode, names)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import nan
 from typing import Any
 
 import torch
@@ -122,9 +123,13 @@ class RslRlVecEnv(VecEnv):
         self._obs = obs
         done = terminated | truncated
         whole = done & ~self._shortened
-        self._count(info, whole)
+        episode = info["episode"]
+        parts = (whole, episode["return"] * whole, episode["length"] * whole, *(info[name] for name in STOP_CAUSES))
+        self._sums = self._sums + torch.stack([part.sum(dtype=torch.float64) for part in parts])
         self._shortened = self._shortened & ~done
-        extras: dict[str, Any] = {"log": self._log(info), "returns": info["episode"]["return"], "whole": whole}
+        log = {f"Reward/{name}": values.mean() for name, values in info["reward_terms"].items()}
+        log |= {f"Episode/{name}": info[name].float().mean() for name in STOP_CAUSES}
+        extras: dict[str, Any] = {"log": log, "returns": info["episode"]["return"], "whole": whole}
         if self.bootstrap_time_limit:
             extras["time_outs"] = truncated & ~terminated
             extras["final_obs"] = self._group(info["final_obs"])
@@ -138,22 +143,11 @@ class RslRlVecEnv(VecEnv):
         return ACTION_CENTER + self.action_scale * outputs
 
     def _group(self, obs: torch.Tensor) -> TensorDict:
-        return TensorDict(
-            {OBS_GROUP: obs.to(torch.get_default_dtype())}, batch_size=[self.num_envs], device=self.device
-        )
-
-    @staticmethod
-    def _log(info: dict[str, Any]) -> dict[str, torch.Tensor]:
-        log = {f"Reward/{name}": values.mean() for name, values in info["reward_terms"].items()}
-        return log | {f"Episode/{name}": info[name].float().mean() for name in STOP_CAUSES}
+        group = {OBS_GROUP: obs.to(torch.get_default_dtype())}
+        return TensorDict(group, batch_size=[self.num_envs], device=self.device)
 
     def _clear_episodes(self) -> None:
         self._sums = torch.zeros(3 + len(STOP_CAUSES), dtype=torch.float64, device=self.device)
-
-    def _count(self, info: dict[str, Any], whole: torch.Tensor) -> None:
-        episode = info["episode"]
-        parts = (whole, episode["return"] * whole, episode["length"] * whole, *(info[name] for name in STOP_CAUSES))
-        self._sums = self._sums + torch.stack([part.sum(dtype=torch.float64) for part in parts])
 
     def pop_episodes(self) -> dict[str, float]:
         """The number of ``episodes`` that ended since the last call, their mean ``return`` and ``length`` (NaN: none).
@@ -164,10 +158,9 @@ class RslRlVecEnv(VecEnv):
         self.env.not_finite()  # warns of non-finite terms; the device is read below anyway
         count, total, length, *ends = self._sums.tolist()
         self._clear_episodes()
-        stopped: dict[str, float] = {name: int(number) for name, number in zip(STOP_CAUSES, ends, strict=True)}
-        if not count:
-            return {"episodes": 0, "return": float("nan"), "length": float("nan")} | stopped
-        return {"episodes": int(count), "return": total / count, "length": length / count} | stopped
+        means = (total / count, length / count) if count else (nan, nan)
+        names = ("episodes", "return", "length", *STOP_CAUSES)
+        return dict(zip(names, (int(count), *means, *map(int, ends)), strict=True))
 
     def state(self) -> dict[str, Any]:
         """Everything that changes, as tensors: what :meth:`set_state` takes back."""
@@ -201,17 +194,13 @@ class RslRlVecEnv(VecEnv):
         Raises:
             SimulationError: the state is that of other worlds or another number of environments, or lacks something.
         """
-        like = {"env": {}, "obs": self._obs, "shortened": self._shortened, "sums": torch.Tensor}
-        check_fields(state, like)
-        if self.reward_norm is not None and state.get("reward_norm") is not None:
-            check_fields(state["reward_norm"], self.reward_norm.state(), "reward_norm")
+        norm = self.reward_norm
+        own = {"obs": self._obs, "shortened": self._shortened, "sums": self._sums}
+        check_fields(state, own | {"env": {}, "reward_norm": None if norm is None else norm.state()})
         self.env.set_state(state["env"])
-        self._obs = state["obs"].to(self.device)
-        self._shortened = state["shortened"].to(self.device)
-        self._clear_episodes()
-        self._sums[: len(state["sums"])] = state["sums"].to(self.device)
-        if self.reward_norm is not None and state.get("reward_norm") is not None:
-            self.reward_norm.set_state(state["reward_norm"])
+        self._obs, self._shortened, self._sums = (state[name].to(self.device) for name in own)
+        if norm is not None:
+            norm.set_state(state["reward_norm"])
 
 
 class _ReturnScale:

@@ -74,8 +74,7 @@ class VoxelSB3VecEnv(Adapter, VecEnv):
 
     def reset(self) -> np.ndarray:
         """Begin an episode everywhere; seeds that :meth:`seed` has set apply."""
-        given = [int(seed) for seed in self._seeds if seed is not None]
-        seeds = given if len(given) == self.num_envs else None
+        seeds = None if None in self._seeds else [int(seed) for seed in self._seeds if seed is not None]
         self._reset_seeds()
         self._reset_options()
         return self._numbers(self.vec.reset(seeds)[0])

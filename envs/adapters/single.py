@@ -53,24 +53,22 @@ class Sensors:
         command, buffers = next(iter(launches.values()), (None, []))
         return value, command, buffers
 
-    def _sense_centres(self, name: str) -> None:
-        if self._centres is None:
-            _, command, buffers = self._record("com", (name,))
-            rows = [buffer.numpy() for buffer in buffers]
-            names = self._sim.object_names
-            self._centres = command, *({name: row[:, k] for k, name in enumerate(names)} for row in rows)
-        self._centres[0].launch()
-        self.moved = False
+    def _centre(self, name: str, which: int) -> np.ndarray:
+        if self.moved:
+            if self._centres is None:
+                _, command, buffers = self._record("com", (name,))
+                rows = [buffer.numpy() for buffer in buffers]
+                names = self._sim.object_names
+                self._centres = command, *({name: row[:, k] for k, name in enumerate(names)} for row in rows)
+            self._centres[0].launch()
+            self.moved = False
+        return self._centres[which][name].copy()
 
     def com(self, name: str) -> np.ndarray:
-        if self.moved:
-            self._sense_centres(name)
-        return self._centres[1][name].copy()
+        return self._centre(name, 1)
 
     def velocity(self, name: str) -> np.ndarray:
-        if self.moved:
-            self._sense_centres(name)
-        return self._centres[2][name].copy()
+        return self._centre(name, 2)
 
     def relative_positions(self, name: str) -> np.ndarray:
         if name not in self._points:
@@ -139,11 +137,6 @@ class RowTerms:
         self._rewards = [(term.name, term.function, dict(term.params), term.weight) for term in spec.rewards]
         self._terminations = [(term.name, term.function, dict(term.params), term.bonus) for term in spec.terminations]
 
-    @property
-    def reward_names(self) -> list[str]:
-        """Names of the reward terms."""
-        return [name for name, *_ in self._rewards]
-
     def compared(self, state: Snapshot) -> tuple[Quantity, ...]:
         """The quantities that rewards ask of the state before a step."""
         for _, reward, params, _ in self._rewards:
@@ -178,6 +171,7 @@ class SingleStepper:
         sim = self._sim = env.sim
         self._sensors = Sensors(sim)
         self._terms = RowTerms(env.spec, str(env.dtype).removeprefix("torch."))
+        self._without = dict.fromkeys((term.name for term in env.spec.rewards), 0.0)
         self._actions = sim.action_buffer.numpy()[0]
         self._status = sim.array("status").numpy().reshape(-1)
         self._slot = int(sim.slot[0])
@@ -216,7 +210,7 @@ class SingleStepper:
         stopped, diverged = bool(status & _STOPPED), bool(status & _DIVERGED)
         terms, ended = self._terms.judge(before, after, stopped)
         if diverged:
-            terms |= dict.fromkeys(self._terms.reward_names, 0.0)
+            terms |= self._without
         self._before = after
         self._return[0] = self._return.item() + sum(terms.values())
         if ended:

@@ -36,10 +36,7 @@ TASKS = (
         rewards=(rewards(hull, weight=-1.0),),
     ),
     # The release spells it WingspanMazimizer-v0; the registry knows that name as well.
-    _change(
-        *("WingspanMaximizer-v0", "B.6.3", "Grow to be as wide as possible.", "easy"),
-        rewards(grown, axis="x"),
-    ),
+    _change(*("WingspanMaximizer-v0", "B.6.3", "Grow to be as wide as possible.", "easy"), rewards(grown, axis="x")),
     _change(
         *("HeightMaximizer-v0", "B.6.4", "Grow to be as tall as possible.", "medium"),
         rewards(grown, axis="y"),

@@ -16,7 +16,7 @@ from damage import damaged_bytes, damaged_tree, refusals
 from warpvox.code import Code
 from warpvox.design import example_designs
 from warpvox.editor.documents import document_of
-from warpvox.editor.server import ACTIONS, LARGEST, EditorServer
+from warpvox.editor.server import LARGEST, EditorServer
 from warpvox.errors import DeviceError, WarpvoxError
 
 WALKER = document_of(example_designs()["walker"])
@@ -236,8 +236,8 @@ def test_tasks_of_ones_own_are_named_at_the_start(tmp_path) -> None:
 def test_damaged_questions_are_answered_or_refused(server: EditorServer, action: str) -> None:
     question = {"document": WALKER, "name": "one", "overwrite": True, "agent": "sine", "seconds": 0.04, "seed": 1}
     question |= {"task": "Walker-v0", "rows": 3, "columns": 4}
-    ACTIONS["save"](server, question)
-    assert refusals(lambda ask: json.dumps(ACTIONS[action](server, ask)), damaged_tree(question, 40)) > 0
+    server.save(question)
+    assert refusals(lambda ask: json.dumps(getattr(server, action)(ask)), damaged_tree(question, 40)) > 0
 
 
 def test_damaged_requests_are_answered_or_refused(server: EditorServer) -> None:

@@ -53,7 +53,8 @@ def design_of(document: Mapping[str, Any]) -> Design:
     Raises:
         DesignError: it is not a valid robot.
     """
-    return check_design(_trim(_cells(document, "types", BODY_SIDE, BODY_SIDE)))
+    cells = _cells(document, "types", BODY_SIDE, BODY_SIDE)
+    return check_design(cells[_box(cells)] if cells.any() else cells)
 
 
 def world_of(document: Mapping[str, Any]) -> World:
@@ -70,12 +71,10 @@ def world_of(document: Mapping[str, Any]) -> World:
     height, width = types.shape
     objects = []
     for number, name in enumerate(_names(document)):
-        rows, columns = np.nonzero((types != Cell.EMPTY) & (owners == number))
-        if not len(rows):
-            continue
-        box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
-        grid = np.where(owners[box] == number, types[box], Cell.EMPTY)
-        objects.append(WorldObject.from_array(name, grid, int(columns.min()), int(height - 1 - rows.max())))
+        cells = np.where(owners == number, types, Cell.EMPTY)
+        if cells.any():
+            rows, columns = box = _box(cells)
+            objects.append(WorldObject.from_array(name, cells[box], int(columns.start), int(height - rows.stop)))
     if not objects:
         raise WorldError("The world is empty: paint something.")
     world = World(width, height)
@@ -98,8 +97,7 @@ def document_of(content: Design | World) -> dict[str, Any]:
             f"The editor shows worlds of up to {WORLD_SIZE[0]} x {WORLD_SIZE[1]} cells and {OBJECTS} objects; this one"
             f" has {content.width} x {content.height} and {len(content.objects)}."
         )
-    types = np.zeros((content.height, content.width), np.int8)
-    owners = np.zeros((content.height, content.width), np.int16)
+    types, owners = np.zeros((2, content.height, content.width), np.int16)
     for number, obj in enumerate(content.objects.values()):
         if len(obj.connections) < len(full_connections(obj.grid)):
             raise WorldError(
@@ -120,10 +118,8 @@ def check(document: Mapping[str, Any]) -> str:
     """
     if _kind(document) == "body":
         body = design_of(document)
-        actuators = int((body >= Cell.H_ACT).sum())
-        return (
-            f"A valid robot: {body.shape[0]} x {body.shape[1]}, {np.count_nonzero(body)} cells, {actuators} actuators."
-        )
+        cells, actuators = (np.count_nonzero(body >= least) for least in (Cell.RIGID, Cell.H_ACT))
+        return f"A valid robot: {body.shape[0]} x {body.shape[1]}, {cells} cells, {actuators} actuators."
     world = world_of(document)
     parts = []
     for obj in world.objects.values():
@@ -172,8 +168,7 @@ def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite
         body = design_of(document)
         world = World(body.shape[1], body.shape[0])
         world.add_from_array(ROBOT, body, 0, 0)
-        content = json.loads(world.to_json()) | {"body": body.tolist()}
-        text = json.dumps(content)
+        text = json.dumps(json.loads(world.to_json()) | {"body": body.tolist()})
     else:
         text = world_of(document).to_json()
     if path.exists() and not overwrite:
@@ -195,14 +190,14 @@ def read_file(path: Path) -> dict[str, Any]:
         content = parse_json(read_text(path, LONGEST_FILE))
     except Unreadable as error:
         raise WorldError(f"'{path.name}' is not a JSON file that the editor can read: {error}.") from None
-    if isinstance(content, dict) and "body" in content:
-        body = as_grid(content["body"])
-        if max(body.shape) > BODY_SIDE:
-            raise DesignError(f"The editor shows bodies of up to {BODY_SIDE} x {BODY_SIDE} cells.")
-        return document_of(body)
     if not isinstance(content, dict):
         raise WorldError(f"'{path.name}' holds neither a body nor a world.")
-    return document_of(World.from_json(content))
+    if "body" not in content:
+        return document_of(World.from_json(content))
+    body = as_grid(content["body"])
+    if max(body.shape) > BODY_SIDE:
+        raise DesignError(f"The editor shows bodies of up to {BODY_SIDE} x {BODY_SIDE} cells.")
+    return document_of(body)
 
 
 # --------------------------------------------------------------------------------------------------- documents
@@ -254,9 +249,7 @@ def _names(document: Mapping[str, Any]) -> list[str]:
     return names
 
 
-def _trim(grid: np.ndarray) -> np.ndarray:
-    """Without the empty rows and columns around; an empty grid as it is."""
-    rows, columns = np.nonzero(grid)
-    if not len(rows):
-        return grid
-    return grid[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+def _box(filled: np.ndarray) -> tuple[slice, slice]:
+    """The rows and columns that hold anything."""
+    rows, columns = (np.flatnonzero(filled.any(axis)) for axis in (1, 0))
+    return slice(*rows[[0, -1]] + (0, 1)), slice(*columns[[0, -1]] + (0, 1))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +38,6 @@ def editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) ->
         "colours": {int(cell): ramp[1] for cell, ramp in RAMPS.items()},
         "names": {0: "empty"} | {int(cell): name for cell, name in CELL_NAMES.items()},
     }
-    parts = files("warpvox.editor")
-    return fill_template(
-        parts.joinpath("editor.html").read_text(encoding="utf-8"),
-        values={"setup": setup},
-        style=asset("player.css") + parts.joinpath("editor.css").read_text(encoding="utf-8"),
-        script="\n".join(parts.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS),
-    )
+    part = partial(asset, package="warpvox.editor")
+    style, script = asset("player.css") + part("editor.css"), "\n".join(map(part, SCRIPTS))
+    return fill_template(part("editor.html"), values={"setup": setup}, style=style, script=script)

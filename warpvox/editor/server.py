@@ -41,11 +41,9 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
     "Cross-Origin-Resource-Policy": "same-origin",
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline';"
+    " img-src data:; connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'",
 }
-POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self';"
-    " frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
-)
 
 
 class EditorServer(ThreadingHTTPServer):
@@ -95,7 +93,7 @@ class EditorServer(ThreadingHTTPServer):
     # ------------------------------------------------------------- what a page may ask for
 
     def check(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """Whether the document is valid, in words."""
+        """Describe the document, or say what is wrong with it."""
         return {"message": check(_document(ask))}
 
     def files(self, ask: dict[str, Any]) -> dict[str, Any]:
@@ -144,14 +142,8 @@ class EditorServer(ThreadingHTTPServer):
         return {"rollout": number, "message": f"return {total:.3f} in {steps} steps"}
 
 
-ACTIONS: dict[str, Callable[[EditorServer, dict[str, Any]], dict[str, Any]]] = {
-    "check": EditorServer.check,
-    "files": EditorServer.files,
-    "open": EditorServer.open,
-    "sample": EditorServer.sample,
-    "save": EditorServer.save,
-    "rollout": EditorServer.rollout,
-}
+ACTIONS = ("check", "files", "open", "sample", "save", "rollout")
+"""Methods that a page may call."""
 
 
 def _document(ask: dict[str, Any]) -> dict[str, Any]:
@@ -180,35 +172,39 @@ class _Handler(BaseHTTPRequestHandler):
         """Say nothing: addresses hold the token."""
 
     def do_GET(self) -> None:
-        """The page, or a rollout."""
-        try:
-            path = self._path()
-            number = path.removeprefix("rollout/")
-            if path == "":
-                self._send(self.server.page.encode(), "text/html; charset=utf-8")
-                return
-            page = self.server.rollouts.get(int(number)) if re.fullmatch("[0-9]{1,9}", number) else None
-            if page is None:
-                raise _Refused(HTTPStatus.NOT_FOUND, "There is nothing here.")
-            self._send(page, "text/html; charset=utf-8")
-        except _Refused as refusal:
-            self._refuse(refusal)
+        """Answer with the page, or a rollout."""
+        self._answer(self._page)
 
     def do_POST(self) -> None:
-        """An action: JSON in, JSON out; what is not valid comes back as ``error``."""
+        """Answer an action: JSON in, JSON out; what is not valid comes back as ``error``."""
+        self._answer(self._act)
+
+    def _answer(self, make: Callable[[], tuple[bytes, str]]) -> None:
         try:
-            action = ACTIONS.get(self._path())
-            if action is None:
-                raise _Refused(HTTPStatus.NOT_FOUND, "There is no such action.")
-            ask = self._body()
+            self._send(*make())
         except _Refused as refusal:
-            self._refuse(refusal)
-            return
+            self.close_connection = True  # what was not read would be taken for the next request
+            self._send(str(refusal).encode(), "text/plain; charset=utf-8", refusal.status)
+
+    def _page(self) -> tuple[bytes, str]:
+        path = self._path()
+        number = path.removeprefix("rollout/")
+        page = self.server.rollouts.get(int(number)) if re.fullmatch("[0-9]{1,9}", number) else None
+        page = self.server.page.encode() if path == "" else page
+        if page is None:
+            raise _Refused(HTTPStatus.NOT_FOUND, "There is nothing here.")
+        return page, "text/html; charset=utf-8"
+
+    def _act(self) -> tuple[bytes, str]:
+        name = self._path()
+        if name not in ACTIONS:
+            raise _Refused(HTTPStatus.NOT_FOUND, "There is no such action.")
+        ask = self._body()
         try:
-            answer = action(self.server, ask)
+            answer = getattr(self.server, name)(ask)
         except WarpvoxError as error:
             answer = {"error": " ".join(str(error).split())}
-        self._send(json.dumps(answer).encode(), "application/json")
+        return json.dumps(answer).encode(), "application/json"
 
     def _path(self) -> str:
         """The part of the address that follows the token."""
@@ -238,18 +234,10 @@ class _Handler(BaseHTTPRequestHandler):
             raise _Refused(HTTPStatus.BAD_REQUEST, "Expected a JSON object.")
         return ask
 
-    def _refuse(self, refusal: _Refused) -> None:
-        # What was not read would be taken for the next request.
-        self.close_connection = True
-        self._send(str(refusal).encode(), "text/plain; charset=utf-8", refusal.status)
-
     def _send(self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
         self.send_response(status)
-        for name, value in HEADERS.items():
+        for name, value in HEADERS.items() | {("Content-Type", kind), ("Content-Length", str(len(content)))}:
             self.send_header(name, value)
-        self.send_header("Content-Security-Policy", POLICY)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(content)))
         if self.close_connection:
             self.send_header("Connection", "close")
         self.end_headers()

@@ -92,8 +92,7 @@ class OpenWorld:
         self.sim, self.seed, self.auto_reset = sim, seed, False
         self.num_envs, self.num_actions = sim.num_envs, sim.num_actions
         self.max_episode_steps = round(LONGEST / FRAME_SECONDS)
-        robots = [obj.name for obj in sim.worlds[0].objects.values() if obj.is_robot]
-        self._robot = min(robots, default=None)
+        self._robot = min((obj.name for obj in sim.worlds[0].objects.values() if obj.is_robot), default=None)
         self._where = self._place()
 
     def _place(self) -> Any:
@@ -129,7 +128,5 @@ class _TimeLimited:
     def step(self, actions: Any) -> tuple[Any, ...]:
         """As the environment's; refuses to go on after the deadline."""
         if time.monotonic() > self._deadline:
-            raise ConfigError(
-                f"This takes more than {TIME_LIMIT:g} s to simulate: choose fewer seconds or fewer cells."
-            )
+            raise ConfigError(f"This takes more than {TIME_LIMIT:g} s to simulate: choose fewer seconds or cells.")
         return self._env.step(actions)

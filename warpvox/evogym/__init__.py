@@ -13,15 +13,5 @@ from warpvox.evogym.utils import *  # noqa: F403
 from warpvox.evogym.viewer import EvoViewer
 from warpvox.evogym.world import EvoWorld, WorldObject
 
-__all__ = [
-    "EvoSim",
-    "EvoViewer",
-    "EvoWorld",
-    "WorldObject",
-    "sim",
-    "simulator_cpp",
-    "utils",
-    "viewer",
-    "world",
-]
+__all__ = ["EvoSim", "EvoViewer", "EvoWorld", "WorldObject", "sim", "simulator_cpp", "utils", "viewer", "world"]
 __all__ += utils.__all__

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image, ImageDraw
 
-from warpvox.types import VOXEL, Cell
+from warpvox.types import VOXEL
 from warpvox.view.painter import GRID, INK, SKY
 from warpvox.view.palette import colour_index, palette
+from warpvox.view.scene import stretch
 
 if TYPE_CHECKING:
     from warpvox.evogym.engine import Engine
@@ -31,18 +32,14 @@ def paint(
     hide_edges: bool = False,
     hide_voxels: bool = False,
 ) -> np.ndarray:
-    """The present state.
+    """Return a picture of the present state, uint8 ``[height, width, 3]``.
 
     Args:
-        engine: the simulation.
         middle: the centre of the picture, in simulator units.
         view: width and height of what is seen, in simulator units; stretched to the picture.
         size: width and height in pixels.
         hide_background: white instead of the sky.
         hide_grid, hide_edges, hide_voxels: leave out the grid, the outlines of objects, the cells.
-
-    Returns:
-        uint8 ``[height, width, 3]``.
     """
     large = (size[0] * SMOOTH, size[1] * SMOOTH)
     scale = np.array(large) / view
@@ -51,16 +48,15 @@ def paint(
     draw = ImageDraw.Draw(image)
     if not hide_grid:
         _grid(draw, corner, view, scale, large)
-    points = engine.all_positions(engine.time)
+    points = engine.positions(engine.time)
     # Clipped: drawing is exact within the picture, and far points would overflow Pillow's integers.
     places = np.clip((points - corner) * scale, -1e6, 1e6)
     places[:, 1] = large[1] - places[:, 1]
     if not hide_voxels:
         quads = places[engine.corners]
         seen = _seen(quads, large)
-        colours = palette()[
-            colour_index(engine.cells[seen], _stretch(points[engine.corners[seen]], engine.cells[seen]))
-        ]
+        cells = engine.cells[seen]
+        colours = palette()[colour_index(cells, stretch(cells, points[engine.corners[seen]]))]
         for quad, colour in zip(quads[seen].reshape(-1, 8).tolist(), colours.tolist(), strict=True):
             draw.polygon(quad, fill=tuple(colour))
     if not hide_edges:
@@ -74,13 +70,6 @@ def paint(
 def _seen(shapes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """bool ``[k]``: which shapes ``[k, corners, 2]`` may touch the picture."""
     return ((shapes.max(axis=1) >= 0) & (shapes.min(axis=1) <= size)).all(axis=1)
-
-
-def _stretch(corners: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """``[voxels]``: length of each cell ``[voxels, 4, 2]`` along its axis of actuation, in units of a voxel."""
-    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2) / VOXEL
-    across, upright = (lengths[:, 0] + lengths[:, 2]) / 2, (lengths[:, 1] + lengths[:, 3]) / 2
-    return np.where(cells == Cell.V_ACT, upright, across)
 
 
 def _grid(draw: ImageDraw.ImageDraw, corner: np.ndarray, view: tuple, scale: np.ndarray, size: tuple) -> None:

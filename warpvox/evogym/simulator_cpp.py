@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpvox.errors import DisplayError, SimulationError, WorldError, listing
+from warpvox.errors import DisplayError, SimulationError, WorldError
 from warpvox.evogym.errors import ArgumentError
 from warpvox.evogym.picture import paint
 from warpvox.io.reading import Missing, Unreadable, read_text
+from warpvox.view.window import OTHERWISE, Window, why_no_window
 from warpvox.world import LARGEST_FILE, World, WorldObject
 
 if TYPE_CHECKING:
     from warpvox.evogym.engine import Engine
-    from warpvox.view.window import Window
 
 __all__ = ["Camera", "Sim", "Viewer"]
 
@@ -37,9 +37,12 @@ class Sim:
     def _engine(self) -> Engine:
         """The running simulation; from its first use on no object can be added."""
         if self._running is None:
-            _quiet_warp()
-            from warpvox.evogym.engine import Engine  # brings torch and Warp, which worlds alone do not need
+            import warp  # and torch, which worlds alone do not need
 
+            from warpvox.evogym.engine import Engine
+
+            if warp.config.log_level == warp.LOG_INFO:  # unless the script has chosen what Warp reports
+                warp.config.log_level = warp.LOG_WARNING
             self._running = Engine(self._plan)
         return self._running
 
@@ -56,21 +59,17 @@ class Sim:
     def read_object_from_array(
         self, grid: np.ndarray, connections: np.ndarray, object_name: str, x: float, y: float
     ) -> bool:
-        """Add an object.
+        """Add an object of cells ``[rows, columns]``, row 0 on top, and pairs of flat indices ``[2, k]``; return True.
 
-        Args:
-            grid: cells ``[rows, columns]``, row 0 on top.
-            connections: ``[2, k]`` pairs of flat indices into ``grid``.
-            object_name: unique name.
-            x, y: cell of the lower left corner.
-
-        Returns:
-            True.
+        ``x``, ``y``: cell of its lower left corner.
 
         Raises:
             WorldError: it is not valid or overlaps another object. SimulationError: the simulation has begun.
         """
-        self._add(WorldObject.from_array(object_name, grid, int(x), int(y), connections))
+        obj = WorldObject.from_array(object_name, grid, int(x), int(y), connections)
+        if self._running is not None:
+            raise SimulationError(f"'{obj.name}' cannot be added: the simulation has begun. Add objects before.")
+        self._plan.add_object(obj)
         return True
 
     def read_robot_from_array(
@@ -80,11 +79,7 @@ class Sim:
         return self.read_object_from_array(grid, connections, robot_name, x, y)
 
     def read_object_from_file(self, file_name: str, object_name: str, x: float, y: float) -> bool:
-        """Add an object from a file of integers: columns, rows, the cells from the top row on, pairs of indices.
-
-        Raises:
-            FileNotFoundError: no such file. Otherwise as :meth:`read_object_from_array`.
-        """
+        """Add an object from a file of integers: columns, rows, the cells from the top row on, pairs of indices."""
         try:
             words = read_text(file_name, LARGEST_FILE).split()
         except Missing:
@@ -107,33 +102,18 @@ class Sim:
         """Add a robot; as :meth:`read_object_from_file`."""
         return self.read_object_from_file(file_name, robot_name, x, y)
 
-    def _add(self, obj: WorldObject) -> None:
-        if self._running is not None:
-            raise SimulationError(f"'{obj.name}' cannot be added: the simulation has begun. Add objects before.")
-        self._plan.add_object(obj)
-
     # ------------------------------------------------------------------------------------------- stepping
 
     def step(self) -> bool:
-        """One control step of 30 sub-steps.
-
-        Returns:
-            Whether a robot has folded into itself. The step is then undone, and the time stays.
-        """
+        """Take a control step of 30 sub-steps; True if a robot has folded into itself: the step is undone then."""
         return self._engine.step()
 
     def set_action(self, robot_name: str, action: np.ndarray) -> None:
         """Set targets of actuators from the next step on; they hold until others are set.
 
-        Args:
-            robot_name: of the robot.
-            action: ``[k, 2]``, the flat index of an actuator's cell and the target length of its sides in units of
-                their rest length (1.0 before anything is set). Not clipped.
-
-        Raises:
-            ArgumentError: no such robot, or no actuator there.
+        ``action``: ``[k, 2]``, the flat index of an actuator's cell and the target length of its sides in units of
+        their rest length (1.0 before anything is set). Not clipped. ArgumentError: no such robot, or no actuator there.
         """
-        self._check_robot(robot_name)
         action = np.asarray(action, float).reshape(-1, 2)
         known = self._engine.actuators(robot_name)
         wrong = np.setdiff1d(action[:, 0], known)
@@ -142,20 +122,11 @@ class Sim:
         self._engine.goals[robot_name][np.searchsorted(known, action[:, 0])] = action[:, 1]
 
     def revert(self, sim_time: int) -> None:
-        """Go back to a time that has been; what came after it is forgotten. Targets of actuators stay as they are.
-
-        Raises:
-            ArgumentError: there is no record of that time.
-        """
+        """Go back to a recorded time, else ArgumentError, and forget what came after it; targets of actuators stay."""
         self._engine.revert(sim_time)
 
     def translate_object(self, x: float, y: float, object_name: str) -> None:
-        """Move an object by (x, y) at once; overlaps are not checked.
-
-        Raises:
-            ArgumentError: no such object.
-        """
-        self._engine.check(object_name)
+        """Move an object by (x, y) at once; overlaps are not checked. ArgumentError: no such object."""
         self._engine.translate(object_name, x, y)
 
     # -------------------------------------------------------------------------------------------- looking
@@ -165,44 +136,32 @@ class Sim:
         return self._engine.time
 
     def pos_at_time(self, sim_time: int) -> np.ndarray:
-        """``[2, points]``: positions of all points, object by object."""
-        return _rows(self._engine.all_positions(sim_time))
+        """Return the positions of all points ``[2, points]``, object by object.
+
+        Raises:
+            ArgumentError: the time is not recorded. ArgumentTypeError: it is not an integer.
+        """
+        return _rows(self._engine.positions(sim_time))
 
     def vel_at_time(self, sim_time: int) -> np.ndarray:
         """``[2, points]``: velocities of all points, in simulator units per inner time (30 x 1e-4 a step)."""
-        return _rows(self._engine.all_velocities(sim_time))
+        return _rows(self._engine.velocities(sim_time))
 
     def object_pos_at_time(self, sim_time: int, object_name: str) -> np.ndarray:
-        """``[2, points]``: positions of an object's points."""
-        self._engine.check(object_name)
+        """Return the positions of an object's points ``[2, points]``; ArgumentError also for an unknown object."""
         return _rows(self._engine.positions(sim_time, object_name))
 
     def object_vel_at_time(self, sim_time: int, object_name: str) -> np.ndarray:
         """``[2, points]``: velocities of an object's points."""
-        self._engine.check(object_name)
         return _rows(self._engine.velocities(sim_time, object_name))
 
     def object_orientation_at_time(self, time: int, object_name: str) -> float:
         """The turn of an object since time 0, counter-clockwise, radians in [0, 2 pi]."""
-        self._engine.check(object_name)
         return self._engine.orientation(time, object_name)
 
     def get_indices_of_actuators(self, robot_name: str) -> np.ndarray:
         """int32 ``[1, actuators]``: flat indices of their cells, row by row from the top."""
-        self._check_robot(robot_name)
         return self._engine.actuators(robot_name)[None]
-
-    def _check_robot(self, name: str) -> None:
-        if name not in self._engine.robots:
-            raise ArgumentError(f"{name} is not a valid robot name; robots are {listing(self._engine.robots)}.")
-
-
-def _quiet_warp() -> None:
-    """Keep Warp from reporting what it loads, unless the script has chosen what it reports."""
-    import warp
-
-    if warp.config.log_level == warp.LOG_INFO:
-        warp.config.log_level = warp.LOG_WARNING
 
 
 def _rows(points: np.ndarray) -> np.ndarray:
@@ -211,15 +170,13 @@ def _rows(points: np.ndarray) -> np.ndarray:
 
 
 class Camera:
-    """The view of a picture.
-
-    Args:
-        is_renderable: as released, True for a camera of images and False for one of windows.
-    """
+    """The view of a picture; ``is_renderable``, as released: True for a camera of images, False for one of windows."""
 
     def __init__(self, is_renderable: bool) -> None:
         self.is_renderable = is_renderable
-        self.pos, self.size, self.resolution = (0.0, 0.0), (1.0, 1.0), (320, 320)
+        self.set_pos(0.0, 0.0)
+        self.set_size(1.0, 1.0)
+        self.set_resolution(320, 320)
         self._image = np.zeros(0, np.uint8)
 
     def set_pos(self, x: float, y: float) -> None:
@@ -248,18 +205,10 @@ class Camera:
 
 
 class Viewer:
-    """Paints a simulation for cameras, or in a window.
-
-    Args:
-        sim: the simulation to paint.
-    """
+    """Paints ``sim``, which may be exchanged, for cameras, or in a window."""
 
     def __init__(self, sim: Sim) -> None:
-        self._sim, self._window, self._shown = sim, None, False
-
-    def look_at(self, sim: Sim) -> None:
-        """Paint another simulation from now on, in the same window."""
-        self._sim = sim
+        self.sim, self.shown, self._window = sim, False, None
 
     def init(self) -> None:
         """Nothing: kept because scripts may call it."""
@@ -273,56 +222,37 @@ class Viewer:
         hide_boxels: bool = False,
         dont_clear: bool = False,
     ) -> None:
-        """Paint what a camera sees, into its image, or into the window if it is shown.
-
-        Raises:
-            ArgumentError: ``dont_clear``, which painted over the last picture, is asked for.
-        """
+        """Paint what a camera sees, into its image, or the window if it is shown. ``dont_clear``: ArgumentError."""
         if dont_clear:
             raise ArgumentError("dont_clear=True is not available: every picture is painted anew.")
-        if not (camera.is_renderable or self._shown):
-            return
-        window = None if camera.is_renderable else self._open(camera.resolution)
-        if window is not None and not window.visible:
-            return
-        hidden = (hide_background, hide_grid, hide_edges, hide_boxels)
-        picture = paint(self._sim._engine, camera.pos, camera.size, camera.resolution, *hidden)
-        if window is None:
-            camera._image = picture
-        else:
-            window.show(picture)
-
-    def _open(self, size: tuple[int, int]) -> Window:
-        if self._window is None:
-            from warpvox.view.window import Window
-
-            self._window = Window(size, "warpvox")
-        return self._window
+        if not camera.is_renderable and self.shown and self._window is None:
+            self._window = Window(camera.resolution, "warpvox")
+        if camera.is_renderable or (self.shown and self._window is not None and self._window.visible):
+            hidden = (hide_background, hide_grid, hide_edges, hide_boxels)
+            picture = paint(self.sim._engine, camera.pos, camera.size, camera.resolution, *hidden)
+            if camera.is_renderable or self._window is None:
+                camera._image = picture
+            else:
+                self._window.show(picture)
 
     def show_debug_window(self) -> None:
-        """Let pictures of window cameras be shown; the window opens with the first.
-
-        Raises:
-            DisplayError: windows cannot be shown here.
-        """
-        from warpvox.view.window import OTHERWISE, why_no_window
-
+        """Let pictures of window cameras be shown; the window opens with the first. DisplayError: there can be none."""
         reason = why_no_window()
         if reason is not None:
             raise DisplayError(f"The modes 'screen' and 'human' show a window, but {reason}. {OTHERWISE}")
-        self._shown = True
+        self.shown = True
         if self._window is not None:
             self._window.unhide()
 
     def hide_debug_window(self) -> None:
         """Take the window off the screen."""
-        self._shown = False
+        self.shown = False
         if self._window is not None:
             self._window.hide()
 
     def close(self) -> None:
-        """Close the window."""
-        self._shown = False
+        """Close the window. Harmless to repeat."""
+        self.shown = False
         if self._window is not None:
             self._window.close()
             self._window = None

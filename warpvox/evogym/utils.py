@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import random
 import time
 from bisect import bisect_left
@@ -17,24 +18,8 @@ from warpvox.evogym.errors import ArgumentTypeError, RangeError
 from warpvox.types import Cell
 
 # EvoGym's modules have no __all__: scripts that say `from evogym import *` also get what the modules import.
-__all__ = [
-    "BASELINE_ENV_NAMES",
-    "VOXEL_TYPES",
-    "Optional",
-    "Pair",
-    "Timer",
-    "Tuple",
-    "draw",
-    "get_full_connectivity",
-    "get_uniform",
-    "has_actuator",
-    "hashable",
-    "is_connected",
-    "np",
-    "random",
-    "sample_robot",
-    "time",
-]
+__all__ = ["BASELINE_ENV_NAMES", "VOXEL_TYPES", "Optional", "Pair", "Timer", "Tuple", "draw", "get_full_connectivity"]
+__all__ += ["get_uniform", "has_actuator", "hashable", "is_connected", "np", "random", "sample_robot", "time"]
 
 VOXEL_TYPES = {cell.name: int(cell) for cell in Cell}
 """Types of cells: EMPTY 0, RIGID 1, SOFT 2, H_ACT 3, V_ACT 4, FIXED 5."""
@@ -56,27 +41,23 @@ BASELINE_ENV_NAMES = [
 
 
 def get_uniform(x: int) -> np.ndarray:
-    """The uniform distribution over ``x`` outcomes, float64 ``[x]``.
-
-    Raises:
-        RangeError: ``x`` is not positive.
-    """
+    """Return the uniform distribution over ``x`` outcomes, float64 ``[x]``; RangeError unless ``x`` is positive."""
     if x <= 0:
         raise RangeError(f"A distribution needs at least one outcome, got size {x}.")
     return np.full(x, 1.0) / x
 
 
 def draw(pd: np.ndarray) -> int:
-    """Draw an index with relative weights ``pd`` from Python's global generator ``random``.
-
-    Raises:
-        RangeError: no weights, a negative one, or all 0.
-    """
+    """Draw an index with relative weights ``pd`` from Python's generator ``random``; errors as of ``_drawer``."""
     return _drawer(pd)()
 
 
 def _drawer(pd: object) -> Callable[[], int]:
-    """A function that draws indices; the same numbers of ``random`` give the same indices as in the release."""
+    """Make a function that draws indices; the same numbers of ``random`` give the same indices as in the release.
+
+    Raises:
+        RangeError: no weights, a negative one, or all 0.
+    """
     weights = np.array(pd)
     if weights.size == 0 or not np.all(weights >= 0) or not weights.sum() > 0:
         raise RangeError(f"Weights must be at least one number >= 0, and not all 0, got {pd!r}.")
@@ -167,6 +148,16 @@ class Timer:
             self._begin, self._steps = self._begin + 1, 0
 
 
+def _in_parallel(verb: str, result: Callable[[int, int], int]) -> Callable[[Pair, int | Pair], Pair]:
+    def calculate(self: Pair, other: int | Pair) -> Pair:
+        x, y = (other.x, other.y) if isinstance(other, Pair) else (other, other)
+        if not isinstance(x, int):
+            raise ArgumentTypeError(f"Cannot {verb} a Pair and {other!r} of type {type(other).__name__}.")
+        return Pair(result(self.x, x), result(self.y, y))
+
+    return calculate
+
+
 class Pair:
     """Two integers, x and y, that are added, subtracted, multiplied and divided (rounding down) in parallel.
 
@@ -182,38 +173,22 @@ class Pair:
                 raise ArgumentTypeError(f"A Pair holds integers, got {value!r} of type {type(value).__name__}.")
         self.x, self.y = int(x), int(y)
 
-    def _with(self, other: int | Pair, verb: str, result: Callable[[int, int], int]) -> Pair:
-        x, y = (other.x, other.y) if isinstance(other, Pair) else (other, other)
-        if not isinstance(x, int):
-            raise ArgumentTypeError(f"Cannot {verb} a Pair and {other!r} of type {type(other).__name__}.")
-        return Pair(result(self.x, x), result(self.y, y))
-
     def __getitem__(self, key: int) -> int:
         if key not in (0, 1):
             raise IndexError(f"A Pair has the entries 0 and 1, got {key!r}.")
         return self.y if key else self.x
 
-    def __add__(self, other: int | Pair) -> Pair:
-        return self._with(other, "add", lambda a, b: a + b)
-
-    def __sub__(self, other: int | Pair) -> Pair:
-        return self._with(other, "subtract", lambda a, b: a - b)
-
-    def __mul__(self, other: int | Pair) -> Pair:
-        return self._with(other, "multiply", lambda a, b: a * b)
-
-    def __floordiv__(self, other: int | Pair) -> Pair:
-        return self._with(other, "divide", lambda a, b: a // b)
-
-    __truediv__ = __floordiv__
-
-    def __mod__(self, other: int | Pair) -> Pair:
-        return self._with(other, "take the remainder of", lambda a, b: a % b)
+    __add__ = _in_parallel("add", operator.add)
+    __sub__ = _in_parallel("subtract", operator.sub)
+    __mul__ = _in_parallel("multiply", operator.mul)
+    __truediv__ = __floordiv__ = _in_parallel("divide", operator.floordiv)
+    __mod__ = _in_parallel("take the remainder of", operator.mod)
+    each_max = _in_parallel("compare", max)
+    each_min = _in_parallel("compare", min)
 
     def __eq__(self, other: object) -> bool:
-        if isinstance(other, Pair):
-            return self.x == other.x and self.y == other.y
-        return isinstance(other, int) and self.x == other and self.y == other
+        x, y = (other.x, other.y) if isinstance(other, Pair) else (other, other)
+        return isinstance(x, int) and (self.x, self.y) == (x, y)
 
     def __hash__(self) -> int:
         return hash((self.x, self.y))
@@ -221,20 +196,6 @@ class Pair:
     def abs(self) -> Pair:
         """The magnitudes."""
         return Pair(abs(self.x), abs(self.y))
-
-    def each_max(self, other: Pair) -> Pair:
-        """The larger x and the larger y."""
-        return self._with(self._pair(other), "compare", max)
-
-    def each_min(self, other: Pair) -> Pair:
-        """The smaller x and the smaller y."""
-        return self._with(self._pair(other), "compare", min)
-
-    @staticmethod
-    def _pair(other: object) -> Pair:
-        if not isinstance(other, Pair):
-            raise ArgumentTypeError(f"Expected a Pair, got {other!r} of type {type(other).__name__}.")
-        return other
 
     def copy(self) -> Pair:
         """An independent Pair."""

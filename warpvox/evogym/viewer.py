@@ -46,11 +46,9 @@ class EvoViewer:
         view_size: tuple[float, float] = (40, 20),
         resolution: tuple[int, int] = (1200, 600),
     ) -> None:
-        self._sim = sim_to_view
-        self._viewer: Viewer | None = None
-        self._shown = False
+        self._viewer = Viewer(sim_to_view)
         self._tracked: list[str] = []
-        self._padding, self._scale = (5.0, 3.0), (0.2, 0.2)
+        self._tracking = {"padding": (5.0, 3.0), "scale": (0.2, 0.2)}
         self._locks: dict[str, float] = {}
         self._target: np.ndarray | None = None  # where the camera would be without inertia: x, y, width, height
         self._aims: list[np.ndarray] = []  # the last two places that the filter has aimed at
@@ -63,9 +61,7 @@ class EvoViewer:
 
     def look_at(self, sim: EvoSim) -> None:
         """Show another simulation from now on, in the same window and with the same camera."""
-        self._sim = sim
-        if self._viewer is not None:
-            self._viewer.look_at(sim)
+        self._viewer.sim = sim
 
     # --------------------------------------------------------------------------------------------- camera
 
@@ -82,11 +78,7 @@ class EvoViewer:
         self.resolution = _checked("resolution", resolution)
 
     def set_target_rps(self, target_rps: int | None) -> None:
-        """Set how many pictures a second are made at most; None: as many as possible.
-
-        Raises:
-            RangeError: fewer than two.
-        """
+        """Set how many pictures a second are made at most, two or more (else RangeError); None: all that can be."""
         if target_rps is not None and int(target_rps) < 2:
             raise RangeError(f"The lowest target rps is 2, got {target_rps}.")
         self._timer = Timer(None if target_rps is None else int(target_rps))
@@ -108,7 +100,7 @@ class EvoViewer:
         Raises:
             ArgumentError, ArgumentTypeError: an unknown setting, or a value that it cannot have.
         """
-        valid = ("padding", "scale", *_LOCKS)
+        valid = (*self._tracking, *_LOCKS)
         for name, value in settings.items():
             if name not in valid:
                 hint = did_you_mean(name, valid)
@@ -119,19 +111,17 @@ class EvoViewer:
                 self._locks.pop(name, None)
                 if value is not False:
                     self._locks[name] = float(value)
-            elif name == "padding":
-                self._padding = _checked(name, value)
             else:
-                self._scale = _checked(name, value)
+                self._tracking[name] = _checked(name, value)
 
     def _box(self) -> np.ndarray:
         """x, y, width and height of the tracked objects' box, with padding and scale."""
-        now = self._sim.get_time()
-        points = np.concatenate([self._sim.object_pos_at_time(now, name) for name in self._tracked], axis=1)
-        low, high = points.min(axis=1) - self._padding, points.max(axis=1) + self._padding
+        sim, padding, scale = self._viewer.sim, self._tracking["padding"], np.array(self._tracking["scale"])
+        points = np.concatenate([sim.object_pos_at_time(sim.get_time(), name) for name in self._tracked], axis=1)
+        low, high = points.min(axis=1) - padding, points.max(axis=1) + padding
         # As released, the right and upper sides get a share of what the left and lower ones have added already.
-        low = low - np.array(self._scale) * (high - low) / 2
-        high = high + np.array(self._scale) * (high - low) / 2
+        low = low - scale * (high - low) / 2
+        high = high + scale * (high - low) / 2
         return np.concatenate([(low + high) / 2, high - low])
 
     def _follow(self) -> None:
@@ -141,12 +131,8 @@ class EvoViewer:
             self.set_pos(tuple(target[:2].tolist()))
             self.set_view_size(tuple(target[2:].tolist()))
             self._target, self._aims = target, [target, target]
-        still = np.concatenate(
-            [
-                np.abs(self._target[:2] - target[:2]) < _DEAD_PLACE,
-                np.abs(1 - self._target[2:] / target[2:]) < _DEAD_SIZE,
-            ]
-        )
+        moved, grown = np.abs(self._target[:2] - target[:2]), np.abs(1 - self._target[2:] / target[2:])
+        still = np.concatenate([moved < _DEAD_PLACE, grown < _DEAD_SIZE])
         target = self._target = np.where(still, self._target, target)
         before, last = self._aims
         self._sum = (self._sum + target - last) * _FADE
@@ -174,13 +160,11 @@ class EvoViewer:
         """Show or return a picture of the present state.
 
         Args:
-            mode: ``screen`` or ``human`` show it in a window, ``img`` or ``rgb_array`` return it.
+            mode: ``screen`` or ``human`` show it in a window and return None; ``img`` or ``rgb_array`` return it, uint8
+                ``[height, width, 3]``.
             verbose: print once a second how many pictures a second are made.
             hide_background, hide_grid, hide_edges, hide_voxels: leave out the colour of the sky, the grid, the outlines
                 of objects, the cells.
-
-        Returns:
-            uint8 ``[height, width, 3]``, or None from a window.
 
         Raises:
             ArgumentError: unknown mode. DisplayError: there is no display for a window.
@@ -188,15 +172,17 @@ class EvoViewer:
         if mode not in (*_SCREEN, *_IMAGE):
             modes = (*_SCREEN, *_IMAGE)
             raise ArgumentError(f"There is no mode {mode!r}; there are {listing(modes)}.{did_you_mean(mode, modes)}")
-        if mode in _SCREEN and not self._shown:
+        if mode in _SCREEN and not self._viewer.shown:
             self.show_debug_window()
         self._catch_up()
-        camera = self._camera(mode in _IMAGE)
-        self._painter().render(camera, hide_background, hide_grid, hide_edges, hide_voxels)
+        camera, (width, height) = Camera(mode in _IMAGE), self.resolution
+        camera.set_pos(*(VOXEL * value for value in self.pos))
+        camera.set_size(*(VOXEL * value for value in self.view_size))
+        camera.set_resolution(width, height)
+        self._viewer.render(camera, hide_background, hide_grid, hide_edges, hide_voxels)
         picture = None
         if mode in _IMAGE:
-            width, height = camera.resolution
-            picture = np.frombuffer(camera.get_image(), np.uint8).reshape(height, width, 3).copy()
+            picture = np.frombuffer(camera.get_image(), np.uint8).reshape(int(height), int(width), 3).copy()
         self._timer.step(verbose=verbose)
         while not self._timer.should_step():
             time.sleep(0.001)
@@ -204,43 +190,26 @@ class EvoViewer:
 
     def _catch_up(self) -> None:
         """Move the camera as often as the simulation has stepped since the last picture."""
-        now = self._sim.get_time()
+        now = self._viewer.sim.get_time()
         if now < self._last_rendered:
             self._last_rendered = now - _JUMP_BACK
         for _ in range(now - self._last_rendered if self._tracked else 0):
             self._follow()
         self._last_rendered = now
 
-    def _camera(self, image: bool) -> Camera:
-        camera = Camera(image)
-        camera.set_pos(*(VOXEL * value for value in self.pos))
-        camera.set_size(*(VOXEL * value for value in self.view_size))
-        camera.set_resolution(*self.resolution)
-        return camera
-
-    def _painter(self) -> Viewer:
-        if self._viewer is None:
-            self._viewer = Viewer(self._sim)
-        return self._viewer
-
     # --------------------------------------------------------------------------------------------- window
 
     def show_debug_window(self) -> None:
         """Show the window; DisplayError where there is no display."""
-        self._painter().show_debug_window()
-        self._shown = True
+        self._viewer.show_debug_window()
 
     def hide_debug_window(self) -> None:
         """Take the window off the screen."""
-        if self._viewer is not None:
-            self._viewer.hide_debug_window()
-        self._shown = False
+        self._viewer.hide_debug_window()
 
     def close(self) -> None:
         """Close the window. Harmless to repeat."""
-        if self._viewer is not None:
-            self._viewer.close()
-        self._shown = False
+        self._viewer.close()
 
 
 def _checked(name: str, value: object) -> tuple:

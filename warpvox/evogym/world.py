@@ -7,6 +7,7 @@ Here rows count upward, as in the release: row 0 of ``grid`` is the lowest. Arra
 from __future__ import annotations
 
 import errno
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,8 @@ from warpvox import world as core
 from warpvox.errors import WorldError, did_you_mean, listing
 from warpvox.evogym.utils import *  # noqa: F403  # as in the release, scripts may take them from here
 from warpvox.evogym.utils import Pair
-from warpvox.types import Cell
 
 __all__ = ["EvoWorld", "WorldObject"]
-
-_LETTERS = {Cell.RIGID: "R", Cell.SOFT: "S", Cell.H_ACT: "H", Cell.V_ACT: "V", Cell.FIXED: "F"}
 
 
 class EvoWorld:
@@ -43,11 +41,7 @@ class EvoWorld:
 
     @classmethod
     def from_json(cls, file_path: str) -> EvoWorld:
-        """Read a file of EvoGym's design tool.
-
-        Raises:
-            FileNotFoundError: no such file. WorldError (a ValueError): it is not a world.
-        """
+        """Read a file of EvoGym's design tool; errors as of :meth:`add_from_json`."""
         world = cls()
         world.add_from_json(file_path)
         return world
@@ -56,7 +50,7 @@ class EvoWorld:
         """Add all objects of a file of EvoGym's design tool.
 
         Raises:
-            FileNotFoundError: no such file. WorldError: it is not a world, or an object cannot be added.
+            FileNotFoundError: no such file. WorldError (a ValueError): it is not a world, or an object cannot be added.
         """
         for obj in _read(file_path):
             self.add_object(obj)
@@ -80,11 +74,7 @@ class EvoWorld:
         self.add_object(obj)
 
     def add_object(self, obj: WorldObject) -> None:
-        """Add an object where it is.
-
-        Raises:
-            WorldError: its name is taken, or its bounding box covers a cell of another object.
-        """
+        """Add an object where it is. WorldError: its name is taken, or its bounding box covers a cell of another."""
         if obj.name in self.objects:
             raise WorldError(f"The world has an object named '{obj.name}' already; names must differ.")
         (x, y), (columns, rows) = obj.get_pos(), obj.grid.shape[::-1]
@@ -101,11 +91,7 @@ class EvoWorld:
         self.objects[obj.name] = obj
 
     def remove_object(self, obj_name: str) -> WorldObject:
-        """Remove an object; return a copy of it. The grid keeps its size.
-
-        Raises:
-            WorldError: there is no such object.
-        """
+        """Remove an object; return a copy of it. The grid keeps its size. WorldError: there is no such object."""
         obj = self._find(obj_name).copy()
         (x, y), (columns, rows) = obj.get_pos(), obj.grid.shape[::-1]
         self.grid[y : y + rows, x : x + columns] = 0
@@ -113,11 +99,7 @@ class EvoWorld:
         return obj
 
     def translate_object(self, obj_name: str, dx: int, dy: int) -> None:
-        """Move an object by some cells.
-
-        Raises:
-            WorldError: no such object, a negative position or an overlap; the object then stays where it was.
-        """
+        """Move an object by some cells; errors as of :meth:`move_object`."""
         pos = self._find(obj_name).pos + Pair(dx, dy)
         self.move_object(obj_name, pos.x, pos.y)
 
@@ -138,15 +120,11 @@ class EvoWorld:
             raise
 
     def pretty_print(self, voxels_per_line: int = 50) -> None:
-        """Print the world in letters: R rigid, S soft, H and V actuators, F fixed, a dot for empty.
-
-        Args:
-            voxels_per_line: columns after which a new block of lines begins.
-        """
+        """Print the world in letters, a block for every ``voxels_per_line`` columns: R, S, H, V, F, a dot for empty."""
         for begin in range(0, self.grid_size.x, voxels_per_line):
             block = self.grid[:, begin : begin + voxels_per_line]
             for y in reversed(range(len(block))):
-                print(f"{y % 10} | " + " ".join(_LETTERS.get(cell, ".") for cell in block[y].tolist()))
+                print(f"{y % 10} | " + " ".join(".RSHVF"[cell] for cell in block[y]))
             columns = range(begin, begin + block.shape[1])
             print("   -" + "--" * len(columns))
             print("    " + " ".join(str(x % 10) for x in columns) + "\n")
@@ -171,26 +149,24 @@ class WorldObject:
     """
 
     def __init__(self) -> None:
-        self.name = ""
-        self.pos = Pair(0, 0)
-        self.grid_size = Pair(0, 0)
+        self.name, self.pos, self.grid_size = "", Pair(0, 0), Pair(0, 0)
         self.grid = np.zeros((0, 0), int)
         self.voxels: list[Pair] = []
         self.neighbors: dict[Pair, list[Pair]] = {}
 
     @classmethod
     def from_json(cls, file_path: str) -> WorldObject:
-        """Read a file of EvoGym's design tool that holds one object.
-
-        Raises:
-            FileNotFoundError: no such file. WorldError: it is not a world, or not of one object.
-        """
+        """Make the object of a file; see :meth:`load_from_json`."""
         obj = cls()
         obj.load_from_json(file_path)
         return obj
 
     def load_from_json(self, file_path: str) -> None:
-        """Become the object of a file; see :meth:`from_json`."""
+        """Become the one object of a file of EvoGym's design tool.
+
+        Raises:
+            FileNotFoundError: no such file. WorldError: it is not a world, or not of one object.
+        """
         objects = _read(file_path)
         if len(objects) != 1:
             names = listing(obj.name for obj in objects)
@@ -199,29 +175,23 @@ class WorldObject:
 
     @classmethod
     def from_array(cls, name: str, structure: np.ndarray, connections: np.ndarray | None = None) -> WorldObject:
-        """An object at (0, 0) made of cells ``[rows, columns]``, row 0 on top.
+        """Make an object at (0, 0); see :meth:`load_from_array`."""
+        obj = cls()
+        obj.load_from_array(name, structure, connections)
+        return obj
+
+    def load_from_array(self, name: str, structure: np.ndarray, connections: np.ndarray | None = None) -> None:
+        """Become an object at (0, 0) made of cells ``[rows, columns]``, row 0 on top.
 
         ``connections``: ``[2, k]`` pairs of flat indices into ``structure``; None connects all neighbours.
 
         Raises:
             WorldError: cells or connections that are not valid.
         """
-        obj = cls()
-        obj.load_from_array(name, structure, connections)
-        return obj
-
-    def load_from_array(self, name: str, structure: np.ndarray, connections: np.ndarray | None = None) -> None:
-        """Become an object at (0, 0); see :meth:`from_array`."""
         self._become(core.WorldObject.from_array(name, structure, 0, 0, connections))
 
     def load_from_parsed_json(self, name: str, json_data: Any, grid_size: Pair) -> None:
-        """Become an object of a parsed world file.
-
-        Args:
-            name: its name.
-            json_data: its entry: ``indices``, ``types`` and ``neighbors``.
-            grid_size: of the world in the file.
-        """
+        """Become an object of a parsed world file of ``grid_size``; ``indices``, ``types``, ``neighbors``."""
         data = {"grid_width": grid_size.x, "grid_height": grid_size.y, "objects": {name: json_data}}
         self._become(core.World.from_json(data).objects[name])
 
@@ -246,9 +216,7 @@ class WorldObject:
 
     def to_core(self) -> core.WorldObject:
         """The same object as :class:`warpvox.world.WorldObject`."""
-        return core.WorldObject.from_array(
-            self.name, self.get_structure(), self.pos.x, self.pos.y, self.get_connections()
-        )
+        return core.WorldObject.from_array(self.name, self.get_structure(), *self.get_pos(), self.get_connections())
 
     def translate(self, dx: int, dy: int) -> None:
         """Move by some cells; WorldError if a coordinate becomes negative."""
@@ -256,10 +224,9 @@ class WorldObject:
 
     def set_pos(self, x: int, y: int) -> None:
         """Move so that (x, y) is the cell of the lower left corner; WorldError if one is negative."""
-        pos = Pair(x, y)
-        if pos.x < 0 or pos.y < 0:
-            raise WorldError(f"The position of '{self.name}' must not be negative, got {pos}.")
-        self.pos = pos
+        if min(x, y) < 0:
+            raise WorldError(f"The position of '{self.name}' must not be negative, got {(x, y)}.")
+        self.pos = Pair(x, y)
 
     def get_structure(self) -> np.ndarray:
         """Cells int ``[rows, columns]``, row 0 on top."""
@@ -267,7 +234,7 @@ class WorldObject:
 
     def get_connections(self) -> np.ndarray:
         """``[2, k]``: pairs of flat indices into the structure, each connection in both directions."""
-        columns, rows = self.grid.shape[1], self.grid.shape[0]
+        rows, columns = self.grid.shape
         pairs = [
             [(rows - 1 - cell.y) * columns + cell.x for cell in (voxel, near)]
             for voxel, others in self.neighbors.items()
@@ -288,12 +255,8 @@ class WorldObject:
         return self.name
 
     def copy(self) -> WorldObject:
-        """An independent object."""
-        other = WorldObject()
-        other.name, other.pos, other.grid_size = self.name, self.pos.copy(), self.grid_size.copy()
-        other.grid, other.voxels = self.grid.copy(), [voxel.copy() for voxel in self.voxels]
-        other.neighbors = {voxel.copy(): [near.copy() for near in others] for voxel, others in self.neighbors.items()}
-        return other
+        """Make an independent object."""
+        return deepcopy(self)
 
     __copy__ = copy
 

@@ -82,24 +82,15 @@ def draw_bodies(
         left, upper = gap + number % columns * step[0], top + number // columns * step[1]
         if shades is not None:
             margin, low = gap // 3, upper + high + lines * line
-            box = (left - margin, upper - margin, left + wide + margin, low + margin)
-            pen.rectangle(
-                box, fill=tuple(round(p + shades[number] * (s - p)) for p, s in zip(PAPER, SHADE, strict=True))
-            )
-        _draw(pen, body, (left, upper + high - body.shape[0] * cell), cell)
+            paper = tuple(round(p + shades[number] * (s - p)) for p, s in zip(PAPER, SHADE, strict=True))
+            pen.rectangle((left - margin, upper - margin, left + wide + margin, low + margin), fill=paper)
+        for (row, column), kind in np.ndenumerate(body):
+            x, y = left + column * cell, upper + high + (row - body.shape[0]) * cell
+            colours: dict[str, Any] = {"fill": cell_colour(int(kind)), "outline": INK} if kind else {"outline": EMPTY}
+            pen.rectangle((x, y, x + cell - 1, y + cell - 1), **colours)
         for place, text in enumerate(caption):
             pen.text((left, upper + high + 8 + place * line), text, INK if place == 0 else FAINT, font(16))
     return image
-
-
-def _draw(pen: ImageDraw.ImageDraw, body: Design, corner: tuple[int, int], cell: int) -> None:
-    for (row, column), kind in np.ndenumerate(body):
-        x, y = corner[0] + column * cell, corner[1] + row * cell
-        box = (x, y, x + cell - 1, y + cell - 1)
-        if kind == Cell.EMPTY:
-            pen.rectangle(box, outline=EMPTY)
-        else:
-            pen.rectangle(box, fill=cell_colour(int(kind)), outline=INK)
 
 
 def write_bodies(

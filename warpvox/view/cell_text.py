@@ -64,7 +64,12 @@ def print_world(world: World, console: Console) -> None:
             console.print()
         piece = cells[:, start : start + fold]
         lines = _blocks(piece) if colour else [Text("".join(GLYPHS[Cell(kind)] for kind in row)) for row in piece]
-        _print_lines(lines, console)
+        for _, equal in groupby(lines, key=lambda line: (line.plain, line.spans)):
+            rows = list(equal)  # of many equal ones in succession only the first and the last
+            if len(rows) > SAME_ROWS:
+                rows[1:-1] = [Text(f"  ({len(rows) - 2} more rows like these)", style="dim")]
+            for row in rows:
+                console.print(row, soft_wrap=True)
 
 
 def _has_colour(console: Console) -> bool:
@@ -85,13 +90,3 @@ def _blocks(cells: np.ndarray) -> list[Text]:
         halves = ((UPPER, _style(up, down)) if up else (LOWER, _style(down)) if down else " " for up, down in pairs)
         lines.append(Text.assemble(*halves))
     return lines
-
-
-def _print_lines(lines: list[Text], console: Console) -> None:
-    """Print the rows of a world; of many equal ones in succession only the first and the last."""
-    for _, equal in groupby(lines, key=lambda line: (line.plain, line.spans)):
-        rows = list(equal)
-        if len(rows) > SAME_ROWS:
-            rows[1:-1] = [Text(f"  ({len(rows) - 2} more rows like these)", style="dim")]
-        for row in rows:
-            console.print(row, soft_wrap=True)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +35,7 @@ STEADY = (9.0, 22.0)  # frames over which the camera's motion is smoothed, along
 
 
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """The font that comes with Pillow: no files, no surprises."""
+    """Load the font that comes with Pillow: no files, no surprises."""
     return ImageFont.load_default(size)
 
 
@@ -94,7 +93,6 @@ class Mesh:
     """The painted parts of a moving object: cells, and sides once each with what they separate."""
 
     corners: np.ndarray  # [cells, 4]
-    cells: np.ndarray  # [cells]
     columns: np.ndarray  # [cells] where the object's cells lie among all that move
     points: np.ndarray  # [k]
     inner: np.ndarray  # [m, 2] sides between two cells
@@ -129,7 +127,7 @@ class Canvas:
         image = self._backdrop(left, bottom)
         points = positions * np.float32(self.scale / VOXEL)
         points = np.stack([points[:, 0] - left, self.size[1] + bottom - points[:, 1]], axis=1)
-        colours = colour_index(self.scene.cells, stretch(self.scene, positions))
+        colours = colour_index(self.scene.cells, stretch(self.scene.cells, positions[self.scene.corners]))
         for mesh in self._meshes:
             self._paint(image, points, mesh, colours[mesh.columns])
         return image
@@ -146,7 +144,7 @@ class Canvas:
         large = patch.resize((patch.width * SMOOTH, patch.height * SMOOTH), Image.Resampling.NEAREST)
         draw = ImageDraw.Draw(large)
         xy = (points - low) * SMOOTH
-        thin, thick = self._pens
+        thin, thick = (max(1, round(SMOOTH * self.scale * share)) for share in (1 / 30, 1 / 16))
         quads = _seen(xy, mesh.corners, large.size, 0)
         for quad, colour in zip(xy[mesh.corners[quads]].reshape(-1, 8).tolist(), colours[quads].tolist(), strict=True):
             draw.polygon(quad, fill=self._colours[colour])
@@ -161,12 +159,6 @@ class Canvas:
         for x, y in xy[np.unique(outer)].tolist():
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=INK)
         image.paste(large.reduce(SMOOTH), box[:2])
-
-    @cached_property
-    def _pens(self) -> tuple[int, int]:
-        """Widths of inner and outer sides in enlarged pixels, a constant share of a voxel."""
-        inner, outer = (max(1, round(SMOOTH * self.scale * share)) for share in (1 / 30, 1 / 16))
-        return inner, outer
 
     # ------------------------------------------------------------ what stands still
 
@@ -191,8 +183,10 @@ class Canvas:
         """All cells of the world from ``_low`` to ``_high`` that never move."""
         scale = self.scale
         columns, rows = np.arange(self._low[0], self._high[0]), np.arange(self._low[1], self._high[1])[::-1]
-        terrain = _window(self.scene.terrain, rows, columns)
-        inside_x = (columns >= 0) & (columns < self.scene.width)
+        height, width = self.scene.terrain.shape
+        inside_x, terrain = (columns >= 0) & (columns < width), np.zeros((len(rows), len(columns)), np.int8)
+        seen = (rows >= 0) & (rows < height)
+        terrain[np.ix_(seen, inside_x)] = self.scene.terrain[np.ix_(height - 1 - rows[seen], columns[inside_x])]
         inside = (rows >= 0)[:, None] & inside_x[None, :]
         colours = np.where(inside[..., None], np.array(SKY, np.uint8), np.array(BEYOND, np.uint8))
         colours[terrain != Cell.EMPTY] = GROUND
@@ -215,7 +209,7 @@ class Painter:
     """
 
     def __init__(self, rollout: Rollout, env: int, size: tuple[int, int], voxels: float | None = None) -> None:
-        self.rollout, self.env = rollout, rollout.check_env(env)
+        self.rollout, self.env = rollout, env
         scene = rollout.scene(env)
         scale = fitting_scale(scene, size, voxels)
         self._canvas = Canvas(scene, size, scale)
@@ -233,15 +227,12 @@ def _mesh(scene: Scene, number: int) -> Mesh:
     begin = sum(len(other.cells) for other in scene.moving[:number])
     sides = np.stack([obj.corners, np.roll(obj.corners, -1, axis=1)], axis=-1).reshape(-1, 2)
     owners = np.repeat(np.arange(len(obj.cells)), 4)
-    _, first, index, counts = np.unique(
-        np.sort(sides, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
-    )
-    dark = np.isin(obj.cells, (int(Cell.RIGID), int(Cell.FIXED)))
-    all_dark = np.ones(len(first), bool)
-    np.logical_and.at(all_dark, index.reshape(-1), dark[owners])
+    ends = np.sort(sides, axis=1)
+    _, first, index, counts = np.unique(ends, axis=0, return_index=True, return_inverse=True, return_counts=True)
+    pale = ~np.isin(obj.cells, (int(Cell.RIGID), int(Cell.FIXED)))
+    all_dark = np.bincount(index.reshape(-1), pale[owners]) == 0
     return Mesh(
         corners=obj.corners,
-        cells=obj.cells,
         columns=np.arange(begin, begin + len(obj.cells)),
         points=np.arange(obj.first_point, obj.first_point + obj.num_points),
         inner=sides[first[counts > 1]],
@@ -256,26 +247,11 @@ def _seen(xy: np.ndarray, shapes: np.ndarray, size: tuple[int, int], rim: int) -
     return ((ends.max(axis=1) >= -rim) & (ends.min(axis=1) <= np.array(size) + rim)).all(axis=1)
 
 
-def _window(terrain: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Cells of the terrain at rows (counted upward) and columns that may lie outside of the world."""
-    height, width = terrain.shape
-    out = np.zeros((len(rows), len(columns)), np.int8)
-    r, c = (rows >= 0) & (rows < height), (columns >= 0) & (columns < width)
-    out[np.ix_(r, c)] = terrain[np.ix_(height - 1 - rows[r], columns[c])]
-    return out
-
-
 def _rule(
-    pixels: np.ndarray,
-    terrain: np.ndarray,
-    inside: np.ndarray,
-    rows: np.ndarray,
-    columns: np.ndarray,
-    scale: int,
+    pixels: np.ndarray, terrain: np.ndarray, inside: np.ndarray, rows: np.ndarray, columns: np.ndarray, scale: int
 ) -> None:
     """Draw the grid: a line at the left and at the bottom of every cell of the world, stronger every ten."""
-    ground = np.repeat(np.repeat(terrain != Cell.EMPTY, scale, axis=0), scale, axis=1)
-    seen = np.repeat(np.repeat(inside, scale, axis=0), scale, axis=1)
+    ground, seen = (np.kron(cells, np.ones((scale, scale), bool)) for cells in (terrain != Cell.EMPTY, inside))
     fine = scale < 8  # lines closer than that would be a haze
 
     def line(where: tuple, strong: bool) -> None:
@@ -303,8 +279,7 @@ def _edge(pixels: np.ndarray, terrain: np.ndarray, scale: int) -> None:
         (padded[1:-1, :-2], whole, near),
         (padded[1:-1, 2:], whole, far),
     ):
-        bare = solid & ~beside
-        for r, c in np.argwhere(bare):
+        for r, c in np.argwhere(solid & ~beside):
             tiles[r, c, rows, columns] = GROUND_EDGE
 
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -56,10 +55,7 @@ class Film:
     ) -> None:
         self.rollout, self.hud = rollout, hud
         self.size = _check_size(size)
-        chosen = range(min(rollout.num_envs, 16)) if envs is None else [envs] if is_integer(envs) else envs
-        self.envs = [rollout.check_env(env) for env in chosen]
-        if not self.envs:
-            raise RolloutError("No environment was chosen to be drawn.")
+        self.envs = rollout.check_envs(envs)[: 16 if envs is None else None]
         if voxels is not None and not 1 <= voxels <= 1000:
             raise RolloutError(f"voxels must be a number from 1 to 1000, got {voxels!r}.")
         self._band = max(20, self.size[1] // 22) if len(self.envs) > 1 and hud else 0
@@ -129,9 +125,6 @@ class Film:
         draw.text((self.size[0] - unit / 2, middle), right, INK, letters, "rm")
 
 
-_films: WeakKeyDictionary[Rollout, dict[tuple, Film]] = WeakKeyDictionary()
-
-
 def draw_frame(
     rollout: Rollout,
     frame: int,
@@ -140,21 +133,8 @@ def draw_frame(
     hud: bool = True,
     voxels: float | None = None,
 ) -> np.ndarray:
-    """A picture of one frame, uint8 ``[height, width, 3]``; arguments as for :class:`Film`.
-
-    Drawing many frames of a rollout this way is as fast as with a Film: what they share is kept.
-
-    Raises:
-        RolloutError: no such frame or environment, or a size that cannot be drawn.
-    """
-    key = (env if env is None or is_integer(env) else tuple(env), tuple(size), hud, voxels)
-    films = _films.setdefault(rollout, {})
-    if key not in films:
-        # The newest few are enough for loops over environments or sizes, and bound the memory.
-        while len(films) >= 8:
-            films.pop(next(iter(films)))
-        films[key] = Film(rollout, env, size, hud, voxels)
-    return films[key].array(frame)
+    """A picture of one frame, uint8 ``[height, width, 3]``; arguments and errors as of :class:`Film`."""
+    return Film(rollout, env, size, hud, voxels).array(frame)
 
 
 def filmstrip(
@@ -176,7 +156,7 @@ def filmstrip(
         RolloutError: no such frame or environment, or a size that cannot be drawn.
     """
     width, height = _check_size(size)
-    env = rollout.check_env(env)
+    rollout.check_envs([env])
     if is_integer(frames):
         if not 1 <= frames <= 64:
             raise RolloutError(f"A strip shows 1 to 64 frames, got {frames!r}.")
@@ -186,7 +166,9 @@ def filmstrip(
     if not chosen:
         raise RolloutError("A strip shows 1 to 64 frames, got none.")
     each = (width - MARGIN * (len(chosen) - 1)) // len(chosen)
-    painter = Painter(rollout, env, _check_size((each, height)), voxels or _fit(rollout, env))
+    # The robot fills a good part of a picture, and what it stands on shows.
+    tall = float(np.ptp(rollout.positions[0, env, rollout.scene(env).robot_points, 1])) / VOXEL
+    painter = Painter(rollout, env, _check_size((each, height)), voxels or max(6.5, 2.1 * tall))
     strip, letters = Image.new("RGB", (width, height), PAPER), font(max(9, height // 14))
     for number, frame in enumerate(chosen):
         tile = painter.frame(frame)
@@ -349,8 +331,7 @@ def _gif_palette(sample: Sequence[Image.Image]) -> tuple[bytes, np.ndarray]:
     sheet = Image.fromarray(np.concatenate([np.asarray(image) for image in sample]))
     reduced = sheet.quantize(GIF_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     colours = np.array(reduced.getpalette("RGB"), np.uint8).reshape(-1, 3)[:GIF_COLOURS]
-    levels = np.arange(32) * 8 + 4
-    cells = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    cells = np.indices((32, 32, 32)).reshape(3, -1).T[:, None] * 8 + 4
     near = [((part.astype(np.float32) - colours) ** 2).sum(-1).argmin(-1) for part in np.array_split(cells, 16)]
     table = np.concatenate(near).astype(np.uint8)
     # Of the colours that share a cell the most frequent one owns it, so that large areas keep their exact
@@ -364,23 +345,13 @@ def _gif_palette(sample: Sequence[Image.Image]) -> tuple[bytes, np.ndarray]:
 def _layout(count: int, size: tuple[int, int]) -> tuple[int, tuple[int, int]]:
     """Columns and size of tiles: the arrangement whose tiles come nearest to 16:9."""
 
-    def shape(columns: int) -> tuple[int, int]:
-        rows = -(-count // columns)
-        wide = (size[0] - MARGIN * (columns - 1)) // columns
-        return max(1, wide), max(1, (size[1] - MARGIN * (rows - 1)) // rows)
+    def tile(columns: int) -> tuple[int, int]:
+        numbers = columns, -(-count // columns)
+        wide, high = (max(1, (whole - MARGIN * (n - 1)) // n) for whole, n in zip(size, numbers, strict=True))
+        return wide, high
 
-    def fit(columns: int) -> float:
-        wide, high = shape(columns)
-        return min(wide / 16, high / 9)
-
-    best = max(range(1, count + 1), key=fit)
-    return best, shape(best)
-
-
-def _fit(rollout: Rollout, env: int) -> float:
-    """Voxels from bottom to top with which a robot fills a good part of a picture, and what it stands on shows."""
-    points = rollout.positions[0, env, rollout.scene(env).robot_points]
-    return max(6.5, 2.1 * float(np.ptp(points[:, 1])) / VOXEL)
+    best = max(range(1, count + 1), key=lambda columns: min(tile(columns)[0] / 16, tile(columns)[1] / 9))
+    return best, tile(best)
 
 
 def _check_size(size: tuple[int, int]) -> tuple[int, int]:

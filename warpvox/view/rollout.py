@@ -27,9 +27,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ from warpvox.io.writing import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 from warpvox.view.scene import Scene, check_scene, scene_from_json, scene_of, scene_to_json, stretch
 
-__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "points_of", "record", "scenes_of"]
+__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "facts_of", "points_of", "record", "scenes_of"]
 
 FORMAT, VERSION = "warpvox-rollout", 1
 FRAME_SECONDS = 1 / 50
@@ -65,16 +66,7 @@ ARRAYS = {
 
 @dataclass(eq=False)
 class Rollout:
-    """Recorded environments; see the module's text for shapes and units.
-
-    Attributes:
-        positions: float32 ``[T + 1, E, P, 2]`` in simulator units (0.1 a voxel); entry 0 follows the reset.
-        design_index: int32 ``[E]``, index into ``scenes``.
-        scenes: the distinct worlds.
-        actions: float32 ``[T, E, A]`` in [0.6, 1.6].
-        rewards: float64 ``[T, E]``.
-        terminated, truncated: bool ``[T, E]``; they stay True after the end of an episode.
-        metadata: JSON values: task, rules, seed, ...
+    """Recorded environments, as the module's text describes arrays and metadata; ``scenes`` are the distinct worlds.
 
     Raises:
         RolloutError: parts that do not fit together.
@@ -146,7 +138,7 @@ class Rollout:
         """The environments in the order of their returns, the highest first; each keeps its name (:attr:`names`)."""
         order = np.argsort(-self.returns[-1], kind="stable")
         arrays = {name: getattr(self, name) for name in ARRAYS}
-        arrays = {name: value[order] if name == "design_index" else value[:, order] for name, value in arrays.items()}
+        arrays = {name: value[..., order] if value.ndim < 3 else value[:, order] for name, value in arrays.items()}
         names = [self.names[env] for env in order]
         return Rollout(scenes=self.scenes, metadata=self.metadata | {"names": names}, **arrays)
 
@@ -154,15 +146,19 @@ class Rollout:
         """The scene of an environment."""
         return self.scenes[self.design_index[env]]
 
-    def check_env(self, env: int) -> int:
-        """Return ``env`` if there is such an environment.
+    def check_envs(self, envs: int | Iterable[int] | None) -> list[int]:
+        """Return environments as a list; None: all.
 
         Raises:
-            RolloutError: there is not.
+            RolloutError: there is no such environment, or none was chosen.
         """
-        if not is_integer(env) or not 0 <= env < self.num_envs:
-            raise RolloutError(f"No environment {env!r}: the rollout has {self.num_envs}, counted from 0.")
-        return int(env)
+        chosen = range(self.num_envs) if envs is None else list(envs) if isinstance(envs, Iterable) else [envs]
+        for env in chosen:
+            if not is_integer(env) or not 0 <= env < self.num_envs:
+                raise RolloutError(f"No environment {env!r}: the rollout has {self.num_envs}, counted from 0.")
+        if not chosen:
+            raise RolloutError("No environment was chosen.")
+        return [int(env) for env in chosen]
 
     def check_frame(self, frame: int) -> int:
         """Return ``frame`` with negative numbers counted from the end.
@@ -182,7 +178,8 @@ class Rollout:
             frame: an index, which gives float32 ``[cells]``, or a slice, which gives ``[frames, cells]``.
             env: environment; the cells are those of ``scene(env).cells``.
         """
-        return stretch(self.scene(env), self.positions[frame, env])
+        scene = self.scene(env)
+        return stretch(scene.cells, self.positions[frame, env][..., scene.corners, :])
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the rollout to ``path`` (``.npz``), whole or not at all; return the path.
@@ -216,14 +213,12 @@ class Rollout:
         header, arrays = _read(Path(path))
         try:
             scenes = tuple(scene_from_json(scene) for scene in header["scenes"])
-            metadata = dict(header["metadata"])
+            return cls(scenes=scenes, metadata=dict(header["metadata"]), **arrays)
+        except RolloutError as error:
+            raise RolloutError(f"{path} is damaged: {error}") from None
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
             reason = f"'{error.args[0]}' is missing" if isinstance(error, KeyError) else error
             raise RolloutError(f"{path} is damaged: its header does not describe scenes ({reason}).") from None
-        try:
-            return cls(scenes=scenes, metadata=metadata, **arrays)
-        except RolloutError as error:
-            raise RolloutError(f"{path} is damaged: {error}") from None
 
 
 # -------------------------------------------------------------------------------------------------- recording
@@ -265,7 +260,6 @@ def record(
     act = _agent(policy, env) if isinstance(policy, str) else policy
     scenes, gather = scenes_of(env.sim)
     limit = env.max_episode_steps if num_steps is None else min(int(num_steps), env.max_episode_steps)
-    label = policy if isinstance(policy, str) else "policy"
     resets_itself, env.auto_reset = env.auto_reset, False
     try:
         forget(act)
@@ -275,21 +269,20 @@ def record(
         env.auto_reset = resets_itself
         if resets_itself:
             env.reset()
-    about = {
+    about = facts_of(env) | {"agent": policy if isinstance(policy, str) else "policy"} | dict(metadata or {})
+    return Rollout(design_index=env.sim.design_index.cpu().numpy(), scenes=scenes, metadata=about, **columns)
+
+
+def facts_of(env: Any) -> dict[str, Any]:
+    """Return how environments are computed, as JSON values."""
+    return {
         "task": getattr(getattr(env, "spec", None), "id", None),
         "rules": getattr(env, "rules", None),
         "physics": env.sim.physics.label,
         "seed": _plain_seed(getattr(env, "seed", None)),
         "dtype": str(env.sim.dtype).removeprefix("torch."),
         "arithmetic": env.sim.arithmetic,
-        "agent": label,
     }
-    return Rollout(
-        design_index=env.sim.design_index.cpu().numpy(),
-        scenes=scenes,
-        metadata=about | dict(metadata or {}),
-        **columns,
-    )
 
 
 def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], np.ndarray]) -> dict[str, np.ndarray]:
@@ -354,14 +347,9 @@ def _agent(name: str, env: Any) -> Callable[[Any], Any]:
     if name == "random":
         return lambda obs: ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * draw()
     # One second a cycle, each actuator with a phase of its own: enough for most bodies to get somewhere.
-    phase = 2 * torch.pi * draw()
-    steps = iter(range(2**62))
-
-    def sine(obs: Any) -> Any:
-        middle, swing = (ACTION_LOW + ACTION_HIGH) / 2, (ACTION_HIGH - ACTION_LOW) / 2
-        return middle + swing * torch.sin(2 * torch.pi * FRAME_SECONDS * next(steps) + phase)
-
-    return sine
+    phase, steps = 2 * torch.pi * draw(), count()
+    middle, swing = (ACTION_LOW + ACTION_HIGH) / 2, (ACTION_HIGH - ACTION_LOW) / 2
+    return lambda obs: middle + swing * torch.sin(2 * torch.pi * FRAME_SECONDS * next(steps) + phase)
 
 
 def _draws(env: Any) -> Callable[[], Any]:
@@ -377,12 +365,12 @@ def _draws(env: Any) -> Callable[[], Any]:
         return lambda: torch.rand((env.num_envs, env.num_actions), generator=generator)
     generators = [torch.Generator().manual_seed(one % 2**64) for one in seed]
     block = env.num_envs // len(seed)
-    counts = env.action_mask.sum(1)[env.design_index[::block]].tolist()
+    widths = env.action_mask.sum(1)[env.design_index[::block]].tolist()
 
     def draw() -> Any:
         values = torch.zeros((env.num_envs, env.num_actions))
-        for number, (generator, count) in enumerate(zip(generators, counts, strict=True)):
-            values[number * block : (number + 1) * block, :count] = torch.rand((block, count), generator=generator)
+        for begin, generator, width in zip(range(0, env.num_envs, block), generators, widths, strict=True):
+            values[begin : begin + block, :width] = torch.rand((block, width), generator=generator)
         return values
 
     return draw
@@ -438,14 +426,9 @@ def _check_shapes(rollout: Rollout) -> None:
     shape = rollout.positions.shape
     if len(shape) != 4 or shape[0] < 1 or shape[1] < 1 or shape[3] != 2:
         raise RolloutError(f"positions must be [frames, envs, points, 2] with a frame or more, got {list(shape)}.")
-    frames, envs = shape[:2]
-    expected = {
-        "design_index": (envs,),
-        "actions": (frames - 1, envs, rollout.actions.shape[-1] if rollout.actions.ndim else 0),
-        "rewards": (frames - 1, envs),
-        "terminated": (frames - 1, envs),
-        "truncated": (frames - 1, envs),
-    }
+    steps, envs = shape[0] - 1, shape[1]
+    expected = dict.fromkeys(("rewards", "terminated", "truncated"), (steps, envs))
+    expected |= {"design_index": (envs,), "actions": (steps, envs, *rollout.actions.shape[-1:])}
     for name, want in expected.items():
         got = getattr(rollout, name).shape
         if got != want:

@@ -109,10 +109,8 @@ class Scene:
         cells = np.zeros((self.height, self.width), np.int8)
         for obj in self.objects:
             if obj.is_static:
-                rows, columns = obj.grid.shape
-                top = self.height - obj.y - rows
-                view = cells[top : top + rows, obj.x : obj.x + columns]
-                np.copyto(view, obj.grid, where=obj.grid != 0)
+                rows, columns = obj.places.T
+                cells[self.height - obj.y - obj.grid.shape[0] + rows, obj.x + columns] = obj.cells
         return cells
 
 
@@ -128,42 +126,28 @@ def scene_of(world: CompiledWorld) -> Scene:
     return Scene(world.width, world.height, tuple(objects))
 
 
-def stretch(scene: Scene, positions: np.ndarray) -> np.ndarray:
+def stretch(cells: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Length of cells against rest along the axis of actuation (of other cells: the mean of both axes).
 
     Args:
-        scene: whose cells that move are meant, in the order of ``scene.cells``.
-        positions: points in simulator units, ``[..., P, 2]``.
+        cells: types ``[cells]``.
+        corners: their points in simulator units, ``[..., cells, 4, 2]``.
 
     Returns:
-        ``[..., cells]``, of the positions' type.
+        ``[..., cells]``, of the type of ``corners``.
     """
-    corners = positions[..., scene.corners, :]
     sides = np.linalg.norm(np.roll(corners, -1, axis=-2) - corners, axis=-1) / VOXEL
     across = (sides[..., 0] + sides[..., 2]) / 2
     upright = (sides[..., 1] + sides[..., 3]) / 2
     both = (across + upright) / 2
-    return np.where(scene.cells == Cell.H_ACT, across, np.where(scene.cells == Cell.V_ACT, upright, both))
+    return np.select([cells == Cell.H_ACT, cells == Cell.V_ACT], [across, upright], both)
 
 
 def scene_to_json(scene: Scene) -> dict[str, Any]:
     """A scene as JSON values; the rollout file describes them."""
-    return {
-        "width": scene.width,
-        "height": scene.height,
-        "objects": [
-            {
-                "name": obj.name,
-                "x": obj.x,
-                "y": obj.y,
-                "grid": obj.grid.tolist(),
-                "first_point": obj.first_point,
-                "num_points": obj.num_points,
-                "corners": obj.corners.tolist(),
-            }
-            for obj in scene.objects
-        ],
-    }
+    arrays = [{"grid": obj.grid.tolist(), "corners": obj.corners.tolist()} for obj in scene.objects]
+    objects = [vars(obj) | parts for obj, parts in zip(scene.objects, arrays, strict=True)]
+    return {"width": scene.width, "height": scene.height, "objects": objects}
 
 
 def scene_from_json(scene: Mapping[str, Any]) -> Scene:
@@ -176,11 +160,8 @@ def scene_from_json(scene: Mapping[str, Any]) -> Scene:
         SceneObject(
             name=_text(obj["name"]),
             grid=as_grid(obj["grid"], what=f"grid of {obj['name']!r:.80}", error=ValueError),
-            x=_whole(obj["x"]),
-            y=_whole(obj["y"]),
-            first_point=_whole(obj["first_point"]),
-            num_points=_whole(obj["num_points"]),
             corners=_corners(obj["corners"]),
+            **{name: _whole(obj[name]) for name in ("x", "y", "first_point", "num_points")},
         )
         for obj in scene["objects"]
     )
@@ -200,10 +181,8 @@ def _whole(value: object) -> int:
     return value
 
 
-def _corners(rows: object) -> np.ndarray:
-    if not isinstance(rows, list):
-        raise TypeError("expected a list of corners")
-    if not all(isinstance(row, list) and len(row) == 4 and all(type(n) is int for n in row) for row in rows):
+def _corners(rows: list[list[int]]) -> np.ndarray:
+    if not all(len(row) == 4 and all(type(n) is int for n in row) for row in rows):
         raise TypeError("expected four points a cell")
     return np.array(rows, np.int32).reshape(-1, 4)
 
@@ -220,9 +199,8 @@ def check_scene(scene: Scene, number: int, points: int) -> None:
         what = f"The object '{obj.name}' of scene {number}"
         if obj.grid.ndim != 2 or not np.isin(obj.grid, [int(cell) for cell in Cell]).all():
             raise RolloutError(f"{what} has a grid that is not made of cells.")
-        if obj.x < 0 or obj.y < 0 or obj.x + obj.grid.shape[1] > scene.width:
-            raise RolloutError(f"{what} sticks out of its world.")
-        if obj.y + obj.grid.shape[0] > scene.height:
+        rows, columns = obj.grid.shape
+        if obj.x < 0 or obj.y < 0 or obj.x + columns > scene.width or obj.y + rows > scene.height:
             raise RolloutError(f"{what} sticks out of its world.")
         if obj.is_static:
             continue

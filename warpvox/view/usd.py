@@ -20,7 +20,6 @@ and ``sky``. Task, rules and returns are in the custom data of ``/World`` and of
 from __future__ import annotations
 
 import os
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -68,15 +67,13 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     Raises:
         RolloutError: another suffix, no such environment, a stride below 1, or a stage that does not fit into memory.
     """
-    from pxr import Sdf, Tf, Usd, UsdGeom
+    from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux
 
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         raise RolloutError(f"A USD file ends in .usdc, .usd or .usda, got {str(path)!r}.")
     check_integer("stride", stride, 1, error=RolloutError)
-    chosen = [rollout.check_env(env) for env in (range(rollout.num_envs) if envs is None else envs)]
-    if not chosen:
-        raise RolloutError("No environment was chosen to be written.")
+    chosen = rollout.check_envs(envs)
     frames = list(range(0, rollout.num_frames, stride))
     _check_fits(rollout, chosen, len(frames), stride)
     stage = Usd.Stage.CreateInMemory(f"rollout{suffix}")
@@ -89,7 +86,11 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     stage.SetEndTimeCode(frames[-1])
     world = UsdGeom.Xform.Define(stage, "/World")
     stage.SetDefaultPrim(world.GetPrim())
-    _describe(world.GetPrim(), rollout, chosen)
+    for key, value in rollout.metadata.items():  # values that USD can hold
+        if isinstance(value, str | bool | float) or (isinstance(value, int) and abs(value) < 2**31):
+            name = Tf.MakeValidIdentifier(str(key))
+            world.GetPrim().SetCustomDataByKey(f"warpvox:{name}", value)
+    world.GetPrim().SetCustomDataByKey("warpvox:meanReturn", float(rollout.returns[-1, chosen].mean()))
     materials = _define_materials(stage)
     places = _places(rollout, chosen)
     for env, place in zip(chosen, places, strict=True):
@@ -98,7 +99,10 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
         with Sdf.ChangeBlock():
             _animate(layer, rollout, env, frames)
     _define_cameras(stage, rollout, chosen, places, frames)
-    _define_lights(stage)
+    sun = UsdLux.DistantLight.Define(stage, "/World/sun")
+    sun.CreateIntensityAttr(2.0)
+    UsdGeom.Xformable(sun).AddRotateXYZOp().Set(Gf.Vec3f(-35.0, 20.0, 0.0))
+    UsdLux.DomeLight.Define(stage, "/World/sky").CreateIntensityAttr(0.6)
     with atomic_path(path) as temporary:
         try:
             written = layer.Export(str(temporary))
@@ -125,19 +129,6 @@ def _check_fits(rollout: Rollout, envs: list[int], frames: int, stride: int) -> 
 
 def _root(env: int) -> str:
     return f"/World/env_{env:03d}"
-
-
-def _describe(prim: Any, rollout: Rollout, envs: list[int]) -> None:
-    """Metadata of the whole, values that USD can hold only."""
-    for key, value in rollout.metadata.items():
-        if isinstance(value, str | bool | float) or (isinstance(value, int) and abs(value) < 2**31):
-            prim.SetCustomDataByKey(f"warpvox:{_identifier(key)}", value)
-    prim.SetCustomDataByKey("warpvox:meanReturn", float(rollout.returns[-1, envs].mean()))
-
-
-def _identifier(key: object) -> str:
-    text = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in str(key))
-    return text if text and not text[0].isdigit() else f"_{text}"
 
 
 def _define_materials(stage: Any) -> dict[Cell, Any]:
@@ -173,10 +164,14 @@ def _linear(colour: np.ndarray) -> np.ndarray:
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
+def _sizes(rollout: Rollout, envs: list[int]) -> np.ndarray:
+    """Width and height of the environments' worlds, float64 ``[envs, 2]``."""
+    return np.array([[rollout.scene(env).width, rollout.scene(env).height] for env in envs]) * VOXEL
+
+
 def _places(rollout: Rollout, envs: list[int]) -> np.ndarray:
     """Places of the environments, float64 ``[envs, 2]``: in rows of ENVS_PER_ROW, all cells of one size."""
-    sizes = np.array([[rollout.scene(env).width, rollout.scene(env).height] for env in envs]) * VOXEL
-    step = sizes.max(axis=0) + GAP
+    step = _sizes(rollout, envs).max(axis=0) + GAP
     number = np.arange(len(envs))
     return np.stack([number % ENVS_PER_ROW, -(number // ENVS_PER_ROW)], axis=1) * step
 
@@ -216,7 +211,7 @@ def _define_mesh(stage: Any, path: str, quads: np.ndarray, extent: np.ndarray) -
 
 
 def _bind(mesh: Any, cells: np.ndarray, materials: dict[Cell, Any]) -> None:
-    """A GeomSubset with its material for each cell type that occurs."""
+    """Add a GeomSubset with its material for each cell type that occurs."""
     from pxr import UsdGeom, UsdShade, Vt
 
     binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
@@ -239,9 +234,8 @@ def _define_terrain(stage: Any, path: str, terrain: np.ndarray, material: Any) -
     ends = [(columns, upper), (columns, upper - 1), (columns + 1, upper - 1), (columns + 1, upper)]
     numbers = np.stack([y * (width + 1) + x for x, y in ends], axis=1)
     used, quads = np.unique(numbers, return_inverse=True)
-    points = np.zeros((len(used), 3), np.float32)
-    points[:, 0], points[:, 1] = used % (width + 1) * VOXEL, used // (width + 1) * VOXEL
-    points[:, 2] = -BEHIND
+    corners = used % (width + 1) * VOXEL, used // (width + 1) * VOXEL, np.full(len(used), -BEHIND)
+    points = np.stack(corners, axis=1).astype(np.float32)
     mesh = _define_mesh(stage, path, quads.reshape(-1, 4), np.array([points.min(axis=0), points.max(axis=0)]))
     mesh.GetPointsAttr().Set(_vec3(points))
     colour = _linear(np.array(RAMPS[Cell.FIXED][1]))
@@ -265,14 +259,11 @@ def _animate(layer: Any, rollout: Rollout, env: int, frames: list[int]) -> None:
 
 
 def _changes(values: np.ndarray, interpolated: bool) -> list[int]:
-    """Frames that must be written: those unlike the one before, and, if between samples values are
-    interpolated, the last one before each change as well."""
+    """Frames that must be written: those unlike the one before, and, if values between samples are interpolated, the
+    last one before each change as well."""
     differs = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
-    moved = [0, *(np.flatnonzero(differs) + 1)]
-    if interpolated:
-        held = [after - 1 for before, after in pairwise(moved) if after - 1 > before]
-        moved = sorted([*moved, *held])
-    return [int(frame) for frame in moved]
+    moved = np.flatnonzero(differs) + 1
+    return sorted({0, *moved.tolist(), *((moved - 1).tolist() if interpolated else [])})
 
 
 def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.ndarray, frames: list[int]) -> None:
@@ -288,8 +279,7 @@ def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.nd
     for frame in frames:
         x, y = (corner[frame] + view / 2 + places[0]).tolist()
         follow.Set(Gf.Vec3d(x, y, distance), float(frame))
-    sizes = np.array([[rollout.scene(env).width, rollout.scene(env).height] for env in envs]) * VOXEL
-    low, high = places.min(axis=0), (places + sizes).max(axis=0)
+    low, high = places.min(axis=0), (places + _sizes(rollout, envs)).max(axis=0)
     away = 1.1 * max((high[0] - low[0]) / APERTURE[0], (high[1] - low[1]) / APERTURE[1]) * FOCAL
     middle = ((low + high) / 2).tolist()
     _define_camera(stage, "/World/overview").Set(Gf.Vec3d(*middle, away))
@@ -305,15 +295,6 @@ def _define_camera(stage: Any, path: str) -> Any:
     camera.CreateFocalLengthAttr(FOCAL)
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 10000.0))
     return camera.AddTranslateOp()
-
-
-def _define_lights(stage: Any) -> None:
-    from pxr import Gf, UsdGeom, UsdLux
-
-    sun = UsdLux.DistantLight.Define(stage, "/World/sun")
-    sun.CreateIntensityAttr(2.0)
-    UsdGeom.Xformable(sun).AddRotateXYZOp().Set(Gf.Vec3f(-35.0, 20.0, 0.0))
-    UsdLux.DomeLight.Define(stage, "/World/sky").CreateIntensityAttr(0.6)
 
 
 def _vec3(values: np.ndarray) -> Any:

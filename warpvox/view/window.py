@@ -65,7 +65,6 @@ class Window:
             return
         import tkinter
 
-        width, height = size
         try:
             self._root = tkinter.Tk()
         except tkinter.TclError as error:
@@ -73,10 +72,8 @@ class Window:
         self._root.title(title)
         self._root.resizable(False, False)
         self._root.protocol("WM_DELETE_WINDOW", self.close)
-        self._label = tkinter.Label(self._root, borderwidth=0, width=width, height=height)
-        self._label.pack()
-        self._image: Any = tkinter.PhotoImage(master=self._root, width=width, height=height)
-        self._label.configure(image=self._image)
+        self._image: Any = tkinter.PhotoImage(master=self._root, width=size[0], height=size[1])
+        tkinter.Label(self._root, borderwidth=0, image=self._image).pack()
 
     def show(self, frame: np.ndarray) -> None:
         """Show a picture, uint8 ``[height, width, 3]``, and answer mouse and keyboard; nothing once closed."""

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import atexit
 import functools
 import math
 import os
 import random
-import shutil
-import tempfile
 import warnings
 from collections.abc import Callable
 from typing import Any, Dict, List, Optional, Tuple  # noqa: UP035  # scripts take these from here
@@ -18,45 +15,22 @@ import numpy as np
 from gymnasium import error, spaces
 from gymnasium.utils import seeding
 
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.envs.adapters.base import WINDOWED, check_mode, metadata_here
+from warpvox.errors import did_you_mean, listing
 from warpvox.evogym import sim, simulator_cpp, utils, viewer, world
+from warpvox.evogym.envs.files import world_files
 from warpvox.evogym.sim import EvoSim
 from warpvox.evogym.utils import *  # noqa: F403
 from warpvox.evogym.viewer import EvoViewer
 from warpvox.evogym.world import EvoWorld, WorldObject
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
-from warpvox.view.window import why_no_window
 
 # As in the release, `from evogym.envs import *` also gives what the modules import.
-__all__ = [
-    "Any",
-    "BenchmarkBase",
-    "Dict",
-    "EvoGymBase",
-    "EvoSim",
-    "EvoViewer",
-    "EvoWorld",
-    "List",
-    "Optional",
-    "Tuple",
-    "WorldObject",
-    "error",
-    "gym",
-    "math",
-    "np",
-    "os",
-    "random",
-    "seeding",
-    "sim",
-    "simulator_cpp",
-    "spaces",
-    "utils",
-    "viewer",
-    "world",
-]
+__all__ = ["Any", "BenchmarkBase", "Dict", "EvoGymBase", "EvoSim", "EvoViewer", "EvoWorld", "List", "Optional", "Tuple"]
+__all__ += ["WorldObject", "error", "gym", "math", "np", "os", "random", "seeding", "sim", "simulator_cpp", "spaces"]
+__all__ += ["utils", "viewer", "world"]
 __all__ += utils.__all__
 
-_WINDOWED = ("human", "screen")
 _RENDER_OPTIONS = ("verbose", "hide_background", "hide_grid", "hide_edges", "hide_voxels")
 
 
@@ -90,7 +64,6 @@ class EvoGymBase(gym.Env):
     ``step`` and ``reset`` that call those of this class.
 
     Args:
-        world: what there is.
         render_mode: ``human`` or ``screen`` show every step in a window; with ``rgb_array`` or ``img``
             :meth:`render` returns a picture; None: nothing is rendered.
         render_options: ``verbose``, ``hide_background``, ``hide_grid``, ``hide_edges``, ``hide_voxels``, all False by
@@ -105,28 +78,28 @@ class EvoGymBase(gym.Env):
     def __init__(
         self, world: EvoWorld, render_mode: str | None = None, render_options: dict[str, Any] | None = None
     ) -> None:
-        modes = self.metadata["render_modes"]
-        if render_mode is not None and render_mode not in modes:
-            hint = did_you_mean(render_mode, modes)
-            raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {render_mode!r}.{hint}")
+        check_mode(render_mode, self.metadata["render_modes"])
         self._sim = EvoSim(world)
         self._default_viewer = EvoViewer(self._sim)
         self.render_mode = self._render_mode = render_mode
-        self._render_options = _known(render_options or {})
-        if render_mode in _WINDOWED:
+        self._render_options = {}
+        for name, value in (render_options or {}).items():
+            if name in _RENDER_OPTIONS:
+                self._render_options[name] = value
+            else:
+                hint = did_you_mean(name, _RENDER_OPTIONS)
+                text = f"There is no render option {name!r}; there are {listing(_RENDER_OPTIONS)}.{hint}"
+                warnings.warn(text, stacklevel=2)
+        if render_mode in WINDOWED:
             self._default_viewer.show_debug_window()  # fails now rather than in the first step
-        if why_no_window() is not None:
-            self.metadata = self.metadata | {"render_modes": [mode for mode in modes if mode not in _WINDOWED]}
+        self.metadata = metadata_here(self.metadata)
 
     def step(self, action: dict[str, np.ndarray]) -> bool:
-        """One control step.
+        """Take a control step; return whether self-folding stopped it: it is then undone.
 
         Args:
             action: target lengths ``[actuators]`` by the name of the robot, clipped to [0.6, 1.6]. A robot that is not
                 named keeps its targets.
-
-        Returns:
-            Whether the simulation was stopped by self-folding; the step is then undone.
 
         Raises:
             ArgumentError (a ValueError): no such robot, or another number of values.
@@ -134,7 +107,7 @@ class EvoGymBase(gym.Env):
         for name, goals in action.items():
             self._sim.set_action(name, np.minimum(np.maximum(goals, ACTION_LOW), ACTION_HIGH))  # faster than clip
         stopped = self._sim.step()
-        if self._render_mode in _WINDOWED:
+        if self._render_mode in WINDOWED:
             self.render()
         return stopped
 
@@ -154,11 +127,7 @@ class EvoGymBase(gym.Env):
         return self._default_viewer
 
     def render(self) -> np.ndarray | None:
-        """A picture of the present state as ``render_mode`` and ``render_options`` say.
-
-        Returns:
-            uint8 ``[height, width, 3]`` in the modes ``img`` and ``rgb_array``, else None.
-        """
+        """Return a picture, uint8 ``[height, width, 3]``; without a mode, or in a window, None."""
         if self._render_mode is None:
             return None
         return self.default_viewer.render(self._render_mode, **self._render_options)
@@ -180,9 +149,13 @@ class EvoGymBase(gym.Env):
 
     # --------------------------------------------------------------------------------------------- observations
 
+    def _points_of(self, name: str) -> np.ndarray:
+        """``[2, points]`` of an object in voxels, also where a subclass measures otherwise."""
+        return self._sim.object_pos_at_time(self._sim.get_time(), name)
+
     def get_pos_com_obs(self, object_name: str) -> np.ndarray:
         """``[2]``: an object's centre of mass."""
-        return self._sim.object_pos_at_time(self._sim.get_time(), object_name).mean(axis=1)
+        return self._points_of(object_name).mean(axis=1)
 
     def get_vel_com_obs(self, object_name: str) -> np.ndarray:
         """``[2]``: velocity of an object's centre of mass."""
@@ -190,7 +163,7 @@ class EvoGymBase(gym.Env):
 
     def get_relative_pos_obs(self, object_name: str) -> np.ndarray:
         """``[2 points]``: an object's points relative to its centre of mass, all x before all y."""
-        points = self._sim.object_pos_at_time(self._sim.get_time(), object_name)
+        points = self._points_of(object_name)
         return (points - points.mean(axis=1, keepdims=True)).flatten()
 
     def get_ort_obs(self, object_name: str) -> np.ndarray:
@@ -200,17 +173,12 @@ class EvoGymBase(gym.Env):
     def get_floor_obs(
         self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
     ) -> np.ndarray | Any:
-        """Depth of the terrain below an object's centre of mass.
+        """Depths ``[2 sight_dist + 1]`` of the terrain below an object's centre of mass; as released None without.
 
         Args:
-            object_name: of the object.
             terrain_list: names of the objects that are terrain.
             sight_dist: windows to the left and to the right; each is a voxel wide, one lies about the centre of mass.
-            sight_range: how far down is seen.
-
-        Returns:
-            ``[2 sight_dist + 1]``: down to the highest point of the terrain below the centre of mass, ``sight_range``
-            at most. None without terrain, as released.
+            sight_range: how far down is seen, where there is no point of the terrain.
         """
         return self._scan(object_name, terrain_list, sight_dist, sight_range, -1)
 
@@ -223,11 +191,9 @@ class EvoGymBase(gym.Env):
     def _scan(self, name: str, terrain: list[str], reach: int, sight: float, up: int) -> np.ndarray | Any:
         if len(terrain) == 0:
             return None
-        # By name and in voxels even where a subclass measures otherwise.
-        x, y = EvoGymBase.get_pos_com_obs(self, name)
-        points = np.concatenate([self._sim.object_pos_at_time(self._sim.get_time(), each) for each in terrain], axis=1)
-        offsets = np.arange(-reach, reach + 1)
-        left, right = x + (offsets - 0.5), x + (offsets + 0.5)
+        x, y = self._points_of(name).mean(axis=1)
+        points = np.concatenate([self._points_of(each) for each in terrain], axis=1)
+        left, right = (x + (np.arange(-reach, reach + 1) + half) for half in (-0.5, 0.5))
         beyond = points[1] > y if up > 0 else points[1] < y
         points = points[:, beyond & (points[0] > left[0]) & (points[0] < right[-1])]
         inside = (points[0] > left[:, None]) & (points[0] < right[:, None])
@@ -235,29 +201,9 @@ class EvoGymBase(gym.Env):
         return np.clip(distance, 0, sight)
 
 
-def _known(options: dict[str, Any]) -> dict[str, Any]:
-    for name in options:
-        if name not in _RENDER_OPTIONS:
-            hint = did_you_mean(name, _RENDER_OPTIONS)
-            text = f"There is no render option {name!r}; there are {listing(_RENDER_OPTIONS)}.{hint}"
-            warnings.warn(text, stacklevel=3)
-    return {name: value for name, value in options.items() if name in _RENDER_OPTIONS}
-
-
 class _WorldFiles:
-    """A folder with the benchmark's worlds as files of EvoGym's design tool, written when it is first asked for."""
-
-    def __init__(self) -> None:
-        self._folder: str | None = None
-
     def __get__(self, instance: object, owner: type) -> str:
-        if self._folder is None:
-            from warpvox.evogym.envs.files import write_worlds
-
-            self._folder = tempfile.mkdtemp(prefix="warpvox-worlds-")
-            atexit.register(shutil.rmtree, self._folder, ignore_errors=True)
-            write_worlds(self._folder)
-        return self._folder
+        return world_files()
 
 
 class BenchmarkBase(EvoGymBase):

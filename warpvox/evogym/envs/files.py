@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import atexit
+import shutil
+import tempfile
+from functools import cache
 from pathlib import Path
 
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.worlds import block
-from warpvox.world import World, WorldObject
+from warpvox.world import World
 
-__all__ = ["write_worlds"]
+__all__ = ["world_files"]
 
 # As released: the four tasks about shapes share a file, Catcher-v0 uses another task's, blocks come one by one.
 _SHARED = {"AreaMaximizer-v0": "ShapeChange", "Catcher-v0": None}
@@ -22,19 +26,19 @@ _SINGLE = {
 }
 
 
-def write_worlds(folder: str) -> None:
-    """Write all of them into a folder."""
-    for task in task_ids():
-        name = _SHARED.get(task, task)
+@cache
+def world_files() -> str:
+    """Write all of them into a folder, which is removed when the process ends; return it."""
+    folder = tempfile.mkdtemp(prefix="warpvox-worlds-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    worlds = {
+        _SHARED.get(task, task): [obj for obj in get_task(task).objects if not obj.name.startswith("block_")]
+        for task in task_ids()
+    }
+    for name, objects in (worlds | {name: [obj] for name, obj in _SINGLE.items()}).items():
         if name is not None:
-            objects = [obj for obj in get_task(task).objects if not obj.name.startswith("block_")]
-            _write(folder, name, *objects)
-    for name, obj in _SINGLE.items():
-        _write(folder, name, obj)
-
-
-def _write(folder: str, name: str, *objects: WorldObject) -> None:
-    world = World()
-    for obj in objects:
-        world.add_object(obj)
-    world.to_json(Path(folder) / f"{name}.json")
+            world = World()
+            for obj in objects:
+                world.add_object(obj)
+            world.to_json(Path(folder) / f"{name}.json")
+    return folder

@@ -48,10 +48,7 @@ class PackageBase(BenchmarkBase):
         package_pos_final: np.ndarray,
         package_vel_final: np.ndarray,
     ) -> np.ndarray:
-        """``[6]``: the robot's velocity, the way from it to the package, the package's velocity.
-
-        Args: positions and velocities of points, ``[2, n]``.
-        """
+        """``[6]``: the robot's velocity, the way from it to the package, the package's velocity."""
         places = (robot_pos_final, robot_vel_final, package_pos_final, package_vel_final)
         robot, robot_speed, package, package_speed = (np.mean(points, axis=1) for points in places)
         return np.concatenate([robot_speed, package - robot, package_speed])

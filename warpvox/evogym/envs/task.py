@@ -54,15 +54,14 @@ class TaskEnv(BenchmarkBase):
 
         self._spec = self._rules()
         self.world = self._make_world(self._spec, body, connections)
-        BenchmarkBase.__init__(self, world=self.world, render_mode=render_mode, render_options=render_options)
+        BenchmarkBase.__init__(self, self.world, render_mode, render_options)
         self.default_viewer.track_objects("robot", *(name for name in _FOLLOWED if name in self.world.objects))
-        count = self.get_actuator_indices("robot").size
         for params in (dict(term.params) for term in self._spec.observations):
             if "reach" in params:
                 self.sight_dist, self.terrain_list = params["reach"], list(params["objects"])
         self._terms, self._compared, self._seen = RowTerms(self._spec), (), None
         self._compared = self._terms.compared(self._state())
-        self.action_space = spaces.Box(ACTION_LOW, ACTION_HIGH, (count,), np.float64)
+        self.action_space = spaces.Box(ACTION_LOW, ACTION_HIGH, (self.get_dim_action_space("robot"),), np.float64)
         self.observation_space = spaces.Box(-_BOUND, _BOUND, self._observe(self._state()).shape, np.float64)
 
     def _rules(self) -> TaskSpec:
@@ -92,10 +91,7 @@ class TaskEnv(BenchmarkBase):
         return sum(terms.values()), ended
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One control step.
-
-        Returns:
-            Observation, reward, terminated, False (the time limit is gymnasium's), and an empty dictionary.
+        """Take a control step: observation, reward, terminated, False (the time limit is gymnasium's), and no infos.
 
         Raises:
             ArgumentError (a ValueError): another number of values than actuators.

@@ -20,7 +20,7 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -69,9 +69,7 @@ def write_html(
 
 def page_of(rollout: Rollout, envs: Sequence[int] | None = None, title: str | None = None, every: int = 1) -> str:
     """The page that :func:`write_html` writes, as text."""
-    chosen = [rollout.check_env(env) for env in (range(rollout.num_envs) if envs is None else envs)]
-    if not chosen:
-        raise RolloutError("No environment was chosen to be shown.")
+    chosen = rollout.check_envs(envs)
     _check_length(rollout, chosen, every)
     scale, data = _pack(rollout, chosen, every)
     meta = _describe(rollout, chosen, scale, every) | {"title": title or rollout.title}
@@ -95,19 +93,15 @@ def fill_template(template: str, values: Mapping[str, Any], **texts: str) -> str
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
 
 
-def asset(name: str) -> str:
-    """A file of this package as text."""
-    return files(__name__).joinpath(name).read_text(encoding="utf-8")
+def asset(name: str, package: str = __name__) -> str:
+    """A file of a package as text."""
+    return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
 def _describe(rollout: Rollout, envs: list[int], scale: int, every: int) -> dict[str, Any]:
     """All but the trajectories, as JSON values."""
     used = sorted({int(rollout.design_index[env]) for env in envs})
-    about = {
-        key: rollout.metadata[key]
-        for key in ("rules", "physics", "agent", "seed", "iteration")
-        if isinstance(rollout.metadata.get(key), str | int)
-    }
+    known = {key: rollout.metadata.get(key) for key in ("rules", "physics", "agent", "seed", "iteration")}
     lengths, names = rollout.lengths, rollout.names
     return {
         "frames": len(rollout.positions[::every]),
@@ -115,7 +109,7 @@ def _describe(rollout: Rollout, envs: list[int], scale: int, every: int) -> dict
         "scale": scale,
         "voxel": VOXEL,
         "limits": [ACTION_LOW, ACTION_HIGH],
-        "about": about,
+        "about": {key: value for key, value in known.items() if isinstance(value, str | int)},
         "colours": {int(cell): ramp for cell, ramp in RAMPS.items()},
         "names": {int(cell): name for cell, name in CELL_NAMES.items()},
         "scenes": [_describe_scene(rollout.scenes[number]) for number in used],
@@ -139,12 +133,7 @@ def _describe_scene(scene: Scene) -> dict[str, Any]:
         "points": scene.num_points,
         "robot": scene.robot_points.tolist(),
         "objects": [
-            {
-                "name": obj.name,
-                "cells": obj.cells.tolist(),
-                "places": obj.places.tolist(),
-                "corners": obj.corners.tolist(),
-            }
+            {"name": obj.name} | {part: getattr(obj, part).tolist() for part in ("cells", "places", "corners")}
             for obj in scene.moving
         ],
     }
@@ -158,7 +147,7 @@ def _pack(rollout: Rollout, envs: list[int], every: int) -> tuple[int, bytes]:
         return shown.reshape(len(shown), -1).T.astype(np.float64)
 
     # Differences must fit into 16 bits, what they start from into 32.
-    jump = max(_jump(track(env)) for env in envs)
+    jump = max(max(np.abs(np.diff(values)).max(initial=0), np.abs(values).max() / 2**16) for values in map(track, envs))
     scale = PRECISION
     # A leap too long for 16 bits costs precision everywhere; in a simulation there is none.
     while scale > 1 and jump * scale > 32766:
@@ -166,26 +155,18 @@ def _pack(rollout: Rollout, envs: list[int], every: int) -> tuple[int, bytes]:
     if jump * scale > 32766:
         raise RolloutError(f"Points leap {jump:.3g} simulator units in a step: too far for the page's format.")
     packer = zlib.compressobj(6, zlib.DEFLATED, -zlib.MAX_WBITS)
-    parts = []
-    for env in envs:
-        parts.append(packer.compress(np.rint(track(env)[:, 0] * scale).astype("<i4").tobytes()))
-    for env in envs:
-        parts.append(packer.compress(_thinned_rewards(rollout, env, every).astype("<f4").tobytes()))
-    for shift in (0, 8):
-        for env in envs:
-            steps = np.diff(np.rint(track(env) * scale).astype(np.int32)).astype("<i2", order="C")
-            parts.append(packer.compress((steps >> shift).astype(np.uint8).tobytes()))
-    return scale, b"".join([*parts, packer.flush()])
-
-
-def _jump(values: np.ndarray) -> float:
-    return max(float(np.abs(np.diff(values)).max(initial=0)), float(np.abs(values).max()) / 2**16)
-
-
-def _thinned_rewards(rollout: Rollout, env: int, every: int) -> np.ndarray:
-    """Rewards from one shown frame to the next."""
     steps = len(rollout.positions[::every]) - 1
-    return rollout.rewards[: steps * every, env].reshape(steps, every).sum(axis=1)
+
+    def arrays() -> Iterator[np.ndarray]:
+        yield from (np.rint(track(env)[:, 0] * scale).astype("<i4") for env in envs)
+        for env in envs:  # from one shown frame to the next
+            yield rollout.rewards[: steps * every, env].reshape(steps, every).sum(axis=1).astype("<f4")
+        for shift in (0, 8):
+            for env in envs:
+                moves = np.diff(np.rint(track(env) * scale).astype(np.int32)).astype("<i2", order="C")
+                yield (moves >> shift).astype(np.uint8)
+
+    return scale, b"".join([*(packer.compress(array.tobytes()) for array in arrays()), packer.flush()])
 
 
 def _check_length(rollout: Rollout, envs: list[int], every: int) -> None:
