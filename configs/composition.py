@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
+from typing import Any, cast
 
 import yaml
 from hydra import compose, initialize_config_module
@@ -62,10 +63,11 @@ def hydras_errors(beginning: str = "") -> Iterator[None]:
     """Errors of Hydra and OmegaConf in one sentence: what is wrong and where, and of names the nearest."""
     try:
         yield
-    except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as error:
+    except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as found:
+        error = cast(Any, found)
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        text = " ".join(lines if isinstance(error, yaml.YAMLError) else lines[:2])  # below are inner names
-        if isinstance(error, MissingConfigException) and error.options:
+        text = " ".join(lines if isinstance(found, yaml.YAMLError) else lines[:2])  # below are inner names
+        if isinstance(found, MissingConfigException) and error.options:
             group, _, name = str(error.missing_cfg_file).rpartition("/")
             key = PRESET_OF.get(group.partition("/")[2], PRESET) if group.startswith(f"{PRESET}/") else group
             text = f"{key} must be one of {listing(error.options)}, got '{name}'.{did_you_mean(name, error.options)}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 from omegaconf import OmegaConf
 
@@ -20,7 +20,7 @@ def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any
     """
     with hydras_errors():
         preset = composed("codesign", [f"training={quoted(name)}"]).training
-        return OmegaConf.to_object(OmegaConf.merge(preset, {**changes, "ppo": ppo or {}}))
+        return cast(Any, OmegaConf.to_object)(OmegaConf.merge(preset, {**changes, "ppo": ppo or {}}))
 
 
 def ppo_preset(name: str) -> dict[str, Any]:

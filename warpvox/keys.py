@@ -115,7 +115,7 @@ def _converted(value: Any, kind: Any, name: str) -> Any:
     kind = get_args(kind)[0] if optional else kind
     if kind is Any or (optional and isinstance(value, type(None))):
         return value
-    if dataclasses.is_dataclass(kind):
+    if hasattr(kind, "__dataclass_fields__"):
         if not isinstance(value, kind):
             raise ConfigError(f"{name} must be {kind.__name__}(...) or values by name, got {value!r:.80}.")
         convert(value, name + ".")

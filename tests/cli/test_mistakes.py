@@ -88,7 +88,7 @@ MISTAKES = {
     "export rollout=nothing.npz": "no such file",
     "export format=pdf": "usd, gif, mp4, html",
     "export format=[]": "usd, gif, mp4, html",
-    "demo resume=latest": "starts anew",
+    "demo resume=latest": "There is no run in",
     "bench suite=per": "Did you mean 'peer'",
     "bench num_envs=1 design=mini": "evogym==2.0.0",
     "bench num_envs=1 design=mini peer.python=nowhere": "no file",

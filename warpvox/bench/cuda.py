@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -62,7 +62,7 @@ def run(config: Any, report: Report) -> None:
     with report.status("compiling for CUDA, counting"):
         found = instructions(sim, config.steps, config.seed)
         _limits(report, _group(sim))
-    whole = sum(found.values())
+    whole = np.sum(list(found.values()), axis=0)
     _table(
         report,
         f"{config.task}: warp instructions and wavefronts of shared memory, of an environment and sub-step (machine"
@@ -84,22 +84,24 @@ def run(config: Any, report: Report) -> None:
         counts = {
             name: instructions(_simulation(config, those), config.steps, config.seed) for name, those in cases.items()
         }
-        different = {name: sum(count.values()) for name, count in counts.items()}
+        different = {name: np.sum(list(count.values()), axis=0) for name, count in counts.items()}
     title = f"{config.task}, random {SIDE}x{SIDE} bodies: the same of an environment in a warp of such"
     _table(report, title, "", different)
 
 
 def _simulation(config: Any, bodies: Sequence[np.ndarray]) -> Simulation:
     """Whole warps of environments, in which the bodies take turns."""
-    options = dict(device="cpu", dtype="float32", arithmetic=None, threads=1)
+    options: dict[str, Any] = dict(device="cpu", dtype="float32", arithmetic=None, threads=1)
     sims = [make(config, [body], 1, **options).sim for body in bodies]
     worlds = [sims[k % len(sims)].worlds[0] for k in range(ENVS)]
     return Simulation(worlds, sims[0].options, loose=sims[0].loose, layout="group")
 
 
-def _group(sim: Simulation) -> Group | None:
-    """The group of threads that computes such worlds on CUDA."""
-    return choose(sim.buffers.sizes["point"], sim.buffers.sizes["spring"], "float32", "cuda:0")
+def _group(sim: Simulation) -> Group:
+    """The group of threads that computes such worlds on CUDA; bodies that are measured here are small enough."""
+    group = choose(sim.buffers.sizes["point"], sim.buffers.sizes["spring"], "float32", "cuda:0")
+    assert group is not None
+    return group
 
 
 def _table(report: Report, title: str, head: str, counts: Mapping[str, np.ndarray]) -> None:
@@ -114,6 +116,7 @@ def visits(sim: Simulation, steps: int, seed: int) -> tuple[np.ndarray, np.ndarr
     """
     state, names = sim.buffers, places()
     group, substeps = state.group, sim.physics.substeps
+    assert group is not None
     rows = group.row + substeps * len(names)
     scratch = zeros((sim.num_envs, rows), wp.float64, "cpu")
     inputs = [state.model, state.data, scratch, 0, sim.num_envs, 0, substeps, state.dt]
@@ -154,7 +157,7 @@ def instructions(sim: Simulation, steps: int, seed: int, architecture: int = 90)
         stage = next(stage for stage, begins in STAGES.items() if name.startswith(begins))
         every, wide, shared = static[name]
         waves, least = known.get(name, (shared, shared))
-        share = times / rounds.get(name, 1) / together
+        share = times / cast(Any, rounds).get(name, 1) / together
         found[stage] += share * np.array([every, wide, waves, waves - least])
     return found
 

@@ -86,8 +86,9 @@ def run_command(
         if len(jobs) == 1 and not plugins:
             do(jobs[0], Console())
             return
-        for job in jobs if check else []:  # a mistake in the last run should not show after a day
-            check(job)
+        if check is not None:  # a mistake in the last run should not show after a day
+            for job in jobs:
+                check(job)
         make = functools.partial(_make, command, given.config_dir, do, prepare)
         make_runs(command, parsed, plugins, given.config_dir, make, len(jobs))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf
@@ -49,7 +49,7 @@ def load(
         ConfigError: anything wrong with keys, values or YAML files; code that the user has not named.
     """
     parsed = read_overrides(command, overrides)
-    named = {override.key_or_group: override.value() for override in parsed}
+    named: dict[str, Any] = {override.key_or_group: override.value() for override in parsed}
     file = named.get("config")
     if file is not None:
         if f"{PRESET}/{command}" in named:
@@ -57,7 +57,7 @@ def load(
         base, home = _read_file(Path(file).expanduser())
     # OmegaConf's clean-up turns an interrupt into errors of its own
     with hydras_errors(f"{file}: " if file else ""), uninterrupted():
-        result = OmegaConf.to_object(_composed(command, parsed, config_dir, base))
+        result: Any = OmegaConf.to_object(_composed(command, parsed, config_dir, base))
     check_values(result)
     if base is None:
         return with_code(result, typed(result))
@@ -110,8 +110,8 @@ def _composed(command: str, parsed: list[Override], config_dir: Path | None, sto
     for key in flat_values(stored):
         if not _has(defaults, key):
             raise _unknown(command, key, defaults)
-    now, usual = (flat_values(OmegaConf.to_container(one)) for one in (config, defaults))
-    below = OmegaConf.merge(defaults, stored)
+    now, usual = (flat_values(cast(Any, OmegaConf.to_container(one))) for one in (config, defaults))
+    below = cast(DictConfig, OmegaConf.merge(defaults, stored))
     changed = [key for key in now if now[key] != usual.get(key)]
     for key in [*changed, *(override.key_or_group for override in parsed if _has(config, override.key_or_group))]:
         OmegaConf.update(below, key, OmegaConf.select(config, key), merge=False)

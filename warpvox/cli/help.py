@@ -35,8 +35,7 @@ def flat_keys(schema: type, prefix: str = "") -> Iterator[tuple[str, Key]]:
     types = get_type_hints(schema)
     for item in dataclasses.fields(schema):
         name = prefix + item.name
-        made = item.default_factory is not dataclasses.MISSING
-        default = item.default_factory() if made else item.default
+        default = item.default if item.default_factory is dataclasses.MISSING else item.default_factory()
         about = item.metadata
         yield name, Key(types[item.name], default, about["help"], about.get("choices", ()), about.get("path"))
         kinds = [one if isinstance(one, type) else type(one) for one in (default, *NODES.get(name, {}).values())]

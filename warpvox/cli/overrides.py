@@ -60,9 +60,9 @@ def expand(overrides: Iterable[Override]) -> list[list[str]]:
     return [list(run) for run in itertools.product(*texts)]
 
 
-def key_and_value(override: Override | str) -> tuple[str, str]:
+def key_and_value(given: Override | str) -> tuple[str, str]:
     """The key and the value of an override as people type and read them."""
-    override = parse(override) if isinstance(override, str) else override
+    override: Any = parse(given) if isinstance(given, str) else given
     key, value = override.key_or_group, override.value()
     if key.startswith(f"{PRESET}/"):
         key = preset_key(key.removeprefix(f"{PRESET}/"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import sys
 from collections.abc import Iterator
@@ -60,7 +61,7 @@ def lasting_output(message: str | None = None) -> Iterator[None]:
     os.close(number)
     before = sys.stdout, sys.stderr
     for stream in before:
-        if hasattr(stream, "reconfigure"):
+        if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     nowhere = open(os.devnull, "w")  # noqa: SIM115
     ours = _Lasting(before[0] or nowhere, message), _Lasting(before[1] or nowhere)

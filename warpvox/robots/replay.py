@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -90,7 +90,7 @@ def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
     seeds = list(seeds if seeds is not None else SEEDS if get_task(robot.task).is_random else (0,))
     # one at a time, as numpy steps a single environment faster than torch
     env = VoxelEnv(robot.task, robot.body, None if robot.fully_connected else robot.connections, obs=robot.obs)
-    _check_sizes(robot, *env.observation_space.shape, *env.action_space.shape)
+    _check_sizes(robot, *cast(Any, env.observation_space.shape), *cast(Any, env.action_space.shape))
     returns, lengths = zip(*(_episode(env, robot, seed) for seed in seeds), strict=True)
     return Judgement(list(returns), list(lengths), seeds)
 
@@ -101,7 +101,7 @@ def _episode(env: VoxelEnv, robot: Robot, seed: int) -> tuple[float, int]:
     rewards: list[float] = []
     terminated, limit = False, get_task(robot.task).max_episode_steps
     while not terminated and len(rewards) < limit:
-        obs, reward, terminated, _, _ = env.step(robot.policy(obs))
+        obs, reward, terminated, _, _ = env.step(cast(Any, robot.policy)(obs))
         rewards.append(reward)
     return round(sum(rewards), DIGITS), len(rewards)
 
@@ -122,7 +122,7 @@ def policy_of_checkpoint(checkpoint: Path) -> Network | Gait:
     """
     policy = policy_of(load_controller(checkpoint))
     if policy.spec.gait is not None:
-        state = {name: value.numpy() for name, value in policy.model.state_dict().items()}
+        state = {name: value.numpy() for name, value in cast(Any, policy.model).state_dict().items()}
         by_cell = {name: state[name].reshape(len(state["begin"]), -1)[:, state["cells"]] for name in BY_CELL}
         return Gait(state["begin"], state["period"], **by_cell)
     if policy.spec.voxels is not None or policy.spec.rnn is not None:
@@ -178,5 +178,5 @@ def _gait_module(robot: Robot, gait: Gait, about: dict[str, Any]) -> Policy:
     cells = np.flatnonzero(robot.body >= Cell.H_ACT)
     state = {"begin": gait.begin, "period": gait.period, "cells": cells}
     state |= by_cell(gait, robot.body)
-    policy.model.load_state_dict({name: torch.as_tensor(values) for name, values in state.items()})
+    cast(Any, policy.model).load_state_dict({name: torch.as_tensor(values) for name, values in state.items()})
     return policy

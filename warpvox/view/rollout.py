@@ -249,8 +249,6 @@ def record(
     """
     import torch
 
-    from warpvox.algos.evaluate import forget
-
     if not hasattr(env, "sim") or not hasattr(env, "max_episode_steps"):
         inner = getattr(env, "unwrapped", env)
         hint = " Here it is env.unwrapped.vec." if hasattr(inner, "vec") and hasattr(inner, "num_envs") else ""
@@ -262,7 +260,8 @@ def record(
     limit = env.max_episode_steps if num_steps is None else min(int(num_steps), env.max_episode_steps)
     resets_itself, env.auto_reset = env.auto_reset, False
     try:
-        forget(act)
+        if hasattr(act, "reset"):  # it remembers episodes
+            act.reset()
         with torch.no_grad():
             columns = _run(env, act, limit, gather)
     finally:

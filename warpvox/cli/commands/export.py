@@ -43,7 +43,7 @@ def _export(config: Any, console: Console) -> Path:
         rollout, source = Rollout.load(config.rollout), config.rollout
         config = dataclasses.replace(config, run="")  # the run that is named by default has no part in it
         return write_results(rollout, config, source, "export", pictures, console, keep=False)
-    policy = _load_policy(config, console) if programs else None  # what is wrong with it should show first
+    policy: Any = _load_policy(config, console) if programs else None  # what is wrong with it should show first
     if pictures:
         rollout, source = play_run(config, console)
         folder = write_results(rollout, config, source, "export", pictures, console)
@@ -71,7 +71,7 @@ def _export_policy(policy: Policy, config: Any, formats: list[str], console: Con
     return folder
 
 
-def _write_policy(policy: Policy | None, folder: Path, formats: list[str], console: Console) -> dict[str, str]:
+def _write_policy(policy: Any, folder: Path, formats: list[str], console: Console) -> dict[str, str]:
     """Write the policy in each format and say what there is; returns how each was checked."""
     from warpvox.algos.checkpoints.export import POLICY_WRITERS
 

@@ -73,7 +73,7 @@ def _devices() -> list[tuple[str, str]]:
 def _cache() -> list[tuple[str, str]]:
     import warp as wp
 
-    folder = Path(wp.config.kernel_cache_dir)
+    folder = Path(str(wp.config.kernel_cache_dir))
     files = [file for file in folder.rglob("*") if file.is_file()] if folder.is_dir() else []
     modules = sum(1 for item in folder.iterdir() if item.is_dir()) if folder.is_dir() else 0
     size = sum(file.stat().st_size for file in files) / 1e6

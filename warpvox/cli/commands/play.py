@@ -65,7 +65,8 @@ def play(config: PlayConfig, console: Console) -> Path:
     folder = write_results(rollout, config, source, "play", formats, console, config.record)
     if in_window:
         echo(console, "close the window to go on")
-        play_in_window(rollout, tiles_of(rollout), **({"size": tuple(config.size)} if config.size else {}))
+        size: dict[str, Any] = {"size": tuple(config.size)} if config.size else {}
+        play_in_window(rollout, tiles_of(rollout), **size)
     return folder
 
 
@@ -118,7 +119,8 @@ def stored_rollout(config: PlayConfig) -> tuple[Rollout, str]:
     given = [name for name in ("agent", "zoo", *OF_AGENTS) if getattr(config, name) is not None]
     if given:
         raise ConfigError(f"rollout shows what was recorded: {listing(given)} cannot be given with it.")
-    return Rollout.load(config.rollout), config.rollout
+    source = str(config.rollout)
+    return Rollout.load(source), source
 
 
 def play_agent(config: PlayConfig, console: Console) -> Rollout:

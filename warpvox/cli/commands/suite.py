@@ -89,7 +89,7 @@ def _prepare(typed: list[str], config: SuiteConfig, overrides: list[str], config
 
 
 def _resumed(config: SuiteConfig, typed: list[str], overrides: list[str], config_dir: Path | None) -> Job:
-    source = find_suite(config.resume, config.output_dir)
+    source = find_suite(str(config.resume), config.output_dir)
     check_writable(source.folder)
     before = load_values("suite", source.config)
     config = load("suite", overrides, config_dir, base=source.config, home=source.folder)
@@ -194,7 +194,7 @@ def _write_again(config: SuiteConfig, console: Console) -> Path:
     Raises:
         RunError: no such suite.
     """
-    source = find_suite(config.report, config.output_dir)
+    source = find_suite(str(config.report), config.output_dir)
     table = Table.stored(source.folder)
     _write_report(table, load_values("suite", source.config), console)
     return source.folder

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from rich.console import Console
 from rich.table import Table
@@ -66,7 +66,7 @@ def _print_all(console: Console) -> None:
         "goal": "left",
     }
     for heading, justify in columns.items():
-        table.add_column(heading, justify=justify, overflow="fold")
+        table.add_column(heading, justify=cast(Any, justify), overflow="fold")
     for name in task_ids():
         task = get_task(name)
         fixed, per_point = (sum(term.about.size(dict(term.params), n) for term in task.observations) for n in (0, 1))

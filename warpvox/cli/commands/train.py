@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from rich.console import Console
 
@@ -54,9 +54,10 @@ def train(job: Job, console: Console) -> Path:
 
     prepare(job.settings.torch_threads, job.settings.seed)
     job.train(Terminal(console))
-    if job.settings.export:
-        _export(job.folder, job.settings, console)
-    return job.folder
+    folder, config = cast(Path, job.folder), cast(TrainConfig, job.settings)
+    if config.export:
+        _export(folder, config, console)
+    return folder
 
 
 def _export(folder: Path, config: TrainConfig, console: Console) -> None:
@@ -65,7 +66,7 @@ def _export(folder: Path, config: TrainConfig, console: Console) -> None:
     from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
 
     run = find_run(str(folder), config.output_dir)
-    named = {name: value for name in ("task", "policy") if is_code(value := getattr(config, name))}
+    named: dict[str, Any] = {name: value for name in ("task", "policy") if is_code(value := getattr(config, name))}
     env, controller = load_run(run, Playing(device=config.device, **named))
     with console.status("simulating"):
         rollout = record_run(run, env, controller, None)

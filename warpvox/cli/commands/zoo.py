@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -114,14 +115,14 @@ def _policy(policy: Network | Gait | None) -> str:
     return f"{'-'.join(map(str, sizes))}, {policy.activation}"
 
 
-def _returns(about: dict[str, Any]) -> str:
+def _returns(about: Mapping[str, Any]) -> str:
     returns, seeds = about.get("returns", []), about.get("seeds", [])
     if len(returns) < 2:
         return f"{about.get('return')}"
     return f"{about.get('return')}, the mean over the seeds {seeds[0]} to {seeds[-1]}: {listing(returns)}"
 
 
-def _training(about: dict[str, Any]) -> str:
+def _training(about: Mapping[str, Any]) -> str:
     steps, seconds = about.get("control_steps"), about.get("wall_s")
     told = "unknown" if steps is None else f"{steps:,} control steps"
     return told if seconds is None else f"{told} in {duration(seconds)}"
