@@ -31,6 +31,7 @@ from warpvox.devices.out_of_memory import free_memory
 from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path
 from warpvox.types import VOXEL, Cell
+from warpvox.view.painter import camera_path
 from warpvox.view.palette import RAMPS, colour_index, palette
 from warpvox.view.rollout import FRAME_SECONDS, Rollout
 
@@ -255,8 +256,6 @@ def _changes(values: np.ndarray, interpolated: bool) -> list[int]:
 
 def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.ndarray, frames: list[int]) -> None:
     """One camera that follows the first environment's robot, one that sees everything."""
-    from warpvox.view.painter import camera_path
-
     view = np.array([VIEW * APERTURE[0] / APERTURE[1], VIEW])
     corner = camera_path(rollout.scene(envs[0]), rollout.positions[:, envs[0]], tuple((view / VOXEL).tolist())) * VOXEL
     follow = _define_camera(stage, "/World/camera")
