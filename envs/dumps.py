@@ -40,9 +40,7 @@ class DivergenceDump:
     On the CPU it is written in the step of the divergence. On CUDA, where reading flags waits for the device, files are
     written every :data:`STEPS` steps, for the first divergence of an environment since the last time.
 
-    Args:
-        env: the environments.
-        folder: where files go; made when there is one. May be changed later.
+    ``folder`` is made when there is a file, and may be changed later.
     """
 
     def __init__(self, env: VoxelVecEnv, folder: str | os.PathLike[str]) -> None:

@@ -272,15 +272,12 @@ class VoxelVecEnv:
         """Replace the bodies of some environments, which begin a new episode; the others continue.
 
         Nothing is compiled and no array moves; sizes of observations and actions stay. ``designs``, ``design_index``,
-        the masks and columns follow: equal designs are one then.
+        the masks and columns follow: equal designs are one then. Returned is what :meth:`reset` observes.
 
         Args:
-            designs: a body for each environment of the mask in their order, or one for all; as in :func:`make_vec`.
+            designs, connections: a body for each environment of the mask in their order, or one for all; as in
+                :func:`make_vec`.
             mask: bool ``[num_envs]``.
-            connections: for each of these designs, as in :func:`make_vec`.
-
-        Returns:
-            Observations ``[num_envs, num_obs]``, as :meth:`reset` with this mask gives.
 
         Raises:
             SimulationError: made without ``grid``, or a body that does not fit it. DesignError, WorldError: a body that
