@@ -60,8 +60,8 @@ class VoxelEnv(Adapter, gymnasium.Env):
     """One robot in one task: numpy in and out, float64.
 
     Observations are ``[num_obs]`` (for their bounds see :func:`warpvox.envs.adapters.base.spaces_of`), actions
-    ``[num_actions]`` (``Box(0.6, 1.6)``): target lengths of the actuators, row by row from the top of the body, in units
-    of their rest length. The time limit is gymnasium's. An environment that has terminated stays so until its reset.
+    ``[num_actions]`` (``Box(0.6, 1.6)``): target lengths of the actuators, row by row from the top of the body, in
+    units of their rest length. The time limit is gymnasium's. One that has terminated stays so until its reset.
 
     ``metadata`` of the class names all render modes, that of an instance those which work on this machine: ``human``
     needs a display.
