@@ -11,7 +11,7 @@ import torch
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 
-__all__ = ["Evaluation", "Evaluator", "Policy", "StatefulEvaluator", "draws_at_random", "evaluate", "evaluator"]
+__all__ = ["Evaluation", "Evaluator", "Policy", "StatefulEvaluator", "evaluate", "evaluator"]
 
 Policy = Callable[[torch.Tensor], torch.Tensor]
 """Observations ``[num_envs, num_obs]`` to actions ``[num_envs, num_actions]`` in [0.6, 1.6]."""
@@ -103,14 +103,3 @@ def evaluate(
 def evaluator(env: VoxelVecEnv, seed: int | Sequence[int] | None = None) -> Evaluator:
     """An :class:`Evaluator` that uses ``env`` over and over; with ``seed`` for the same episodes."""
     return lambda policy: evaluate(env, policy, seed=seed)
-
-
-def draws_at_random(env: VoxelVecEnv) -> bool:
-    """Whether the episodes of a design begin differently; begins new ones to find out."""
-    obs, _ = env.reset()
-    for design in range(env.num_designs):
-        rows = torch.nonzero(env.design_index == design)[:, 0]
-        for values in (obs, *env.memory.values()):
-            if not torch.equal(values[rows], values[rows[:1]].expand_as(values[rows])):
-                return True
-    return False

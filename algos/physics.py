@@ -49,7 +49,9 @@ CONSTANTS = {
 def _physics_fields() -> list[tuple[str, Any, Any]]:
     """One optional key per constant of :class:`warpvox.types.Physics`; null keeps the preset's value."""
     presets = (AUTO, *Physics.presets())
-    fields = [("preset", str, key(AUTO, "preset to start from; auto: the one that belongs to rules", choices=presets))]
+    fields: list[tuple[str, Any, Any]] = [
+        ("preset", str, key(AUTO, "preset to start from; auto: the one that belongs to rules", choices=presets))
+    ]
     for constant in dataclasses.fields(Physics):
         if constant.name == "name":
             continue

@@ -29,7 +29,6 @@ __all__ = [
     "PRESET_OF",
     "BenchConfig",
     "CodesignConfig",
-    "DemoConfig",
     "EvaluateConfig",
     "ExportConfig",
     "PhysicsConfig",
@@ -46,6 +45,8 @@ AGENTS = ("random", "sine", "zero")
 SHOW = ("auto", "on", "off")
 ARCHIVE_EXPORTS = ("csv", "parquet", "npz", "json")
 AUTO = "auto"
+OWN_TASK = "For a run of a task of your own: its code, file.py:NAME, or stored for the copy in the run"
+"""What ``task`` means beside ``run``."""
 CONFIG_FILE = "file to take values from, such as a run's config.yaml (or its folder); keys that are given override them"
 
 
@@ -76,6 +77,11 @@ class PresetConfig:
 class TrainConfig(Training, PresetConfig):
     """Keys of ``warpvox train``."""
 
+    export: list[str] = key(
+        [],
+        "formats in which an episode of the best policy is written into the run's folder at the end",
+        choices=EXPORTS,
+    )
     config: str | None = key(None, CONFIG_FILE, path="read")
 
 
@@ -99,18 +105,6 @@ class CodesignConfig(Codesign, PresetConfig):
         " contains searches",
         path="read",
     )
-
-
-@dataclass
-class DemoConfig(Training):
-    """Keys of ``warpvox demo``: training, then the exports."""
-
-    config: str | None = key(None, CONFIG_FILE, path="read")
-    export: list[str] = key(["usd", "gif", "html"], "formats to export the rollout to", choices=EXPORTS)
-
-
-OWN_TASK = "For a run of a task of your own: its code, file.py:NAME, or stored for the copy in the run"
-"""What ``task`` means beside ``run``."""
 
 
 @dataclass
@@ -351,7 +345,6 @@ class InfoConfig:
 
 COMMANDS: dict[str, type] = {
     "train": TrainConfig,
-    "demo": DemoConfig,
     "play": PlayConfig,
     "export": ExportConfig,
     "codesign": CodesignConfig,

@@ -11,9 +11,9 @@ import dataclasses
 import re
 from pathlib import Path
 
-from warpvox.cli import COMMANDS
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, help_rows
+from warpvox.configs.schema import COMMANDS
 from warpvox.io.writing import write_text
 
 END = "<!-- end of help -->"

@@ -22,9 +22,9 @@ import numpy as np
 
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
-from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive
+from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, archives_in
 from warpvox.algos.evaluate import evaluate
-from warpvox.algos.report.members import Member, archives_in, read_members
+from warpvox.algos.report.members import SearchResult, read_members
 from warpvox.algos.statistics import mean_interval
 from warpvox.cli.config import load
 from warpvox.cli.robot_entries import command_of
@@ -230,12 +230,12 @@ def export(folders: Sequence[Path], before: Sequence[Mapping[str, str]] = ()) ->
     return list((rows | {task: _robot(task) for task in robots}).values())
 
 
-def _counts(member: Member) -> bool:
+def _counts(member: SearchResult) -> bool:
     done = member.summary.get("status") == "done" and member.winner is not None
     return done and member.task in task_ids() and member.settings.get("rules") == "evogym"
 
 
-def _search(member: Member) -> dict[str, str]:
+def _search(member: SearchResult) -> dict[str, str]:
     with Archive.read(member.folder / ARCHIVE) as archive:
         date = archive.created_at[:10]
     values = {"evaluation": f"{member.winner.fitness:.9g}", "control_steps": int(member.steps[-1])}

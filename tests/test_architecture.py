@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 LINKED = ("kernels", "envs", "algos", "configs")
 MAX_LINES = 600
-MAX_CLI_LINES = 5850
+MAX_CLI_LINES = 4300
 
 CORE = ("errors", "system", "types", "examples", "io", "design", "world", "contact_order", "compile")
 HEAVY = {"torch", "warp", "hydra", "omegaconf", "rsl_rl", "gymnasium", "matplotlib", "pxr"}
@@ -99,7 +99,6 @@ def test_no_file_imports_itself_by_way_of_others() -> None:
     graph = {name: {target for _, target in imports(parse(path))} & set(SOURCES) for name, path in SOURCES.items()}
     # The package itself loads its names on demand, and a package's own file may name what is in its folder.
     graph = {name: {t for t in targets if not f"{name}.".startswith(f"{t}.")} for name, targets in graph.items()}
-    graph.pop("warpvox.cli.start", None)  # it and cli.robot_entries import each other
     TopologicalSorter(graph).prepare()  # raises CycleError, which names the files
 
 

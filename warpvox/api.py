@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -155,7 +156,6 @@ def evaluate(
         RunError: no such run. ConfigError: a function without a task, an unknown option. WarpvoxError: as
             :func:`warpvox.make_vec`.
     """
-    from warpvox.algos.evaluate import draws_at_random, evaluate as play
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.job import own_torch
     from warpvox.algos.training.loading import Playing, TrainedRun, is_alone, load_policy
@@ -164,10 +164,11 @@ def evaluate(
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import find_runs
 
+    names = [*inspect.signature(evaluate).parameters, *PLAYED]
     for key in options:
         if key not in PLAYED:
             raise ConfigError(
-                f"evaluate has no argument {key!r}.{did_you_mean(key, PLAYED)} There are {listing(PLAYED)}."
+                f"evaluate has no argument {key!r}.{did_you_mean(key, names)} Options: {listing(PLAYED)}."
             )
     several = isinstance(policies, Sequence) and not isinstance(policies, str)
     own = Code(task) if is_code(task) else task
@@ -181,10 +182,9 @@ def evaluate(
                 policy = load_policy(policy)
             if isinstance(policy, str | Path):
                 for run in find_runs([str(policy)], str(output_dir)):
-                    found, drawn = evaluate_run(run, how, design if run.is_many else None)
-                    rows.append(EvaluatedPolicy.of(str(run.folder), str(run.config["task"]), found, drawn, level))
+                    rows.append(evaluate_run(run, how, design if run.is_many else None, level))
                 continue
-            about = getattr(policy, "metadata", {})
+            about: Mapping[str, Any] = getattr(policy, "metadata", {})
             where, body = own or about.get("task"), about.get("design") if design is None else design
             if not callable(policy) or where is None or body is None:
                 what = "a run, or a function of observations with task=... and design=..."
@@ -192,5 +192,5 @@ def evaluate(
             given = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
             env = make_vec(where, load_bodies(body, seed), episodes, seed=seed, auto_reset=False, **given, **options)
             name = getattr(policy, "__name__", f"policy {number}")
-            rows.append(EvaluatedPolicy.of(name, env.spec.id, play(env, policy), draws_at_random(env), level))
-    return PolicyTable(rows, level)
+            rows.append(EvaluatedPolicy.of(name, env, policy, level))
+    return PolicyTable(rows)

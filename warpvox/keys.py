@@ -81,8 +81,8 @@ def _check_entry(name: str, value: Any, limits: Any) -> None:
             raise ConfigError(f"{name} must be {words} {limits[bound]}, got {value!r}.")
 
 
-KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "text"}
-ACCEPTED = {int: Integral, float: Real, bool: bool | np.bool_, str: str | os.PathLike}
+KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "text", list: "a list"}
+ACCEPTED = {int: Integral, float: Real, bool: bool | np.bool_, str: str | os.PathLike, list: list | tuple | np.ndarray}
 
 
 def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> None:
@@ -111,22 +111,23 @@ def _changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
 
 
 def _converted(value: Any, kind: Any, name: str) -> Any:
-    kinds = get_args(kind) if type(None) in get_args(kind) else (kind,)
-    kind = kinds[0]
-    if kind is Any or (value is None and len(kinds) > 1):
+    optional = type(None) in get_args(kind)
+    kind = get_args(kind)[0] if optional else kind
+    if kind is Any or (optional and isinstance(value, type(None))):
         return value
     if dataclasses.is_dataclass(kind):
         if not isinstance(value, kind):
             raise ConfigError(f"{name} must be {kind.__name__}(...) or values by name, got {value!r:.80}.")
         convert(value, name + ".")
         return value
-    if get_origin(kind) is list:
-        if not isinstance(value, list | tuple | np.ndarray):
-            raise ConfigError(f"{name} must be a list, got {value!r:.80}.")
+    plain = get_origin(kind) or kind
+    if not isinstance(value, ACCEPTED[plain]) or (plain is not bool and isinstance(value, bool)):
+        raise ConfigError(f"{name} must be {KINDS[plain]}{' or None' if optional else ''}, got {value!r:.80}.")
+    if plain is list:
         return [_converted(entry, get_args(kind)[0], name) for entry in value]
-    if not isinstance(value, ACCEPTED[kind]) or (kind is not bool and isinstance(value, bool)):
-        raise ConfigError(f"{name} must be {KINDS[kind]}{' or None' if len(kinds) > 1 else ''}, got {value!r:.80}.")
-    return value if type(value) is kind or isinstance(value, str) else kind(value)
+    if plain is str:
+        return value if isinstance(value, str) else os.path.expanduser(value)
+    return plain(value)
 
 
 def plain(value: Any, name: str) -> Any:

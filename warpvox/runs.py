@@ -17,7 +17,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, repair_hint
+from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in, repair_hint
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.reading import Unreadable, parse_yaml, read_facts, read_text
 from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
@@ -53,7 +53,7 @@ LARGEST_CONFIG = 1_000_000
 ZOO = "zoo:"
 """How the name of a stored robot begins where a run or a design is expected."""
 STATE, BEST = "state.pt", "model_best.pt"
-TRAINING = ("train", "demo")
+TRAINING = ("train",)
 CODESIGN = "codesign"
 label: ContextVar[str] = ContextVar("label", default="")
 """What the run of a sweep differs by from the others, for the name of its folder."""
@@ -234,8 +234,6 @@ def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
     Raises:
         RunError: some of the texts name searches and others do not.
     """
-    from warpvox.algos.report.members import archives_in
-
     found: dict[Path, Path] = {}
     others = []
     for text in texts:
@@ -256,7 +254,7 @@ def _best_design(folder: Path) -> Path:
         best = [record for record in archive.best() if record.policy is not None]
     if not best:
         raise RunError(f"The design search {folder} has no evaluated design yet.")
-    return (folder / best[0].policy).parent
+    return (folder / str(best[0].policy)).parent
 
 
 def write_config(folder: Path, text: str) -> None:

@@ -34,7 +34,7 @@ from warpvox.errors import RunError, StorageError
 from warpvox.io.reading import parse_json
 from warpvox.io.writing import atomic_path
 
-__all__ = ["BACKUP", "FILE", "Archive", "Finished", "Record", "repair_hint"]
+__all__ = ["BACKUP", "FILE", "Archive", "Finished", "Record", "archives_in", "repair_hint"]
 
 FILE = "archive.sqlite"
 """The name of the archive in a run's folder."""
@@ -471,6 +471,11 @@ def _record(row: Sequence[Any], parents: Sequence[int], curve: list[tuple[int, f
         curve=curve,
         diverged=row[7] == DIVERGED,
     )
+
+
+def archives_in(folder: Path) -> list[Path]:
+    """The folders of all design searches in a folder, itself included, in order of their paths."""
+    return sorted(path.parent for path in folder.rglob(FILE))
 
 
 def body_text(body: np.ndarray) -> str:

@@ -49,12 +49,18 @@ class Found:
         """The best design."""
         return self.designs[0]
 
-    def policy(self, design: int | None = None, device: str = "cpu") -> Policy:
-        """The policy of a design, by its id; None: of the best. See :func:`warpvox.load_policy`."""
+    @property
+    def policy(self) -> Policy:
+        """The policy of the best design, on the CPU; see :func:`warpvox.load_policy`."""
+        return self.policy_of(self.best.id)
+
+    def policy_of(self, design: int, device: str = "cpu") -> Policy:
+        """The policy of a design, by its id."""
         from warpvox.algos.training.loading import load_policy
 
-        return load_policy(self.folder if design is None else self.folder / "designs" / str(design), device=device)
+        return load_policy(self.folder / "designs" / str(design), device=device)
 
+    @property
     def curve(self) -> dict[str, np.ndarray]:
         """``evaluations`` and ``steps`` spent, int64, and the ``best`` return by then, float64; ``[n]`` each."""
         from warpvox.algos.report.members import read_members
@@ -62,6 +68,7 @@ class Found:
         (member,) = read_members([self.folder])
         return {name: getattr(member, name) for name in ("evaluations", "steps", "best")}
 
+    @property
     def report(self) -> Path:
         """The page ``report.html``."""
         from warpvox.algos.report import FILE

@@ -43,7 +43,7 @@ class Listener:
         """The search begins, or goes on."""
 
     def ended(self, summary: Mapping[str, Any]) -> None:
-        """The search has ended, however it has; ``summary`` is what ``summary.json`` says."""
+        """The search has ended; ``summary`` is what ``summary.json`` says, empty if it could not be written."""
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
         """``waiting`` of the ``total`` candidates of a generation will be trained."""

@@ -81,6 +81,8 @@ class SearchProgress(Listener):
         """See :class:`warpvox.algos.codesign.loop.Listener`: say how it has ended and what one can do next."""
         if self._live is not None:
             self._live.stop()
+        if not summary:
+            return
         folder, best, status = self.run.results.folder, summary["best_design"], summary["status"]
         words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
         under_way = self.under_way if status == "interrupted" else ""

@@ -102,7 +102,7 @@ def check(settings: Codesign, folder: Path | None = None, search: Search | None 
 
 def environments(settings: Codesign) -> int:
     """Environments that are stepped together at most; 1: not known."""
-    return max((batch.designs * batch.envs for batch in settings.evaluation.batches(settings)), default=1)
+    return max((batch.designs * batch.envs for batch in settings.evaluation.workloads(settings)), default=1)
 
 
 def _ask_for_memory(settings: Codesign) -> None:
@@ -111,7 +111,7 @@ def _ask_for_memory(settings: Codesign) -> None:
     grid = None if settings.dtype == "float64" else tuple(settings.shape)
     sim = dataclasses.replace(settings.sim, grid=grid).resolved(environments(settings))
     worlds = [task_world(spec, full_body(settings.shape))]
-    for batch in settings.evaluation.batches(settings):
+    for batch in settings.evaluation.workloads(settings):
         designs, envs, value = batch.designs, batch.envs, batch.value
         each = environment_bytes(spec, worlds, designs * envs, sim, obs=batch.obs, ppo=batch.ppo)
         if fitting(each * envs, sim.device) < 1 or designs == 1:

@@ -17,7 +17,7 @@ from warpvox.algos.codesign.archive import Record
 from warpvox.algos.report.charts import COLOURS, PANEL, Series, chart, legend, sheet
 from warpvox.algos.report.comparison import compare, comparison_html, comparison_sheet
 from warpvox.algos.report.gallery import write_gallery
-from warpvox.algos.report.members import Member, fitness_of, progress, read_members
+from warpvox.algos.report.members import SearchResult, fitness_of, progress, read_members
 from warpvox.algos.report.page import fact_list, page, row
 from warpvox.algos.statistics import Interval
 from warpvox.envs.known_returns import known_returns
@@ -30,7 +30,7 @@ __all__ = ["FILE", "write_benchmark"]
 FILE = "report.html"
 TOP = 4
 """Designs of a generation that are shown."""
-Groups = Mapping[str, Mapping[str, Sequence[Member]]]
+Groups = Mapping[str, Mapping[str, Sequence[SearchResult]]]
 """Searches with a result by task and name."""
 
 
@@ -77,7 +77,7 @@ NOTHING = '<p class="faint">No design is evaluated yet.</p>'
 KNOWN = Series("best published", [(0.0, 0.0)], colour=3, look="rule")
 
 
-def _groups(members: Sequence[Member]) -> Groups:
+def _groups(members: Sequence[SearchResult]) -> Groups:
     """Searches that have a result: the benchmark's tasks in its order, then others; names as they appear."""
     done = [one for one in members if one.winner is not None]
     known = task_ids()
@@ -101,7 +101,7 @@ def _names(groups: Groups) -> dict[str, Series]:
     }
 
 
-def _winners(groups: Groups) -> dict[str, Member]:
+def _winners(groups: Groups) -> dict[str, SearchResult]:
     """The best search of each task."""
     return {
         task: max((one for runs in named.values() for one in runs), key=lambda one: fitness_of(one.winner))
@@ -109,7 +109,7 @@ def _winners(groups: Groups) -> dict[str, Member]:
     }
 
 
-def _figures(members: Sequence[Member], groups: Groups) -> dict[str, str]:
+def _figures(members: Sequence[SearchResult], groups: Groups) -> dict[str, str]:
     known = known_returns()
     best = {task: fitness_of(one.winner) for task, one in _winners(groups).items()}
     published = {task: value for task in best if task in known and (value := known[task].best) is not None}
@@ -126,7 +126,7 @@ def _figures(members: Sequence[Member], groups: Groups) -> dict[str, str]:
 # ------------------------------------------------------------------------------------------------ table and winners
 
 
-def _row(task: str, name: str, runs: Sequence[Member]) -> str:
+def _row(task: str, name: str, runs: Sequence[SearchResult]) -> str:
     best = np.array([fitness_of(one.winner) for one in runs])
     known = known_returns().get(task)
     published = known.best if known else None
@@ -154,7 +154,7 @@ def _duration(seconds: float) -> str:
     return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
 
 
-def _card(task: str, member: Member, record: Record) -> str:
+def _card(task: str, member: SearchResult, record: Record) -> str:
     known = known_returns().get(task)
     lines = [task, f"{member.search}, seed {member.seed}, #{record.id}"]
     if member.fresh:
@@ -186,7 +186,7 @@ def _gallery(path: Path, groups: Groups) -> str:
     return f'<img alt="the winners in the worlds of their tasks" src="data:image/png;base64,{data}">'
 
 
-def _write_table(path: Path, members: Sequence[Member]) -> None:
+def _write_table(path: Path, members: Sequence[SearchResult]) -> None:
     """A row for each search."""
     fresh, rows = ("mean", "low", "high", "episodes"), []
     for one in members:
@@ -202,7 +202,7 @@ def _write_table(path: Path, members: Sequence[Member]) -> None:
 # --------------------------------------------------------------------------------------------------------- curves
 
 
-def _panel(task: str, named: Mapping[str, Sequence[Member]], x: str, looks: Mapping[str, Series]) -> str:
+def _panel(task: str, named: Mapping[str, Sequence[SearchResult]], x: str, looks: Mapping[str, Series]) -> str:
     """Best return over ``x``: the mean over the runs of each search, one standard deviation as a band."""
     series, last = [], 0.0
     for name, runs in named.items():
@@ -225,14 +225,14 @@ def _panel(task: str, named: Mapping[str, Sequence[Member]], x: str, looks: Mapp
 # ---------------------------------------------------------------------------------------------------- generations
 
 
-def _three(member: Member) -> dict[int, list[Record]]:
+def _three(member: SearchResult) -> dict[int, list[Record]]:
     """The best designs of the first, the middle and the last generation that has any."""
     known = sorted({r.candidate.generation for r in member.records if r.fitness is not None and not r.diverged})
     chosen = dict.fromkeys((known[0], known[(len(known) - 1) // 2], known[-1]))
     return {generation: member.ranked(generation)[:TOP] for generation in chosen}
 
 
-def _generations(task: str, member: Member) -> str:
+def _generations(task: str, member: SearchResult) -> str:
     columns = "".join(
         f"<div><p>generation {generation}</p><div class="
         f'"cards">{"".join(_figure(r, [f"#{r.id} · {r.candidate.origin}"], 12) for r in records)}</div></div>'

@@ -22,7 +22,7 @@ from warpvox.algos.aggregates import (
     profile,
 )
 from warpvox.algos.report.charts import PANEL, Series, chart, intervals, sheet
-from warpvox.algos.report.members import Member
+from warpvox.algos.report.members import SearchResult
 from warpvox.algos.report.page import row
 from warpvox.algos.statistics import LEVEL, Interval
 from warpvox.envs.known_returns import known_returns
@@ -63,7 +63,7 @@ class Comparison:
         }
 
 
-def compare(groups: Mapping[str, Mapping[str, Sequence[Member]]]) -> Comparison:
+def compare(groups: Mapping[str, Mapping[str, Sequence[SearchResult]]]) -> Comparison:
     """Compare searches at equal control steps.
 
     Args:

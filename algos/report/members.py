@@ -17,7 +17,7 @@ from warpvox.algos.codesign.evaluations import EVALUATIONS
 from warpvox.algos.search.bodies import diversity
 from warpvox.io.reading import read_facts
 
-__all__ = ["Member", "archives_in", "fitness_of", "progress", "read_members"]
+__all__ = ["SearchResult", "fitness_of", "progress", "read_members"]
 
 SUMMARY = "summary.json"
 PLACES = 200
@@ -27,7 +27,7 @@ OWN = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
 
 
 @dataclass(frozen=True)
-class Member:
+class SearchResult:
     """One design search.
 
     Attributes:
@@ -128,12 +128,7 @@ def fitness_of(record: Record | None) -> float:
     return -np.inf if record is None or record.fitness is None else record.fitness
 
 
-def archives_in(folder: Path) -> list[Path]:
-    """The folders of all design searches in a folder, itself included, in order of their paths."""
-    return sorted(path.parent for path in folder.rglob(FILE))
-
-
-def read_members(archives: Sequence[Path]) -> list[Member]:
+def read_members(archives: Sequence[Path]) -> list[SearchResult]:
     """Design searches by the folders of their archives.
 
     In a folder ``.../<task>/<search>/seed<k>`` a search has the name of that folder. Elsewhere it has that of its
@@ -149,7 +144,7 @@ def read_members(archives: Sequence[Path]) -> list[Member]:
             found.append((folder, archive.settings, archive.records(), best[0] if best else None))
     names = _names([(folder, settings) for folder, settings, _, _ in found])
     return [
-        Member(folder, name, settings, records, winner, read_facts(folder / SUMMARY))
+        SearchResult(folder, name, settings, records, winner, read_facts(folder / SUMMARY))
         for name, (folder, settings, records, winner) in zip(names, found, strict=True)
     ]
 
@@ -176,7 +171,7 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def progress(members: Sequence[Member], x: str) -> tuple[np.ndarray, np.ndarray]:
+def progress(members: Sequence[SearchResult], x: str) -> tuple[np.ndarray, np.ndarray]:
     """The best return of several searches over ``evaluations`` or ``steps``.
 
     Begins where each has evaluated a design; one that ends before the others keeps its best return.

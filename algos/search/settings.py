@@ -135,15 +135,6 @@ class CustomSearch(SearchSettings):
         None, "a search of your own: FILE.py:NAME or MODULE:NAME, called with settings, shape and seed", path="read"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        place, _, name = (self.make or "").rpartition(":")
-        if not place or not name.isidentifier():
-            raise ConfigError(
-                "The search 'custom' needs make=FILE.py:NAME or make=MODULE:NAME, where NAME makes a search of"
-                f" settings, shape and seed; got {self.make!r}."
-            )
-
 
 ALGORITHMS: dict[str, type[SearchSettings]] = {
     "ga": GA,

@@ -51,7 +51,7 @@ class Listener:
     """What a training reports to; this one says nothing."""
 
     def __init__(self, console: Console | None = None) -> None:
-        self.console = console or Console(quiet=True)
+        self.console = console or Console(quiet=True, force_jupyter=False)  # whose spinners want widgets
 
     def begin(self, job: Job) -> None:
         """Learning begins; everything has been checked and made."""

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.algos.evaluate import Evaluation, draws_at_random, evaluate
+from warpvox.algos.evaluate import evaluate
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.algos.training.loading import load_run
+from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.runs import Run
 
 __all__ = ["EvaluatedPolicy", "PolicyTable", "evaluate_run"]
@@ -16,22 +17,26 @@ __all__ = ["EvaluatedPolicy", "PolicyTable", "evaluate_run"]
 
 @dataclass(frozen=True)
 class EvaluatedPolicy:
-    """A row: the returns of all episodes, and Student's interval of their mean.
-
-    The interval has no width where the task draws nothing at random and the policy is deterministic: all episodes are
-    the same one.
-    """
+    """A row: the returns of all episodes, and of those that are independent; 1 where all are the same episode."""
 
     name: str
     task: str
     returns: list[float]
-    interval: Interval
+    independent: list[float]
+    level: float
 
     @classmethod
-    def of(cls, name: str, task: str, found: Evaluation, drawn: bool, level: float) -> EvaluatedPolicy:
-        """The row of an evaluation; ``drawn``: whether its episodes differ by chance."""
+    def of(cls, name: str, env: VoxelVecEnv, policy: Any, level: float, drawn: bool = False) -> EvaluatedPolicy:
+        """The row of one episode in each environment; ``drawn``: they differ by chance in any case."""
+        found = evaluate(env, policy)
         returns = found.returns.tolist()
-        return cls(name, task, returns, mean_interval(returns if drawn else [found.mean_return], level))
+        independent = returns if drawn or env.spec.is_random else [found.mean_return]
+        return cls(name, env.spec.id, returns, independent, level)
+
+    @property
+    def interval(self) -> Interval:
+        """Student's interval of the mean return."""
+        return mean_interval(self.independent, self.level)
 
     @property
     def mean(self) -> float:
@@ -41,10 +46,9 @@ class EvaluatedPolicy:
 
 @dataclass(frozen=True)
 class PolicyTable(Sequence):
-    """Rows in the order in which policies were given; printed as a table. ``level``: of the intervals."""
+    """Rows in the order in which policies were given; printed as a table."""
 
     rows: list[EvaluatedPolicy]
-    level: float
 
     def __getitem__(self, number: Any) -> Any:
         return self.rows[number]
@@ -53,7 +57,7 @@ class PolicyTable(Sequence):
         return len(self.rows)
 
     def _cells(self) -> Iterator[tuple[str, ...]]:
-        yield "policy", "task", "mean return", f"{100 * self.level:g} % interval", "episodes"
+        yield "policy", "task", "mean return", f"{100 * self.rows[0].level:g} % interval", "episodes"
         for row in self.rows:
             low, high, n = row.interval.low, row.interval.high, row.interval.n
             yield row.name, row.task, f"{row.mean:.3f}", f"{low:.3f} to {high:.3f}" if n > 1 else "-", str(n)
@@ -64,12 +68,12 @@ class PolicyTable(Sequence):
         return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in cells)
 
 
-def evaluate_run(run: Run, config: Any, designs: Any = None) -> tuple[Evaluation, bool]:
-    """One episode in each environment of a run, and whether they differ by chance.
+def evaluate_run(run: Run, config: Any, designs: Any = None, level: float = 0.95) -> EvaluatedPolicy:
+    """One episode in each environment of a run.
 
     Args:
         config, designs: see :func:`warpvox.algos.training.loading.load_run`.
+        level: of the interval.
     """
     env, policy = load_run(run, config, designs, every=True)
-    found = evaluate(env, policy)
-    return found, config.stochastic or run.is_many or draws_at_random(env)
+    return EvaluatedPolicy.of(str(run.folder), env, policy, level, config.stochastic or run.is_many)

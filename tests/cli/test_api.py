@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
+import sys
 import threading
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +20,9 @@ import torch
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint, load_controller
 from warpvox.algos.codesign.stored_policies import policy_sha256
+from warpvox.cli.config import load
+from warpvox.configs.presets import ppo_preset
+from warpvox.envs.registry import get_task
 
 KEYS = {"design": "mini", "num_envs": 8, "threads": 1, "device": "cpu", "max_iterations": 2, "eval_interval": 1}
 PPO = {"steps": 4, "hidden": [8], "epochs": 1}
@@ -63,8 +72,10 @@ def test_values_of_python_arrive_as_they_are(tmp_path: Path, monkeypatch: pytest
         ({"tsk": "Walker-v0"}, "Unknown key 'tsk'. Did you mean 'task'"),
         ({"ppo": {"step": 4}}, r"Unknown key 'ppo.step'\. Did you mean 'ppo.steps'"),
         ({"ppo": "evogim"}, "Did you mean 'evogym'"),
-        ({"num_envs": "many"}, "num_envs='many': Value 'many'"),
+        ({"num_envs": "many"}, "num_envs must be an integer, got 'many'"),
         ({"design": object()}, "design cannot be a object"),
+        ({"ppo": 3}, r"ppo must be Ppo\(...\) or values by name, got 3"),
+        ({"sim": wv.SimOptions(layout="group")}, "sim.layout cannot be given"),
         ({"task": "Waker-v0"}, "Did you mean 'Walker-v0'"),
     ],
 )
@@ -77,6 +88,76 @@ def test_mistakes_are_named_and_nothing_is_written(
     with pytest.raises(wv.TaskError, match="Did you mean 'Walker-v0'"):
         wv.train("Waker-v0", progress=False)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_folder_nothing_is_written_and_the_same_is_learned(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    own = replace(get_task("Walker-v0"), id="Mine-v0", max_episode_steps=30)
+    sim = wv.SimOptions(device="cpu", threads=1, lanes=8)
+    settings = wv.Training(own, "mini", num_envs=8, max_iterations=2, eval_interval=1, ppo=wv.Ppo(**PPO))
+    state = torch.get_rng_state()
+    runs = [
+        wv.train(settings, sim=sim, folder=None, progress=False),
+        wv.train(own, wv.example_design("mini"), sim=sim, ppo=PPO, num_envs=8, max_iterations=2, eval_interval=1,
+                 folder=tmp_path / "mine", progress=False),
+    ]  # fmt: skip
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+    assert torch.equal(torch.get_rng_state(), state)
+    one, other = (run.policy.state_dict() for run in runs)
+    assert all(torch.equal(value, other[name]) for name, value in one.items())
+    assert runs[0].best_return == runs[1].best_return
+    assert np.allclose(*(run.metrics["eval_return"] for run in runs), rtol=1e-8)
+    assert wv.train(own, resume=tmp_path / "mine", max_iterations=3, progress=False).summary["iterations"] == 3
+    with pytest.raises(wv.RunError, match="exists already"):
+        wv.train(own, folder=tmp_path / "mine")
+    with pytest.raises(wv.ConfigError, match="folder=None writes none"):
+        wv.train(own, folder=None, nan_guard="dump")
+
+
+def test_the_defaults_and_named_sets_of_ppo_are_those_of_the_command() -> None:
+    for name in ("parallel", "evogym"):
+        commanded = load("train", [f"ppo={name}"])
+        known = ppo_preset(name)
+        assert wv.Training(**known) == wv.Training.of(dataclasses.asdict(commanded))
+    assert wv.Training() == wv.Training.of(dataclasses.asdict(load("train", [])))
+
+
+def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None:
+    folder = train("max_iterations=1", "eval_interval=1")
+    policies = [folder, wv.load_policy(folder), "zoo:Walker-v0"]
+    table = wv.evaluate(policies, episodes=8, device="cpu", threads=1)
+    assert [row.name for row in table] == [str(folder), "policy 1", "zoo:Walker-v0"]
+    assert table[0].returns == pytest.approx(table[1].returns, abs=1e-5)  # other roundings
+    assert "mean return" in repr(table)
+    own = replace(get_task("Catcher-v0"), max_episode_steps=20)
+    (row,) = wv.evaluate(lambda obs: torch.ones(len(obs), 8), own, "mini", episodes=8, device="cpu", threads=1)
+    assert row.interval.n == 8
+    assert row.mean == pytest.approx(sum(row.returns) / 8)
+    for policy, options, words in (
+        (len, {}, "Policy 0 must be a run, or a function"),
+        (folder, {"episods": 3}, "Did you mean 'episodes'"),
+        ("nowhere", {}, "no run at nowhere"),
+    ):
+        with pytest.raises(wv.WarpvoxError, match=words):
+            wv.evaluate(policy, **options)
+
+
+def test_a_notebook_has_an_element_that_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    shown: list[str] = []
+    handle = SimpleNamespace(update=shown.append)
+    display = ModuleType("IPython.display")
+    display.HTML, display.display = str, lambda *_, **__: handle
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
+    monkeypatch.setitem(sys.modules, "ipywidgets", None)
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)  # rich's, of widgets that are not installed
+        wv.train(**KEYS, ppo=PPO, folder=None)
+    assert "<progress value=0 max=2>" in shown[0]
+    assert "<progress value=2 max=2>" in shown[2]
+    assert "done after 64 control steps" in shown[-1]
 
 
 def test_it_works_outside_the_main_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -158,7 +158,9 @@ def test_the_demo_trains_and_exports(warpvox: Callable) -> None:
     words = "design=mini num_envs=8 threads=1 ppo.steps=4 ppo.hidden=[8] max_iterations=1 export=[html]".split()
     outcome = warpvox("demo", *words)
     assert outcome.code == 0, outcome.err
-    (folder,) = Path("outputs/demo/Walker-v0").iterdir()
+    (folder,) = Path("outputs/train/Walker-v0").iterdir()
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    assert (config["preset"], config["stop_return"], config["export"]) == ("demo", 9.0, ["html"])
     assert (folder / "rollout.html").as_posix() in outcome.out
     assert (folder / "rollout.html").resolve().as_uri() in outcome.out
     assert warpvox("play", "run=latest", "steps=2", "threads=1").code == 0

@@ -13,8 +13,9 @@ from PIL import Image
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.report.gallery import COLUMNS, TILE, draw_gallery, everywhere
+from warpvox.algos.report.learning_curves import _points, curves_of
 from warpvox.algos.statistics import mean_interval
-from warpvox.cli.commands.curves import _points, curves_of
+from warpvox.cli.run_groups import group_runs
 from warpvox.design import sample_design
 from warpvox.envs.registry import task_ids
 from warpvox.errors import RunError
@@ -45,9 +46,9 @@ def test_curves_hold_the_evaluations_and_their_interval(tmp_path: Path) -> None:
     first = make_run(tmp_path / "a", [(10, None), (20, 1.0), (30, None), (40, 3.0)])
     assert _points(first, "steps").tolist() == [[20, 40], [1, 3]]
     second = make_run(tmp_path / "b", [(10, 0.0), (60, 5.0)])
-    (alone,) = curves_of([first])
+    (alone,) = curves_of(group_runs([first]))
     assert (alone.n, alone.mean.tolist(), np.isnan(alone.low).all()) == (1, [1, 3], True)
-    (curve,) = curves_of([first, second])
+    (curve,) = curves_of(group_runs([first, second]))
     assert (curve.places[0], curve.places[-1], curve.n) == (20, 60, 2)
     assert (curve.mean[0], curve.mean[-1]) == ((1 + 1) / 2, (3 + 5) / 2)  # the shorter one keeps its last value
     interval = mean_interval([3, 5])

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from warpvox.cli.config import load, to_yaml
-from warpvox.cli.overrides import expand
+from warpvox.cli.overrides import expand, read_overrides
 from warpvox.errors import ConfigError
 
 ODD = ["läufe (1)", "a=b", "~x", "it's", 'a"b,c', "[a]", "日本#;&!", "-a\\b", "$a", "007"]
@@ -39,26 +39,26 @@ def test_the_home_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Non
 
 
 def test_sweeps() -> None:
-    assert expand("train", ["seed=1,2", "task=Walker-v0", "num_envs=choice(4,8)"], True) == [
+    assert expand(read_overrides("train", ["seed=1,2", "task=Walker-v0", "num_envs=choice(4,8)"], True)) == [
         ["seed=1", "task=Walker-v0", "num_envs=4"],
         ["seed=1", "task=Walker-v0", "num_envs=8"],
         ["seed=2", "task=Walker-v0", "num_envs=4"],
         ["seed=2", "task=Walker-v0", "num_envs=8"],
     ]
-    assert len(expand("train", ["seed=range(5)"], True)) == 5
+    assert len(expand(read_overrides("train", ["seed=range(5)"], True))) == 5
     for words, runs in (("run=a(1),ü", ["a(1)", "ü"]), ("run=choice(a,b)", ["a", "b"]), ("run='a,b'", ["a,b"])):
-        assert [load("play", run).run for run in expand("play", [words], True)] == runs
-    assert [load("train", run).preset for run in expand("train", ["preset=paper,universal"], True)] == [
+        assert [load("play", run).run for run in expand(read_overrides("play", [words], True))] == runs
+    assert [load("train", run).preset for run in expand(read_overrides("train", ["preset=paper,universal"], True))] == [
         "paper",
         "universal",
     ]
     with pytest.raises(ConfigError, match="add --multirun"):
-        expand("train", ["task=Walker-v0,Climber-v0"], False)
+        read_overrides("train", ["task=Walker-v0,Climber-v0"])
 
 
 def test_lists_are_values_not_sweeps() -> None:
     words = ["design=[[3,3],[4,4]]", "ppo.hidden=[32,16]"]
-    assert expand("train", words, False) == [words]
+    assert expand(read_overrides("train", words)) == [words]
     assert load("train", words).ppo.hidden == [32, 16]
 
 
@@ -84,7 +84,7 @@ def test_single_values_and_numbers_as_text(command: str, word: str, name: str, v
 
 
 def test_a_sweep_of_single_values_where_lists_are_expected() -> None:
-    runs = expand("play", ["export=gif,usd"], True)
+    runs = expand(read_overrides("play", ["export=gif,usd"], True))
     assert [load("play", words).export for words in runs] == [["gif"], ["usd"]]
 
 
@@ -107,7 +107,7 @@ def test_a_stored_configuration_runs_again(tmp_path: Path) -> None:
     assert (other.ppo, other.num_envs, other.seed) == (load("train", []).ppo, 16, 3)
     assert load("train", [f"config={file}", "ppo=parallel"]).num_envs == 4  # of the file: the group has its default
     mappings = ["network={width:8}", "evaluation.network={width:16}", "evaluation.ppo={epochs:2}"]
-    search = load("codesign", ["search=map_elites", "search.bins=3", *mappings])
+    search = load("codesign", ["search=map_elites", "search.bins=3", "evaluation=shared", *mappings])
     file.write_text(to_yaml(search))
     assert load("codesign", [f"config={file}"]) == search
 

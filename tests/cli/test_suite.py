@@ -25,13 +25,13 @@ from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.evaluations.base import steps_of_training
 from warpvox.algos.interrupt import Terminated
 from warpvox.algos.settings import DesignTraining
+from warpvox.algos.suite import run as making
+from warpvox.algos.suite.members import CURVES, MEMBERS
+from warpvox.algos.suite.pool import LOG, LocalPool
 from warpvox.cli.commands import suite
 from warpvox.cli.config import load
-from warpvox.cli.suite.members import CURVES, MEMBERS
-from warpvox.cli.suite.plan import BENCHMARK10, plan, task_names
-from warpvox.cli.suite.pool import LOG, LocalPool
-from warpvox.cli.suite.words import merged
-from warpvox.devices import names
+from warpvox.cli.suite_plan import BENCHMARK10, plan, task_names
+from warpvox.cli.suite_words import merged
 from warpvox.envs.registry import task_ids
 from warpvox.errors import DivergenceError, StorageError, WarpvoxError
 
@@ -150,7 +150,7 @@ def test_budgets_by_task() -> None:
         ({"evaluations": 0}, "evaluations must be an integer >= 1"),
         ({"control_steps": 10}, "must be at least"),
         ({"codesign": ["search.mutation_rate=0.1"]}, "It is a setting of search=ga and search=map_elites"),
-        ({"codesign": ["seed=3"]}, "seed is a key of the suite"),
+        ({"codesign": ["seed=3"]}, "seed is set by the suite for each search. Did you mean 'seeds'"),
         ({"codesign": ["training.iteration=3"]}, "Did you mean 'training.iterations'"),
         ({"shape": [5]}, "shape must be two integers"),
     ],
@@ -201,7 +201,7 @@ def quick(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> Callable:
     monkeypatch.setattr(search_run, "make_evaluator", lambda *_: Evaluator())
     monkeypatch.setattr(results, "write_bodies", lambda path, *_: path)
     monkeypatch.setattr(results, "write_report", lambda archive, path, facts: path)
-    monkeypatch.setattr(suite, "LocalPool", HerePool)
+    monkeypatch.setattr(making, "LocalPool", HerePool)
 
     def call(*words: str) -> Any:
         keys = [word.split("=")[0] for word in words]
@@ -213,7 +213,7 @@ def quick(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> Callable:
 
 def failing(monkeypatch: pytest.MonkeyPatch, fails: Callable[[Any], Exception | None]) -> None:
     """Members for which ``fails`` gives an error end with it."""
-    made = search_run.run_codesign
+    made = making.run_codesign
 
     def make(settings: Any, *given: Any, **named: Any) -> Any:
         error = fails(settings)
@@ -221,7 +221,7 @@ def failing(monkeypatch: pytest.MonkeyPatch, fails: Callable[[Any], Exception | 
             raise error
         return made(settings, *given, **named)
 
-    monkeypatch.setattr(search_run, "run_codesign", make)
+    monkeypatch.setattr(making, "run_codesign", make)
 
 
 def test_a_suite_leaves_one_folder(quick: Callable) -> None:
@@ -275,10 +275,10 @@ def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(
 def test_a_suite_counts_environments_as_its_members_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """With device=auto: 16 environments for each training, and of gaits 32 designs x 8 gaits x 4 episodes."""
     asked = []
-    monkeypatch.setattr(names, "resolve_device", lambda device, envs: asked.append(envs) or "cpu")
+    monkeypatch.setattr(making, "resolve_device", lambda device, envs: asked.append(envs) or "cpu")
     words = "tasks=[Catcher-v0]", "searches=[ga,auto]", "search.population=32"
     found = [member.settings for member in members(*words)]
-    suite._pool(load("suite", ["workers=1"]), found)[0].close()
+    making._pool(load("suite", ["workers=1"]), found)[0].close()
     assert asked == [32 * 8 * 4]
 
 

@@ -12,9 +12,10 @@ import pytest
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.codesign.archive import Archive, Finished
+from warpvox.algos.codesign.robots import trained
 from warpvox.algos.training.loading import load_policy
 from warpvox.cli.config import load
-from warpvox.cli.robot_entries import command_of, trained
+from warpvox.cli.robot_entries import command_of
 from warpvox.design import full_connections, load_design
 from warpvox.robots.entry import Robot, read_robot, save_robot, zoo, zoo_tasks
 from warpvox.robots.gait import Gait

@@ -218,7 +218,7 @@ def test_what_vanishes_from_a_search_is_told_of(
     from warpvox.algos.codesign.progress import SearchProgress
 
     def remove(self: SearchProgress, generation: int, fresh: bool) -> None:
-        place = self.results.folder / name
+        place = self.run.results.folder / name
         shutil.rmtree(place) if place.is_dir() else place.unlink()
 
     with monkeypatch.context() as patched:

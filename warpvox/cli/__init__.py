@@ -33,7 +33,7 @@ COMMANDS = {
     "evaluate": "mean returns of trained policies with confidence intervals, and how they compare",
     "curves": "draw the learning curves of runs as one picture",
     "design": "paint a body or a world in the browser, save it, try it out",
-    "demo": "train a walker in a minute or two and export it",
+    "demo": "train a walker in a minute or two and export it: warpvox train preset=demo",
     "bench": "measure speed, beside the reference",
     "zoo": "list the trained robots that come with warpvox, show one, add some",
     "tasks": "list the tasks, or show one in detail",

@@ -76,12 +76,12 @@ def run_command(
         if any(word.startswith("config=") for word in overrides):
             raise ConfigError("--cfg and --info show what Hydra composes, which config=FILE is no part of.")
         load(command, overrides, given.config_dir)
-        texts = [str(override.input_line) for override in read_overrides(command, overrides)]
-        run_hydra(command, [*views, *(["--resolve"] if given.cfg else [])], [*plugins, *texts], given.config_dir)
+        views += ["--resolve"] if given.cfg else []
+        run_hydra(command, views, [*plugins, *expand(read_overrides(command, overrides))[0]], given.config_dir)
     else:
         parsed = read_overrides(command, overrides, given.multirun)
         swept = any("sweeper" in word for word in plugins)  # which may have values of its own
-        runs = [] if swept else expand(command, overrides, given.multirun)
+        runs = [] if swept else expand(parsed)
         jobs = [prepared(command, run, given.config_dir, prepare) for run in runs]
         if len(jobs) == 1 and not plugins:
             do(jobs[0], Console())

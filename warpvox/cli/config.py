@@ -23,15 +23,8 @@ from warpvox.trust import check_address, typed, with_code
 
 __all__ = ["load", "load_values", "to_yaml"]
 
-ALIASES = {
-    "env": "task",
-    "lr": "learning_rate",
-    "steps": "max_iterations",
-    "timesteps": "max_iterations",
-    "total_timesteps": "max_iterations",
-    "n_envs": "num_envs",
-    "batch_size": "minibatches",
-}
+ALIASES = {"env": "task", "lr": "learning_rate", "n_envs": "num_envs", "batch_size": "minibatches"}
+ALIASES |= dict.fromkeys(("steps", "timesteps", "total_timesteps"), "max_iterations")
 """Names that other libraries have for a key, by the last part of ours: for hints."""
 NOT_TAKEN = ("resume", "report", "config")
 """Keys of ``config=FILE`` that say what the run did that the file has come from, not with what."""
@@ -83,7 +76,7 @@ def load_values(command: str, values: dict[str, Any]) -> Any:
     """
     known = {item.name: values[item.name] for item in dataclasses.fields(COMMANDS[command]) if item.name in values}
     with hydras_errors("The stored configuration is not valid: "), uninterrupted():
-        result = OmegaConf.to_object(OmegaConf.merge(composed(command, _nodes_of(known)), known))
+        result = OmegaConf.to_object(OmegaConf.merge(composed(command, _nodes_of(command, known)), known))
     check_values(result)
     return result
 
@@ -106,7 +99,7 @@ def _composed(command: str, parsed: list[Override], config_dir: Path | None, sto
     choices = [f"{override.get_key_element()}={quoted(key_and_value(override)[1])}" for override in groups]
     named = {override.key_or_group for override in groups}
     stored = stored and {key: value for key, value in stored.items() if key not in NODES or key not in named}
-    nodes = [choice for choice in choices if choice.partition("=")[0] in NODES] + _nodes_of(stored or {})
+    nodes = [choice for choice in choices if choice.partition("=")[0] in NODES] + _nodes_of(command, stored or {})
     config = composed(command, list(dict.fromkeys(choices + nodes)), config_dir)
     for override in parsed:
         if override not in groups:
@@ -125,9 +118,10 @@ def _composed(command: str, parsed: list[Override], config_dir: Path | None, sto
     return below
 
 
-def _nodes_of(values: dict[str, Any]) -> list[str]:
+def _nodes_of(command: str, values: dict[str, Any]) -> list[str]:
     """The overrides that choose the nodes of stored values, by their names."""
-    sections = {group: values[group] for group in NODES if isinstance(values.get(group), dict)}
+    known = [group for group in groups_of(command) if group in NODES]
+    sections = {group: values[group] for group in known if isinstance(values.get(group), dict)}
     names = {group: one.get("name", one.get("algorithm")) for group, one in sections.items()}
     return [f"{group}={quoted(str(name))}" for group, name in names.items() if name]
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
+from rich.table import Table
 
-from warpvox.io.console import echo, shown
+from warpvox.io.console import echo, literal, shown
 from warpvox.runs import Run
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ROLLOUT",
+    "print_returns",
     "record_agent",
     "record_run",
     "tiles_of",
@@ -25,6 +27,8 @@ __all__ = [
 ]
 
 ROLLOUT = "rollout.npz"
+ROWS = 20
+"""Environments that a table of returns shows at most."""
 # format -> file, module, function
 WRITERS = {
     "usd": ("rollout.usd", "warpvox.view.usd", "write_usd"),
@@ -52,14 +56,13 @@ def record_run(run: Run, env: Any, controller: Any, steps: int | None, stochasti
 
     ``stochastic``: whether ``controller`` samples its actions.
     """
-    from warpvox.algos.evaluate import draws_at_random
     from warpvox.view.rollout import record
 
     about: dict[str, Any] = {"run": run.folder.name, "stochastic": stochastic}
     if env.num_designs > 1:
         about["names"] = [f"body {design}" for design in env.design_index.tolist()]
     rollout = record(env, controller, steps, metadata=about)
-    rollout.metadata["drawn"] = stochastic or draws_at_random(env)
+    rollout.metadata["drawn"] = stochastic or env.spec.is_random
     return rollout.best_first() if env.num_designs > 1 else rollout
 
 
@@ -148,3 +151,48 @@ class Estimate:
 def _size(path: Path) -> str:
     size = path.stat().st_size
     return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
+
+
+def print_returns(rollout: Rollout, console: Console) -> None:
+    """A table with a row for each environment (the first ones of many) and their mean."""
+    returns, lengths = rollout.returns[-1], rollout.lengths
+    several = len(rollout.scenes) > 1 and "names" not in rollout.metadata
+    agent = rollout.metadata.get("agent", "policy")
+    kind = "sampled actions" if rollout.metadata.get("stochastic") else "deterministic"
+    kind = kind if agent == "policy" else f"agent {agent}"
+    if rollout.metadata.get("diverged"):
+        kind = f"up to the step in which environment {rollout.metadata.get('environment')} diverged"
+    table = Table(title=literal(f"{rollout.title}, {kind}"))
+    for heading in ("environment", *(["design"] if several else []), "return", "steps", "end"):
+        table.add_column(heading, justify="left" if heading == "end" else "right")
+    for env in range(min(rollout.num_envs, ROWS)):
+        design = [str(rollout.design_index[env])] if several else []
+        table.add_row(rollout.names[env], *design, f"{returns[env]:.3f}", str(lengths[env]), _end(rollout, env))
+    if rollout.num_envs > ROWS:
+        table.add_row("...", *([""] if several else []), "", "", f"{rollout.num_envs - ROWS} more")
+    if rollout.num_envs > 1:
+        table.add_section()
+        mean = [f"{returns.mean():.3f}", f"{lengths.mean():.0f}", f"deviation {np.std(returns):.3f}"]
+        table.add_row("mean", *([""] if several else []), *mean)
+    console.print(table)
+    if agent == "policy" and rollout.num_envs > len(rollout.scenes) and rollout.metadata.get("drawn") is False:
+        echo(console, _about_one_episode(rollout))
+
+
+def _about_one_episode(rollout: Rollout) -> str:
+    """That a deterministic policy in a task without chance shows one episode a design, however many are asked for."""
+    several = len(rollout.scenes)
+    differ = any(len(np.unique(rollout.returns[-1][rollout.design_index == design])) > 1 for design in range(several))
+    alike = "differ by rounding alone (of batched matrix products)" if differ else "are identical"
+    return (
+        f"the {rollout.num_envs} episodes {alike}: the task draws nothing at random and the policy is deterministic;"
+        f" num_envs={several} shows as much, stochastic=true samples its actions"
+    )
+
+
+def _end(rollout: Rollout, env: int) -> str:
+    if not rollout.num_steps or not rollout.done[-1, env]:
+        return "still going"
+    if rollout.metadata.get("diverged"):
+        return "diverged"
+    return "task ended" if rollout.terminated[-1, env] else "time limit"

@@ -7,8 +7,10 @@ that it takes for something else, is quoted for it here.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
 import re
+from collections.abc import Iterable
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -43,21 +45,19 @@ def read_overrides(command: str, words: list[str], sweeps: bool = False) -> list
     return parsed
 
 
-def expand(command: str, words: list[str], sweeps: bool) -> list[list[str]]:
-    """The overrides of each run: one list, or with ``sweeps`` one for each combination of listed values.
+def expand(overrides: Iterable[Override]) -> list[list[str]]:
+    """The overrides of each run: one list for each combination of the values that are listed.
 
     Raises:
-        ConfigError: see :func:`read_overrides`; or values without an end.
+        ConfigError: values without an end.
     """
-    runs: list[list[str]] = [[]]
-    for override in read_overrides(command, words, sweeps):
-        texts = [str(override.input_line)]
+    texts = []
+    for override in overrides:
         if override.is_interval_sweep():
-            raise ConfigError(f"'{texts[0]}': an interval has no end of values; use range(...) or choice(...).")
-        if override.is_sweep_override():
-            texts = [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
-        runs = [[*run, text] for run in runs for text in texts]
-    return runs
+            raise ConfigError(f"'{override.input_line}': an interval has no end; use range(...) or choice(...).")
+        values = override.sweep_string_iterator() if override.is_sweep_override() else [override.get_value_string()]
+        texts.append([f"{override.get_key_element()}={value}" for value in values])
+    return [list(run) for run in itertools.product(*texts)]
 
 
 def key_and_value(override: Override | str) -> tuple[str, str]:

@@ -22,7 +22,7 @@ from warpvox.robots.replay import recorded
 from warpvox.runs import as_name
 from warpvox.trust import allowed
 
-__all__ = ["Outcome", "add", "command_of", "find_sources"]
+__all__ = ["Added", "add", "command_of", "find_sources"]
 
 GROUPS = {"train": ("ppo",), "codesign": ("search", "training")}
 """Groups of keys whose YAML files shorten a command."""
@@ -31,7 +31,7 @@ ELSEWHERE = {"output_dir", "name", "resume", "config", "report", "export", "thre
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Added:
     """The result for a folder: the robot found there, and the return of the entry that was there before, if any."""
 
     robot: Robot
@@ -55,7 +55,7 @@ def find_sources(texts: Sequence[str]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def add(source: Path, folder: Path, top: int, task: str | None = None) -> Outcome:
+def add(source: Path, folder: Path, top: int, task: str | None = None) -> Added:
     """Evaluate the best robot of ``source`` in exact arithmetic; write its entry if its return is the higher one.
 
     Args:
@@ -81,8 +81,8 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> Outcom
     path = folder / f"{as_name(best.task)}.npz"
     before = read_robot(path).mean_return if path.is_file() else None
     if before is not None and best.mean_return <= before:
-        return Outcome(best, before, None)
-    return Outcome(best, before, save_robot(path, best))
+        return Added(best, before, None)
+    return Added(best, before, save_robot(path, best))
 
 
 def command_of(command: str, config: dict[str, Any]) -> str:

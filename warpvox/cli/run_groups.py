@@ -5,16 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
+from warpvox.algos.report.learning_curves import Group
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values
 from warpvox.configs.bench_keys import PPO
 from warpvox.design import example_design, example_designs
 from warpvox.runs import Run
 
-__all__ = ["Group", "group_runs"]
+__all__ = ["group_runs"]
 
 NOT_SETTINGS = (
     "seed",
@@ -35,19 +35,6 @@ SHOWN = 3
 """Settings that a label names at most."""
 LONGEST = 28
 """Characters of a value in a label."""
-
-
-@dataclass(frozen=True)
-class Group:
-    """Runs with the same settings; ``label`` names those that other groups have otherwise."""
-
-    label: str
-    runs: tuple[Run, ...]
-
-    @property
-    def title(self) -> str:
-        """The label and how many runs there are."""
-        return f"{self.label} (n={len(self.runs)})"
 
 
 def group_runs(runs: Sequence[Run]) -> list[Group]:

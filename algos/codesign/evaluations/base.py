@@ -25,21 +25,21 @@ if TYPE_CHECKING:
     from warpvox.robots.entry import Robot
 
 __all__ = [
-    "Batch",
     "Evaluation",
+    "Workload",
     "check_network",
     "check_training",
     "full_body",
     "probe",
     "steps_of_training",
-    "training_batch",
     "training_evaluator",
+    "training_workload",
     "try_network",
 ]
 
 
 @dataclass(frozen=True)
-class Batch:
+class Workload:
     """Designs that are simulated together, for estimates of memory.
 
     ``envs`` environments for each of ``designs``; ``key`` with its ``value`` sets ``envs``, and ``fewer`` the
@@ -118,7 +118,7 @@ class Evaluation:
         """Control steps that a design takes at most, and those of all finalists; None: not known beforehand."""
         return None
 
-    def batches(self, search: Codesign) -> list[Batch]:
+    def workloads(self, search: Codesign) -> list[Workload]:
         """The largest batches that are simulated, for estimates of memory; none: not known."""
         return []
 
@@ -177,12 +177,12 @@ def training_evaluator(search: Codesign) -> DesignEvaluator:
     return SequentialEvaluator(search.factory("voxel"), search.training, search.seed, *network)
 
 
-def training_batch(search: Codesign, designs: int) -> Batch:
+def training_workload(search: Codesign, designs: int) -> Workload:
     """The batch of so many designs' own trainings."""
     training = search.training
     together = 1 if training.method == "sequential" else min(search.batch or designs, designs)
     obs = "task" if search.policy == MLP else "voxel"
-    return Batch(together, training.envs, "training.envs", training.envs, obs, training.ppo)
+    return Workload(together, training.envs, "training.envs", training.envs, obs, training.ppo)
 
 
 def steps_of_training(training: DesignTraining, designs: int) -> float:

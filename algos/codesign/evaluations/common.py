@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.evaluations.base import (
-    Batch,
+    Workload,
     check_network,
     probe,
     steps_of_training,
@@ -111,11 +111,11 @@ class CommonPolicy(Screened):
         last = self.finalists * steps_of_training(search.training, self.finalists)
         return each + self.eval_envs * task.max_episode_steps, last
 
-    def batches(self, search: Codesign) -> list[Batch]:
+    def workloads(self, search: Codesign) -> list[Workload]:
         """See :class:`Evaluation`."""
         population, ppo = search.search.population, self.ppo_of(search)
-        batch = Batch(population, self.envs, "evaluation.envs", self.envs, "voxel", ppo, "search.population")
-        return [*super().batches(search), batch]
+        batch = Workload(population, self.envs, "evaluation.envs", self.envs, "voxel", ppo, "search.population")
+        return [*super().workloads(search), batch]
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
         """See :class:`Evaluation`."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.evaluations.base import Batch, steps_of_training, training_evaluator
+from warpvox.algos.codesign.evaluations.base import Workload, steps_of_training, training_evaluator
 from warpvox.algos.codesign.evaluations.screened import Screened
 from warpvox.algos.settings import MLP
 from warpvox.errors import ConfigError
@@ -79,16 +79,16 @@ class Gaits(Screened):
         last = self.final_passes * self.final_beam + self.final_rounds * self._final_gaits
         return first * steps, self.finalists * (last * steps + steps_of_training(search.training, self.finalists))
 
-    def batches(self, search: Codesign) -> list[Batch]:
+    def workloads(self, search: Codesign) -> list[Workload]:
         """See :class:`Evaluation`."""
         first = {"evaluation.gaits": self.gaits, "evaluation.beam": self.beam if self.passes else 1}
         last = {"evaluation.final_gaits": self._final_gaits}
         last["evaluation.final_beam"] = self.final_beam if self.final_passes else 1
-        found = super().batches(search)
+        found = super().workloads(search)
         for designs, keys in ((search.search.population, first), (self.finalists, last)):
             name = max(keys, key=keys.__getitem__)
             together = min(search.batch or designs, designs)
-            found.append(Batch(together, keys[name] * _episodes(search), name, keys[name]))
+            found.append(Workload(together, keys[name] * _episodes(search), name, keys[name]))
         return found
 
     @property

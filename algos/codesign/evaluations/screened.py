@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.codesign.evaluations.base import (
-    Batch,
     Evaluation,
+    Workload,
     check_training,
-    training_batch,
     training_evaluator,
+    training_workload,
     try_network,
 )
 from warpvox.errors import ConfigError
@@ -58,6 +58,6 @@ class Screened(Evaluation):
         try_network(search)
         return self
 
-    def batches(self, search: Codesign) -> list[Batch]:
+    def workloads(self, search: Codesign) -> list[Workload]:
         """See :class:`Evaluation`."""
-        return [training_batch(search, self.finalists)]
+        return [training_workload(search, self.finalists)]

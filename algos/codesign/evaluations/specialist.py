@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.codesign.evaluations.base import (
-    Batch,
     Evaluation,
+    Workload,
     check_training,
     steps_of_training,
-    training_batch,
     training_evaluator,
+    training_workload,
     try_network,
 )
 from warpvox.keys import key
@@ -48,9 +48,9 @@ class Specialist(Evaluation):
         """See :class:`Evaluation`."""
         return steps_of_training(search.training, search.search.population), 0
 
-    def batches(self, search: Codesign) -> list[Batch]:
+    def workloads(self, search: Codesign) -> list[Workload]:
         """See :class:`Evaluation`."""
-        return [training_batch(search, search.search.population)]
+        return [training_workload(search, search.search.population)]
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
         """See :class:`Evaluation`."""

@@ -65,9 +65,9 @@ def test_objects_make_the_search_that_the_command_makes(
     assert ear.heard[0] == "begun 5"
     assert ear.heard[-1] == "ended done"
     assert len(found.designs) == 5
-    assert found.best.fitness == found.summary["best_fitness"] == found.curve()["best"][-1]
+    assert found.best.fitness == found.summary["best_fitness"] == found.curve["best"][-1]
     env = wv.make_vec("Walker-v0", found.best.candidate.body, 2, device="cpu")
-    assert found.policy()(env.reset()[0]).shape == (2, env.num_actions)
+    assert found.policy(env.reset()[0]).shape == (2, env.num_actions)
     assert f"{found.best.fitness:.3f}" in found._repr_html_()
     assert warpvox("codesign", "seed=3", *COMMAND).code == 0
     (folder,) = Path("outputs/codesign/Walker-v0").iterdir()

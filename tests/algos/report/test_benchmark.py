@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from warpvox.algos.candidate import Candidate, Outcome
-from warpvox.algos.codesign.archive import FILE, Archive, Finished
+from warpvox.algos.codesign.archive import FILE, Archive, Finished, archives_in
 from warpvox.algos.report.benchmark import write_benchmark
 from warpvox.algos.report.comparison import compare
-from warpvox.algos.report.members import archives_in, progress, read_members
+from warpvox.algos.report.members import progress, read_members
 from warpvox.design import sample_design
 from warpvox.envs.known_returns import known_returns
 from warpvox.envs.registry import task_ids

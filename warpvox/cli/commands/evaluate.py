@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
+from warpvox.algos.report.learning_curves import Group
 from warpvox.algos.statistics import Interval, difference, mean_interval
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
-from warpvox.cli.run_groups import Group, group_runs
+from warpvox.cli.run_groups import group_runs
 from warpvox.code import Code, is_code
 from warpvox.configs.schema import EvaluateConfig
 from warpvox.errors import ConfigError
@@ -25,7 +26,7 @@ from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
 from warpvox.trust import STORED
 
 if TYPE_CHECKING:
-    from warpvox.algos.evaluate import Evaluation
+    from warpvox.algos.training.policy_table import EvaluatedPolicy
 
 __all__ = ["Judged", "compare", "evaluate_runs", "run"]
 
@@ -36,20 +37,20 @@ SEVERAL = "several"
 
 @dataclass(frozen=True)
 class Judged:
-    """Runs with the same settings: ``returns`` of the independent episodes of each, and what of them is compared."""
+    """Runs with the same settings, and what each has got."""
 
     group: Group
-    returns: list[list[float]]
+    rows: list[EvaluatedPolicy]
 
     @property
     def over(self) -> str:
         """What an interval is over: runs where there are several, else the episodes of the only one."""
-        return "runs" if len(self.returns) > 1 else "episodes"
+        return "runs" if len(self.rows) > 1 else "episodes"
 
     @property
     def values(self) -> list[float]:
         """Independent values: the mean return of each run, or the returns of the only one."""
-        return [sum(run) / len(run) for run in self.returns] if len(self.returns) > 1 else self.returns[0]
+        return [row.mean for row in self.rows] if len(self.rows) > 1 else self.rows[0].independent
 
 
 def run(words: list[str]) -> None:
@@ -68,29 +69,25 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     robots = [f"{ZOO}{name}" for name in config.zoo]
     runs = [] if robots and config.runs == [LATEST] else config.runs
     found = find_runs([*runs, *robots], config.output_dir)
-    every, returns, alike = {}, {}, []
+    rows = {}
     for number, each_run in enumerate(found):
         with console.status(f"evaluating run {number + 1} of {len(found)}"):
-            evaluation, drawn = _evaluate(each_run, config)
-        every[id(each_run)] = returns[id(each_run)] = evaluation.returns.tolist()
-        if not drawn and config.episodes > 1:
-            alike.append(each_run)
-            returns[id(each_run)] = [evaluation.mean_return]  # one episode, however often it is repeated
-    judged = [Judged(group, [returns[id(each_run)] for each_run in group.runs]) for group in group_runs(found)]
+            rows[id(each_run)] = _evaluate(each_run, config)
+    judged = [Judged(group, [rows[id(each_run)] for each_run in group.runs]) for group in group_runs(found)]
     tasks = {str(each_run.config["task"]) for each_run in found}
     place = as_name(tasks.pop()) if len(tasks) == 1 else SEVERAL
     with new_folder(config.output_dir, "evaluate", place, config.name, to_yaml(config)) as folder:
         _print(judged, config, console)
-        _say_alike(alike, found, config, console)
-        _write(folder, judged, every, config)
+        _say_alike(list(rows.values()), config, console)
+        _write(folder, judged, config)
     for name in ("runs.csv", "groups.csv", "comparisons.csv", "summary.json"):
         if (folder / name).is_file():
             echo(console, shown(folder / name))
     return folder
 
 
-def _evaluate(found: Run, config: EvaluateConfig) -> tuple[Evaluation, bool]:
-    """One episode in each of ``config.episodes`` environments, and whether they differ by chance."""
+def _evaluate(found: Run, config: EvaluateConfig) -> EvaluatedPolicy:
+    """One episode in each of ``config.episodes`` environments."""
     from warpvox.algos.training.loading import Playing
     from warpvox.algos.training.policy_table import evaluate_run
     from warpvox.cli.process import prepare
@@ -100,7 +97,7 @@ def _evaluate(found: Run, config: EvaluateConfig) -> tuple[Evaluation, bool]:
     task = config.task if found.robot or is_code(found.config["task"]) else None
     policy = config.policy if is_code(found.config.get("policy")) else None
     same = {name: getattr(config, name) for name in names}
-    return evaluate_run(found, Playing(config.episodes, task=task, policy=policy, **same), config.designs)
+    return evaluate_run(found, Playing(config.episodes, task=task, policy=policy, **same), config.designs, config.level)
 
 
 def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged, Interval]]:
@@ -118,9 +115,8 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
     title = f"mean return, {kind}, {config.episodes} episodes of each run"
     table = _table(title, "settings", "run", "mean", f"{percent} interval", "n", "over")
     for entry in judged:
-        for each_run, returns in zip(entry.group.runs, entry.returns, strict=True):
-            interval = mean_interval(returns, config.level)
-            table.add_row(*map(literal, (entry.group.label, each_run.folder.name, *_cells(interval), "episodes")))
+        for each_run, row in zip(entry.group.runs, entry.rows, strict=True):
+            table.add_row(*map(literal, (entry.group.label, each_run.folder.name, *_cells(row.interval), "episodes")))
         if entry.over == "runs":
             table.add_row(*map(literal, ("", "all", *_cells(mean_interval(entry.values, config.level)), "runs")))
         table.add_section()
@@ -149,10 +145,11 @@ def _table(title: str, *headings: str) -> Table:
     return table
 
 
-def _say_alike(alike: list[Run], found: list[Run], config: EvaluateConfig, console: Console) -> None:
+def _say_alike(rows: list[EvaluatedPolicy], config: EvaluateConfig, console: Console) -> None:
     """Report runs whose episodes are all the same, so that more of them add no information."""
+    alike = [row for row in rows if len(row.independent) < len(row.returns)]
     if alike:
-        which = "all runs" if len(alike) == len(found) else f"{len(alike)} of {len(found)} runs"
+        which = "all runs" if len(alike) == len(rows) else f"{len(alike)} of {len(rows)} runs"
         echo(
             console,
             f"The {config.episodes} episodes of {which} are one: the task draws nothing at random and the policy is"
@@ -165,13 +162,13 @@ def _cells(interval: Interval) -> tuple[str, str, str]:
     return f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}" if known else "-", str(interval.n)
 
 
-def _write(folder: Path, judged: list[Judged], every: dict[int, list[float]], config: EvaluateConfig) -> None:
+def _write(folder: Path, judged: list[Judged], config: EvaluateConfig) -> None:
     """The tables as CSV, and everything in ``summary.json``."""
     runs, groups = [], []
     for entry in judged:
-        for each_run, returns in zip(entry.group.runs, entry.returns, strict=True):
+        for each_run, one in zip(entry.group.runs, entry.rows, strict=True):
             row = {"settings": entry.group.label, "run": str(each_run.folder), "seed": each_run.config.get("seed")}
-            runs.append(row | _row(mean_interval(returns, config.level)) | {"returns": every[id(each_run)]})
+            runs.append(row | _row(one.interval) | {"returns": one.returns})
         row = {"settings": entry.group.label, "over": entry.over}
         groups.append(row | _row(mean_interval(entry.values, config.level)))
     pairs = [
@@ -183,7 +180,7 @@ def _write(folder: Path, judged: list[Judged], every: dict[int, list[float]], co
         if table:
             columns = [column for column in table[0] if column != "returns"]
             write_table(folder / f"{name}.csv", columns, ([row[column] for column in columns] for row in table))
-    values = [value for returns in every.values() for value in returns]
+    values = [value for entry in judged for one in entry.rows for value in one.returns]
     facts = {"command": "evaluate", "checkpoint": config.checkpoint, "stochastic": config.stochastic}
     facts |= {"episodes": config.episodes, "seed": config.seed, "level": config.level, "interval": "Student t, Welch"}
     facts["mean_return"] = sum(values) / len(values)

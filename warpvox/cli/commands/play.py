@@ -7,14 +7,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
 from warpvox.cli.exports import (
     ROLLOUT,
+    print_returns,
     record_agent,
     record_run,
     tiles_of,
@@ -24,7 +23,7 @@ from warpvox.cli.playback import play_in_window, wants_window
 from warpvox.code import Code
 from warpvox.configs.schema import PlayConfig
 from warpvox.errors import ConfigError, listing
-from warpvox.io.console import echo, literal, shown
+from warpvox.io.console import echo, shown
 from warpvox.runs import ZOO, as_name, find_run, new_folder, write_summary
 from warpvox.trust import STORED
 
@@ -33,8 +32,6 @@ if TYPE_CHECKING:
 
 __all__ = ["play", "run", "write_results"]
 
-ROWS = 20
-"""Environments that the table lists at most."""
 OF_AGENTS = ("task", "design", "rules")
 """Keys that a trained run answers itself."""
 
@@ -175,48 +172,3 @@ def summary_of(rollout: Rollout, command: str, source: str) -> dict[str, Any]:
         "lengths": [int(value) for value in rollout.lengths],
         **({"bodies": rollout.names} if "names" in rollout.metadata else {}),
     }
-
-
-def print_returns(rollout: Rollout, console: Console) -> None:
-    """A table with a row for each environment (the first ones of many) and their mean."""
-    returns, lengths = rollout.returns[-1], rollout.lengths
-    several = len(rollout.scenes) > 1 and "names" not in rollout.metadata
-    agent = rollout.metadata.get("agent", "policy")
-    kind = "sampled actions" if rollout.metadata.get("stochastic") else "deterministic"
-    kind = kind if agent == "policy" else f"agent {agent}"
-    if rollout.metadata.get("diverged"):
-        kind = f"up to the step in which environment {rollout.metadata.get('environment')} diverged"
-    table = Table(title=literal(f"{rollout.title}, {kind}"))
-    for heading in ("environment", *(["design"] if several else []), "return", "steps", "end"):
-        table.add_column(heading, justify="left" if heading == "end" else "right")
-    for env in range(min(rollout.num_envs, ROWS)):
-        design = [str(rollout.design_index[env])] if several else []
-        table.add_row(rollout.names[env], *design, f"{returns[env]:.3f}", str(lengths[env]), _end(rollout, env))
-    if rollout.num_envs > ROWS:
-        table.add_row("...", *([""] if several else []), "", "", f"{rollout.num_envs - ROWS} more")
-    if rollout.num_envs > 1:
-        table.add_section()
-        mean = [f"{returns.mean():.3f}", f"{lengths.mean():.0f}", f"deviation {np.std(returns):.3f}"]
-        table.add_row("mean", *([""] if several else []), *mean)
-    console.print(table)
-    if agent == "policy" and rollout.num_envs > len(rollout.scenes) and rollout.metadata.get("drawn") is False:
-        echo(console, _about_one_episode(rollout))
-
-
-def _about_one_episode(rollout: Rollout) -> str:
-    """That a deterministic policy in a task without chance shows one episode a design, however many are asked for."""
-    several = len(rollout.scenes)
-    differ = any(len(np.unique(rollout.returns[-1][rollout.design_index == design])) > 1 for design in range(several))
-    alike = "differ by rounding alone (of batched matrix products)" if differ else "are identical"
-    return (
-        f"the {rollout.num_envs} episodes {alike}: the task draws nothing at random and the policy is deterministic;"
-        f" num_envs={several} shows as much, stochastic=true samples its actions"
-    )
-
-
-def _end(rollout: Rollout, env: int) -> str:
-    if not rollout.num_steps or not rollout.done[-1, env]:
-        return "still going"
-    if rollout.metadata.get("diverged"):
-        return "diverged"
-    return "task ended" if rollout.terminated[-1, env] else "time limit"

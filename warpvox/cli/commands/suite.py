@@ -2,50 +2,36 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import re
-import time
-from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
-from warpvox.algos.codesign.settings import Codesign
-from warpvox.algos.interrupt import deferred_interrupts
-from warpvox.cli import sweep
+from warpvox.algos.suite.members import FAILED, MEMBERS, WAITING, Member, Table
+from warpvox.algos.suite.progress import results
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
-from warpvox.cli.suite.members import DONE, FAILED, MEMBERS, RUNNING, WAITING, Table
-from warpvox.cli.suite.plan import Member, plan, seeds_of, task_names
-from warpvox.cli.suite.pool import LocalPool, Pool, RayPool
-from warpvox.cli.suite.progress import SuiteProgress, results
-from warpvox.cli.suite.words import gone_on_with, merged
+from warpvox.cli.suite_plan import plan, seeds_of, task_names
+from warpvox.cli.suite_words import gone_on_with, merged
 from warpvox.configs.suite_keys import SuiteConfig
-from warpvox.errors import ConfigError, RunError, StorageError, listing
+from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, shell_argument, shown
 from warpvox.io.plain_yaml import to_yaml
-from warpvox.io.writing import OF_FULL_DISKS, check_writable
+from warpvox.io.writing import check_writable
 from warpvox.runs import STAMP, check_unchanged, find_suite, going_on, make_folder
-from warpvox.system import available_memory, usable_cores
 from warpvox.trust import keep_code
 
-__all__ = ["Job", "make_member", "run", "split", "suite"]
+__all__ = ["Job", "run", "split", "suite"]
 
 GROWING = ("tasks", "searches", "seeds")
 """Keys that may get more entries when a suite is resumed."""
 CHANGEABLE = (*GROWING, "retry", "executor", "address", "workers", "device", "threads", "name", "resume", "output_dir")
-POLL_SECONDS = 0.5
-FULL = "full"
-"""Status of a member that has ended for lack of room on its disk: when there is some, it goes on."""
-PROCESS_BYTES = 1_000_000_000
-"""Of memory that a process should find free: PyTorch, Warp and a small search take half of it."""
 
 
 @dataclass
@@ -150,6 +136,8 @@ def suite(job: Job, console: Console) -> Path:
         WarpvoxError: something cannot be made; RunError: members have failed, the others are made all the same.
         KeyboardInterrupt: interrupted; what the members had done has been saved.
     """
+    from warpvox.algos.suite.run import make_members
+
     if job.config.report is not None:
         return _write_again(job.config, console)
     config = dataclasses.replace(job.config, retry=False)
@@ -160,8 +148,12 @@ def suite(job: Job, console: Console) -> Path:
         table.write()
         echo(console, f"{len(table.rows)} members{_counted(table)}")
         echo(console, f"folder: {shown(folder)}")
-        if table.of(WAITING):
-            _make(table, job.members, config, console)
+        try:
+            if table.of(WAITING):
+                make_members(table, job.members, config, console)
+        except BaseException:
+            _advise(table, console)
+            raise
         _write_report(table, config, console)
         return _conclude(table, console)
 
@@ -179,86 +171,6 @@ def _counted(table: Table) -> str:
     """What is known of the members of a suite that is resumed."""
     counts = {state: count for state, count in table.counts.items() if state != WAITING}
     return f", {', '.join(f'{count} {state}' for state, count in counts.items())} already" if counts else ""
-
-
-def _make(table: Table, members: list[Member], config: SuiteConfig, console: Console) -> None:
-    """Make those ``members`` whose rows in the table wait, several at a time.
-
-    Raises:
-        KeyboardInterrupt: interrupted; the members have saved their states. StorageError: the disk is full.
-    """
-    waiting, running = deque(number for number, row in enumerate(table.rows) if row.state == WAITING), {}
-    pool, threads = _pool(config, [members[number].settings for number in waiting])
-    echo(console, f"{pool.size} at a time, each with {threads} thread{'s' * (threads > 1)}")
-    try:
-        with deferred_interrupts() as interrupt, SuiteProgress(table, console) as progress:
-            stopping, full = False, ""
-            while running or (waiting and not interrupt and not full):
-                while waiting and len(running) < pool.size and not interrupt and not full:
-                    number = waiting.popleft()
-                    row = table.rows[number]
-                    row.folder.mkdir(parents=True, exist_ok=True)
-                    pool.begin(number, dataclasses.replace(members[number].settings, threads=threads), row.folder)
-                    row.state, row.began, running[number] = RUNNING, time.monotonic(), row
-                for number, outcome in pool.wait(POLL_SECONDS):
-                    row = running.pop(number)
-                    row.state = {"done": DONE, "failed": FAILED}.get(outcome["status"], WAITING)
-                    row.error = outcome.get("error", "") if row.state == FAILED else ""
-                    full = outcome["error"] if outcome["status"] == FULL else full
-                    table.write()
-                    table.write_curves()
-                    progress.ended(row)
-                if (interrupt or full) and not stopping:
-                    why = "the disk is full" if full else "interrupted"
-                    echo(console, f"{why}: waiting for the members to save their states")
-                    pool.stop()
-                    stopping = True
-                progress.refresh()
-            if stopping:
-                _stopped(table, console)
-            if interrupt:
-                interrupt.stop()
-            if full:
-                raise StorageError(full)
-    finally:
-        pool.close()
-
-
-def _pool(config: SuiteConfig, members: list[Codesign]) -> tuple[Pool, int]:
-    """The processes that make the members, and the threads of each."""
-    if config.executor == "ray":
-        threads = config.threads or 1
-        gpus = 0 if config.device == "cpu" else None
-        return RayPool(make_member, config.workers, config.address, threads, gpus), threads
-    from warpvox.algos.codesign.run import environments
-    from warpvox.devices.names import resolve_device
-
-    cores, envs = usable_cores(), max(map(environments, members))
-    room = cores if resolve_device(config.device, envs) == "cpu" else 1
-    free = available_memory()
-    room = room if free is None else max(1, min(room, free // PROCESS_BYTES))
-    workers = min(config.workers or room, len(members))
-    return LocalPool(make_member, workers), config.threads or max(1, cores // workers)
-
-
-def make_member(settings: Codesign, folder: Path) -> dict[str, Any]:
-    """Make a design search in ``folder``, or go on with the one that is there; returns how it has ended."""
-    from warpvox.algos.codesign.progress import SearchProgress
-    from warpvox.algos.codesign.run import run_codesign
-
-    row, console, full = {"run": folder.name}, Console(), False
-
-    def make() -> Path:
-        nonlocal full
-        try:
-            return run_codesign(settings, folder, [SearchProgress(console)], console=console).folder
-        except OSError as error:
-            full = error.errno in OF_FULL_DISKS
-            raise
-
-    with contextlib.suppress(KeyboardInterrupt):
-        sweep.attempt(row, {}, make, console)
-    return {"status": FULL if full else row["status"], "error": row.get("error", "")}
 
 
 # ---------------------------------------------------------------------------------------------------------- after
@@ -286,14 +198,6 @@ def _write_again(config: SuiteConfig, console: Console) -> Path:
     table = Table.stored(source.folder)
     _write_report(table, load_values("suite", source.config), console)
     return source.folder
-
-
-def _stopped(table: Table, console: Console) -> None:
-    for row in table.of(RUNNING):
-        row.state = WAITING
-    table.write()
-    echo(console, f"stopped, state saved; {len(table.of(DONE))} of {len(table.rows)} members are done")
-    _advise(table, console)
 
 
 def _advise(table: Table, console: Console, more: str = "") -> None:

@@ -10,7 +10,9 @@ from rich.console import Console
 
 from warpvox.cli.application import prepared, run_command
 from warpvox.cli.config import load
+from warpvox.code import is_code
 from warpvox.configs.schema import TrainConfig
+from warpvox.io.console import echo
 from warpvox.runs import TRAINING, find_run
 
 if TYPE_CHECKING:
@@ -40,7 +42,7 @@ def _prepare(config: TrainConfig, overrides: list[str], config_dir: Path | None)
     if config.resume is None:
         return Job(config, {word.partition("=")[0] for word in overrides})
     source = find_run(config.resume, config.output_dir, TRAINING, resume=True)
-    names = {item.name for item in dataclasses.fields(TrainConfig)}  # a demo is trained like any other run
+    names = {item.name for item in dataclasses.fields(TrainConfig)}
     stored = {name: value for name, value in source.config.items() if name in names}
     return Job(load("train", overrides, config_dir, base=stored, home=source.folder), source=source)
 
@@ -52,4 +54,24 @@ def train(job: Job, console: Console) -> Path:
 
     prepare(job.settings.torch_threads, job.settings.seed)
     job.train(Terminal(console))
+    if job.settings.export:
+        _export(job.folder, job.settings, console)
     return job.folder
+
+
+def _export(folder: Path, config: TrainConfig, console: Console) -> None:
+    """Record the best policy of a run and write it into the run's folder."""
+    from warpvox.algos.training.loading import Playing, load_run
+    from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
+
+    run = find_run(str(folder), config.output_dir)
+    named = {name: value for name in ("task", "policy") if is_code(value := getattr(config, name))}
+    env, controller = load_run(run, Playing(device=config.device, **named))
+    with console.status("simulating"):
+        rollout = record_run(run, env, controller, None)
+    print_returns(rollout, console)
+    rollout.save(folder / ROLLOUT)
+    write_exports(rollout, folder, config.export, console)
+    page = folder / "rollout.html"
+    if page.is_file():
+        echo(console, f"open in a browser: {page.resolve().as_uri()}")

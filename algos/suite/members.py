@@ -1,4 +1,4 @@
-"""The states and results of the members of a suite, ``members.csv`` and ``curves.csv``."""
+"""The members of a suite, their states and results, ``members.csv`` and ``curves.csv``."""
 
 from __future__ import annotations
 
@@ -10,19 +10,39 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.report.members import Member as SearchResult, read_members
-from warpvox.cli.suite.plan import Member
+from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.report.members import SearchResult, read_members
 from warpvox.errors import RunError
 from warpvox.io.writing import check_folder, write_table
 from warpvox.runs import read_summary
 
-__all__ = ["CURVES", "DONE", "FAILED", "MEMBERS", "RUNNING", "WAITING", "Row", "Table", "rises"]
+__all__ = ["CURVES", "DONE", "FAILED", "MEMBERS", "RUNNING", "WAITING", "Member", "Row", "Table", "rises"]
 
 MEMBERS, CURVES = "members.csv", "curves.csv"
 WAITING, RUNNING, DONE, FAILED = ("waiting", "running", "done", "failed")
 FIGURES = ("evaluations", "control_steps", "wall_s", "best_fitness")
 COLUMNS = ("task", "search", "seed", "state", *FIGURES, "folder", "error")
 CURVE_COLUMNS = ("task", "search", "seed", "evaluations", "control_steps", "best")
+
+
+@dataclass(frozen=True)
+class Member:
+    """One design search of a suite; ``task`` is the id, ``search`` the name of the search's file."""
+
+    task: str
+    search: str
+    seed: int
+    settings: Codesign
+
+    @property
+    def key(self) -> tuple[str, str, int]:
+        """What no other member of the suite has."""
+        return self.task, self.search, self.seed
+
+    @property
+    def folder(self) -> Path:
+        """Of its run, in the folder of the suite."""
+        return Path("members", self.task, self.search, f"seed{self.seed}")
 
 
 @dataclass

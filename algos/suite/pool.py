@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from warpvox.algos.interrupt import terminable
-from warpvox.cli.sweep import INTERRUPTED
 from warpvox.system import HANGUP
 
-__all__ = ["LOG", "LocalPool", "Pool", "RayPool"]
+__all__ = ["INTERRUPTED", "LOG", "LocalPool", "Pool", "RayPool"]
 
+INTERRUPTED = "interrupted"
 LOG = "log.txt"
 """What a member prints, in the folder of its run."""
 Outcome = dict[str, Any]

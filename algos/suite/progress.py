@@ -14,7 +14,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table as Grid
 from rich.text import Text
 
-from warpvox.cli.suite.members import DONE, FAILED, RUNNING, WAITING, Row, Table
+from warpvox.algos.suite.members import DONE, FAILED, RUNNING, WAITING, Row, Table
 from warpvox.io.console import duration, echo, figure, literal
 
 __all__ = ["SuiteProgress", "results"]

@@ -1,4 +1,4 @@
-"""The members of a suite: tasks x searches x seeds, each with the configuration of its design search."""
+"""The members of a suite from its keys: tasks x searches x seeds, each with the settings of its design search."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.suite.members import Member
 from warpvox.checks import check_integer, check_shape, is_integer
 from warpvox.cli.config import load
 from warpvox.cli.help import options_of
-from warpvox.cli.suite.words import by_key
+from warpvox.cli.suite_words import by_key
 from warpvox.configs.composition import quoted
 from warpvox.configs.paper import shape_of
 from warpvox.configs.suite_keys import SuiteConfig
@@ -22,7 +22,7 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["BENCHMARK10", "Member", "plan", "seeds_of", "task_names"]
+__all__ = ["BENCHMARK10", "plan", "seeds_of", "task_names"]
 
 BENCHMARK10 = (
     "Walker-v0",
@@ -44,26 +44,6 @@ OF_SUITES = (
     "config", "shape", "output_dir", "preset", "export",
 )  # fmt: skip
 """Keys of a design search that a suite has, too, or sets for each search."""
-
-
-@dataclass(frozen=True)
-class Member:
-    """One design search of a suite; ``task`` is the id, ``search`` the name of the search's file."""
-
-    task: str
-    search: str
-    seed: int
-    settings: Codesign
-
-    @property
-    def key(self) -> tuple[str, str, int]:
-        """What no other member of the suite has."""
-        return self.task, self.search, self.seed
-
-    @property
-    def folder(self) -> Path:
-        """Of its run, in the folder of the suite."""
-        return Path("members", self.task, self.search, f"seed{self.seed}")
 
 
 def plan(config: SuiteConfig, config_dir: Path | None = None) -> list[Member]:
@@ -130,7 +110,8 @@ def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesig
     words = by_key(config.codesign)
     for key in words:
         if key.split("/")[0] in OF_SUITES:
-            raise ConfigError(f"codesign: {key} is a key of the suite, or set by it for each search.")
+            hint = did_you_mean(key, SuiteConfig.__dataclass_fields__)
+            raise ConfigError(f"{key} is set by the suite for each search.{hint}")
     groups = [word for key, word in words.items() if "." not in key]
     found, taken = {}, set()
     for name in dict.fromkeys(config.searches):

@@ -1,0 +1,206 @@
+"""Learning curves of trainings and design searches: means over seeds with intervals, as pictures and CSV."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpvox.algos.report.members import SearchResult, progress
+from warpvox.algos.statistics import mean_interval
+from warpvox.algos.training.metrics import read_metrics
+from warpvox.errors import ConfigError, RunError, listing
+from warpvox.io.console import escaped
+from warpvox.io.writing import atomic_path, write_table
+from warpvox.runs import Run
+
+__all__ = ["AXES", "Curve", "Group", "check_file", "curves_of", "curves_of_searches", "evaluations_of", "write_curves"]
+
+SUFFIXES = (".png", ".svg", ".pdf")
+AXES = {"steps": "control steps", "elapsed": "seconds", "iteration": "iterations", "evaluations": "designs trained"}
+PANELS = 4
+"""Pictures beside each other at most."""
+COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
+STYLES = ("-", "--", ":", "-.")
+"""Of groups that the colours do not suffice for."""
+POINTS = 200  # of the mean of several runs
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs with the same settings; ``label`` names those that other groups have otherwise."""
+
+    label: str
+    runs: tuple[Any, ...]
+
+    @property
+    def title(self) -> str:
+        """The label and how many runs there are."""
+        return f"{self.label} (n={len(self.runs)})"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The learning curve of runs that differ by nothing but their seed.
+
+    ``places`` float64 ``[k]``; ``mean``, ``low``, ``high`` ``[k]``: the return there over the runs, with its interval
+    (NaN for a single run); ``runs``: where and what of each, ``[2, evaluations]``.
+    """
+
+    group: Group
+    places: np.ndarray
+    mean: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    runs: tuple[np.ndarray, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of runs."""
+        return len(self.runs)
+
+
+def curves_of_searches(members: Sequence[SearchResult], x: str = "steps") -> dict[str, list[Curve]]:
+    """The best return of design searches over ``steps`` or ``evaluations``: by task a curve for each search.
+
+    A search that has ended before others keeps its best return.
+    """
+    panels: dict[str, list[Curve]] = {}
+    for task, name in dict.fromkeys((one.task, one.search) for one in members):
+        runs = [one for one in members if (one.task, one.search) == (task, name)]
+        places, values = progress(runs, x)
+        points = tuple(np.stack([places, column]) for column in values.T)
+        panels.setdefault(task, []).append(_mean_curve(Group(name, tuple(runs)), places, values, points))
+    return panels
+
+
+def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
+    """The deterministic return of runs over the column ``x`` of ``metrics.csv``, a curve for each group.
+
+    A run that has stopped early keeps its last return.
+
+    Raises:
+        RunError: a run without an evaluation.
+    """
+    return [_curve(group, [_points(each_run, x) for each_run in group.runs]) for group in groups]
+
+
+def _curve(group: Group, runs: list[np.ndarray]) -> Curve:
+    if len(runs) == 1:
+        unknown = np.full(runs[0].shape[1], math.nan)
+        return Curve(group, runs[0][0], runs[0][1], unknown, unknown, tuple(runs))
+    places = np.linspace(max(points[0, 0] for points in runs), max(points[0, -1] for points in runs), POINTS)
+    values = np.stack([np.interp(places, *points) for points in runs], axis=1)
+    return _mean_curve(group, places, values, tuple(runs))
+
+
+def _mean_curve(group: Group, places: np.ndarray, values: np.ndarray, runs: tuple[np.ndarray, ...]) -> Curve:
+    """The curve of values ``[places, runs]``."""
+    intervals = [mean_interval(row) for row in values]
+    mean, low, high = (np.array([getattr(i, name) for i in intervals]) for name in ("mean", "low", "high"))
+    return Curve(group, places, mean, low, high, runs)
+
+
+def evaluations_of(found: Run) -> list[dict[str, float]]:
+    return [row for row in read_metrics(found.folder) if np.isfinite(row["eval_return"])]
+
+
+def _points(found: Run, x: str) -> np.ndarray:
+    """The evaluations of a run, float64 ``[2, k]``: where and what."""
+    rows = evaluations_of(found)
+    if not rows:
+        raise RunError(f"The run {found.folder} has no evaluation yet: there is nothing to draw.")
+    return np.array([[row[x] for row in rows], [row["eval_return"] for row in rows]], float)
+
+
+def write_curves(
+    curves: Sequence[Curve] | Mapping[str, Sequence[Curve]],
+    path: str | os.PathLike[str],
+    x: str = "steps",
+    size: tuple[int, int] = (760, 340),
+) -> Path:
+    """Draw curves: runs thin, their mean thick, its 95 % interval as a band; the same numbers as CSV beside it.
+
+    Args:
+        curves: see :func:`curves_of`; or those of several pictures beside each other, by their titles.
+        path: .png, .svg or .pdf; written whole or not at all.
+        x: what they are over.
+        size: in pixels, of each picture.
+
+    Raises:
+        ConfigError: another suffix, or matplotlib is not installed.
+    """
+    target = check_file(path)
+    try:
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ConfigError("Curves need matplotlib, which is not installed: pip install 'warpvox[view]'.") from None
+    panels = curves if isinstance(curves, Mapping) else {"": curves}
+    columns = min(PANELS, len(panels))
+    rows = -(-len(panels) // columns)
+    inches = (columns * size[0] / 100, rows * size[1] / 100)
+    figure = Figure(figsize=inches, dpi=100, layout="constrained")
+    for number, (title, several) in enumerate(panels.items()):
+        axes = figure.add_subplot(rows, columns, number + 1, title=escaped(title))
+        _plot(several, axes)
+        _dress(axes, AXES[x])
+        axes.locator_params(axis="x", nbins=max(2, size[0] // 110))
+    # Equal runs make equal files: names inside an SVG are hashes with a random salt otherwise.
+    with atomic_path(target) as temporary, rc_context({"svg.hashsalt": "warpvox"}):
+        figure.savefig(temporary, format=target.suffix[1:].lower(), metadata=_no_date(target.suffix))
+    _write_csv(panels, target.with_suffix(".csv"), x)
+    return target
+
+
+def _plot(curves: Sequence[Curve], axes: Any) -> None:
+    for number, curve in enumerate(curves):
+        turn, place = divmod(number, len(COLOURS))
+        look = {"color": COLOURS[place], "linestyle": STYLES[turn % len(STYLES)]}
+        if curve.n > 1:
+            axes.fill_between(curve.places, curve.low, curve.high, color=COLOURS[place], alpha=0.18, linewidth=0)
+            for points in curve.runs:
+                axes.plot(*points, **look, linewidth=0.8, alpha=0.3)
+        label = escaped(curve.group.title).replace("$", r"\$")
+        axes.plot(curve.places, curve.mean, **look, linewidth=2.2, label=label)
+
+
+def check_file(path: str | os.PathLike[str]) -> Path:
+    """Raise ConfigError unless ``path`` ends as a picture does."""
+    target = Path(path)
+    if target.suffix.lower() not in SUFFIXES:
+        raise ConfigError(f"file must end in {listing(SUFFIXES)}, got '{path}'.")
+    return target
+
+
+def _write_csv(panels: Mapping[str, Sequence[Curve]], path: Path, x: str) -> None:
+    rows = []
+    for title, curve in ((title, curve) for title, several in panels.items() for curve in several):
+        label = f"{title}, {curve.group.label}" if title else curve.group.label
+        for numbers in zip(curve.places, curve.mean, curve.low, curve.high, strict=True):
+            place, *others = (f"{number:.9g}" if math.isfinite(number) else "" for number in numbers)
+            rows.append([label, place, curve.n, *others])
+    write_table(path, ("settings", x, "n", "mean", "low", "high"), rows)
+
+
+def _dress(axes: Any, label: str) -> None:
+    axes.set_xlabel(label)
+    axes.set_ylabel("deterministic return")
+    axes.grid(color="#dde2ea", linewidth=0.8)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.ticklabel_format(axis="x", style="plain")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+    axes.margins(x=0.01)
+    axes.legend(frameon=False, loc="best")
+
+
+def _no_date(suffix: str) -> dict[str, Any]:
+    """Metadata that makes equal pictures equal files."""
+    return {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}[suffix.lower()]
