@@ -22,11 +22,7 @@ __all__ = ["check_fields", "check_memory", "check_terms"]
 
 
 def check_memory(spec: TaskSpec, sim: Simulation, draws: RandomStream) -> None:
-    """Check what the memories of a task begin with.
-
-    Raises:
-        TaskError: what is wrong, with the name of the memory.
-    """
+    """Check what the memories of a task begin with; TaskError names the memory and what is wrong."""
     stream = draws.rewind()
     for memory in spec.memory:
         what, value = f"The memory '{memory.name}' of the task '{spec.id}'", memory.begin(stream)
@@ -41,10 +37,7 @@ def check_memory(spec: TaskSpec, sim: Simulation, draws: RandomStream) -> None:
 
 
 def check_terms(spec: TaskSpec, sim: Simulation, state: Snapshot) -> None:
-    """Check what all terms of a task give at the beginning of an episode.
-
-    Args:
-        state: of the beginning, in which memories have been drawn.
+    """Check what all terms of a task give at the beginning of an episode, in which memories have been drawn.
 
     Raises:
         TaskError: what is wrong, with the name of the term, what was expected and what it gave.
@@ -129,15 +122,9 @@ def _got(value: Any) -> str:
 
 
 def check_fields(state: Any, like: Mapping[str, Any], inside: str = "") -> None:
-    """Check names, types and shapes of a state against those of a valid one.
+    """Check names, types and shapes of a state against those of a valid one; SimulationError names what is wrong.
 
-    Args:
-        state: what ``set_state`` was given.
-        like: nested mappings of tensors and None; ``torch.Tensor`` itself stands for any tensor.
-        inside: name of the field that ``state`` is.
-
-    Raises:
-        SimulationError: names the field, what was expected and what it is.
+    ``like``: nested mappings of tensors and None; ``torch.Tensor`` itself stands for any tensor.
     """
     if not isinstance(state, Mapping):
         raise SimulationError(f"{inside or 'A state'} must be a dictionary of {listing(like)}; got {state!r:.80}.")

@@ -286,14 +286,9 @@ class DesignVecEnv:
     def reset(
         self, seed: int | Sequence[int] | None = None, mask: torch.Tensor | np.ndarray | None = None
     ) -> tuple[torch.Tensor, dict[str, Any]]:
-        """Begin new episodes, with their design stages, everywhere or where ``mask`` (bool ``[num_envs]``) is True.
+        """Begin new episodes, with their design stages; arguments and results as of :meth:`VoxelVecEnv.reset`.
 
-        Args:
-            seed: restart the random numbers (of the task, and of ``start="random"``) from this seed, or one for each
-                environment; None continues them.
-
-        Returns:
-            Observations ``[num_envs, num_obs]`` and an empty dictionary.
+        ``seed`` is also that of ``start="random"``.
         """
         mask = self._whole if mask is None else check_mask(mask, self._whole)
         if seed is not None:

@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 
 from warpvox.errors import RolloutError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
-from warpvox.view.rollout import Rollout, facts_of, points_of
+from warpvox.view.rollout import Rollout, facts_of, scenes_of
 
 if TYPE_CHECKING:
     from warpvox.envs.vec_env import VoxelVecEnv
@@ -40,15 +40,13 @@ class DivergenceDump:
     On the CPU it is written in the step of the divergence. On CUDA, where reading flags waits for the device, files are
     written every :data:`STEPS` steps, for the first divergence of an environment since the last time.
 
-    Args:
-        env: the environments.
-        folder: where files go; made when there is one. May be changed later.
+    ``folder`` is made when there is a file, and may be changed later.
     """
 
     def __init__(self, env: VoxelVecEnv, folder: str | os.PathLike[str]) -> None:
         self.env, self.folder = env, Path(folder)
         self.pause = 1 if torch.device(env.sim.device).type == "cpu" else STEPS
-        self._scenes, self._points = points_of(env.sim)
+        self._scenes, self._points = scenes_of(env.sim)
         self._room = STEPS + self.pause
         self._open, self._count = True, 0
         self._rings: dict[str, torch.Tensor] = {}
@@ -57,7 +55,7 @@ class DivergenceDump:
 
     def refresh(self) -> None:
         """Read the bodies of the environments again; :meth:`clear` is to follow for those that have another one."""
-        self._scenes, self._points = points_of(self.env.sim)
+        self._scenes, self._points = scenes_of(self.env.sim)
 
     def clear(self, mask: torch.Tensor | None = None) -> None:
         """Drop the steps of environments (bool ``[num_envs]``; None: all): their next one does not follow them."""

@@ -42,8 +42,9 @@ class RandomStream:
     def begin(self, seed: int | Sequence[int], mask: torch.Tensor | None = None) -> None:
         """Restart the streams from new seeds; ``mask`` (bool ``[num_envs]``): only these environments."""
         keys = _keys(seed, self.num_envs).to(self.keys.device)
-        self.keys.copy_(keys if mask is None else torch.where(mask, keys, self.keys))
-        self.episode.masked_fill_(torch.ones_like(keys, dtype=torch.bool) if mask is None else mask, 0)
+        mask = torch.ones_like(keys, dtype=torch.bool) if mask is None else mask
+        self.keys.copy_(torch.where(mask, keys, self.keys))
+        self.episode.masked_fill_(mask, 0)
 
     def rewind(self) -> RandomStream:
         """Go back to the first number of the episode; return this object."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from math import isfinite
@@ -221,10 +221,6 @@ class TaskSpec:
         object.__setattr__(self, "partners", MappingProxyType(dict(self.partners)))
         if not isinstance(self.id, str) or not ID.fullmatch(self.id):
             raise TaskError(f"The id of a task may hold letters, digits and . _ + - only, got {self.id!r}.")
-        if isinstance(self.objects, WorldObject) or not isinstance(self.objects, Sequence):
-            raise TaskError(f"The objects of the task '{self.id}' must be a tuple, got {type(self.objects).__name__}.")
-        if not all(isinstance(obj, WorldObject) for obj in self.objects):
-            raise TaskError(f"The objects of the task '{self.id}' must be WorldObjects, got {self.objects!r:.80}.")
         self._check_parts()
         if not self.observations or self.max_episode_steps < 1:
             raise TaskError(f"The task '{self.id}' needs an observation and at least one step an episode.")
@@ -243,7 +239,8 @@ class TaskSpec:
 
     def _check_parts(self) -> None:
         """Check the types of all parts; results of terms are checked when environments are made."""
-        kinds = {"observations": Observation, "rewards": Reward, "terminations": Termination, "memory": Memory}
+        kinds = {"objects": WorldObject, "observations": Observation, "rewards": Reward}
+        kinds |= {"terminations": Termination, "memory": Memory}
         for name, kind in kinds.items():
             parts = getattr(self, name)
             if not isinstance(parts, tuple | list):
@@ -252,7 +249,7 @@ class TaskSpec:
             for number, part in enumerate(parts):
                 if not isinstance(part, kind):
                     given = getattr(part, "__name__", None)
-                    hint = f": {MAKERS.get(name, 'Memory')}({given})" if given else f", got {part!r:.60}"
+                    hint = f": {MAKERS.get(name, kind.__name__)}({given})" if given else f", got {part!r:.60}"
                     article = "an" if kind is Observation else "a"
                     raise TaskError(
                         f"{name}[{number}] of the task '{self.id}' must be {article} {kind.__name__}{hint}."

@@ -25,8 +25,8 @@ from warpvox.envs.observations import ObservationLayout
 from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
 from warpvox.envs.snapshot import Quantity, Snapshot
-from warpvox.envs.spec import ROBOT, TaskSpec
-from warpvox.envs.terms.elapsed import retimed, timed_observations
+from warpvox.envs.spec import ROBOT, Observation, TaskSpec
+from warpvox.envs.terms.elapsed import NAME as TIME, ElapsedSteps, is_timed
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.errors import ConfigError, DesignError, SimulationError, did_you_mean, listing
 from warpvox.simulation import Simulation
@@ -146,7 +146,7 @@ class VoxelVecEnv:
         if obs.endswith("voxel"):
             spec = replace(spec, observations=voxel_observations(spec.observations, tuple(spec.robots), sim))
         if obs.startswith("timed"):
-            spec = replace(spec, observations=timed_observations(spec.observations, self.episodes))
+            spec = replace(spec, observations=(*spec.observations, Observation(ElapsedSteps(self.episodes))))
         self.spec, self.rules, self.sim, self.seed, self.auto_reset = spec, rules, sim, seed, auto_reset
         self._has_code, self._limit = spec.has_code, spec.max_episode_steps
         self.designs, self.num_envs, self.device, self.dtype = designs, sim.num_envs, sim.device, sim.dtype
@@ -264,7 +264,7 @@ class VoxelVecEnv:
         self.episodes.set_before(now)
         if self.dump is not None:
             self.dump.clear(mask)
-        return self._finite.first(self.observe(now), mask, self._on_cpu), {}
+        return self._finite.first(self.layout.observe(now), mask, self._on_cpu), {}
 
     def set_designs(
         self, designs: object, mask: torch.Tensor | np.ndarray, connections: Sequence[object] | None = None
@@ -272,15 +272,12 @@ class VoxelVecEnv:
         """Replace the bodies of some environments, which begin a new episode; the others continue.
 
         Nothing is compiled and no array moves; sizes of observations and actions stay. ``designs``, ``design_index``,
-        the masks and columns follow: equal designs are one then.
+        the masks and columns follow: equal designs are one then. Returned is what :meth:`reset` observes.
 
         Args:
-            designs: a body for each environment of the mask in their order, or one for all; as in :func:`make_vec`.
+            designs, connections: a body for each environment of the mask in their order, or one for all; as in
+                :func:`make_vec`.
             mask: bool ``[num_envs]``.
-            connections: for each of these designs, as in :func:`make_vec`.
-
-        Returns:
-            Observations ``[num_envs, num_obs]``, as :meth:`reset` with this mask gives.
 
         Raises:
             SimulationError: made without ``grid``, or a body that does not fit it. DesignError, WorldError: a body that
@@ -435,7 +432,7 @@ class VoxelVecEnv:
         self.sim.advance()
         self.episodes.length.add_(1 if going is None else going)  # before it is observed
         before, after = self._snapshot(self.episodes.before), self._snapshot()
-        obs = self.observe(after)
+        obs = self.layout.observe(after)
         memory_values = after.update(self.spec.memory)
         unstable = self.sim.unstable if going is None else self.sim.unstable & going
         return obs, after, memory_values, unstable, *self.judge(before, after, unstable, going)
@@ -474,13 +471,12 @@ class VoxelVecEnv:
         """
         return self._finite.report()
 
-    def observe(self, state: Snapshot) -> torch.Tensor:
-        """The observation ``[num_envs, num_obs]`` that a state gives, as it is: also what is not finite."""
-        return self.layout.observe(state)
-
     def retimed(self, obs: torch.Tensor) -> torch.Tensor:
         """The last observation ``[num_envs, num_obs]``, with ``obs="timed"`` after episode lengths were assigned."""
-        return retimed(self, obs)
+        if not is_timed(self):
+            return obs
+        column = torch.tensor([columns[TIME].start for columns in self.obs_columns], device=obs.device)
+        return obs.scatter(1, column[self.design_index][:, None], self.episode_length[:, None].to(obs.dtype))
 
     def judge(
         self, before: Snapshot, after: Snapshot, unstable: torch.Tensor, going: torch.Tensor | None = None
@@ -514,7 +510,7 @@ class VoxelVecEnv:
         now = self._snapshot()
         self.episodes.set_before(now)
         # A running episode keeps its observation, which was made before the memory was updated.
-        fresh = self._finite.first(self.observe(now), done, self._on_cpu)
+        fresh = self._finite.first(self.layout.observe(now), done, self._on_cpu)
         return torch.where(done[:, None], fresh, obs)
 
     def state(self) -> dict[str, Any]:

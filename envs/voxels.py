@@ -108,16 +108,12 @@ class VoxelGrid:
         corners = np.zeros((self.rows * self.columns, 4), np.int64)
         corners[cells] = self._sim.voxel_corners(self._name, design)
         known = np.zeros((self.rows * self.columns, NUM_FEATURES - FEATURES["type"].start))
-        known[:, : len(CELLS)] = self._types(source.grid)
+        padded = np.zeros((self.rows, self.columns), np.int64)
+        padded[: source.grid.shape[0], : source.grid.shape[1]] = source.grid
+        known[:, : len(CELLS)] = padded.reshape(-1, 1) == np.array(CELLS)
         known[cells, len(CELLS) :] = _linked(source)[rows, columns]
         driving = np.isin(source.grid[rows, columns], (int(Cell.H_ACT), int(Cell.V_ACT)))
         return _Cells(source, corners, known, cells[driving])
-
-    def _types(self, grid: np.ndarray) -> np.ndarray:
-        """``[cells, 5]``: the types of a padded body, one 1 in every row."""
-        padded = np.zeros((self.rows, self.columns), np.int64)
-        padded[: grid.shape[0], : grid.shape[1]] = grid
-        return padded.reshape(-1, 1) == np.array([int(cell) for cell in CELLS])
 
     def __call__(self, state: Snapshot, name: str) -> torch.Tensor:
         """``[num_envs, cells * 25]``."""
@@ -140,12 +136,10 @@ class _Cells(NamedTuple):
 
 def _linked(source: WorldObject) -> np.ndarray:
     """bool ``[rows, columns, 4]``: whether a cell is connected with its neighbour above, right, below, left."""
-    rows, columns = source.grid.shape
-    out = np.zeros((rows, columns, 4), bool)
-    for a, b in source.connections.tolist():
-        for one, other in ((a, b), (b, a)):
-            step = (other // columns - one // columns, other % columns - one % columns)
-            out[one // columns, one % columns, _SIDES.index(step)] = True
+    out = np.zeros((*source.grid.shape, 4), bool)
+    for pair in source.connections.tolist():
+        (a, b), (c, d) = (divmod(cell, source.grid.shape[1]) for cell in pair)
+        out[a, b, _SIDES.index((c - a, d - b))] = out[c, d, _SIDES.index((a - c, b - d))] = True
     return out
 
 

@@ -59,11 +59,9 @@ def _register(namespace: str, name: str, task: str | TaskSpec) -> str:
 class VoxelEnv(Adapter, gymnasium.Env):
     """One robot in one task: numpy in and out, float64.
 
-    Observations are ``[num_obs]`` (for their bounds see
-    :func:`warpvox.envs.adapters.base.spaces_of`), actions ``[num_actions]``
-    (``Box(0.6, 1.6)``): target lengths of the actuators, row by row from the top of the body, in units of their
-    rest length. The time limit is gymnasium's. An environment that has terminated stays as it is until it is
-    reset.
+    Observations are ``[num_obs]`` (for their bounds see :func:`warpvox.envs.adapters.base.spaces_of`), actions
+    ``[num_actions]`` (``Box(0.6, 1.6)``): target lengths of the actuators, row by row from the top of the body, in
+    units of their rest length. The time limit is gymnasium's. One that has terminated stays so until its reset.
 
     ``metadata`` of the class names all render modes, that of an instance those which work on this machine: ``human``
     needs a display.
@@ -78,9 +76,8 @@ class VoxelEnv(Adapter, gymnasium.Env):
         options: ``rules``, ``obs``, ``sim`` and its fields as in :func:`warpvox.make_vec`; here ``device="cpu"``,
             ``dtype="float64"`` and ``threads=1`` unless ``sim`` is given.
 
-    Raises:
-        TaskError, DesignError, WorldError, DeviceError: as :func:`warpvox.make_vec`. ConfigError: unknown
-            rules or render mode. DisplayError: ``human`` where there is no display.
+    Raises: what :func:`warpvox.make_vec` raises; ConfigError: an unknown render mode; DisplayError: ``human`` without a
+    display.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": FPS}  # noqa: RUF012

@@ -31,12 +31,8 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
     - ``DISABLED``: by ``reset(options={"reset_mask": mask})``, before the next step.
 
     Args:
-        task: id, ``module:NAME`` or specification.
-        num_envs: environments; a multiple of the number of ``designs``.
-        body: one body for all; or
-        designs: several bodies, in equal blocks; smaller ones are padded on the right, see ``vec.obs_mask`` and
-            ``vec.action_mask``.
-        connections: of ``body``, or one entry for each of ``designs``.
+        task, num_envs, body, connections: as in :func:`warpvox.make_vec`.
+        designs: as there; smaller bodies are padded on the right, see ``vec.obs_mask`` and ``vec.action_mask``.
         render_mode: None or ``rgb_array``: :meth:`render` gives a picture of every environment.
         render_size: width and height of a picture in pixels.
         autoreset_mode: a ``gymnasium.vector.AutoresetMode`` or its name; also in ``metadata``.
@@ -44,12 +40,7 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
             ``max_episode_steps``, ``sim`` and its fields as in :func:`warpvox.make_vec`; here ``device="cpu"`` and
             ``dtype="float64"`` unless ``sim`` is given. With ``grid`` :meth:`set_designs` may bring other bodies.
 
-    Attributes:
-        vec: the environments themselves, with torch tensors.
-
-    Raises:
-        TaskError, DesignError, WorldError, DeviceError, ConfigError: as :func:`warpvox.make_vec`; both ``body`` and
-            ``designs``; an unknown argument, render mode or autoreset mode.
+    Raises: what :func:`warpvox.make_vec` raises; ConfigError: an unknown render mode or autoreset mode.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012

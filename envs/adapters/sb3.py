@@ -34,20 +34,13 @@ class VoxelSB3VecEnv(Adapter, VecEnv):
     are empty.
 
     Args:
-        task: id, ``module:NAME`` or specification.
-        num_envs: environments; a multiple of the number of ``designs``.
-        body: one body for all; or ``designs``: several, in equal blocks.
+        task, num_envs, body, designs, options: as in :func:`warpvox.make_vec`; ``device="cpu"`` without ``sim``.
         normalize_actions: actions are -1 to 1, as Stable-Baselines3 advises, and stand for 0.6 to 1.6; False: they are
             target lengths themselves.
         render_mode: None or ``rgb_array``: :meth:`get_images` gives pictures of all environments.
         render_size: width and height of a picture in pixels.
-        options: further arguments of :func:`warpvox.make_vec`, such as ``seed``, ``rules`` and ``device``.
 
-    Attributes:
-        vec: the environments themselves, with torch tensors.
-
-    Raises:
-        TaskError, DesignError, WorldError, DeviceError, ConfigError: as :func:`warpvox.make_vec`.
+    Raises: what :func:`warpvox.make_vec` raises; ConfigError: an unknown render mode.
     """
 
     def __init__(

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 import torch
 
 from warpvox.envs.about import About
-from warpvox.envs.spec import Observation
 
 if TYPE_CHECKING:
     from warpvox.envs.episodes import Episodes
     from warpvox.envs.snapshot import Snapshot
     from warpvox.envs.vec_env import VoxelVecEnv
 
-__all__ = ["ElapsedSteps", "is_timed", "retimed", "timed_observations"]
+__all__ = ["NAME", "ElapsedSteps", "is_timed"]
 
 NAME = "elapsed_steps"
 
@@ -36,19 +35,6 @@ class ElapsedSteps:
         return self._length[:, None]
 
 
-def timed_observations(terms: tuple[Observation, ...], episodes: Episodes) -> tuple[Observation, ...]:
-    """The observations of the task, then the time."""
-    return (*terms, Observation(ElapsedSteps(episodes)))
-
-
 def is_timed(env: VoxelVecEnv) -> bool:
     """Whether observations end with the time."""
     return NAME in env.obs_columns[0]
-
-
-def retimed(env: VoxelVecEnv, obs: torch.Tensor) -> torch.Tensor:
-    """Observations ``[num_envs, num_obs]`` with the lengths that episodes have now; without the time as they are."""
-    if not is_timed(env):
-        return obs
-    column = torch.tensor([columns[NAME].start for columns in env.obs_columns], device=obs.device)[env.design_index]
-    return obs.scatter(1, column[:, None], env.episode_length[:, None].to(obs.dtype))

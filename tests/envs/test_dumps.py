@@ -44,7 +44,7 @@ def test_a_file_holds_what_led_to_it(tmp_path: Path, length: int, shown: int, au
     for step, action in enumerate(taken):
         if step == length - 1:
             throw(env, 2)
-        states.append(gather()[2])
+        states.append(gather()[2].numpy())
         env.step(action)
         assert len(list(tmp_path.glob("made/*"))) == (step == length - 1)
     for action in taken[:20]:  # what follows has no part in it, and is no divergence
@@ -139,7 +139,7 @@ def test_on_cuda_it_looks_now_and_then(tmp_path: Path, monkeypatch: pytest.Monke
     for step, action in enumerate(actions_of(env, 16)):
         if step == 10:
             throw(env, 3)
-        states.append(gather()[3])
+        states.append(gather()[3].numpy())
         env.step(action)
         assert len(list(tmp_path.iterdir())) == (step == 15)
     (path,) = tmp_path.iterdir()

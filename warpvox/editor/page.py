@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from warpvox.design import example_designs
 from warpvox.editor.documents import BODY_SIDE, WORLD_SIZE, document_of
 from warpvox.editor.trials import LONGEST
 from warpvox.examples import EXAMPLES
@@ -26,8 +27,6 @@ def editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) ->
         folder: where files are opened and saved, to be named on the page.
         tasks: what a body can be tried in.
     """
-    from warpvox.design import example_designs
-
     setup = {
         "start": start or document_of(example_designs()["walker"]) | {"name": "my_robot"},
         "folder": str(folder),

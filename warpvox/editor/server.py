@@ -21,11 +21,14 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
+from warpvox.design import sample_design
 from warpvox.editor.documents import check, check_file_name, document_of, file_names, read_file, save_file
 from warpvox.editor.page import editor_page
 from warpvox.editor.trials import try_out
+from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import ConfigError, DeviceError, WarpvoxError
 from warpvox.io.reading import parse_json
+from warpvox.view.player import page_of
 
 __all__ = ["EditorServer"]
 
@@ -66,14 +69,12 @@ class EditorServer(ThreadingHTTPServer):
     request_queue_size = 128  # connections that wait to be taken; five are the usual, and the others try again later
 
     def __init__(self, folder: Path, port: int = 0, file: str | None = None, tasks: Sequence[str] = ()) -> None:
-        from warpvox.envs.registry import get_task, task_ids
-
         self.folder, self.token = folder, secrets.token_urlsafe(24)
         start = None if file is None else {"name": Path(file).stem} | self._read(file)
         self.tasks = {name: get_task(name) for name in [*task_ids(), *tasks]}
         self.page = editor_page(start, folder, list(self.tasks))
         self.rollouts: dict[int, bytes] = {}
-        self._count, self._busy = 0, threading.Lock()
+        self._busy = threading.Lock()
         try:
             super().__init__((ADDRESS, port), _Handler)
         except OSError as error:
@@ -116,8 +117,6 @@ class EditorServer(ThreadingHTTPServer):
 
     def sample(self, ask: dict[str, Any]) -> dict[str, Any]:
         """A random valid body."""
-        from warpvox.design import sample_design
-
         rows, columns = ask.get("rows", 0), ask.get("columns", 0)
         if not all(type(n) is int and 1 <= n <= 10 for n in (rows, columns)):
             raise ConfigError("A random body has 1 to 10 rows and columns.")
@@ -125,15 +124,13 @@ class EditorServer(ThreadingHTTPServer):
 
     def rollout(self, ask: dict[str, Any]) -> dict[str, Any]:
         """Try the document out; where to look at it, and what it returned. One at a time."""
-        from warpvox.view.player import page_of
-
         if not self._busy.acquire(blocking=False):
             raise ConfigError("Another rollout is being simulated: wait for its end.")
         try:
             settings = (ask.get(key) for key in ("agent", "seconds", "seed", "task"))
             rollout = try_out(_document(ask), *settings, tasks=self.tasks)
             title = rollout.title if rollout.metadata["task"] else "world"
-            number = self._count = self._count + 1
+            number = max(self.rollouts, default=0) + 1
             kept = [*self.rollouts.items(), (number, page_of(rollout, title=title).encode())]
             self.rollouts = dict(kept[-KEPT:])  # a new one: other threads may be looking into the old
         finally:

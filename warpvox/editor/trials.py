@@ -96,24 +96,19 @@ class OpenWorld:
         self._where = self._place()
 
     def _place(self) -> Any:
-        import torch
-
-        return torch.zeros(self.num_envs) if self._robot is None else self.sim.com(self._robot)[:, 0]
+        return self.sim.unstable * 0.0 if self._robot is None else self.sim.com(self._robot)[:, 0]
 
     def reset(self) -> tuple[None, dict[str, Any]]:
-        """Back to the start."""
+        """Go back to the start."""
         self.sim.reset()
         self._where = self._place()
         return None, {}
 
     def step(self, actions: Any) -> tuple[Any, ...]:
-        """One control step: no observation, progress as reward, terminated where the simulation had to stop."""
-        import torch
-
+        """Take a control step: no observation, progress as reward, terminated where the simulation had to stop."""
         self.sim.step(actions)
         before, self._where = self._where, self._place()
-        stopped = self.sim.unstable
-        return None, self._where - before, stopped, torch.zeros_like(stopped), {}
+        return None, self._where - before, self.sim.unstable, self.sim.unstable & False, {}
 
 
 class _TimeLimited:

@@ -50,7 +50,7 @@ class Engine:
         self.world, self._loose = world, loose
         self._build()
         self.time = self.changes = 0
-        start = np.array([point for body in self._bodies.values() for point in body.points])
+        start = np.array([point for name in self._spans for point in self._bodies[name].points])
         self._past = {0: np.stack([start, np.zeros_like(start)])}  # positions and velocities of all points
         self._orientations: dict[str, float] = {}  # of objects that cannot move
         self._record()
@@ -65,12 +65,14 @@ class Engine:
         self._actions[:] = 1.0  # until an action is set, actuators keep their length
         robots = [(body, body.first_action, body.source.num_actuators) for body in sim.designs[0].robots]
         self.goals = {body.name: self._actions[first : first + count] for body, first, count in robots}
-        ordered = sorted(moving + statics, key=lambda body: (not body.source.is_robot, body.name))
+        # A record has the points of what moves first, as the simulation has them.
+        recorded = sorted(moving, key=lambda body: body.first_point) + statics
+        self._moving = sum(len(body.points) for body in moving)
+        ends = np.cumsum([0, *(len(body.points) for body in recorded)]).tolist()
+        self._spans = {body.name: slice(*span) for body, span in zip(recorded, pairwise(ends), strict=True)}
+        ordered = sorted(recorded, key=lambda body: (not body.source.is_robot, body.name))
         self._bodies = {body.name: body for body in ordered}
-        ends = np.cumsum([0, *(len(body.points) for body in ordered)]).tolist()
-        self._spans = {body.name: slice(*span) for body, span in zip(ordered, pairwise(ends), strict=True)}
-        self._own = {body.name: slice(body.first_point, body.first_point + len(body.points)) for body in moving}
-        self._moving = np.concatenate([np.arange(ends[-1])[self._spans[name]] for name in self._own])
+        self._rows = np.concatenate([np.arange(ends[-1])[self._spans[name]] for name in self._bodies])
 
     # ------------------------------------------------------------------------------------------- stepping
 
@@ -85,9 +87,8 @@ class Engine:
         return False
 
     def _record(self) -> None:
-        now = self._past[max(0, self.time - 1)].copy()
-        now[:, self._moving] = self._views["pos"], self._views["vel"]
-        self._past[self.time] = now
+        now = self._past[self.time] = self._past[max(0, self.time - 1)].copy()
+        now[0, : self._moving], now[1, : self._moving] = self._views["pos"], self._views["vel"]
 
     def revert(self, time: int) -> None:
         """Go back to a recorded time and drop the records after it."""
@@ -96,7 +97,7 @@ class Engine:
         self._past = {then: kept for then, kept in self._past.items() if then <= time}
 
     def _set(self, record: np.ndarray) -> None:
-        self._views["pos"][:], self._views["vel"][:] = record[:, self._moving]
+        self._views["pos"][:], self._views["vel"][:] = record[:, : self._moving]
         self._views["true_vel"][:] = self._views["vel"]
         self._sim.invalidate()
         self._moved()
@@ -111,11 +112,12 @@ class Engine:
         self._span(name)
         if name not in self._loose and (self._bodies[name].source.grid == Cell.FIXED).any():
             # Rebuilt, the simulation can move an object of fixed cells.
-            actions, self._loose = self._actions.copy(), (*self._loose, name)
+            actions, before, self._loose = self._actions.copy(), self._rows, (*self._loose, name)
             self._build()
             self._actions[:] = actions
+            self._past = {time: kept[:, before[np.argsort(self._rows)]] for time, kept in self._past.items()}
             self._set(self._past[self.time])
-        self._views["pos"][self._own[name]] += (dx, dy)
+        self._views["pos"][self._spans[name]] += (dx, dy)
         self._sim.invalidate()
         self._moved()
         self._record()
@@ -129,11 +131,11 @@ class Engine:
             raise ArgumentError(f"time must lie between 0 and {self.time}, got {time}.")
         return self._past[time]
 
-    def _span(self, name: str | None) -> slice:
-        """Where the points of an object (None: of all) lie."""
+    def _span(self, name: str | None) -> slice | np.ndarray:
+        """Where the points of an object (None: of all) lie in a record."""
         if name is not None and name not in self._spans:
             raise ArgumentError(f"{name} is not a valid object name; objects are {listing(sorted(self._spans))}.")
-        return slice(None) if name is None else self._spans[name]
+        return self._rows if name is None else self._spans[name]
 
     def positions(self, time: int, name: str | None = None) -> np.ndarray:
         """``[points, 2]`` of an object, or of all; not to be written into."""
@@ -147,7 +149,7 @@ class Engine:
         """How far an object has turned since time 0, counter-clockwise in [0, 2 pi]."""
         self._span(name)
         then, _ = self._at(time)
-        if name not in self._own:
+        if self._spans[name].start >= self._moving:
             # Alone in its world an object can be moved; one that has not moved has the same orientation at any time.
             if name not in self._orientations:
                 alone = World()
@@ -155,7 +157,7 @@ class Engine:
                 self._orientations[name] = Engine(alone).orientation(0, name)
             return self._orientations[name]
         now = self._views["pos"].copy()
-        self._views["pos"][:] = then[self._moving]
+        self._views["pos"][:] = then[: self._moving]
         angle = self.sensors.orientation(name).item()
         self._views["pos"][:] = now
         return angle
@@ -188,9 +190,10 @@ class Engine:
     @cached_property
     def corners(self) -> np.ndarray:
         """int ``[voxels, 4]``: all points' indices at the top left, top right, bottom right and bottom left."""
-        firsts = [self._spans[name].start for name in self._bodies]
-        bodies = zip(self._bodies.values(), firsts, strict=True)
-        return np.concatenate([np.array(list(body.corners.values())) + first for body, first in bodies])
+        bodies = list(self._bodies.values())
+        firsts = np.cumsum([0, *(len(body.points) for body in bodies[:-1])])
+        corners = [np.array(list(body.corners.values())) for body in bodies]
+        return np.concatenate([each + first for each, first in zip(corners, firsts, strict=True)])
 
     @cached_property
     def outlines(self) -> np.ndarray:

@@ -78,9 +78,9 @@ class EvoWorld:
         if obj.name in self.objects:
             raise WorldError(f"The world has an object named '{obj.name}' already; names must differ.")
         (x, y), (columns, rows) = obj.get_pos(), obj.grid.shape[::-1]
-        filled = np.argwhere(self.grid[y : y + rows, x : x + columns])
-        if len(filled):
-            cell = int(x + filled[0][1]), int(y + filled[0][0])
+        filled = np.argwhere(self.grid[y : y + rows, x : x + columns]).tolist()
+        if filled:
+            cell = (x + filled[0][1], y + filled[0][0])
             raise WorldError(
                 f"The object '{obj.name}' at {obj.pos} overlaps another one at cell {cell}; its bounding box must lie"
                 " on empty cells."
@@ -111,12 +111,12 @@ class EvoWorld:
         """
         moved = self._find(obj_name).copy()
         moved.set_pos(x, y)
-        before, grid = self.objects.copy(), self.grid.copy()
+        before = self.objects.copy(), self.grid.copy()
         self.remove_object(obj_name)
         try:
             self.add_object(moved)
         except WorldError:
-            self.objects, self.grid = before, grid
+            self.objects, self.grid = before
             raise
 
     def pretty_print(self, voxels_per_line: int = 50) -> None:

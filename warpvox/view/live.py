@@ -30,17 +30,16 @@ class LiveView:
         self.size = (int(size[0]), int(size[1]))
         if min(self.size) < 16:
             raise RolloutError(f"A picture must be at least 16 pixels wide and high, got {size}.")
-        self._scenes, self._positions = scenes_of(sim)
+        scenes, self._positions = scenes_of(sim)
         self._design = sim.design_index.tolist()
-        self._canvases = [Canvas(scene, self.size, fitting_scale(scene, self.size, voxels)) for scene in self._scenes]
+        self._canvases = [Canvas(scene, self.size, fitting_scale(scene, self.size, voxels)) for scene in scenes]
 
     def pictures(self, envs: Sequence[int] | None = None) -> list[np.ndarray]:
         """A picture of each environment (None: all), uint8 ``[height, width, 3]``."""
-        positions = self._positions()
-        return [self._picture(positions[env], self._design[env]) for env in envs or range(len(self._design))]
-
-    def _picture(self, points: np.ndarray, design: int) -> np.ndarray:
-        canvas = self._canvases[design]
-        view = (self.size[0] / canvas.scale, self.size[1] / canvas.scale)
-        corner = np.rint(camera_path(self._scenes[design], points[None], view)[0] * canvas.scale).astype(int)
-        return np.array(canvas.picture(points, corner))
+        positions, pictures = self._positions().cpu().numpy(), []
+        for env in envs or range(len(self._design)):
+            canvas, points = self._canvases[self._design[env]], positions[env]
+            view = (self.size[0] / canvas.scale, self.size[1] / canvas.scale)
+            corner = np.rint(camera_path(canvas.scene, points[None], view)[0] * canvas.scale).astype(int)
+            pictures.append(np.array(canvas.picture(points, corner)))
+        return pictures

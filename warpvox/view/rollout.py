@@ -43,7 +43,7 @@ from warpvox.io.writing import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 from warpvox.view.scene import Scene, check_scene, scene_from_json, scene_of, scene_to_json, stretch
 
-__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "facts_of", "points_of", "record", "scenes_of"]
+__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "facts_of", "record", "scenes_of"]
 
 FORMAT, VERSION = "warpvox-rollout", 1
 FRAME_SECONDS = 1 / 50
@@ -284,13 +284,13 @@ def facts_of(env: Any) -> dict[str, Any]:
     }
 
 
-def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], np.ndarray]) -> dict[str, np.ndarray]:
+def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], Any]) -> dict[str, np.ndarray]:
     """Step until all episodes have ended; what happened, as arrays with the step first."""
     import torch
 
     obs, _ = env.reset()
     seen: dict[str, list] = {name: [] for name in ("actions", "rewards", "terminated", "truncated")}
-    positions = [gather()]
+    positions = [gather().cpu().numpy()]
     for _ in range(limit):
         given = act(obs)
         try:
@@ -301,20 +301,17 @@ def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], n
         row = (actions.clamp(ACTION_LOW, ACTION_HIGH), reward, terminated, truncated)
         for name, value in zip(seen, row, strict=True):
             seen[name].append(value.cpu().numpy())
-        positions.append(gather())
+        positions.append(gather().cpu().numpy())
         if bool((terminated | truncated).all()):
             break
     return {"positions": np.stack(positions), **{name: np.stack(rows) for name, rows in seen.items()}}
 
 
-def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], np.ndarray]]:
-    """The scenes of a simulation, one a distinct world, and a function that gives its points, float32 ``[E, P, 2]``."""
-    scenes, points = points_of(sim)
-    return scenes, lambda: points().cpu().numpy()
+def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
+    """The scenes of a simulation, one a distinct world, and a function that gives its points.
 
-
-def points_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
-    """:func:`scenes_of` with the points as a tensor on the simulation's device, which nothing waits for."""
+    The points are float32 ``[E, P, 2]``, a tensor on the simulation's device, which nothing waits for.
+    """
     import torch
 
     scenes = tuple(scene_of(design) for design in sim.designs)
@@ -336,10 +333,10 @@ def points_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
 
 def _agent(name: str, env: Any) -> Callable[[Any], Any]:
     """One of :data:`AGENTS` as a policy."""
-    if name not in AGENTS:
-        raise ConfigError(f"Unknown agent {name!r}; valid are {listing(AGENTS)}.{did_you_mean(name, AGENTS)}")
     import torch
 
+    if name not in AGENTS:
+        raise ConfigError(f"Unknown agent {name!r}; valid are {listing(AGENTS)}.{did_you_mean(name, AGENTS)}")
     draw = _draws(env)
     if name == "zero":
         return lambda obs: torch.ones((env.num_envs, env.num_actions))
@@ -416,9 +413,7 @@ def _check_version(path: Path, header: Any) -> None:
     if not isinstance(version, int) or version < 1:
         raise RolloutError(f"{path} is damaged: version {version!r} does not exist.")
     if version > VERSION:
-        raise RolloutError(
-            f"{path} has version {version} of the format; this warpvox reads up to {VERSION}. Update warpvox."
-        )
+        raise RolloutError(f"{path} has version {version}; this warpvox reads up to {VERSION}. Update warpvox.")
 
 
 def _check_shapes(rollout: Rollout) -> None:

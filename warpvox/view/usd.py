@@ -24,12 +24,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 
 from warpvox.checks import check_integer
 from warpvox.devices.out_of_memory import free_memory
 from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path
 from warpvox.types import VOXEL, Cell
+from warpvox.view.painter import camera_path
 from warpvox.view.palette import RAMPS, colour_index, palette
 from warpvox.view.rollout import FRAME_SECONDS, Rollout
 
@@ -67,8 +69,6 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     Raises:
         RolloutError: another suffix, no such environment, a stride below 1, or a stage that does not fit into memory.
     """
-    from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux
-
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         raise RolloutError(f"A USD file ends in .usdc, .usd or .usda, got {str(path)!r}.")
@@ -133,8 +133,6 @@ def _root(env: int) -> str:
 
 def _define_materials(stage: Any) -> dict[Cell, Any]:
     """A preview surface for every cell type; those of actuators show displayColor."""
-    from pxr import Gf, Sdf, UsdGeom, UsdShade
-
     UsdGeom.Scope.Define(stage, "/World/materials")
     materials = {}
     for cell, name in SUBSET_NAMES.items():
@@ -177,8 +175,6 @@ def _places(rollout: Rollout, envs: list[int]) -> np.ndarray:
 
 
 def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, materials: dict[Cell, Any]) -> None:
-    from pxr import Gf, UsdGeom
-
     scene, root = rollout.scene(env), _root(env)
     xform = UsdGeom.Xform.Define(stage, root)
     xform.AddTranslateOp().Set(Gf.Vec3d(*place.tolist(), 0.0))
@@ -198,8 +194,6 @@ def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, mater
 
 
 def _define_mesh(stage: Any, path: str, quads: np.ndarray, extent: np.ndarray) -> Any:
-    from pxr import UsdGeom, Vt
-
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDoubleSidedAttr(True)
@@ -212,8 +206,6 @@ def _define_mesh(stage: Any, path: str, quads: np.ndarray, extent: np.ndarray) -
 
 def _bind(mesh: Any, cells: np.ndarray, materials: dict[Cell, Any]) -> None:
     """Add a GeomSubset with its material for each cell type that occurs."""
-    from pxr import UsdGeom, UsdShade, Vt
-
     binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
     for cell in sorted(set(cells.tolist())):
         faces = Vt.IntArray.FromNumpy(np.flatnonzero(cells == cell).astype(np.int32))
@@ -224,8 +216,6 @@ def _bind(mesh: Any, cells: np.ndarray, materials: dict[Cell, Any]) -> None:
 
 def _define_terrain(stage: Any, path: str, terrain: np.ndarray, material: Any) -> None:
     """One Mesh for all that stands still; neighbours share corners. None if there is nothing."""
-    from pxr import UsdGeom, UsdShade
-
     if not terrain.any():
         return
     height, width = terrain.shape
@@ -245,8 +235,6 @@ def _define_terrain(stage: Any, path: str, terrain: np.ndarray, material: Any) -
 
 def _animate(layer: Any, rollout: Rollout, env: int, frames: list[int]) -> None:
     """Time samples of an environment's points and colours."""
-    from pxr import Vt
-
     scene, mesh = rollout.scene(env), f"{_root(env)}/voxels"
     points = np.zeros((len(frames), scene.num_points, 3), np.float32)
     points[..., :2] = rollout.positions[frames, env, : scene.num_points]
@@ -268,10 +256,6 @@ def _changes(values: np.ndarray, interpolated: bool) -> list[int]:
 
 def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.ndarray, frames: list[int]) -> None:
     """One camera that follows the first environment's robot, one that sees everything."""
-    from pxr import Gf
-
-    from warpvox.view.painter import camera_path
-
     view = np.array([VIEW * APERTURE[0] / APERTURE[1], VIEW])
     corner = camera_path(rollout.scene(envs[0]), rollout.positions[:, envs[0]], tuple((view / VOXEL).tolist())) * VOXEL
     follow = _define_camera(stage, "/World/camera")
@@ -287,8 +271,6 @@ def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.nd
 
 def _define_camera(stage: Any, path: str) -> Any:
     """A camera that looks along -Z; its translation."""
-    from pxr import Gf, UsdGeom
-
     camera = UsdGeom.Camera.Define(stage, path)
     camera.CreateHorizontalApertureAttr(APERTURE[0])
     camera.CreateVerticalApertureAttr(APERTURE[1])
@@ -298,6 +280,4 @@ def _define_camera(stage: Any, path: str) -> Any:
 
 
 def _vec3(values: np.ndarray) -> Any:
-    from pxr import Vt
-
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))

@@ -1,7 +1,5 @@
 """Balancing, under the names of EvoGym's module ``evogym.envs.balance``."""
 
-from __future__ import annotations
-
 from warpvox.evogym.envs.task import task_env
 
 __all__ = ["Balance", "BalanceJump"]

@@ -1,7 +1,5 @@
 """Flipping, under the names of EvoGym's module ``evogym.envs.flip``."""
 
-from __future__ import annotations
-
 from warpvox.evogym.envs.task import task_env
 
 __all__ = ["Flipping"]

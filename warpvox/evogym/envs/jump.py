@@ -1,7 +1,5 @@
 """Jumping, under the names of EvoGym's module ``evogym.envs.jump``."""
 
-from __future__ import annotations
-
 from warpvox.evogym.envs.task import task_env
 
 __all__ = ["StationaryJump"]

@@ -29,11 +29,7 @@ __all__ = [
 
 
 class PackageBase(BenchmarkBase):
-    """Base of tasks with an object named ``package``.
-
-    Attributes:
-        thresh_height: below it, in simulator units, the package costs reward for falling; set by a subclass.
-    """
+    """Base of tasks with an object named ``package``, which costs reward if it falls below ``thresh_height``."""
 
     thresh_height = 0.0
 

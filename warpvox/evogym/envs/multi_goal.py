@@ -24,13 +24,7 @@ _BEFORE, _AFTER = "robot_com_pos_initial", "robot_com_pos_final"
 
 
 class Goal:
-    """A goal. A subclass has ``evaluate(args)``, which gives the reward and whether the goal is reached, and
-    ``get_obs(args)``.
-
-    Args:
-        name: for messages.
-        requirements: keys of ``args`` that it needs.
-    """
+    """A goal with a name for messages and the keys of ``args`` that it needs; a subclass has its two methods."""
 
     def __init__(self, name: str, requirements: Sequence[str] | None = None) -> None:
         self.name, self.requirements = name, list(requirements or ())
@@ -75,10 +69,8 @@ class GoalBase(BenchmarkBase):
         if not goals:
             raise ArgumentError("An environment with goals needs at least one.")
         self.goals, self.current_goal = list(goals), 0
-        self.requirements: dict[str, list[str]] = {}
-        for goal in self.goals:
-            for key in goal.requirements:
-                self.requirements.setdefault(key, []).append(goal.name)
+        keys = dict.fromkeys(key for goal in self.goals for key in goal.requirements)
+        self.requirements = {key: [goal.name for goal in self.goals if key in goal.requirements] for key in keys}
 
     def get_reward(self, args: Mapping[str, Any]) -> tuple[float, bool]:
         """Reward for the goal that is open after this step, and whether none is."""

@@ -1,7 +1,5 @@
 """Walking, under the names of EvoGym's module ``evogym.envs.walk``."""
 
-from __future__ import annotations
-
 from warpvox.evogym.envs.task import task_env
 
 __all__ = ["Duck", "SoftBridge", "WalkingFlat"]
