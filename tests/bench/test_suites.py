@@ -153,6 +153,7 @@ def test_wrong_derivatives_are_not_timed(monkeypatch: pytest.MonkeyPatch) -> Non
         gradients.run(config, report)
 
 
+@pytest.mark.slow
 def test_scaling_in_three_ways(bench: Callable, fake_reference: Callable) -> None:
     words = [*FIGURE_2, "scaling.sizes=[2,3]", "scaling.envs=[1,8]", f"peer.python={fake_reference()}"]
     said, figures = bench("scaling", *words)
@@ -196,6 +197,7 @@ def test_scaling_leaves_out_what_does_not_fit(
     assert [row[0] for row in figures["tables"][1]["rows"]] == [str(count) for count in envs[:-1]]
 
 
+@pytest.mark.slow
 def test_learning_has_a_curve(bench: Callable) -> None:
     figures = bench("learning", *"learning.ppo=[parallel] learning.seeds=1 learning.stop_return=-100".split())[1]
     (run,) = figures["runs"]["parallel"]

@@ -113,6 +113,7 @@ def test_curves_that_cannot_be_drawn(warpvox: Callable) -> None:
     assert not list(Path().glob("*.png"))
 
 
+@pytest.mark.slow
 def test_the_gallery_shows_a_robot_in_every_task(warpvox: Callable) -> None:
     outcome = warpvox("tasks", "gallery=all.png", "design=mini")
     assert outcome.code == 0, outcome.err

@@ -68,6 +68,7 @@ def test_a_policy_for_many_bodies_is_tuned_for_one(warpvox: Callable, train: Cal
 
 
 @pytest.mark.usefixtures("whole_episodes")
+@pytest.mark.slow
 def test_the_policy_that_comes_with_warpvox_walks_after_two_iterations(warpvox: Callable) -> None:
     words = "preset=fine_tune_cpg", "design=walker", "max_iterations=2"
     outcome = warpvox("train", *words, "lanes=8", "device=cpu", "threads=1")  # of lanes that others have compiled
@@ -77,6 +78,7 @@ def test_the_policy_that_comes_with_warpvox_walks_after_two_iterations(warpvox: 
     assert config_of(run)["pretrained"] == "universal"
 
 
+@pytest.mark.slow
 def test_the_preset_tunes_by_gradients(warpvox: Callable, train: Callable) -> None:
     first = train(*CPG, "max_iterations=1", "ppo.steps=4", "ppo.epochs=1")
     words = "preset=fine_tune_cpg", "pretrained=latest", BODY, "max_iterations=2", "ppo.steps=40"

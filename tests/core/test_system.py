@@ -20,7 +20,8 @@ OF_SYSTEMS = {
 }
 
 
-@pytest.mark.parametrize("platform", ["win32", pytest.param("darwin", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("platform", ["win32", "darwin"])
+@pytest.mark.slow
 def test_commands_run_without_what_only_linux_has(platform: str, tmp_path: Path) -> None:
     line = [sys.executable, str(Path(__file__).with_name("elsewhere.py")), platform]
     done = subprocess.run(line, capture_output=True, text=True, cwd=tmp_path, check=False)

@@ -31,6 +31,7 @@ PARTS = {
 """What is made, and the package that it needs."""
 
 
+@pytest.mark.slow
 def test_two_processes_make_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """This one, which has its own hashes and other work behind it, and a fresh one."""
     (tmp_path / "here").mkdir()

@@ -91,7 +91,6 @@ def test_the_time_limit_is_gymnasiums() -> None:
 @pytest.mark.parametrize(
     "code",
     [
-        "import gymnasium, warpvox.envs; gymnasium.spec('warpvox/Walker-v0')",
         "import warpvox.envs, gymnasium; gymnasium.spec('warpvox/Walker-v0')",
         "import gymnasium; gymnasium.make('warpvox.envs:warpvox/Walker-v0', body='walker')",
     ],

@@ -42,13 +42,15 @@ def build(kernel, architecture, folder):
 
 
 @pytest.mark.parametrize(
-    ("arithmetic", "precision"), [FAST, pytest.param("fast", "float64", marks=pytest.mark.slow), EXACT]
+    ("arithmetic", "precision"),
+    [FAST, pytest.param("fast", "float64", marks=pytest.mark.slow), pytest.param(*EXACT, marks=pytest.mark.slow)],
 )
 def test_every_kernel_of_a_step_becomes_ptx(arithmetic, precision, tmp_path):
     check(kernels_of_steps(arithmetic, precision), tmp_path)
 
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_the_reverse_pass_becomes_ptx(precision, tmp_path):
     check([reverse_kernel(precision, 1)], tmp_path)
 

@@ -53,7 +53,7 @@ def test_the_assembler_is_looked_for_where_make_puts_it(repository):
 
 @needs_assembler
 @pytest.mark.parametrize(
-    "architecture", [a if a in (80, 90) else pytest.param(a, marks=pytest.mark.slow) for a in ARCHITECTURES]
+    "architecture", [a if a == 90 else pytest.param(a, marks=pytest.mark.slow) for a in ARCHITECTURES]
 )
 def test_a_walker_needs_no_memory_but_registers_and_shared_memory(architecture, tmp_path):
     found, most = limits_of(WALKER, "float32", architecture, tmp_path)

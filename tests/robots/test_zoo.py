@@ -26,7 +26,9 @@ def known_platform() -> None:
 
 
 @pytest.mark.usefixtures("known_platform")
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize(
+    "task", [t if k % 4 == 0 else pytest.param(t, marks=pytest.mark.slow) for k, t in enumerate(TASKS)]
+)
 def test_a_robot_gets_the_recorded_return(task: str) -> None:
     about, found = zoo(task).about, judge(zoo(task))
     assert (found.returns, found.lengths) == (about["returns"], about["lengths"])

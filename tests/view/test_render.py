@@ -32,6 +32,7 @@ def actuator_colours() -> np.ndarray:
 
 
 @given(width=st.integers(64, 400), height=st.integers(64, 300), frame=st.integers(-12, 11))
+@pytest.mark.slow
 def test_any_size_and_frame(rollouts, width: int, height: int, frame: int) -> None:
     picture = render.draw_frame(rollouts(12, 1, ends=(9,)), frame, size=(width, height), hud=False)
     assert picture.shape == (height, width, 3)

@@ -111,6 +111,7 @@ def test_the_fit_uses_l_bfgs_with_its_limit_and_restarts(monkeypatch: pytest.Mon
         assert call.get("method", "L-BFGS-B") == "L-BFGS-B"
 
 
+@pytest.mark.slow
 def test_more_starts_never_fit_worse() -> None:
     from gpytorch.mlls import ExactMarginalLogLikelihood
 
@@ -305,6 +306,7 @@ def test_proposals_do_not_depend_on_the_threads_of_torch(acquisition: str) -> No
     assert found[0] == found[1]
 
 
+@pytest.mark.slow
 def test_of_the_papers_climbs_each_ends_at_a_body_of_its_own() -> None:
     """By L-BFGS alone hardly any does: where their ends are the same or not valid, starts are proposed."""
     climbed = {}

@@ -109,12 +109,14 @@ def final(algorithm: str, seeds: int, evaluations: int) -> np.ndarray:
     return np.array([best_of(make_search(settings, seed=seed), SyntheticFitness(seed))[-1] for seed in range(seeds)])
 
 
+@pytest.mark.slow
 def test_evolution_beats_random_search() -> None:
     """A small edition of the study below: eight pairs can be as sure as 1/256."""
     for algorithm in ("ga", "cppn_neat"):
         assert chance(final(algorithm, 8, 250) - final("random", 8, 250)) < SURE
 
 
+@pytest.mark.slow
 def test_posterior_samples_are_better_than_the_genetic_algorithm_soon() -> None:
     """Likewise: three optima, small bodies, few evaluations."""
     found = [

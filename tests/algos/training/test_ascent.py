@@ -73,7 +73,7 @@ def test_the_rollout_is_what_the_policy_does() -> None:
     assert runner._found["return"] == pytest.approx(total, abs=1e-6)
 
 
-@pytest.mark.parametrize("refresh", ["none", "new"])
+@pytest.mark.parametrize("refresh", ["none", pytest.param("new", marks=pytest.mark.slow)])
 def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path, refresh: str) -> None:
     whole = make_runner(refresh)
     whole.run()
@@ -131,6 +131,7 @@ def test_what_has_no_derivative_is_refused() -> None:
         make_runner(obs="voxel")
 
 
+@pytest.mark.slow
 def test_commands(warpvox) -> None:
     """A training, its continuation, and what is made of it."""
     words = "task=Walker-v0 obs=timed policy=cpg method=gradients designs=random:8:3x3 num_envs=8 ppo.steps=4".split()
