@@ -1,4 +1,4 @@
-"""What ``warpvox bench`` measures, and the keys of some of its suites."""
+"""Suites of ``warpvox bench``, and the keys of some of its suites."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -24,7 +24,7 @@ SUITES = {
     "cuda": "the CUDA kernel without a GPU: limits, instructions by stage, predicted speed",
     "gpu": "checks and measurements of a CUDA device in one command",
 }
-"""What ``warpvox bench`` measures."""
+"""Suites of ``warpvox bench``."""
 COLUMNS = ("step", "inference", "training")
 """Columns of a table of speeds: random actions, actions of a policy, whole iterations of PPO."""
 

@@ -1,4 +1,4 @@
-"""What the paper's presets have for each task (section D.1); YAML files ask for it by ``${paper_shape:${task}}``."""
+"""Values of the paper's presets for each task (section D.1); YAML files ask for it by ``${paper_shape:${task}}``."""
 
 from __future__ import annotations
 

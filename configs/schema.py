@@ -46,7 +46,7 @@ SHOW = ("auto", "on", "off")
 ARCHIVE_EXPORTS = ("csv", "parquet", "npz", "json")
 AUTO = "auto"
 OWN_TASK = "For a run of a task of your own: its code, file.py:NAME, or stored for the copy in the run"
-"""What ``task`` means beside ``run``."""
+"""Meaning of ``task`` beside ``run``."""
 CONFIG_FILE = "file to take values from, such as a run's config.yaml (or its folder); keys that are given override them"
 
 
@@ -109,7 +109,7 @@ class CodesignConfig(Codesign, PresetConfig):
 
 @dataclass
 class _RolloutConfig:
-    """What play and export share."""
+    """Keys that play and export share."""
 
     run: str = key("latest", "latest, the folder of a run, or a checkpoint file", path="read")
     zoo: str | None = key(
@@ -363,7 +363,7 @@ PRESET = "preset"
 """The key that takes the name of a preset, a file of ``configs/preset/COMMAND``."""
 
 PRESET_OF = {"suite": "suite"}
-"""Of commands in which that key has another name: the name."""
+"""Name of that key in commands in which it is another."""
 
 
 NODES: dict[str, dict[str, Any]] = {

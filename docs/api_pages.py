@@ -61,7 +61,7 @@ BESIDE = {
     ),
     "Searches of one's own": ("algos.search.base.BaseSearch", "algos.candidate.Candidate"),
 }
-"""What public functions take and return and what has no name in ``warpvox`` itself, by the title of the page."""
+"""Types that public functions take and return without a name in ``warpvox`` itself, by the title of the page."""
 FULL = "::: {}\n    options: {{show_root_full_path: true}}"
 
 

@@ -23,10 +23,10 @@ from warpvox.io.writing import write_text
 FOLDER = Path(__file__).resolve().parent
 TABLE, PAGE = FOLDER / "results" / "searches.csv", FOLDER / "search.md"
 COLUMNS = ("search", "task", "seed", "best_fitness", "control_steps", "evaluations", "wall_s", "commit")
-"""What is not known is empty: ``wall_s`` where a search was stopped and went on."""
+"""Columns; unknown values are empty: ``wall_s`` where a search was stopped and went on."""
 BEGIN, END = "<!-- comparison of searches -->", "<!-- end of comparison -->"
 BASE = "ga"
-"""What the others are compared with."""
+"""Search that the others are compared with."""
 
 Row = Mapping[str, str]
 

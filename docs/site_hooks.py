@@ -1,4 +1,4 @@
-"""What mkdocs asks while it builds the site: its parts, pages that are made then, links. Not part of the library."""
+"""Hooks of mkdocs: parts of the site, pages that are made then, links. Not part of the library."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ SMALLEST, SMALL = (40, 112), 128
 LINKS = 8
 """Springs of a point, at most: in a lattice four sides and four diagonals of voxels meet in it."""
 ROUNDS = 64
-"""Of a loop over points, at most: a bit for each."""
+"""Turns of a loop over points, at most: a bit for each."""
 CODED = 1 << 13
 """Candidates for contact whose corners can be listed: a code has 16 bits."""
 ON_CPU = 512, 1024
@@ -48,7 +48,7 @@ CLOSE_MARGIN = 0.012
 
 @dataclass(frozen=True)
 class Group:
-    """What a group kernel is compiled for.
+    """Sizes and options that a group kernel is compiled for.
 
     Attributes:
         precision: of the springs, 'float32' or 'float64'.
@@ -65,7 +65,7 @@ class Group:
 
     @property
     def registers(self) -> int:
-        """Of a thread, at most."""
+        """Registers of a thread, at most."""
         return REGISTERS if self.precision == "float32" else 255
 
     @property

@@ -1,4 +1,4 @@
-"""What a key of a configuration knows of itself: its meaning and its valid values, as metadata of a dataclass field."""
+"""Keys of configurations as fields of dataclasses: meaning and its valid values, as metadata of a dataclass field."""
 
 from __future__ import annotations
 

@@ -56,12 +56,12 @@ STATE, BEST = "state.pt", "model_best.pt"
 TRAINING = ("train",)
 CODESIGN = "codesign"
 label: ContextVar[str] = ContextVar("label", default="")
-"""What the run of a sweep differs by from the others, for the name of its folder."""
+"""Label of a run of a sweep: the values that others have otherwise, for the name of its folder."""
 STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 NAME = re.compile(r"[\w.+-]+")
 NOT_IN_NAMES = re.compile(r"[^\w.+-]+")
 LONGEST_NAME, LONGEST_BYTES = 100, 150
-"""What a name may add to that of a folder: date and a sweep's values need room as well, and 255 bytes are the end."""
+"""Limits of what a name adds to that of a folder: date and values of a sweep need room, and 255 bytes are the end."""
 END = "...\n"
 """The last line of a run's configuration, YAML's own mark of an end: what lacks it has been cut short."""
 
@@ -85,7 +85,7 @@ class Run:
 
     @property
     def iterations(self) -> list[int]:
-        """Of which there is a checkpoint, ascending."""
+        """Iterations with a checkpoint, ascending."""
         found = (re.fullmatch(r"model_(\d+)\.pt", file.name) for file in self.folder.iterdir())
         return sorted(int(match[1]) for match in found if match)
 
@@ -410,7 +410,7 @@ def going_on(folder: Path, config: str) -> Iterator[Path]:
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
-    """What ``summary.json`` says; nothing if there is none, or one that cannot be read."""
+    """Content of ``summary.json``; nothing if there is none, or one that cannot be read."""
     return read_facts(folder / SUMMARY)
 
 

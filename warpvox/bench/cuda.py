@@ -40,16 +40,16 @@ ENVS, SETTLING = 8, 20
 SIDE, DIFFERENT = 5, 4
 """Cells of a side of random bodies, and how many of these share a warp."""
 HEADS = ["instructions", "in float64", "wavefronts", "of these by conflicts"]
-"""What is counted of a warp, by environment and sub-step: instructions; wavefronts of shared memory, and those of them
+"""Counts of a warp, by environment and sub-step: instructions; wavefronts of shared memory, and those of them
 that conflicts of banks cause, which are counted where the addresses are in tables of the body."""
 DEVICES = {"A100": (108, 1.41, 32), "RTX 4090": (128, 2.52, 2), "H100, H200 SXM": (132, 1.98, 64)}
 """Multiprocessors, 10^9 cycles a second under load, float64 operations of a multiprocessor in a cycle."""
 SCHEDULERS = 4
-"""Of a multiprocessor: each issues an instruction of a warp in a cycle at most."""
+"""Schedulers of a multiprocessor: each issues an instruction of a warp in a cycle at most."""
 EFFICIENCY = 0.25, 0.5
 """Share of the cycles in which they do: with 2 warps for each to choose from, an assumption."""
 REGISTERS = 65536
-"""Of a multiprocessor."""
+"""Registers of a multiprocessor."""
 SHARED = {80: 164, 89: 100, 90: 228, 100: 228}
 """Shared memory of a multiprocessor by compute capability, KiB."""
 RESERVED = 1024

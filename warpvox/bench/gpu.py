@@ -53,7 +53,7 @@ def run(config: Any, report: Report) -> None:
 
 
 def _parts(config: Any, size: Size, report: Report) -> dict[str, Callable[[], Any]]:
-    """What is done, in this order; what an entry returns is kept under its name."""
+    """Parts in their order; the result of each is kept under its name."""
     wanted = [get_task(task).id for task in config.tasks] or task_ids()
     first = [task for task in FIRST if task in wanted] or wanted[:1]
     rest = [task for task in wanted if task not in first]

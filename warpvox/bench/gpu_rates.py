@@ -23,7 +23,7 @@ PREDICTED = {4096: (5.3, 13.8), 16384: (5.3, 13.8), 65536: (6.6, 13.8)}
 H100 or H200; the arithmetic is in docs/performance.md."""
 LAUNCHES = 3
 LEARNING_SECONDS = 60.0
-"""What learning may take at the most."""
+"""Seconds that learning may take at the most."""
 POPULATION_STEPS = 16
 """Control steps of an iteration of the population's training that is timed."""
 

@@ -1,4 +1,4 @@
-"""What NVIDIA's assembler makes of a kernel, without a GPU: registers, memory, instructions by place in the source.
+"""Reports of NVIDIA's assembler on a kernel, without a GPU: registers, memory, instructions by place in the source.
 
 The programs ``ptxas`` and ``nvdisasm`` are in build/ptxas, where ``make ptxas`` (and ``make test``) fetches
 them, or on PATH with a CUDA toolkit.
@@ -32,7 +32,7 @@ OUTSIDE = "outside"
 
 @dataclass(frozen=True)
 class Limits:
-    """What a kernel takes, per thread but for ``shared``; bytes but for ``registers``."""
+    """Resources of a kernel, per thread but for ``shared``; bytes but for ``registers``."""
 
     registers: int
     stack: int

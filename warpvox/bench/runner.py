@@ -36,7 +36,7 @@ def clock(device: str) -> float:
 
 
 def seconds(action: Callable[[], object], device: str) -> float:
-    """What an action takes by :func:`clock`."""
+    """Seconds of an action by :func:`clock`."""
     began = clock(device)
     action()
     return clock(device) - began

@@ -1,4 +1,4 @@
-"""What all commands with keys have in common: options, help, checked configurations, one run or a sweep of them."""
+"""Parts that all commands with keys share: options, help, checked configurations, one run or a sweep of them."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def run_command(
 
 
 def prepared(command: str, overrides: list[str], config_dir: Path | None, prepare: Prepare) -> Any:
-    """What the ``do`` of a command gets for a run with these overrides."""
+    """Argument of a command's ``do`` for a run with these overrides."""
     keys = {word.partition("=")[0]: word for word in overrides}
     # what else is given may be about parts that only the run has which goes on, and which `prepare` finds
     words = [keys[key] for key in ("resume", "output_dir") if key in keys] if "resume" in keys else overrides

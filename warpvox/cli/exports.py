@@ -41,7 +41,7 @@ WRITERS = {
 TILED = ("gif", "mp4", "png")
 SIZED = (*TILED, "strip")
 THINNED = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
-"""What a writer calls the key ``every``."""
+"""Parameter of a writer for the key ``every``."""
 FILMS = ("gif", "mp4")
 MEASURED, LONG = 2.0, 20.0
 """Seconds after which the rest of a film is estimated, and from which on that is worth a line."""

@@ -48,7 +48,7 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
 
 
 def settings(run: Run) -> dict[str, Any]:
-    """What a run was made with, by dotted keys, but for what only says where and how it was computed."""
+    """Settings of a run by dotted keys, without those that only say where and how it was computed."""
     flat = flat_values(run.config)
     if isinstance(flat.get("device"), str):
         flat["device"] = flat["device"].partition(":")[0]  # which of several GPUs makes no difference

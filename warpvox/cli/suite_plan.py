@@ -152,7 +152,7 @@ def seeds_of(value: Any) -> list[int]:
 
 
 def _of_task(key: str, value: Any, task: TaskSpec) -> Any:
-    """What a value that may be given by task is for ``task``.
+    """Value for ``task`` of a key that may be given by task.
 
     Raises:
         ConfigError: it names a task that there is not, or says nothing of this one.

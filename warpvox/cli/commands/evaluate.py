@@ -44,7 +44,7 @@ class Judged:
 
     @property
     def over(self) -> str:
-        """What an interval is over: runs where there are several, else the episodes of the only one."""
+        """Sample of an interval: runs where there are several, else the episodes of the only one."""
         return "runs" if len(self.rows) > 1 else "episodes"
 
     @property

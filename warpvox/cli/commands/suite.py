@@ -168,7 +168,7 @@ def _folder(job: Job, text: str) -> Iterator[Path]:
 
 
 def _counted(table: Table) -> str:
-    """What is known of the members of a suite that is resumed."""
+    """Counts of the members of a suite that is resumed, by state, in words."""
     counts = {state: count for state, count in table.counts.items() if state != WAITING}
     return f", {', '.join(f'{count} {state}' for state, count in counts.items())} already" if counts else ""
 

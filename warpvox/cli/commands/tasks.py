@@ -155,7 +155,7 @@ def _designs(task: Any) -> str:
 
 
 def _rewards(task: Any) -> Iterator[str]:
-    """What a control step is worth, term by term."""
+    """Reward of a control step, term by term."""
     for number, term in enumerate(task.rewards):
         weight = "" if abs(term.weight) == 1 else f"{abs(term.weight):g} "
         sign = "- " if term.weight < 0 else "+ " if number else ""
