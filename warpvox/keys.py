@@ -13,7 +13,7 @@ import numpy as np
 
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["MISSING", "check_values", "convert", "key", "plain"]
+__all__ = ["MISSING", "check_values", "convert", "converted", "key", "plain"]
 
 MISSING: Any = "???"
 """A key without a value of its own: one of the group's YAML files must set it."""
@@ -97,7 +97,7 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
             value = getattr(config, item.name)
             if isinstance(value, Mapping) and item.default_factory is not dataclasses.MISSING:
                 value = _changed(item.default_factory(), value, prefix + item.name)
-            setattr(config, item.name, _converted(value, hints[item.name], prefix + item.name))
+            setattr(config, item.name, converted(value, hints[item.name], prefix + item.name))
 
 
 def _changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
@@ -110,7 +110,12 @@ def _changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
     return dataclasses.replace(usual, **values)
 
 
-def _converted(value: Any, kind: Any, name: str) -> Any:
+def converted(value: Any, kind: Any, name: str) -> Any:
+    """``value`` in the type of a field: a number of numpy's as one of Python's, a tuple as a list.
+
+    Raises:
+        ConfigError: it is of another type; ``name``: of the field.
+    """
     optional = type(None) in get_args(kind)
     kind = get_args(kind)[0] if optional else kind
     if kind is Any or (optional and isinstance(value, type(None))):
@@ -124,7 +129,7 @@ def _converted(value: Any, kind: Any, name: str) -> Any:
     if not isinstance(value, ACCEPTED[plain]) or (plain is not bool and isinstance(value, bool)):
         raise ConfigError(f"{name} must be {KINDS[plain]}{' or None' if optional else ''}, got {value!r:.80}.")
     if plain is list:
-        return [_converted(entry, get_args(kind)[0], name) for entry in value]
+        return [converted(entry, get_args(kind)[0], name) for entry in value]
     if plain is str:
         return value if isinstance(value, str) else os.path.expanduser(value)
     return plain(value)

@@ -13,7 +13,7 @@ import torch
 MISTAKES = {
     "trian": "Did you mean 'train'",
     "train task=Walkr-v0": "Did you mean 'Walker-v0'",
-    "train task=null": "task=null: field 'task' is not Optional",
+    "train task=null": "task must be text, got None",
     "train design=walkr": "Did you mean 'walker'",
     "train design=[[0,0],[0,0]]": "empty",
     "train design=nothing.json": "nothing.json",
@@ -42,7 +42,7 @@ MISTAKES = {
     "train seed=1,2": "add --multirun",
     "train -m seed=interval(0,1)": "range",
     "train -m seed=1,2 task=Walker-v0,Wolker-v0": "Did you mean 'Walker-v0'",
-    "train num_envs=abc": "num_envs=abc: Value 'abc' of type 'str' could not be converted to Integer",
+    "train num_envs=abc": "num_envs must be an integer, got 'abc'",
     "train num_envs=0": "at least 1",
     "train num_envs=3 design=[mini,worm]": "multiple of the number of designs",
     "train physics=papr": "Did you mean 'paper'",
