@@ -537,6 +537,7 @@ class VoxelVecEnv:
         return {
             "sim": self.sim.state(),
             "world": self.sim.world_numbers.clone(),
+            "actions": self.sim.actions,
             "memory": self.memory,
             "draws": None if self._draws is None else self._draws.episode.clone(),
             **self.episodes.state(),
@@ -551,12 +552,17 @@ class VoxelVecEnv:
         """
         like = self.state()
         if isinstance(state, Mapping):
-            state = {"world": like["world"]} | dict(state)  # files of earlier versions do not say
+            # files of earlier versions lack these two; how far actions are padded depends on the other bodies
+            state = {name: like[name] for name in ("world", "actions")} | dict(state)
+            if getattr(state["actions"], "ndim", 0) == 2:
+                padding = self.num_actions - state["actions"].shape[1]
+                state["actions"] = torch.nn.functional.pad(state["actions"], (0, padding))
         check_fields(state, like | {"sim": dict.fromkeys(like["sim"], torch.Tensor)})
         if not torch.equal(state["world"].to(self.device), like["world"]):
             raise SimulationError("The state is that of other worlds: bodies have been exchanged since.")
         self.sim.set_state({name: value.to(self.device) for name, value in state["sim"].items()})
         self.episodes.set_memory({name: state["memory"][name].to(self.device) for name in self.episodes.memory})
+        self.sim.action_buffer.copy_(state["actions"])
         if self._draws is not None:
             self._draws.episode.copy_(state["draws"])
         self.episodes.drawn = False

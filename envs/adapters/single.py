@@ -72,6 +72,9 @@ class Sensors:
             self._sense_centres(name)
         return self._centres[2][name].copy()
 
+    def robot_actions(self, name: str) -> np.ndarray:
+        return self._sim.robot_actions(name).numpy()
+
     def relative_positions(self, name: str) -> np.ndarray:
         if name not in self._points:
             self._points[name] = self._find_points(name)
