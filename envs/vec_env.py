@@ -182,6 +182,11 @@ class VoxelVecEnv:
         if not self._on_cpu and sim.options.cuda_graph:
             self._graph = StepGraph(self._whole_step, capture_on_cuda(sim.device))
 
+    def __repr__(self) -> str:
+        bodies = f"{self.num_designs} {'body' if self.num_designs == 1 else 'bodies'}"
+        sizes = f"{self.num_obs} observations, {self.num_actions} actions"
+        return f"VoxelVecEnv({self.spec.id}, {self.num_envs} environments of {bodies}, {sizes}, {self.device})"
+
     def _snapshot(self, values: Mapping[Quantity, torch.Tensor] | None = None) -> Snapshot:
         """The present state; terms of a user's own get copies, which they may write to."""
         return Snapshot(self.sim, self.episodes.memory, values, copies=self._has_code)

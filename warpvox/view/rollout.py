@@ -25,6 +25,7 @@ right and bottom left.
 
 from __future__ import annotations
 
+import html
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -53,6 +54,8 @@ LARGEST_HEADER = 1 << 26
 """Bytes of a file's header (64 MiB)."""
 MOST_SCENES = 1 << 16
 """Scenes that a file may hold."""
+MOST_SHOWN = 16
+"""Environments that a notebook shows."""
 AGENTS = ("zero", "random", "sine")
 """Agents that need no training: all actuators at rest, uniformly random actions, a steady gait."""
 ARRAYS = {
@@ -98,6 +101,18 @@ class Rollout:
         _check_shapes(self)
         for number, scene in enumerate(self.scenes):
             check_scene(scene, number, self.positions.shape[2])
+
+    def __repr__(self) -> str:
+        low, high = self.returns[-1].min(), self.returns[-1].max()
+        size = f"{self.num_envs} environments, {self.num_steps} steps"
+        return f"Rollout({self.title}, {size}, returns {low:.3f} to {high:.3f})"
+
+    def _repr_html_(self) -> str:
+        """The player, for notebooks; of many environments the first."""
+        from warpvox.view.player import page_of
+
+        page = html.escape(page_of(self, range(min(self.num_envs, MOST_SHOWN))))
+        return f'<iframe srcdoc="{page}" width="100%" height="420" style="border:0"></iframe>'
 
     @property
     def num_frames(self) -> int:
@@ -258,8 +273,6 @@ def record(
     """
     import torch
 
-    from warpvox.algos.evaluate import forget
-
     if not hasattr(env, "sim") or not hasattr(env, "max_episode_steps"):
         inner = getattr(env, "unwrapped", env)
         hint = " Here it is env.unwrapped.vec." if hasattr(inner, "vec") and hasattr(inner, "num_envs") else ""
@@ -272,7 +285,8 @@ def record(
     label = policy if isinstance(policy, str) else "policy"
     resets_itself, env.auto_reset = env.auto_reset, False
     try:
-        forget(act)
+        if hasattr(act, "reset"):  # it remembers episodes
+            act.reset()
         with torch.no_grad():
             columns = _run(env, act, limit, gather)
     finally:
