@@ -13,7 +13,7 @@ from warpvox.envs.adapters.base import Adapter, check_mode, spaces_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ActionError, ConfigError, DisplayError
-from warpvox.view.rollout import FRAME_SECONDS
+from warpvox.types import FRAME_SECONDS
 
 __all__ = ["VoxelEnv", "register", "register_task"]
 

@@ -40,14 +40,12 @@ from warpvox.checks import check_integer, is_integer
 from warpvox.errors import ActionError, ConfigError, RolloutError, did_you_mean, listing
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
-from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
+from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, VOXEL
 from warpvox.view.scene import Scene, check_scene, scene_from_json, scene_of, scene_to_json, stretch
 
-__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "points_of", "record", "scenes_of"]
+__all__ = ["AGENTS", "Rollout", "points_of", "record", "scenes_of"]
 
 FORMAT, VERSION = "warpvox-rollout", 1
-FRAME_SECONDS = 1 / 50
-"""Nominal seconds of a control step (paper section A.2: 50 Hz)."""
 LARGEST = 1 << 32
 """Bytes that the arrays of a file may have together (4 GiB)."""
 LARGEST_HEADER = 1 << 26
