@@ -183,9 +183,9 @@ class VoxelVecEnv:
             self._graph = StepGraph(self._whole_step, capture_on_cuda(sim.device))
 
     def __repr__(self) -> str:
-        bodies = f"{self.num_designs} {'body' if self.num_designs == 1 else 'bodies'}"
-        sizes = f"{self.num_obs} observations, {self.num_actions} actions"
-        return f"VoxelVecEnv({self.spec.id}, {self.num_envs} environments of {bodies}, {sizes}, {self.device})"
+        counts = f"num_envs={self.num_envs}, num_designs={self.num_designs}"
+        sizes = f"num_obs={self.num_obs}, num_actions={self.num_actions}"
+        return f"VoxelVecEnv({self.spec.id}, {counts}, {sizes}, device={self.device})"
 
     def _snapshot(self, values: Mapping[Quantity, torch.Tensor] | None = None) -> Snapshot:
         """The present state; terms of a user's own get copies, which they may write to."""

@@ -78,7 +78,8 @@ class Found:
 
     def __repr__(self) -> str:
         best = f"best {self.summary['best_fitness']:.3f}" if self.summary["best_fitness"] is not None else "no result"
-        return f"Found({self.settings.task}, {self.summary['evaluations']} designs, {best}, {str(self.folder)!r})"
+        where = repr(str(self.folder)) if self.kept is None else "in a temporary folder"
+        return f"Found({self.settings.task}, {self.summary['evaluations']} designs, {best}, {where})"
 
     def _repr_html_(self) -> str:
         """The best bodies with their returns, and the curve, for notebooks."""

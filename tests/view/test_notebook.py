@@ -30,7 +30,7 @@ def line(thing: object) -> str:
 
 def test_a_rollout_is_its_player(run: wv.TrainedRun) -> None:
     env = wv.make_vec("Walker-v0", "mini", 20, device="cpu", threads=1)
-    assert "20 environments of 1 body" in line(env)
+    assert "num_envs=20, num_designs=1" in line(env)
     rollout = wv.record(env, run.policy, 3)
     assert "Rollout(Walker-v0, 20 environments, 3 steps, returns " in line(rollout)
     (page,) = re.fullmatch(r'<iframe srcdoc="([^"]*)"[^>]*></iframe>', rollout._repr_html_()).groups()

@@ -102,7 +102,7 @@ class Rollout:
 
     def __repr__(self) -> str:
         low, high = self.returns[-1].min(), self.returns[-1].max()
-        size = f"{self.num_envs} environments, {self.num_steps} steps"
+        size = f"{self.num_envs} environment{'s' * (self.num_envs > 1)}, {self.num_steps} steps"
         return f"Rollout({self.title}, {size}, returns {low:.3f} to {high:.3f})"
 
     def _repr_html_(self) -> str:
