@@ -12,13 +12,16 @@ import contextlib
 import io
 import json
 import linecache
+import re
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 FOLDER = Path(__file__).resolve().parents[1] / "examples" / "notebooks"
+ORDER = ("first_robot", "own_task", "own_search", "many_bodies")
 
 
 def run(path: Path, parameters: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -57,6 +60,32 @@ def _outputs(source: str, names: dict[str, Any], title: str, number: int) -> lis
             data["image/png"] = base64.b64encode(value._repr_png_()).decode()
         found.append({"output_type": "execute_result", "data": data, "metadata": {}, "execution_count": number})
     return found
+
+
+@cache
+def pages() -> dict[str, str]:
+    """Place in the site -> Markdown: text, code, and what the code shows."""
+    made = {}
+    for name in ORDER:
+        cells = json.loads((FOLDER / f"{name}.ipynb").read_text(encoding="utf-8"))["cells"]
+        text = "\n\n".join(part for cell in cells for part in _parts(cell))
+        text = re.sub(r"\[!\[[^\]]*\]\([^)]*\)\]", "[Open in Colab]", text)  # nothing from elsewhere
+        made[f"notebooks/{name}.md"] = re.sub(r"\]\((\w+)\.ipynb\)", r"](\1.md)", text)
+    return made
+
+
+def _parts(cell: dict[str, Any]) -> Iterator[str]:
+    source = "".join(cell["source"])
+    yield f"```python\n{source}\n```" if cell["cell_type"] == "code" else source
+    for one in cell.get("outputs", ()):
+        data = {kind: "".join(value) for kind, value in one.get("data", {"text/plain": one.get("text", ())}).items()}
+        if "text/html" in data:
+            html = data["text/html"].strip().replace("\n", "&#10;")
+            yield f"<div>{html}</div>"
+        elif "image/png" in data:
+            yield f'<img alt="" src="data:image/png;base64,{data["image/png"]}">'
+        else:
+            yield f"```text\n{data['text/plain']}\n```"
 
 
 def main(names: list[str]) -> None:
