@@ -12,6 +12,7 @@
 #   make lock        make constraints.txt and locks/ anew (UPGRADE=1: with the newest versions)
 #   make ptxas       fetch NVIDIA's assembler into build/ptxas, for tests of CUDA kernels (Linux, x86-64; 52 MB)
 #   make tables      write the keys of all commands into docs/commands.md
+#   make notebooks   run the notebooks of examples/ and keep what they show
 #   make charts      draw the charts of docs/performance.md from docs/figures.md
 #   make results     renew docs/results.md from the zoo and from design searches (SEARCHES="FOLDER ...")
 #   make release     build both distributions, check them, and say what an upload would send
@@ -40,11 +41,11 @@ COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test ptxas fast slow parity coverage bench lint types format licences packaging audit lock release docs tables charts pictures results zoo_picture clean distclean
+.PHONY: help install demo test ptxas fast slow parity coverage bench lint types format licences packaging audit lock release docs tables charts notebooks pictures results zoo_picture clean distclean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,20s/^# *//p' Makefile
+	@sed -n '2,21s/^# *//p' Makefile
 
 install: $(STAMP)
 
@@ -149,6 +150,9 @@ docs: $(STAMP)
 
 tables: $(STAMP)
 	$(BIN)/python docs/key_tables.py
+
+notebooks: $(STAMP)
+	$(BIN)/python docs/notebooks.py
 
 # Draws the charts of the page of performance from the tables of docs/figures.md.
 charts: $(STAMP)

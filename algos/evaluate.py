@@ -11,7 +11,7 @@ import torch
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 
-__all__ = ["Evaluation", "Evaluator", "Policy", "StatefulEvaluator", "evaluate", "evaluator", "forget"]
+__all__ = ["Evaluation", "Evaluator", "Policy", "StatefulEvaluator", "evaluate", "evaluator"]
 
 Policy = Callable[[torch.Tensor], torch.Tensor]
 """Observations ``[num_envs, num_obs]`` to actions ``[num_envs, num_actions]`` in [0.6, 1.6]."""
@@ -66,12 +66,6 @@ class StatefulEvaluator(Evaluator, Protocol):
         """Go on from :meth:`state`."""
 
 
-def forget(policy: Policy) -> None:
-    """Tell a policy that remembers episodes, one with a method ``reset``, that new ones begin."""
-    if hasattr(policy, "reset"):
-        policy.reset()
-
-
 def evaluate(
     env: VoxelVecEnv, policy: Policy, max_steps: int | None = None, seed: int | Sequence[int] | None = None
 ) -> Evaluation:
@@ -91,7 +85,8 @@ def evaluate(
     steps = env.max_episode_steps if max_steps is None else min(max_steps, env.max_episode_steps)
     check_every = 1 if torch.device(env.device).type == "cpu" else CHECK_EVERY
     unstable = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
-    forget(policy)
+    if hasattr(policy, "reset"):  # it remembers episodes
+        policy.reset()
     with torch.no_grad():
         obs, _ = env.reset(seed)
         for step in range(steps):

@@ -29,6 +29,7 @@ TITLES = {
     "world": "Worlds",
     "simulation": "Simulation",
     "gradients": "Gradients",
+    "view.body_picture": "Bodies",
     "view.rollout": "Rollouts",
     "robots.entry": "Robots of the zoo",
     "code": "Code of one's own",

@@ -13,6 +13,7 @@ FOLDER = Path(__file__).resolve().parent
 sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]  # mkdocs runs with any folder in front
 
 import api_pages  # noqa: E402
+import notebooks  # noqa: E402
 import task_pages  # noqa: E402
 
 PARTS = {
@@ -39,6 +40,8 @@ def on_config(config: Any) -> Any:
     nav: list[Any] = [{"warpvox": "index.md"}]
     for part, names in PARTS.items():
         found = [f"{name}.md" for name in [*names, *(others if part == "How to" else ())]]
+        if part == "Tutorials":
+            found[1:1] = [{"Notebooks": list(notebooks.pages())}]
         if part == "Reference":
             found[1:1] = [{"Python": list(api_pages.pages())}, {"Tasks": list(task_pages.pages())}]
         nav.append({part: found})
@@ -48,7 +51,8 @@ def on_config(config: Any) -> Any:
 
 def on_files(files: Any, config: Any) -> Any:
     """Add the pages that are made here, and their pictures."""
-    for place, content in {**api_pages.pages(), **task_pages.pages(), **task_pages.pictures()}.items():
+    made = api_pages.pages() | notebooks.pages() | task_pages.pages() | task_pages.pictures()
+    for place, content in made.items():
         files.append(File.generated(config, place, content=content))
     return files
 

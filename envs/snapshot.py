@@ -97,6 +97,13 @@ class Snapshot:
         """``[num_envs, points, 2]``: velocities of all points of an object."""
         return self._ask("object_velocities", name)
 
+    def actions(self, name: str) -> Tensor:
+        """``[num_envs, num_actions]``: actions of a robot in the last step, clipped; 1 (at rest) where there is none.
+
+        There is none behind those of a smaller body, and before the first step of an episode.
+        """
+        return self._ask("robot_actions", name)
+
     def floor_scan(self, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
         """float64 ``[num_envs, 2 reach + 1]``: distances down to ``objects`` in windows about an object."""
         return self._ask("floor_scan", name, reach, objects)

@@ -175,6 +175,11 @@ class VoxelVecEnv:
         if not self._on_cpu and sim.options.cuda_graph:
             self._graph = StepGraph(self._whole_step, capture_on_cuda(sim.device))
 
+    def __repr__(self) -> str:
+        counts = f"num_envs={self.num_envs}, num_designs={self.num_designs}"
+        sizes = f"num_obs={self.num_obs}, num_actions={self.num_actions}"
+        return f"VoxelVecEnv({self.spec.id}, {counts}, {sizes}, device={self.device})"
+
     def _snapshot(self, values: Mapping[Quantity, torch.Tensor] | None = None) -> Snapshot:
         """The present state; terms of a user's own get copies, which they may write to."""
         return Snapshot(self.sim, self.episodes.memory, values, copies=self._has_code)
@@ -518,6 +523,7 @@ class VoxelVecEnv:
         return {
             "sim": self.sim.state(),
             "world": self.sim.world_numbers.clone(),
+            "actions": self.sim.actions,
             "memory": self.memory,
             "draws": None if self._draws is None else self._draws.episode.clone(),
             **self.episodes.state(),
@@ -531,11 +537,16 @@ class VoxelVecEnv:
                 the message names it, and nothing has changed.
         """
         like = self.state()
+        if isinstance(state, Mapping) and getattr(state.get("actions"), "ndim", 0) == 2:
+            # how far actions are padded depends on the other bodies
+            padding = self.num_actions - state["actions"].shape[1]
+            state = dict(state) | {"actions": torch.nn.functional.pad(state["actions"], (0, padding))}
         check_fields(state, like | {"sim": dict.fromkeys(like["sim"], torch.Tensor)})
         if not torch.equal(state["world"].to(self.device), like["world"]):
             raise SimulationError("The state is that of other worlds: bodies have been exchanged since.")
         self.sim.set_state({name: value.to(self.device) for name, value in state["sim"].items()})
         self.episodes.set_memory({name: state["memory"][name].to(self.device) for name in self.episodes.memory})
+        self.sim.action_buffer.copy_(state["actions"])
         if self._draws is not None:
             self._draws.episode.copy_(state["draws"])
         self.episodes.drawn = False

@@ -55,6 +55,7 @@ from .gradients import Gradients as Gradients
 from .robots.entry import zoo as zoo
 from .simulation import Simulation as Simulation
 from .types import Cell as Cell, Physics as Physics
+from .view.body_picture import draw_bodies as draw_bodies
 from .view.rollout import record as record
 from .world import World as World, WorldObject as WorldObject
 

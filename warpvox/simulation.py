@@ -118,6 +118,7 @@ class Simulation(Sensing):
         self._actions = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
         self._action_array = wp.from_torch(self._actions)
         self._begin_sensing()
+        self._action_places: dict[str, torch.Tensor] = {}
         self._follow_worlds()
         self._views["frozen"].fill_(1)  # lanes that belong to no environment stay so
         self.reset()
@@ -344,6 +345,25 @@ class Simulation(Sensing):
             columns[sizes] = {name: slice(*at) for (name, _), at in zip(sizes, itertools.pairwise(stops), strict=True)}
         return [columns[sizes] for sizes in self._batch.actuators]
 
+    def robot_actions(self, name: str) -> torch.Tensor:
+        """[num_envs, num_actions]: the actions of a robot in the last step, clipped, its own first.
+
+        Behind its own, and before the first step of an episode, entries are 1: at rest.
+        """
+        if name not in self._action_places:
+            self._action_places[name] = self._places_of_actions(name)
+        first, end = self._action_places[name].T[..., None]
+        column = first + torch.arange(self.num_actions, device=self.device)
+        known = (column < end) & (self.time > 0)[:, None]
+        own = self._actions.clamp(*self.action_range).gather(1, column.clamp(max=self.num_actions - 1))
+        return own.masked_fill(~known, 1.0)
+
+    def _places_of_actions(self, name: str) -> torch.Tensor:
+        """long [num_envs, 2]: first and last column, exclusive, of a robot's actions."""
+        self._objects.index(name)
+        places = [columns.get(name, slice(0, 0)) for columns in self.action_columns]
+        return torch.tensor([(at.start, at.stop) for at in places], device=self.device)[self.design_index]
+
     def num_points(self, name: str) -> int:
         """Points of an object, the most over the designs."""
         self._objects.index(name)
@@ -496,6 +516,8 @@ class Simulation(Sensing):
         self._rows = torch.stack([2 * rows, 2 * rows + 1], dim=-1).flatten(1)
         count = torch.arange(rows.shape[1], device=rows.device) < self._objects.total[:, None]
         self._has_row = count.repeat_interleave(2, dim=1)
+        for name, places in self._action_places.items():
+            places.copy_(self._places_of_actions(name))
         for mine, new in zip(self._loose, self._objects.loose_points(self.loose), strict=True):
             mine.copy_(new)  # in place: a captured step may read it
 

@@ -9,10 +9,12 @@ from enum import IntEnum
 from warpvox.checks import is_number
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["ACTION_HIGH", "ACTION_LOW", "AXES", "DT", "SIGHT", "SUBSTEPS", "VOXEL", "Cell", "Physics"]
+__all__ = ["ACTION_HIGH", "ACTION_LOW", "AXES", "DT", "FRAME_SECONDS", "SIGHT", "SUBSTEPS", "VOXEL", "Cell", "Physics"]
 
 VOXEL = 0.1
 """Side of a voxel in simulator units."""
+FRAME_SECONDS = 1 / 50
+"""Nominal seconds of a control step (paper section A.2: 50 Hz)."""
 SIGHT = 5
 """Voxels that robots see up and down."""
 AXES = {"x": 0, "y": 1}

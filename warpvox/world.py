@@ -22,6 +22,7 @@ from warpvox.errors import WorldError, did_you_mean, listing
 from warpvox.io.reading import Missing, Unreadable, parse_json, read_text
 from warpvox.io.writing import write_text
 from warpvox.types import Cell
+from warpvox.view.cell_svg import body_svg
 
 __all__ = ["World", "WorldObject"]
 
@@ -275,6 +276,10 @@ class World:
             f"{obj.name} {obj.width}x{obj.height} at ({obj.x}, {obj.y})" for obj in self.objects.values()
         )
         return f"World({self.width}x{self.height}: {objects or 'no objects'})"
+
+    def _repr_html_(self) -> str:
+        """A drawing, for notebooks."""
+        return body_svg(self.grid())
 
     def __str__(self) -> str:
         return f"{self!r}\n{self.pretty()}"

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,14 +78,19 @@ class Found:
 
     def __repr__(self) -> str:
         best = f"best {self.summary['best_fitness']:.3f}" if self.summary["best_fitness"] is not None else "no result"
-        return f"Found({self.settings.task}, {self.summary['evaluations']} designs, {best}, {str(self.folder)!r})"
+        where = repr(str(self.folder)) if self.kept is None else "in a temporary folder"
+        return f"Found({self.settings.task}, {self.summary['evaluations']} designs, {best}, {where})"
 
     def _repr_html_(self) -> str:
-        """The best bodies with their returns, for notebooks."""
-        from warpvox.view.body_picture import body_svg
+        """The best bodies with their returns, and the curve, for notebooks."""
+        from warpvox.algos.report.charts import picture
+        from warpvox.view.cell_svg import body_svg
 
         cells = "".join(
             f"<td style='text-align:center'>{body_svg(record.candidate.body)}<br>{record.fitness:.3f} #{record.id}</td>"
             for record in self.designs[:SHOWN]
         )
-        return f"<table><caption>{self!r}</caption><tr>{cells}</tr></table>"
+        curve = self.curve
+        points = list(zip(curve["evaluations"].tolist(), curve["best"].tolist(), strict=True))
+        chart = picture(points, "designs", "best return", "step")
+        return f"<table><caption>{escape(repr(self))}</caption><tr>{cells}</tr></table>{chart}"

@@ -23,7 +23,8 @@ from warpvox.algos.statistics import Interval
 from warpvox.envs.known_returns import known_returns
 from warpvox.envs.registry import task_ids
 from warpvox.io.writing import write_table, write_text
-from warpvox.view.body_picture import body_svg, write_bodies
+from warpvox.view.body_picture import write_bodies
+from warpvox.view.cell_svg import body_svg
 
 __all__ = ["FILE", "write_benchmark"]
 

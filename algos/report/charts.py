@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import math
 import re
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from html import escape
 from warpvox.algos.report.page import text
 from warpvox.algos.statistics import Interval
 
-__all__ = ["COLOURS", "PANEL", "Series", "chart", "intervals", "legend", "sheet", "sparkline", "ticks"]
+__all__ = ["COLOURS", "PANEL", "Series", "chart", "intervals", "legend", "picture", "sheet", "sparkline", "ticks"]
 
 SIZE, PANEL = (920, 340), (440, 250)
 """Pixels of a chart that has a row for itself, and of one of several."""
@@ -136,6 +137,12 @@ def sheet(charts: Sequence[str], series: Sequence[Series] = (), columns: int = 2
         f'{head}height="{top}" {letters}><style>{" ".join(kept)}</style>'
         f'<rect width="100%" height="100%" fill="{values["--page"]}"/>{"".join(parts)}</svg>\n'
     )
+
+
+def picture(points: Sequence[tuple[float, float]], x_label: str, y_label: str, kind: str = "line") -> str:
+    """A curve as ``<img>`` with a style of its own, for notebooks."""
+    text = sheet([chart([Series("", points, kind)], x_label, y_label, PANEL, names=False)], columns=1)
+    return f'<img alt="{escape(y_label)}" src="data:image/svg+xml;base64,{base64.b64encode(text.encode()).decode()}">'
 
 
 def sparkline(values: Sequence[float], width: int = 96, height: int = 24) -> str:

@@ -217,6 +217,9 @@ class _Differentiated:
     def velocity(self, name: str) -> torch.Tensor:
         return self._gradients.velocity(self._state, name)
 
+    def __getattr__(self, quantity: str) -> Any:
+        raise ConfigError(f"method=gradients differentiates centres of mass and velocities, not {quantity}.")
+
 
 def check_gradients(env: VoxelVecEnv, processes: int = 1) -> None:
     """Raise ConfigError where a training by gradients is not possible."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -106,6 +107,18 @@ class TrainedRun:
             return cls(None, job.summary, job.rows, job.policy)
         policy = load_policy(job.folder, policy=job.settings.policy if is_code(job.settings.policy) else None)
         return cls(job.folder, job.summary, read_metrics(job.folder), policy)
+
+    def __repr__(self) -> str:
+        best = "no evaluation" if self.best_return is None else f"best return {self.best_return:.3f}"
+        where = "nothing written" if self.folder is None else repr(str(self.folder))
+        return f"TrainedRun({self.summary['status']}, {self.summary['steps']:,} steps, {best}, {where})"
+
+    def _repr_html_(self) -> str:
+        """What it has reached, and the learning curve, for notebooks."""
+        from warpvox.algos.report.charts import picture
+
+        points = [(row["steps"], row.get("eval_return", np.nan)) for row in self.rows]
+        return f"{escape(repr(self))}<br>{picture(points, 'control steps', 'return')}"
 
     @property
     def best_return(self) -> float | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 from warpvox.algos.evaluate import evaluate
@@ -61,6 +62,10 @@ class PolicyTable(Sequence):
         for row in self.rows:
             low, high, n = row.interval.low, row.interval.high, row.interval.n
             yield row.name, row.task, f"{row.mean:.3f}", f"{low:.3f} to {high:.3f}" if n > 1 else "-", str(n)
+
+    def _repr_html_(self) -> str:
+        lines = ("".join(f"<td>{escape(cell)}</td>" for cell in line) for line in self._cells())
+        return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
 
     def __repr__(self) -> str:
         cells = list(self._cells())

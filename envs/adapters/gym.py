@@ -13,8 +13,8 @@ from warpvox.envs.adapters.base import Adapter, check_mode, metadata_here, space
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ActionError, ConfigError, DisplayError
+from warpvox.types import FRAME_SECONDS
 from warpvox.view import window
-from warpvox.view.rollout import FRAME_SECONDS
 
 __all__ = ["VoxelEnv", "register", "register_task"]
 

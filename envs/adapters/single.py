@@ -70,6 +70,9 @@ class Sensors:
     def velocity(self, name: str) -> np.ndarray:
         return self._centre(name, 2)
 
+    def robot_actions(self, name: str) -> np.ndarray:
+        return self._sim.robot_actions(name).numpy()
+
     def relative_positions(self, name: str) -> np.ndarray:
         if name not in self._points:
             self._points[name] = self._find_points(name)

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from warpvox.envs.snapshot import Snapshot
 
 __all__ = [
+    "action_rate",
     "away_from_start",
+    "control_cost",
     "displacement",
     "distance",
     "drop",
@@ -106,3 +108,20 @@ def turned(before: Snapshot, after: Snapshot, name: str) -> Tensor:
     forward = double((start > high) & (end < low))
     backward = double((start < low) & (end > high))
     return end - start + 2 * pi * (forward - backward)
+
+
+@about("Σ (a_{name} - 1)²")
+def control_cost(before: Snapshot, after: Snapshot, name: str) -> Tensor:
+    """How far the actuators are told to go from rest, squared: the usual stand-in for energy; weigh it negatively."""
+    return _squares(after.actions(name) - 1.0)
+
+
+@about("Σ (Δa_{name})²")
+def action_rate(before: Snapshot, after: Snapshot, name: str) -> Tensor:
+    """How much the actions differ from those of the step before, squared; weigh it negatively for smooth motion."""
+    return _squares(after.actions(name) - before.actions(name))
+
+
+def _squares(values: Tensor) -> Tensor:
+    """The sum over a row, added from left to right by torch and numpy alike."""
+    return (double(values) ** 2).cumsum(1)[:, -1]

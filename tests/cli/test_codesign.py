@@ -37,7 +37,7 @@ from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError
 from warpvox.runs import END
-from warpvox.view.body_picture import cell_colour
+from warpvox.view.cell_svg import cell_colour
 from warpvox.view.cell_text import body_rows
 
 TINY = (

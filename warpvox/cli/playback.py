@@ -45,8 +45,8 @@ def play_in_window(
     Raises:
         DisplayError: the display does not answer.
     """
+    from warpvox.types import FRAME_SECONDS
     from warpvox.view.render import Film
-    from warpvox.view.rollout import FRAME_SECONDS
 
     film = Film(rollout, envs, size)
     window = make_window(size, f"{escaped(rollout.title)} - warpvox")

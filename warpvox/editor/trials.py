@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from warpvox.checks import check_integer, is_number
 from warpvox.editor.documents import design_of, world_of
 from warpvox.errors import ConfigError, TaskError, WorldError, did_you_mean, listing
-from warpvox.view.rollout import AGENTS, FRAME_SECONDS, Rollout, record
+from warpvox.types import FRAME_SECONDS
+from warpvox.view.rollout import AGENTS, Rollout, record
 
 if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec

@@ -10,6 +10,7 @@ The file holds ``header`` (JSON in UTF-8, uint8: ``format``, ``version``, ``task
 from __future__ import annotations
 
 import hashlib
+import html
 import json
 import os
 from collections.abc import Mapping
@@ -25,6 +26,7 @@ from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
 from warpvox.robots.gait import ARRAYS, Gait
 from warpvox.robots.network import Network
+from warpvox.view.cell_svg import body_svg
 
 __all__ = ["DIGITS", "FOLDER", "Robot", "find_robot", "read_robot", "save_robot", "zoo", "zoo_tasks"]
 
@@ -59,6 +61,15 @@ class Robot:
     connections: np.ndarray
     policy: Network | Gait | None
     about: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        rows, columns = self.body.shape
+        kind = "no policy" if self.policy is None else type(self.policy).__name__
+        return f"Robot({self.task}, {rows} x {columns} cells, {kind}, return {self.mean_return:.3f})"
+
+    def _repr_html_(self) -> str:
+        """The body and its return, for notebooks."""
+        return f"{body_svg(self.body, 20)}<br>{html.escape(repr(self))}"
 
     @property
     def mean_return(self) -> float:

@@ -1,4 +1,4 @@
-"""Bodies at rest, drawn cell by cell: as SVG for pages and as a sheet of several for a PNG."""
+"""Bodies at rest, drawn cell by cell: a sheet of several."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from warpvox.design import Design
-from warpvox.types import Cell
+from warpvox.view.cell_svg import cell_colour
 from warpvox.view.painter import INK, font, save_png
-from warpvox.view.palette import CELL_NAMES, RAMPS
 
-__all__ = ["body_svg", "draw_bodies", "write_bodies"]
+__all__ = ["draw_bodies", "write_bodies"]
 
 PAPER, FAINT, EMPTY = (255, 255, 255), (88, 96, 110), (238, 241, 245)
 SHADE = (126, 200, 150)
@@ -23,34 +22,9 @@ COLUMNS = 5
 """Bodies in a row of a sheet."""
 
 
-def cell_colour(cell: int) -> tuple[int, int, int]:
-    """The colour of a cell at rest."""
-    ramp = RAMPS[Cell(cell)]
-    return ramp[len(ramp) // 2]
-
-
-def body_svg(body: Design, cell: int = 8, title: str | None = None) -> str:
-    """A body as an ``<svg>`` element, a path a material; ``cell`` is the size of a cell in pixels.
-
-    The paths have the classes ``c1`` to ``c4`` beside their colours, so that a page can restyle them.
-    """
-    rows, columns = body.shape
-    parts = [f"<title>{title}</title>"] if title else []
-    for kind in sorted({int(value) for value in np.unique(body)} - {int(Cell.EMPTY)}):
-        squares = "".join(f"M{x} {y}h1v1h-1z" for y, x in np.argwhere(body == kind).tolist())
-        colour = "#{:02x}{:02x}{:02x}".format(*cell_colour(kind))
-        parts.append(f'<path class="c{kind}" fill="{colour}" d="{squares}"/>')
-    names = sorted({CELL_NAMES[Cell(int(value))] for value in np.unique(body) if value})
-    label = f"body of {rows} x {columns} cells: {', '.join(names)}"
-    return (
-        f'<svg class="body" role="img" aria-label="{label}" viewBox="-.1 -.1 {columns + 0.2:g} {rows + 0.2:g}"'
-        f' width="{columns * cell}" height="{rows * cell}">{"".join(parts)}</svg>'
-    )
-
-
 def draw_bodies(
     bodies: Sequence[Design],
-    captions: Sequence[Sequence[str]],
+    captions: Sequence[Sequence[str]] = (),
     title: str = "",
     cell: int = 28,
     shades: Sequence[float] | None = None,
@@ -59,7 +33,7 @@ def draw_bodies(
     """A sheet with bodies in rows, each above its caption.
 
     Args:
-        captions: lines of text for each body.
+        captions: lines of text for each body; none: no text at all.
         title: a line on top.
         cell: pixels of a cell.
         shades: for each body 0 to 1: how strongly the paper below it is coloured; None: not at all.
@@ -67,6 +41,7 @@ def draw_bodies(
     """
     gap, line = cell, 22
     high, wide = (max(body.shape[axis] for body in bodies) * cell for axis in (0, 1))
+    captions = captions or [()] * len(bodies)
     lines = max(len(caption) for caption in captions)
     columns = min(len(bodies), columns)
     step = (wide + gap, high + lines * line + gap)

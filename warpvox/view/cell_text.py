@@ -13,7 +13,7 @@ from rich.text import Text
 
 from warpvox.io.console import echo
 from warpvox.types import Cell
-from warpvox.view.body_picture import cell_colour
+from warpvox.view.cell_svg import cell_colour
 from warpvox.view.palette import CELL_NAMES, RAMPS
 from warpvox.world import World
 

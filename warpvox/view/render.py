@@ -14,10 +14,10 @@ from PIL import Image, ImageDraw
 from warpvox.checks import check_integer, is_integer
 from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path
-from warpvox.types import VOXEL
+from warpvox.types import FRAME_SECONDS, VOXEL
 from warpvox.view.gif import write_pictures
 from warpvox.view.painter import INK, Painter, font, save_png
-from warpvox.view.rollout import FRAME_SECONDS, Rollout
+from warpvox.view.rollout import Rollout
 
 __all__ = ["Film", "draw_frame", "filmstrip", "write_filmstrip", "write_gif", "write_mp4", "write_png"]
 

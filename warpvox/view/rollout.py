@@ -25,6 +25,7 @@ right and bottom left.
 
 from __future__ import annotations
 
+import html
 import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -40,18 +41,18 @@ from warpvox.checks import check_integer, is_integer
 from warpvox.errors import ActionError, ConfigError, RolloutError, did_you_mean, listing
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
-from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
+from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, VOXEL
 from warpvox.view.scene import Scene, check_scene, scene_from_json, scene_of, scene_to_json, stretch
 
-__all__ = ["AGENTS", "FRAME_SECONDS", "Rollout", "facts_of", "record", "scenes_of"]
+__all__ = ["AGENTS", "Rollout", "facts_of", "record", "scenes_of"]
 
 FORMAT, VERSION = "warpvox-rollout", 1
-FRAME_SECONDS = 1 / 50
-"""Nominal seconds of a control step (paper section A.2: 50 Hz)."""
 LARGEST = 1 << 32
 """Bytes that the arrays of a file may have together (4 GiB)."""
 LARGEST_HEADER = 1 << 26
 """Bytes of a file's header (64 MiB)."""
+MOST_SHOWN = 16
+"""Environments that a notebook shows."""
 AGENTS = ("zero", "random", "sine")
 """Agents that need no training: all actuators at rest, uniformly random actions, a steady gait."""
 ARRAYS = {
@@ -88,6 +89,18 @@ class Rollout:
         _check_shapes(self)
         for number, scene in enumerate(self.scenes):
             check_scene(scene, number, self.positions.shape[2])
+
+    def __repr__(self) -> str:
+        low, high = self.returns[-1].min(), self.returns[-1].max()
+        size = f"{self.num_envs} environment{'s' * (self.num_envs > 1)}, {self.num_steps} steps"
+        return f"Rollout({self.title}, {size}, returns {low:.3f} to {high:.3f})"
+
+    def _repr_html_(self) -> str:
+        """The player, for notebooks; of many environments the first."""
+        from warpvox.view.player import page_of
+
+        page = html.escape(page_of(self, range(min(self.num_envs, MOST_SHOWN))))
+        return f'<iframe srcdoc="{page}" width="100%" height="420" style="border:0"></iframe>'
 
     @property
     def num_frames(self) -> int:

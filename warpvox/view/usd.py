@@ -30,10 +30,10 @@ from warpvox.checks import check_integer
 from warpvox.devices.out_of_memory import free_memory
 from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path
-from warpvox.types import VOXEL, Cell
+from warpvox.types import FRAME_SECONDS, VOXEL, Cell
 from warpvox.view.painter import camera_path
 from warpvox.view.palette import RAMPS, colour_index, palette
-from warpvox.view.rollout import FRAME_SECONDS, Rollout
+from warpvox.view.rollout import Rollout
 
 __all__ = ["write_usd"]
 

@@ -24,17 +24,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpvox.checks import check_integer
 from warpvox.errors import RolloutError
 from warpvox.io.writing import write_text
-from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
+from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, VOXEL
 from warpvox.view.palette import CELL_NAMES, RAMPS
-from warpvox.view.rollout import FRAME_SECONDS, Rollout
 from warpvox.view.scene import Scene
+
+if TYPE_CHECKING:
+    from warpvox.view.rollout import Rollout
 
 __all__ = ["asset", "fill_template", "page_of", "write_html"]
 

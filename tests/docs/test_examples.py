@@ -1,0 +1,63 @@
+"""The scripts of ``examples/`` are up to date: all compile, the quick ones run."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from warpvox.cli.application import read_words
+from warpvox.cli.config import load
+from warpvox.cli.overrides import expand, read_overrides
+
+FOLDER = Path(__file__).resolve().parents[2] / "examples"
+QUICK: dict[str, dict[str, Any]] = {
+    "cleanrl_ppo": {"iterations": 1, "num_envs": 4},
+    "gymnasium_vector": {"rounds": 1, "num_envs": 2, "steps": 3},
+    "sb3_ppo": {"steps": 64, "num_envs": 2},
+}
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda path: path.stem)
+def test_a_script_compiles(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    compile(text, str(path), "exec")
+    assert "set_num_threads(1)" in text or "import torch" not in text or path.stem == "released_robots"
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_script_runs(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    if name == "sb3_ppo":
+        pytest.importorskip("stable_baselines3")
+        monkeypatch.setenv("SB3_LOGDIR", str(tmp_path))
+    threads = torch.get_num_threads()
+    try:
+        importlib.import_module(name).main(**QUICK[name])
+    finally:
+        torch.set_num_threads(threads)
+
+
+@pytest.mark.slow
+def test_a_search_on_ray_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    ray = pytest.importorskip("ray")
+    monkeypatch.chdir(tmp_path)
+    try:
+        found = importlib.import_module("ray_search").main(workers=1, bodies=4, iterations=1)
+    finally:
+        ray.shutdown()
+    assert len(found.designs) == 4
+
+
+def test_the_sweep_is_one_that_train_takes() -> None:
+    text = (FOLDER / "slurm_sweep.sh").read_text(encoding="utf-8").replace("\\\n", " ").replace('"$@"', "")
+    (line,) = re.findall(r"^warpvox train (.+)$", text, re.MULTILINE)
+    given = read_words("train", shlex.split(line))
+    overrides = [word for word in given.overrides if not word.startswith("hydra")]
+    runs = expand(read_overrides("train", overrides, given.multirun))
+    assert len(runs) == 9
+    load("train", runs[0], given.config_dir)
