@@ -13,16 +13,7 @@ import numpy as np
 
 from warpvox.algos.statistics import LEVEL, Interval
 
-__all__ = [
-    "Scores",
-    "bootstrap",
-    "improvement",
-    "interquartile_mean",
-    "interval",
-    "mean",
-    "optimality_gap",
-    "profile",
-]
+__all__ = ["Scores", "bootstrap", "improvement", "interquartile_mean", "interval", "mean", "optimality_gap", "profile"]
 
 Scores = Mapping[str, np.ndarray]
 SAMPLES = 2000

@@ -34,7 +34,6 @@ ROWS = (1, 64)
 """Random observations that a file is compared on, one batch each."""
 TOLERANCE = 1e-5
 """How far actions may lie apart: runtimes sum products in other orders; ranges are 1.0 wide."""
-CHATTER = "torch.onnx"
 
 Runner = Callable[[np.ndarray], np.ndarray]
 
@@ -195,7 +194,7 @@ def _check_card(policy: Policy, written: Path, path: Path | os.PathLike[str] | s
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Without torch's remarks about packages that a policy does not need, and about its own future."""
-    logger = logging.getLogger(CHATTER)
+    logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)
     try:

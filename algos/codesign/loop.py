@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from warpvox.algos.candidate import FINALIST, Candidate, Outcome, Parent, Search
+from warpvox.algos.candidate import FINALIST, Candidate, Outcome, Parent, Parents, Search
 from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text
 from warpvox.algos.codesign.executors import Batch, Executor, batches
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
@@ -239,7 +239,7 @@ class Loop:
             return Finished(candidate.id, outcome)
         return Finished(candidate.id, outcome, *self.policies.save(candidate, outcome))
 
-    def _parents(self, work: Sequence[Batch]) -> dict[int, Parent]:
+    def _parents(self, work: Sequence[Batch]) -> Parents:
         if not self.inherit or self.policies is None:
             return {}
         wanted = sorted({parent for batch in work for item in batch.candidates for parent in item.parents})

@@ -12,15 +12,7 @@ from itertools import permutations
 
 import numpy as np
 
-from warpvox.algos.aggregates import (
-    bootstrap,
-    improvement,
-    interquartile_mean,
-    interval,
-    mean,
-    optimality_gap,
-    profile,
-)
+from warpvox.algos.aggregates import bootstrap, improvement, interquartile_mean, interval, mean, optimality_gap, profile
 from warpvox.algos.report.charts import PANEL, Series, chart, intervals, sheet
 from warpvox.algos.report.members import SearchResult
 from warpvox.algos.report.page import row

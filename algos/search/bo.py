@@ -170,10 +170,7 @@ class BayesianSearch(BaseSearch):
         return Pool(np.stack(bodies) if bodies else np.zeros((0, *self.shape), np.int8), np.array(parents, dtype=int))
 
     def _gather(
-        self,
-        found: dict[bytes, tuple[np.ndarray, int]],
-        draw: Callable[[], tuple[np.ndarray, np.ndarray]],
-        total: int,
+        self, found: dict[bytes, tuple[np.ndarray, int]], draw: Callable[[], tuple[np.ndarray, np.ndarray]], total: int
     ) -> None:
         """Add new valid bodies until there are ``total``."""
         for _ in range(ROUNDS):

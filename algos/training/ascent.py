@@ -182,12 +182,10 @@ class AscentRunner(Runner):
         self.logger.ended = torch.ones_like(stopped)
 
     def state(self) -> dict[str, Any]:
-        """See :meth:`Runner.state`."""
         own = {"learner": self.alg.learner.state_dict(), "steps": self.alg.steps, "targets": self._targets.state()}
         return super().state() | {"ascent": own}
 
     def set_state(self, content: dict[str, Any]) -> None:
-        """See :meth:`Runner.set_state`."""
         super().set_state(content)
         if "env" not in content:
             return

@@ -11,12 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.evaluations.base import (
-    Workload,
-    check_network,
-    probe,
-    steps_of_training,
-)
+from warpvox.algos.codesign.evaluations.base import Workload, check_network, probe, steps_of_training
 from warpvox.algos.codesign.evaluations.screened import Screened
 from warpvox.algos.settings import CPG, MLP, Ppo
 from warpvox.code import is_code
@@ -53,7 +48,6 @@ class CommonPolicy(Screened):
     ppo: Any = key(None, "settings of PPO that differ from training.ppo: {epochs:4,schedule:adaptive}")
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
         from warpvox.algos.policies.registry import check_policy
 
         super().check(search)
@@ -112,13 +106,11 @@ class CommonPolicy(Screened):
         return each + self.eval_envs * task.max_episode_steps, last
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """See :class:`Evaluation`."""
         population, ppo = search.search.population, self.ppo_of(search)
         batch = Workload(population, self.envs, "evaluation.envs", self.envs, "voxel", ppo, "search.population")
         return [*super().workloads(search), batch]
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
-        """See :class:`Evaluation`."""
         if candidate.origin == FINALIST:
             return {}
         bodies = [candidate.body.tolist()]
@@ -143,7 +135,6 @@ class Shared(CommonPolicy):
     iterations: int = key(10, "training iterations on the designs of each generation", low=1)
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
         super().check(search)
         if search.executor == "ray":
             raise ConfigError(
@@ -158,13 +149,11 @@ class Shared(CommonPolicy):
             )
 
     def resolved(self, search: Codesign, folder: Path | None) -> Shared:
-        """See :class:`Evaluation`."""
         super().resolved(search, folder)
         self.layout(search)
         return dataclasses.replace(self, ppo=dataclasses.asdict(self.ppo_of(search)))
 
     def screening(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """See :class:`Screened`."""
         from warpvox.algos.codesign.common_policy import SharedEvaluator
 
         return SharedEvaluator(self.factory(search), self, search.seed)
@@ -185,7 +174,6 @@ class FewShot(CommonPolicy):
     )
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
         super().check(search)
         if self.pretrained is None:
             raise ConfigError(
@@ -194,7 +182,6 @@ class FewShot(CommonPolicy):
             )
 
     def resolved(self, search: Codesign, folder: Path | None) -> FewShot:
-        """See :class:`Evaluation`."""
         from warpvox.algos.policies.layout import VoxelLayout
         from warpvox.algos.training.pretrained import find_pretrained, kept_name, observed_by
 
@@ -251,7 +238,6 @@ class FewShot(CommonPolicy):
         return self._read(search, folder)
 
     def keep(self, known: Any, folder: Path) -> None:
-        """See :class:`Evaluation`."""
         from warpvox.algos.checkpoints.files import save_checkpoint
 
         if not (folder / PRETRAINED).is_file():
@@ -259,11 +245,9 @@ class FewShot(CommonPolicy):
             save_checkpoint(folder / PRETRAINED, dict(known))
 
     def pretraining_steps(self, known: Any) -> int | None:
-        """See :class:`Evaluation`."""
         return known.get(STEPS)
 
     def screening(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """See :class:`Screened`."""
         from warpvox.algos.codesign.common_policy import FewShotEvaluator
         from warpvox.algos.training.pretrained import observed_by
 

@@ -47,7 +47,6 @@ class Gaits(Screened):
     final_beam: int = key(64, "motions that a finalist tries in each stage of a beam search", low=1)
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
         super().check(search)
         for prefix, passes, rounds in ("", self.passes, self.rounds), ("final_", self.final_passes, self.final_rounds):
             if passes + rounds == 0:
@@ -69,18 +68,15 @@ class Gaits(Screened):
         }
 
     def inherits(self, search: Codesign) -> bool:
-        """See :class:`Evaluation`."""
         return True
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
-        """See :class:`Evaluation`."""
         steps = _episodes(search) * task.max_episode_steps
         first = self.passes * self.beam + self.rounds * self.gaits
         last = self.final_passes * self.final_beam + self.final_rounds * self._final_gaits
         return first * steps, self.finalists * (last * steps + steps_of_training(search.training, self.finalists))
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """See :class:`Evaluation`."""
         first = {"evaluation.gaits": self.gaits, "evaluation.beam": self.beam if self.passes else 1}
         last = {"evaluation.final_gaits": self._final_gaits}
         last["evaluation.final_beam"] = self.final_beam if self.final_passes else 1
@@ -96,7 +92,6 @@ class Gaits(Screened):
         return self.final_gaits or self.gaits
 
     def screening(self, search: Codesign, known: Any) -> GaitEvaluator:
-        """See :class:`Screened`."""
         from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
         return GaitEvaluator(

@@ -39,13 +39,11 @@ class Screened(Evaluation):
         return training_evaluator(search)
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """See :class:`Evaluation`."""
         from warpvox.algos.codesign.finalists import TwoStages
 
         return TwoStages(self.screening(search, known), self.final(search, known))
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
         check_training(search)
         if search.training.inherit:
             raise ConfigError(
@@ -54,10 +52,8 @@ class Screened(Evaluation):
             )
 
     def resolved(self, search: Codesign, folder: Path | None) -> Evaluation:
-        """See :class:`Evaluation`."""
         try_network(search)
         return self
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """See :class:`Evaluation`."""
         return [training_workload(search, self.finalists)]

@@ -32,26 +32,20 @@ class Specialist(Evaluation):
     name: str = key("specialist", "each design has a policy of its own", choices=("specialist",))
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
         check_training(search)
 
     def resolved(self, search: Codesign, folder: Path | None) -> Specialist:
-        """See :class:`Evaluation`."""
         try_network(search)
         return self
 
     def inherits(self, search: Codesign) -> bool:
-        """See :class:`Evaluation`."""
         return search.training.inherit
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
-        """See :class:`Evaluation`."""
         return steps_of_training(search.training, search.search.population), 0
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """See :class:`Evaluation`."""
         return [training_workload(search, search.search.population)]
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """See :class:`Evaluation`."""
         return training_evaluator(search)
