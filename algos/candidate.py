@@ -131,6 +131,8 @@ class DesignEvaluator(Protocol):
                 those of an uninterrupted evaluation. The caller removes it once the outcomes are stored.
 
         Raises:
-            RunError: the checkpoint is that of other candidates or settings.
+            RunError: the checkpoint is that of other candidates or settings, or a policy does not fit.
+            StorageError: the checkpoint cannot be written. DeviceError: memory has run out.
+            KeyboardInterrupt: interrupted; the checkpoint has been written.
         """
         ...

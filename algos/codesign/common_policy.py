@@ -53,13 +53,7 @@ class SharedEvaluator:
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :class:`warpvox.algos.candidate.DesignEvaluator`; the candidates are those of one generation, in turn.
-
-        Raises:
-            RunError: the checkpoint is another's, or the policy has diverged (DivergenceError).
-            StorageError: a checkpoint cannot be written. DeviceError: memory has run out.
-            KeyboardInterrupt: interrupted; the checkpoint has been written.
-        """
+        """The candidates are those of one generation, in turn; DivergenceError: the policy has diverged."""
         if not candidates:
             return []
         before: list[Path] = []  # what the policy had learned after earlier generations, in their order
@@ -68,7 +62,7 @@ class SharedEvaluator:
             before = sorted(other for other in file.parent.glob("[0-9]*.pt") if other.name < file.name)
         if self._learned is None and before:
             self._learned = read_tensors(before[-1])
-        course = _Course(self.factory, self.settings, self.seed, candidates, self._learned)
+        course = _Course(self, candidates, self._learned)
         outcomes = course.run(report, checkpoint)
         self._learned = course.runner.alg.save()
         if checkpoint is not None:
@@ -99,8 +93,8 @@ class FewShotEvaluator:
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :meth:`SharedEvaluator.evaluate`; the candidates are tuned for together."""
-        course = _Course(self.factory, self.settings, self.seed, candidates, self.pretrained, fresh=True)
+        """The candidates are tuned for together."""
+        course = _Course(self, candidates, self.pretrained, fresh=True)
         return course.run(report, checkpoint) if candidates else []
 
 
@@ -108,28 +102,22 @@ class _Course:
     """What the policy does in a generation: it learns on all designs, then each of them is evaluated.
 
     Args:
+        how: a :class:`SharedEvaluator` or :class:`FewShotEvaluator`.
         learned: networks and optimiser to begin with; None: new ones.
         fresh: whether schedules begin again.
     """
 
     def __init__(
-        self,
-        factory: EnvFactory,
-        settings: CommonPolicy,
-        seed: int,
-        candidates: Sequence[Candidate],
-        learned: Mapping[str, Any] | None,
-        fresh: bool = False,
+        self, how: Any, candidates: Sequence[Candidate], learned: Mapping[str, Any] | None, fresh: bool = False
     ) -> None:
-        self.factory, self.settings, self.candidates = factory, settings, list(candidates)
-        self.ppo = Ppo(**settings.ppo)
-        self.seed, self.seeds = seed, [candidate_seed(seed, candidate.id) for candidate in candidates]
+        self.factory, self.settings, self.seed, self.candidates = how.factory, how.settings, how.seed, list(candidates)
+        self.ppo, self.seeds = Ppo(**how.settings.ppo), [candidate_seed(how.seed, one.id) for one in candidates]
         self.learned, self.fresh = learned, fresh
         start = None if learned is None else policy_sha256(learned["actor_state_dict"])
-        self.about = describe(factory, settings, seed, candidates) | {"start": start}
+        self.about = describe(how.factory, how.settings, how.seed, candidates) | {"start": start}
         self.hint = (
-            f"Take less at once: evaluation.envs is {settings.envs} for each of {len(candidates)} designs, the steps of"
-            f" evaluation.ppo are {self.ppo.steps}."
+            f"Take less at once: evaluation.envs is {how.settings.envs} for each of {len(candidates)} designs, the"
+            f" steps of evaluation.ppo are {self.ppo.steps}."
         )
 
     def run(self, report: Report, checkpoint: Path | None) -> list[Outcome]:

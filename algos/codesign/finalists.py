@@ -80,7 +80,7 @@ class BestOf:
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :class:`DesignEvaluator`. Gaits come from the parents; the trainings begin with new networks."""
+        """Gaits come from the parents; the trainings begin with new networks."""
         moved = self.gaits.evaluate(candidates, parents, report, checkpoint)
         spent = sum(outcome.steps for outcome in moved)
 

@@ -77,11 +77,7 @@ class GaitEvaluator:
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :class:`warpvox.algos.candidate.DesignEvaluator`; rounds that take seconds are not saved.
-
-        Raises:
-            DeviceError: memory has run out. RunError: the checkpoint is not one of these candidates.
-        """
+        """Rounds that take seconds are not saved."""
         if not candidates:
             return []
         most = max(self.count, self.beam if self.passes else 0)

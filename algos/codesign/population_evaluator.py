@@ -57,13 +57,6 @@ class PopulationEvaluator:
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :class:`warpvox.algos.candidate.DesignEvaluator`.
-
-        Raises:
-            RunError: the checkpoint is another's, or a policy does not fit.
-            StorageError: the checkpoint cannot be written. DeviceError: memory has run out.
-            KeyboardInterrupt: interrupted; the checkpoint has been written.
-        """
         if not candidates:
             return []
         with enough_memory(memory_hint(self.settings, len(candidates))):

@@ -138,6 +138,11 @@ class SearchProgress(Listener):
     # ------------------------------------------------------------------------------------------ what is shown
 
     @property
+    def done(self) -> float:
+        """Designs trained, those under way in part."""
+        return self.archive.trained() + sum(training.share * training.designs for training in self._work.values())
+
+    @property
     def steps_per_second(self) -> float:
         """Control steps of training per second since the beginning."""
         return self._steps / max(time.monotonic() - self._began, 1e-9)
@@ -198,9 +203,8 @@ class SearchProgress(Listener):
         figures = f"{self.archive.trained()}/{self.run.total}  best {figure(best[0].fitness if best else math.nan)}  "
         rows = [row for row in self.archive.generations() if row["evaluated"]]
         figures += f"mean {figure(rows[-1]['mean'] if rows else math.nan)}  {self._figures()}"
-        done = self.archive.trained() + sum(training.share * training.designs for training in self._work.values())
         description = f"generation {self._generation}"
-        self._progress.update(self._line, completed=done, description=description, figures=figures)
+        self._progress.update(self._line, completed=self.done, description=description, figures=figures)
         parts = [self._progress, Text(f"  {self._inside()}", "dim")]
         self._live.update(Group(*parts, *([Text(), self._bodies()] if best else [])))
 

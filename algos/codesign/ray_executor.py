@@ -88,11 +88,7 @@ class RayExecutor:
         return _Handle(actor, actor.ready.options(concurrency_group="watch").remote())
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
-        """See :class:`warpvox.algos.codesign.executors.Executor`.
-
-        Raises:
-            RunError: there is no worker for too long, or a batch has lost too many of them.
-        """
+        """RunError: there is no worker for too long, or a batch has lost too many of them."""
         waiting, losses = deque(range(len(work))), Counter()
         idle_since = time.monotonic()
         while waiting or any(worker.place is not None for worker in self._workers):

@@ -63,12 +63,6 @@ class SequentialEvaluator:
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :class:`warpvox.algos.candidate.DesignEvaluator`.
-
-        Raises:
-            RunError: the checkpoint is another's. StorageError: it cannot be written. DeviceError: memory has run out.
-            KeyboardInterrupt: interrupted; the checkpoint has been written.
-        """
         about = describe(self.factory, self.settings, self.seed, candidates)
         if self.network is not None:
             about |= {"network": self.network, "network_settings": dict(self.network_settings)}

@@ -96,10 +96,7 @@ class SearchResult:
         """The :func:`diversity` of the bodies proposed in the first and in the last generation."""
         searched = [record.candidate for record in self.records if record.candidate.origin != FINALIST]
         last = max((candidate.generation for candidate in searched), default=0)
-        first, end = (
-            diversity(np.array([one.body for one in searched if one.generation == number])) for number in (0, last)
-        )
-        return first, end
+        return tuple(diversity(np.array([one.body for one in searched if one.generation == k])) for k in (0, last))
 
     @property
     def seconds(self) -> float | None:

@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
-"""What MAP-Elites can sort bodies by, each a number from 0 to 1; see :mod:`warpvox.algos.search.descriptors`."""
+"""What MAP-Elites can sort bodies by, each a number from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
 
 
 @dataclass

@@ -84,18 +84,13 @@ class Ascent(PPO):
             loss.backward()
             nn.utils.clip_grad_norm_(self.learner.parameters(), self.max_grad_norm)
             self.optimizer.step()
-            self._follow()
+            self.steps += 1
+            share = max(1 - SMOOTHING, 9 / (self.steps + 9))  # the policy follows the learner, faster at first
+            for mean, value in zip(self.actor.network.parameters(), self.learner.parameters(), strict=True):
+                mean.data.lerp_(value.data, share)
             total += loss.item() / times
         self.updates += 1
         return total
-
-    @torch.no_grad()
-    def _follow(self) -> None:
-        """Move the policy toward the learner, faster at first."""
-        self.steps += 1
-        share = max(1 - SMOOTHING, 9 / (self.steps + 9))
-        for mean, value in zip(self.actor.network.parameters(), self.learner.parameters(), strict=True):
-            mean.lerp_(value, share)
 
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
         """Restore what :meth:`save` gave; the learner begins with the policy's parameters."""

@@ -100,7 +100,7 @@ class CommonPolicy(Screened):
         return found
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
-        """See :class:`Evaluation`; the first is about as many."""
+        """The first is about as many."""
         each = (self.ppo or {}).get("steps", search.training.ppo.steps) * self.iterations * self.envs
         last = self.finalists * steps_of_training(search.training, self.finalists)
         return each + self.eval_envs * task.max_episode_steps, last
@@ -234,7 +234,7 @@ class FewShot(CommonPolicy):
         return content
 
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> dict[str, Any]:
-        """See :class:`Evaluation`: the checkpoint of the pretrained policy."""
+        """The checkpoint of the pretrained policy."""
         return self._read(search, folder)
 
     def keep(self, known: Any, folder: Path) -> None:

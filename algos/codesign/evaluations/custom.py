@@ -44,11 +44,7 @@ class Custom(Evaluation):
         return search.training.inherit
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """See :class:`Evaluation`.
-
-        Raises:
-            ConfigError: no such file, module or name, settings that it does not take, or it makes no evaluator.
-        """
+        """ConfigError: no such file, module or name, settings that it does not take, or it makes no evaluator."""
         try:
             made = load_code(self.make)(search, **(self.settings or {}))
         except TypeError as error:

@@ -56,7 +56,7 @@ class Gaits(Screened):
                 )
 
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
-        """See :class:`Evaluation`: the gaits of robots that have one, by the bytes of their bodies."""
+        """The gaits of robots that have one, by the bytes of their bodies."""
         from warpvox.algos.codesign.gaits import Gait
         from warpvox.robots.gait import Gait as RobotGait
         from warpvox.robots.replay import by_cell
@@ -108,7 +108,7 @@ class Gaits(Screened):
         )
 
     def final(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """See :class:`Screened`: more gaits, and a training."""
+        """More gaits, and a training."""
         from warpvox.algos.codesign.finalists import BestOf
 
         changes = {"count": self._final_gaits, "rounds": self.final_rounds, "passes": self.final_passes}
@@ -116,7 +116,7 @@ class Gaits(Screened):
         return BestOf(more, training_evaluator(search))
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
-        """See :class:`Evaluation`: a gait is played in simulations like those that have found its fitness."""
+        """A gait is played in simulations like those that have found its fitness."""
         if not (outcome.spec and outcome.spec.get("gait")):
             return {}
         count = self._final_gaits if candidate.origin == FINALIST else self.gaits
