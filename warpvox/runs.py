@@ -9,7 +9,7 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -357,17 +357,19 @@ def _has_result(folder: Path) -> bool:
 
 
 def run_folder(
-    folder: Path | None, config: Any, command: str, text: str, place: Path | None = None
+    folder: Path | None, config: Any, command: str, text: str, place: Path | None = None, known: Collection[str] = ()
 ) -> AbstractContextManager[Path]:
     """The folder of a run that is resumed, or a new one if there is none, with ``text`` as its ``config.yaml``.
 
-    ``place``: of a new one; None: it lies in ``output_dir`` and is named by the time.
+    Args:
+        place: of a new one; None: it lies in ``output_dir`` and is named by the time.
+        known: files that may be there, of a run that was stopped when it began.
     """
     if folder is not None:
         return going_on(folder, text)
     if place is None:
         return new_folder(config.output_dir, command, config.task, config.name, text)
-    if place.exists() and (not place.is_dir() or any(place.iterdir())):
+    if place.exists() and (not place.is_dir() or any(file.name not in known for file in place.iterdir())):
         raise RunError(f"{place} exists already: name another folder, or resume={place} to go on with a run.")
     place.mkdir(parents=True, exist_ok=True)
     return going_on(place, text)

@@ -58,13 +58,14 @@ def make_custom(settings: CustomSearch, shape: tuple[int, int], seed: int) -> Se
     Raises:
         ConfigError: no such file, module or name, or what it makes does not ask, tell and replay.
     """
-    place, _, name = (settings.make or "").rpartition(":")
+    make = settings.make or ""
+    place, _, name = make.rpartition(":")
     if not place or not name.isidentifier():
         raise ConfigError(
             "The search 'custom' needs make=FILE.py:NAME or make=MODULE:NAME, where NAME makes a search of settings,"
             f" shape and seed; got {settings.make!r}."
         )
-    search: Any = load_code(settings.make)(settings, shape, seed)
+    search: Any = load_code(make)(settings, shape, seed)
     missing = [verb for verb in VERBS if not callable(getattr(search, verb, None))]
     if missing:
         raise ConfigError(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.evaluations.base import Workload, check_network, probe, steps_of_training
-from warpvox.algos.codesign.evaluations.screened import Screened
+from warpvox.algos.codesign.evaluations.specialist import Screened
 from warpvox.algos.settings import CPG, MLP, Ppo
 from warpvox.code import is_code
 from warpvox.errors import ConfigError, did_you_mean

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.evaluations.base import Workload, steps_of_training, training_evaluator
-from warpvox.algos.codesign.evaluations.screened import Screened
+from warpvox.algos.codesign.evaluations.base import Workload, steps_of_training
+from warpvox.algos.codesign.evaluations.specialist import Screened
 from warpvox.algos.settings import MLP
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -113,7 +113,7 @@ class Gaits(Screened):
 
         changes = {"count": self._final_gaits, "rounds": self.final_rounds, "passes": self.final_passes}
         more = dataclasses.replace(self.screening(search, known), beam=self.final_beam, **changes)
-        return BestOf(more, training_evaluator(search))
+        return BestOf(more, super().final(search, known))
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
         """A gait is played in simulations like those that have found its fitness."""
