@@ -79,8 +79,7 @@ class SearchProgress(Listener):
         if not summary:
             return
         folder, best, status = self.run.results.folder, summary["best_design"], summary["status"]
-        words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
-        under_way = self.under_way if status == "interrupted" else ""
+        words, under_way = (f"{status}, state saved", self.under_way) if status == "interrupted" else (status, "")
         text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps{under_way}"
         if best is not None:
             text += f"; best fitness {summary['best_fitness']:.3f} (design {best})"

@@ -168,8 +168,7 @@ def run_codesign(
             opened.callback(executor.close)
         settings = dataclasses.replace(settings, batch=_batch(settings, executor))
         written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), stored or {})
-        made = run_folder(resumed, written, "codesign", to_yaml(written), place, BEFORE)
-        folder = opened.enter_context(made)
+        folder = opened.enter_context(run_folder(resumed, written, "codesign", to_yaml(written), place, BEFORE))
         settings.evaluation.keep(known, folder)
         keep_start(start, folder)
         keep_code(settings, folder, console or Console(quiet=True))
@@ -184,12 +183,7 @@ def run_codesign(
 
 
 def _loop(
-    settings: Codesign,
-    search: Search,
-    executor: Executor,
-    results: Results,
-    listeners: Sequence[Listener],
-    resumed: bool,
+    settings: Codesign, search: Search, executor: Executor, results: Results, heard: Sequence[Listener], resumed: bool
 ) -> tuple[SearchRun, Loop]:
     """The loop, and what listeners see of it."""
     how, folder = settings.evaluation, results.folder
@@ -209,7 +203,7 @@ def _loop(
         batch=settings.batch,
         reuse=settings.reuse,
         inherit=how.inherits(settings),
-        listeners=[results, *listeners],
+        listeners=[results, *heard],
     )
     workers = executor.size if settings.executor == "ray" else 0
     return SearchRun(results, total, finalists, cost, workers, resumed), loop

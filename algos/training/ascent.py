@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import torch
@@ -143,18 +145,22 @@ class AscentRunner(Runner):
         by_action = leaf.new_zeros(len(leaf), layout.actions + 1, leaf.shape[2]).scatter(1, place, leaf)[:, :-1]
         state, total = self._gradients.state(), 0.0
         stopped = torch.zeros(self.env.num_envs, dtype=torch.bool, device=self.device)
-        before = Snapshot(_Differentiated(self._gradients, state))
+        before = self._snapshot(state)
         for step in range(steps):
             outputs = CpgNetwork.motion(by_action, inputs.clock(leaf.new_full((1, 1), step)))
             state = self._gradients.step(state, ACTION_CENTER + self.ppo.action_scale * outputs)
             stopped |= env.sim.unstable
-            after = Snapshot(_Differentiated(self._gradients, state))
+            after = self._snapshot(state)
             total = total + sum(term(before, after) * term.weight for term in env.spec.rewards)
             before = after
         (slope,) = torch.autograd.grad(total.sum(), leaf)
         stopped |= ~slope.isfinite().flatten(1).all(1)
         returns = total.detach().masked_fill(stopped, 0.0)
         return returns, slope.masked_fill(stopped[:, None, None], 0.0), stopped
+
+    def _snapshot(self, state: torch.Tensor) -> Snapshot:
+        """What rewards may ask of a state, differentiable."""
+        return Snapshot(SimpleNamespace(**{name: partial(getattr(self._gradients, name), state) for name in DERIVED}))
 
     def _improve(self) -> None:
         self._collect()
@@ -196,19 +202,6 @@ class AscentRunner(Runner):
         """Of the rollout: the beginnings of episodes."""
         count = self.env.num_envs
         return {"episodes": count, "length": self.ppo.steps, "diverged": 0} | self._found
-
-
-class _Differentiated:
-    """What rewards may ask of a state, differentiable; a simulation for :class:`Snapshot`."""
-
-    def __init__(self, gradients: Gradients, state: torch.Tensor) -> None:
-        self._gradients, self._state = gradients, state
-
-    def com(self, name: str) -> torch.Tensor:
-        return self._gradients.com(self._state, name)
-
-    def velocity(self, name: str) -> torch.Tensor:
-        return self._gradients.velocity(self._state, name)
 
 
 def check_gradients(env: VoxelVecEnv, processes: int = 1) -> None:

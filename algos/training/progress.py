@@ -155,7 +155,7 @@ def _announcement(job: Job) -> str:
 
 def _conclusion(job: Job, seconds: float) -> str:
     runner, folder, status, best = job.runner, job.folder, job.summary["status"], job.summary["best_return"]
-    words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
+    words = f"{status}, state saved" if status == "interrupted" else status
     if status != "done" and (folder is None or runner.saved_iteration != runner.current_learning_iteration):
         words = status if folder is None else f"{status}, the state of iteration {runner.saved_iteration} is kept,"
     text = f"{words} after {runner.steps:,} control steps in {seconds:.0f} s"

@@ -14,9 +14,10 @@ from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.evaluations.base import Workload, check_network, probe, steps_of_training
 from warpvox.algos.codesign.evaluations.specialist import Screened
 from warpvox.algos.settings import CPG, MLP, Ppo
+from warpvox.algos.training.pretrained import check_learned, find_pretrained, kept_name, observed_by
 from warpvox.code import is_code
-from warpvox.errors import ConfigError, did_you_mean
-from warpvox.keys import check_values, key
+from warpvox.errors import ConfigError
+from warpvox.keys import changed, check_values, convert, key
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
@@ -64,16 +65,11 @@ class CommonPolicy(Screened):
         Raises:
             ConfigError: no such setting, or a value that it cannot have.
         """
-        given, known = self.ppo or {}, dataclasses.asdict(search.training.ppo)
+        given = self.ppo or {}
         if not isinstance(given, Mapping):
             raise ConfigError(f"evaluation.ppo must be settings by name, such as {{epochs:4}}; got {given!r:.80}.")
-        for name, value in given.items():
-            if name not in known:
-                raise ConfigError(f"evaluation.ppo: PPO has no setting {name!r:.80}.{did_you_mean(str(name), known)}")
-            wanted = (int, float) if isinstance(known[name], float) else type(known[name])
-            if not isinstance(value, wanted) or isinstance(value, bool) != isinstance(known[name], bool):
-                raise ConfigError(f"evaluation.ppo: {name} must be like {known[name]!r}, got {value!r:.80}.")
-        ppo = dataclasses.replace(search.training.ppo, **given)
+        ppo = changed(search.training.ppo, given, "evaluation.ppo")
+        convert(ppo, "evaluation.ppo.")
         check_values(ppo, "evaluation.ppo.")
         return ppo
 
@@ -183,7 +179,6 @@ class FewShot(CommonPolicy):
 
     def resolved(self, search: Codesign, folder: Path | None) -> FewShot:
         from warpvox.algos.policies.layout import VoxelLayout
-        from warpvox.algos.training.pretrained import find_pretrained, kept_name, observed_by
 
         super().resolved(search, folder)
         content = self._read(search, folder)
@@ -214,7 +209,6 @@ class FewShot(CommonPolicy):
             RunError: no such run or file. ConfigError: a policy that cannot be tuned for other bodies.
         """
         from warpvox.algos.checkpoints.files import load_checkpoint
-        from warpvox.algos.training.pretrained import check_learned, find_pretrained
 
         path, run = (folder / PRETRAINED, {}) if folder else find_pretrained(self.pretrained, search.output_dir)
         content = load_checkpoint(path)
@@ -249,6 +243,5 @@ class FewShot(CommonPolicy):
 
     def screening(self, search: Codesign, known: Any) -> DesignEvaluator:
         from warpvox.algos.codesign.common_policy import FewShotEvaluator
-        from warpvox.algos.training.pretrained import observed_by
 
         return FewShotEvaluator(self.factory(search, observed_by(known["policy"])), self, search.seed, known)
