@@ -19,11 +19,10 @@ import re
 import sqlite3
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path, PurePath
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -140,7 +139,7 @@ class Finished:
     reused: int | None = None
 
 
-class Archive:
+class Archive(AbstractContextManager["Archive"]):
     """Reads and writes the file of one experiment; a context manager that closes it.
 
     Make one with :meth:`create`, :meth:`open` or :meth:`read`. Only one process at a time may write.
@@ -220,10 +219,7 @@ class Archive:
         if self._lock is not None:
             self._lock.close()
 
-    def __enter__(self) -> Archive:
-        return self
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     # ------------------------------------------------------------------------------------------ writing

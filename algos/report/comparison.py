@@ -12,11 +12,20 @@ from itertools import permutations
 
 import numpy as np
 
-from warpvox.algos.aggregates import bootstrap, improvement, interquartile_mean, interval, mean, optimality_gap, profile
 from warpvox.algos.report.charts import PANEL, Series, chart, intervals, sheet
 from warpvox.algos.report.members import SearchResult
 from warpvox.algos.report.page import row
-from warpvox.algos.statistics import LEVEL, Interval
+from warpvox.algos.statistics import (
+    LEVEL,
+    Interval,
+    bootstrap,
+    improvement,
+    interquartile_mean,
+    interval,
+    mean,
+    optimality_gap,
+    profile,
+)
 from warpvox.envs.known_returns import known_returns
 
 __all__ = ["Comparison", "compare", "comparison_html", "comparison_sheet"]

@@ -69,10 +69,9 @@ class SuiteProgress:
 
     def _share(self) -> float:
         """How much of the evaluations of all members is done, from 0 to 1."""
-        spent = sum(
-            row.total if row.state in (DONE, FAILED) else row.figures()["evaluations"] or 0 for row in self.table.rows
-        )
-        return spent / sum(row.total for row in self.table.rows)
+        rows = self.table.rows
+        spent = [row.total if row.state in (DONE, FAILED) else row.figures()["evaluations"] or 0 for row in rows]
+        return sum(spent) / sum(row.total for row in rows)
 
     def _left(self) -> str:
         share = self._share()

@@ -14,14 +14,13 @@ from warpvox.algos.policies.cpg import TYPE, CpgNetwork
 from warpvox.algos.policies.layout import MOVING
 from warpvox.algos.training.ppo import PPO
 from warpvox.algos.training.runner import Runner
-from warpvox.algos.training.targets import Targets
 from warpvox.envs.adapters.rsl_rl import ACTION_CENTER
 from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, SimulationError
 from warpvox.gradients import Gradients
 
-__all__ = ["Ascent", "AscentRunner", "check_gradients"]
+__all__ = ["Ascent", "AscentRunner", "Targets", "check_gradients"]
 
 DERIVED = ("com", "velocity")
 """What of a state is differentiated: quantities that rewards may be made of."""
@@ -40,6 +39,53 @@ DECAY = 0.01
 DRIVEN = slice(TYPE.start + 2, TYPE.stop)
 """The types with an actuator, in what does not move."""
 TINY = 1e-12
+
+
+class Targets:
+    """What the policy is to learn: weights of the last bodies; a body that comes again has its newest ones.
+
+    Args:
+        limit: how many are kept.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        self._keys: list[bytes] = []
+        self._bodies, self._targets = torch.empty(0), torch.empty(0)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def add(self, bodies: torch.Tensor, targets: torch.Tensor) -> None:
+        """Add ``[rows, ...]`` of both; of equal bodies the last row counts."""
+        keys = self._known_as(bodies)
+        newest = {key: row for row, key in enumerate(keys)}
+        rows = torch.tensor(list(newest.values()), device=bodies.device)
+        bodies, targets = bodies[rows], targets[rows]
+        if self._keys:
+            stay = torch.tensor([key not in newest for key in self._keys], device=bodies.device)
+            bodies, targets = torch.cat([self._bodies[stay], bodies]), torch.cat([self._targets[stay], targets])
+        kept = [key for key in self._keys if key not in newest] + list(newest)
+        self._keys = kept[-self.limit :]
+        self._bodies, self._targets = bodies[-self.limit :], targets[-self.limit :]
+
+    def draw(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """So many bodies and targets, drawn at random with torch's generator of the CPU."""
+        rows = torch.randint(len(self), (count,)).to(self._bodies.device)
+        return self._bodies[rows], self._targets[rows]
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """For :meth:`set_state`."""
+        return {"bodies": self._bodies, "targets": self._targets}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Go on from :meth:`state`."""
+        self._bodies, self._targets = state["bodies"], state["targets"]
+        self._keys = self._known_as(self._bodies)
+
+    @staticmethod
+    def _known_as(bodies: torch.Tensor) -> list[bytes]:
+        return [row.tobytes() for row in bodies.cpu().numpy()]
 
 
 class Ascent(PPO):
