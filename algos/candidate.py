@@ -13,16 +13,9 @@ import numpy as np
 from warpvox.design import Design
 
 __all__ = [
-    "FINALIST",
-    "PROGRESS",
-    "START",
-    "Candidate",
-    "DesignEvaluator",
-    "Outcome",
-    "Parent",
-    "Search",
-    "candidate_seed",
-]
+    "FINALIST", "PROGRESS", "START", "Candidate", "DesignEvaluator", "Outcome",
+    "Parent", "Parents", "Report", "Search", "candidate_seed",
+]  # fmt: skip
 
 FINALIST = "finalist"
 """The origin of a candidate whose body has been compared by a common policy, and now gets a policy of its own."""
@@ -36,6 +29,8 @@ PROGRESS = {
     "training": "list, by candidate: whether it is still being trained",
 }
 """Progress that an evaluation reports: keys and meanings."""
+Report = Callable[[dict[str, Any]], None] | None
+"""Told of progress."""
 
 
 def candidate_seed(seed: int, number: int) -> int:
@@ -95,6 +90,10 @@ class Parent:
     fitness: float
 
 
+Parents = Mapping[int, Parent]
+"""By their ids."""
+
+
 class Search(Protocol):
     """Proposes designs and learns from their fitness; never simulates. Same seed and same fitness: same proposals."""
 
@@ -116,11 +115,7 @@ class DesignEvaluator(Protocol):
     """Finds the fitness of designs, by training a policy for each of them or in another way."""
 
     def evaluate(
-        self,
-        candidates: Sequence[Candidate],
-        parents: Mapping[int, Parent],
-        report: Callable[[dict[str, Any]], None] | None = None,
-        checkpoint: Path | None = None,
+        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
         """Outcomes in the order of the candidates.
 
@@ -136,6 +131,8 @@ class DesignEvaluator(Protocol):
                 those of an uninterrupted evaluation. The caller removes it once the outcomes are stored.
 
         Raises:
-            RunError: the checkpoint is that of other candidates or settings.
+            RunError: the checkpoint is that of other candidates or settings, or a policy does not fit.
+            StorageError: the checkpoint cannot be written. DeviceError: memory has run out.
+            KeyboardInterrupt: interrupted; the checkpoint has been written.
         """
         ...

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 __all__ = ["CONSTANTS", "PhysicsConfig", "physics_of", "sim_of"]
 
-AUTO = "auto"
-
 CONSTANTS = {
     "dt": "time step of a sub-step, 1e-8 to 0.01; stable up to about 1.3e-4 with the default constants",
     "substeps": "sub-steps of a control step, 1 to 10000",
@@ -46,21 +44,16 @@ CONSTANTS = {
 """Meanings of the constants of the physics."""
 
 
-def _physics_fields() -> list[tuple[str, Any, Any]]:
-    """One optional key per constant of :class:`warpvox.types.Physics`; null keeps the preset's value."""
-    presets = (AUTO, *Physics.presets())
-    fields: list[tuple[str, Any, Any]] = [
-        ("preset", str, key(AUTO, "preset to start from; auto: the one that belongs to rules", choices=presets))
-    ]
-    for constant in dataclasses.fields(Physics):
-        if constant.name == "name":
-            continue
-        meaning = CONSTANTS.get(constant.name, constant.name.replace("_", " ")) + "; null: the preset's value"
-        fields.append((constant.name, type(constant.default) | None, key(None, meaning)))
-    return fields
-
-
-PhysicsConfig = make_dataclass("PhysicsConfig", _physics_fields(), namespace={"__module__": __name__})
+_meaning = "preset to start from; auto: the one that belongs to rules"
+_fields: list[tuple[str, Any, Any]] = [
+    ("preset", str, key("auto", _meaning, choices=("auto", *Physics.presets()))),
+    *(
+        (one.name, type(one.default) | None, key(None, f"{CONSTANTS[one.name]}; null: the preset's value"))
+        for one in dataclasses.fields(Physics)
+        if one.name != "name"
+    ),
+]
+PhysicsConfig = make_dataclass("PhysicsConfig", _fields, namespace={"__module__": __name__})
 """Keys ``physics.*``: a preset, and constants that differ from it (paper section A, Table 1)."""
 
 

@@ -75,11 +75,6 @@ class Ppo:
             )
 
 
-def _ppo() -> Ppo:
-    """Large batches, and as many updates as the KL divergence allows."""
-    return Ppo(steps=64, epochs=8)
-
-
 @dataclass
 class DesignTraining:
     """Keys ``training.*``: how a design search trains and evaluates a design.
@@ -109,4 +104,4 @@ class DesignTraining:
         high=1,
     )
     keep: float = key(0.5, "successive halving: fraction of the designs that is kept at each rung", above=0, high=1)
-    ppo: Ppo = key(_ppo, "settings of PPO")
+    ppo: Ppo = key(lambda: Ppo(steps=64, epochs=8), "settings of PPO")  # large batches

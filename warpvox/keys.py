@@ -13,7 +13,7 @@ import numpy as np
 
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["MISSING", "check_values", "convert", "converted", "key", "plain"]
+__all__ = ["MISSING", "changed", "check_values", "convert", "converted", "key", "plain"]
 
 MISSING: Any = "???"
 """A key without a value of its own: one of the group's YAML files must set it."""
@@ -96,11 +96,11 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
         if item.name not in without:
             value = getattr(config, item.name)
             if isinstance(value, Mapping) and item.default_factory is not dataclasses.MISSING:
-                value = _changed(item.default_factory(), value, prefix + item.name)
+                value = changed(item.default_factory(), value, prefix + item.name)
             setattr(config, item.name, converted(value, hints[item.name], prefix + item.name))
 
 
-def _changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
+def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
     """The part of a configuration that ``usual`` is with some of its values changed."""
     known = [item.name for item in dataclasses.fields(usual)]
     for key in values:

@@ -9,7 +9,7 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -26,26 +26,10 @@ from warpvox.robots.entry import Robot, find_robot
 from warpvox.robots.gait import Gait
 
 __all__ = [
-    "END",
-    "ZOO",
-    "Run",
-    "as_name",
-    "check_output",
-    "check_unchanged",
-    "find_codesign",
-    "find_run",
-    "find_runs",
-    "find_searches",
-    "find_suite",
-    "going_on",
-    "label",
-    "make_folder",
-    "new_folder",
-    "read_summary",
-    "run_folder",
-    "write_config",
+    "END", "ZOO", "Run", "as_name", "check_output", "check_unchanged", "find_codesign", "find_run", "find_runs",
+    "find_searches", "find_suite", "going_on", "label", "make_folder", "new_folder", "read_summary", "run_folder",
     "write_summary",
-]
+]  # fmt: skip
 
 CONFIG, SUMMARY = "config.yaml", "summary.json"
 LARGEST_CONFIG = 1_000_000
@@ -55,10 +39,15 @@ ZOO = "zoo:"
 STATE, BEST = "state.pt", "model_best.pt"
 TRAINING = ("train",)
 CODESIGN = "codesign"
+NEEDED = {
+    "train": ("a run of `warpvox train`", {"task", "design", "ppo"}),
+    CODESIGN: ("a design search", {"task", "search", "training"}),
+    "suite": ("a suite", {"tasks", "searches", "seeds"}),
+}
+"""What the run of a command is, and keys that its configuration has."""
 label: ContextVar[str] = ContextVar("label", default="")
 """Label of a run of a sweep: the values that others have otherwise, for the name of its folder."""
 STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
-NAME = re.compile(r"[\w.+-]+")
 NOT_IN_NAMES = re.compile(r"[^\w.+-]+")
 LONGEST_NAME, LONGEST_BYTES = 100, 150
 """Limits of what a name adds to that of a folder: date and values of a sweep need room, and 255 bytes are the end."""
@@ -129,10 +118,7 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
     folder = _folder_of(path)
     if (folder / ARCHIVE).is_file():
         path = folder = _best_design(folder)
-    content = _read_config(folder, "train")
-    if not {"task", "design", "ppo"} <= content.keys():
-        raise RunError(f"{folder} is not a run of `warpvox train`: its {CONFIG} names no task, design and ppo.")
-    return Run(folder, content, path if path.is_file() else None)
+    return Run(folder, _config_of(folder, "train"), path if path.is_file() else None)
 
 
 def _folder_of(path: Path) -> Path:
@@ -151,9 +137,9 @@ def _folder_of(path: Path) -> Path:
 def _stored_robot(text: str) -> Run:
     """A stored robot as a run: its configuration says what it is a policy for."""
     robot = find_robot(text.removeprefix(ZOO))
-    config = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs}
-    config["policy"] = "gait" if isinstance(robot.policy, Gait) else "mlp"
-    return Run(Path(text), config, robot=robot)
+    policy = "gait" if isinstance(robot.policy, Gait) else "mlp"
+    known = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs, "policy": policy}
+    return Run(Path(text), known, robot=robot)
 
 
 def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
@@ -166,23 +152,24 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
     """
     found: dict[tuple[Path, Path | None], Run] = {}
     for text in texts:
-        pattern = os.path.expanduser(text)
-        if not any(mark in text for mark in "*?[") or Path(pattern).exists():
-            several = [find_run(text, output_dir)]
-        else:
-            folders = sorted(Path(path) for path in glob.glob(pattern, recursive=True))
-            several = [find_run(str(path), output_dir) for path in folders if _is_training(path)]
-            if not several:
+        names = [text]
+        if (paths := _matches(text)) is not None:
+            runs, keys = (path for path in paths if (path / CONFIG).is_file()), NEEDED["train"][1]
+            names = [str(path) for path in runs if keys <= _read(path).keys()]
+            if not names:
                 raise RunError(f"No run of `warpvox train` matches {text}.")
-        found |= {(run.folder.resolve(), run.checkpoint): run for run in several}
+        found |= {(run.folder.resolve(), run.checkpoint): run for run in (find_run(one, output_dir) for one in names)}
     if not found:
         raise RunError("There are no runs: runs=[] names none.")
     return list(found.values())
 
 
-def _is_training(path: Path) -> bool:
-    """Whether a folder that a pattern has matched is that of a training."""
-    return (path / CONFIG).is_file() and {"task", "design", "ppo"} <= _read_config(path, "train").keys()
+def _matches(text: str) -> list[Path] | None:
+    """What lies where a pattern says; None: ``text`` is none, but a name."""
+    pattern = os.path.expanduser(text)
+    if not any(mark in text for mark in "*?[") or Path(pattern).exists():
+        return None
+    return sorted(map(Path, glob.glob(pattern, recursive=True)))
 
 
 def find_codesign(text: str, output_dir: str) -> Run:
@@ -195,9 +182,7 @@ def find_codesign(text: str, output_dir: str) -> Run:
     if not path.exists():
         raise RunError(f"There is no design search at {path}: expected latest or the folder of one.")
     folder = _folder_of(path)
-    content = _read_config(folder, CODESIGN)
-    if not {"task", "search", "training"} <= content.keys():
-        raise RunError(f"{folder} is not a design search: its {CONFIG} is that of another run.")
+    content = _config_of(folder, CODESIGN)
     if not (folder / ARCHIVE).is_file():
         hint = repair_hint(folder / ARCHIVE)
         why = f".{hint}" if hint else ": the search was stopped before its first design; start it again."
@@ -220,10 +205,7 @@ def find_suite(text: str, output_dir: str) -> Run:
         folder = Path(text).expanduser()
     if not folder.is_dir():
         raise RunError(f"There is no suite at {folder}: expected latest or the folder of one.")
-    content = _read_config(folder, "suite")
-    if not {"tasks", "searches", "seeds"} <= content.keys():
-        raise RunError(f"{folder} is not a suite: its {CONFIG} is that of another run.")
-    return Run(folder, content)
+    return Run(folder, _config_of(folder, "suite"))
 
 
 def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
@@ -237,10 +219,8 @@ def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
     found: dict[Path, Path] = {}
     others = []
     for text in texts:
-        pattern = os.path.expanduser(text)
-        paths = [Path(pattern)] if Path(pattern).exists() else sorted(map(Path, glob.glob(pattern, recursive=True)))
-        if text == "latest":
-            paths = [_latest(Path(output_dir), (*TRAINING, CODESIGN))]
+        named = _latest(Path(output_dir), (*TRAINING, CODESIGN)) if text == "latest" else Path(text).expanduser()
+        paths = _matches(text) or [named]
         folders = [folder for path in paths for folder in archives_in(path)]
         found |= {folder.resolve(): folder for folder in folders}
         others += [] if folders else [text]
@@ -257,15 +237,22 @@ def _best_design(folder: Path) -> Path:
     return (folder / str(best[0].policy)).parent
 
 
-def write_config(folder: Path, text: str) -> None:
-    """Write ``config.yaml``."""
-    write_text(folder / CONFIG, text + END, make_folders=False)
+def _config_of(folder: Path, command: str) -> dict[str, Any]:
+    """The configuration of a run of this command.
 
-
-def _read_config(folder: Path, command: str) -> dict[str, Any]:
-    config = folder / CONFIG
-    if not config.is_file():
+    Raises:
+        RunError: there is none, or that of another command.
+    """
+    if not (folder / CONFIG).is_file():
         raise RunError(f"{folder} is not a run: it has no {CONFIG}. Runs are made by `warpvox {command}`.")
+    content, (what, keys) = _read(folder), NEEDED[command]
+    if not keys <= content.keys():
+        raise RunError(f"{folder} is not {what}: its {CONFIG} is that of another run.")
+    return content
+
+
+def _read(folder: Path) -> dict[str, Any]:
+    config = folder / CONFIG
     try:
         text = read_text(config, LARGEST_CONFIG)
         content = parse_yaml(text)
@@ -279,12 +266,8 @@ def _read_config(folder: Path, command: str) -> dict[str, Any]:
 
 
 def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
-    folders = [
-        folder
-        for command in commands
-        for folder in root.glob(f"{command}/*/*")
-        if (folder / CONFIG).is_file() and _has_begun(folder, command, resume)
-    ]
+    found = [(command, file.parent) for command in commands for file in root.glob(f"{command}/*/*/{CONFIG}")]
+    folders = [folder for command, folder in found if _has_begun(folder, command, resume)]
     if not folders:
         raise RunError(f"There is no run in {root / commands[0]} yet; `warpvox {commands[0]}` makes one.")
     # names begin with the date and time of the start; what started within one second differs by its first file
@@ -294,9 +277,7 @@ def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
 def _has_begun(folder: Path, command: str, resume: bool) -> bool:
     if command == CODESIGN:
         return any((folder / name).is_file() for name in (ARCHIVE, BACKUP))
-    if resume and (folder / STATE).is_file():
-        return True
-    return next(folder.glob("model_*.pt"), None) is not None
+    return (resume and (folder / STATE).is_file()) or any(folder.glob("model_*.pt"))
 
 
 @contextmanager
@@ -340,7 +321,7 @@ def check_output(config: Any) -> None:
 
 def check_name(name: str | None) -> None:
     """Raise ConfigError unless ``name`` can end the name of a folder."""
-    if name and not NAME.fullmatch(name):
+    if name and NOT_IN_NAMES.search(name):
         raise ConfigError(f"name may hold letters, digits and . _ + - only, got '{name:.200}'.")
     if name and (len(name) > LONGEST_NAME or len(os.fsencode(name)) > LONGEST_BYTES):
         raise ConfigError(f"name may have {LONGEST_NAME} characters ({LONGEST_BYTES} bytes) at most, got {len(name)}.")
@@ -376,17 +357,19 @@ def _has_result(folder: Path) -> bool:
 
 
 def run_folder(
-    folder: Path | None, config: Any, command: str, text: str, place: Path | None = None
+    folder: Path | None, config: Any, command: str, text: str, place: Path | None = None, known: Collection[str] = ()
 ) -> AbstractContextManager[Path]:
     """The folder of a run that is resumed, or a new one if there is none, with ``text`` as its ``config.yaml``.
 
-    ``place``: of a new one; None: it lies in ``output_dir`` and is named by the time.
+    Args:
+        place: of a new one; None: it lies in ``output_dir`` and is named by the time.
+        known: files that may be there, of a run that was stopped when it began.
     """
     if folder is not None:
         return going_on(folder, text)
     if place is None:
         return new_folder(config.output_dir, command, config.task, config.name, text)
-    if place.exists() and (not place.is_dir() or any(place.iterdir())):
+    if place.exists() and (not place.is_dir() or any(file.name not in known for file in place.iterdir())):
         raise RunError(f"{place} exists already: name another folder, or resume={place} to go on with a run.")
     place.mkdir(parents=True, exist_ok=True)
     return going_on(place, text)
@@ -402,7 +385,7 @@ def going_on(folder: Path, config: str) -> Iterator[Path]:
     with claimed(folder):
         sweep(folder)
         try:
-            write_config(folder, config)
+            write_text(folder / CONFIG, config + END, make_folders=False)
             yield folder
         finally:
             # an interrupt may come when a temporary file is made and the block that would remove it has not begun

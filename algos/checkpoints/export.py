@@ -34,7 +34,6 @@ ROWS = (1, 64)
 """Random observations that a file is compared on, one batch each."""
 TOLERANCE = 1e-5
 """How far actions may lie apart: runtimes sum products in other orders; ranges are 1.0 wide."""
-CHATTER = "torch.onnx"
 
 Runner = Callable[[np.ndarray], np.ndarray]
 
@@ -50,7 +49,11 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
     """
     policy, whole = _copied(policy), io.BytesIO()
     with atomic_path(path) as temporary, _quiet():
-        torch.jit.save(_program(policy), whole, _extra_files={CARD: policy_text(policy)})
+        if policy.spec.voxels is None and policy.spec.gait is None:
+            program = torch.jit.script(policy)
+        else:  # networks of the user's may not be scriptable
+            program = torch.jit.trace(policy, torch.zeros(2, policy.num_obs))
+        torch.jit.save(program, whole, _extra_files={CARD: policy_text(policy)})
         temporary.write_bytes(whole.getbuffer())  # of a full disk torch's own writer says little
         module = torch.jit.load(str(temporary))
         apart = _compare(policy, lambda obs: module(torch.from_numpy(obs)).numpy(), path)
@@ -62,12 +65,6 @@ def _copied(policy: Policy) -> Policy:
     if policy.spec.rnn is not None:
         raise RunError("A recurrent policy is not exported: warpvox.load_policy() gives it as a torch module.")
     return copy.deepcopy(policy).cpu()
-
-
-def _program(policy: Policy) -> torch.jit.ScriptModule:
-    if policy.spec.voxels is None and policy.spec.gait is None:
-        return torch.jit.script(policy)
-    return torch.jit.trace(policy, torch.zeros(2, policy.num_obs))  # networks of the user's may not be scriptable
 
 
 def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
@@ -195,7 +192,7 @@ def _check_card(policy: Policy, written: Path, path: Path | os.PathLike[str] | s
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Without torch's remarks about packages that a policy does not need, and about its own future."""
-    logger = logging.getLogger(CHATTER)
+    logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)
     try:

@@ -18,6 +18,7 @@ from torch.func import functional_call
 from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.layout import VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
+from warpvox.algos.settings import Ppo
 from warpvox.code import Code, is_code
 from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -262,25 +263,16 @@ def checked_weights(weights: object) -> dict[str, torch.Tensor]:
 def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel | GaitModel:
     """A policy network with fresh weights."""
     with torch.device(device):
-        return _build_actor(spec)
-
-
-def _build_actor(spec: PolicySpec) -> MLPModel | GaitModel:
-    if spec.gait is not None:
-        return GaitModel(spec.num_actions, **spec.gait)
-    obs = TensorDict({OBS_GROUP: torch.zeros(1, spec.num_obs)}, batch_size=[1])
-    places = (obs, {"actor": [OBS_GROUP]}, "actor", spec.num_actions)
-    if spec.voxels is not None:
-        normalize, noise = spec.normalize_obs, {"std_type": "log"}
-        return VoxelModel(*places, **spec.voxels, obs_normalization=normalize, distribution_cfg=noise)
-    return (RNNModel if spec.rnn else MLPModel)(
-        *places,
-        hidden_dims=list(spec.hidden),
-        activation=spec.activation,
-        obs_normalization=spec.normalize_obs,
-        distribution_cfg={"class_name": "GaussianDistribution", "std_type": "log"},
-        **(spec.rnn or {}),
-    )
+        if spec.gait is not None:
+            return GaitModel(spec.num_actions, **spec.gait)
+        obs = TensorDict({OBS_GROUP: torch.zeros(1, spec.num_obs)}, batch_size=[1])
+        places = (obs, {"actor": [OBS_GROUP]}, "actor", spec.num_actions)
+        noise = {"class_name": "GaussianDistribution", "std_type": "log"}
+        own = {"obs_normalization": spec.normalize_obs, "distribution_cfg": noise}
+        if spec.voxels is not None:
+            return VoxelModel(*places, **spec.voxels, **own)
+        layers = {"hidden_dims": list(spec.hidden), "activation": spec.activation}
+        return (RNNModel if spec.rnn else MLPModel)(*places, **layers, **own, **(spec.rnn or {}))
 
 
 def spec_of(values: Mapping[str, Any]) -> PolicySpec:
@@ -292,6 +284,12 @@ def spec_of(values: Mapping[str, Any]) -> PolicySpec:
     if not isinstance(values, Mapping):
         raise TypeError(f"it is described by {values!r:.40}")
     return PolicySpec(**{name: value for name, value in values.items() if name != "width"})  # of earlier versions
+
+
+def spec_for(ppo: Ppo, num_obs: int, num_actions: int, **kind: Any) -> PolicySpec:
+    """The specification of a policy that is trained by ``ppo``; ``kind``: its other entries."""
+    sizes = num_obs, num_actions, list(ppo.hidden), ppo.activation
+    return PolicySpec(*sizes, ppo.normalize_obs, ppo.action_scale, **kind)
 
 
 def check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:

@@ -90,11 +90,15 @@ class Policy(nn.Module):
         return self.mean + 3 * self.deviation * torch.randn((rows, self.num_obs), generator=generator)
 
 
-class VoxelPolicy(Policy):
-    """A policy for voxels: as :class:`Policy`, for bodies of any shape that fits its grid."""
+class ModelPolicy(Policy):
+    """A policy that runs the very model of its checkpoint."""
 
     def _build(self) -> None:
         self.model = build_actor(self.spec)
+
+
+class VoxelPolicy(ModelPolicy):
+    """A policy for voxels: as :class:`Policy`, for bodies of any shape that fits its grid."""
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
@@ -114,11 +118,8 @@ class VoxelPolicy(Policy):
         return torch.cat([cells.flatten(1), rest, time.float()], dim=1)
 
 
-class GaitPolicy(Policy):
+class GaitPolicy(ModelPolicy):
     """An open-loop gait: as :class:`Policy`, of observations whose last number is the time (``obs=timed``)."""
-
-    def _build(self) -> None:
-        self.model = build_actor(self.spec)
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
@@ -129,11 +130,8 @@ class GaitPolicy(Policy):
         return torch.randint(0, 1000, (rows, self.num_obs), generator=generator).float()
 
 
-class RecurrentPolicy(Policy):
+class RecurrentPolicy(ModelPolicy):
     """A policy with recurrent layers: as :class:`Policy`, for observations ``[n, num_obs]`` one step after another."""
-
-    def _build(self) -> None:
-        self.model = build_actor(self.spec)
 
     def reset(self, done: torch.Tensor | None = None) -> None:
         """New episodes begin, where ``done`` (bool ``[n]``) says so or everywhere."""
@@ -145,19 +143,19 @@ class RecurrentPolicy(Policy):
         return (self.center + self.scale * out).clamp(self.low, self.high)
 
 
+KINDS = {"gait": GaitPolicy, "rnn": RecurrentPolicy, "voxels": VoxelPolicy}
+"""Policies by the entry of a specification that they have."""
+
+
 def make_policy(spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> Policy:
     """A policy of the kind that ``spec`` describes, with fresh weights."""
-    if spec.gait is not None:
-        return GaitPolicy(spec, metadata)
-    if spec.rnn is not None:
-        return RecurrentPolicy(spec, metadata)
-    return (Policy if spec.voxels is None else VoxelPolicy)(spec, metadata)
+    return next((kind for name, kind in KINDS.items() if getattr(spec, name) is not None), Policy)(spec, metadata)
 
 
 def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None) -> Policy:
     """The policy of a checkpoint's controller; its numbers are copies."""
     policy = make_policy(controller.spec, metadata)
-    if isinstance(policy, VoxelPolicy | GaitPolicy | RecurrentPolicy):
+    if isinstance(policy, ModelPolicy):
         state = controller.actor.state_dict()
         policy.model.load_state_dict(state)
         return policy.to(next(iter(state.values())).device)
@@ -219,7 +217,7 @@ def parse_policy(text: str, source: object) -> Policy:
 
 def _on_meta(spec: PolicySpec) -> nn.Module:
     """The module whose weights the text of a policy holds, without memory for them."""
-    if spec.voxels is not None or spec.gait is not None or spec.rnn is not None:
+    if any(getattr(spec, name) is not None for name in KINDS):
         return build_actor(spec, "meta")
     with torch.device("meta"):
         return Policy(spec)

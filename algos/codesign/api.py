@@ -89,7 +89,6 @@ class _Given(Custom):
         self.evaluator = evaluator
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
         if not callable(getattr(self.evaluator, "evaluate", None)):
             raise ConfigError(
                 f"evaluation must be Specialist(), Gaits(), ..., their name, or an object with a method evaluate; got"
@@ -97,7 +96,6 @@ class _Given(Custom):
             )
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """See :class:`Evaluation`."""
         return self.evaluator
 
 

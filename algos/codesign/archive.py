@@ -17,18 +17,17 @@ import math
 import os
 import re
 import sqlite3
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
-from pathlib import Path
-from types import TracebackType
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
 
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome, candidate_seed
-from warpvox.algos.codesign.archive_check import BACKUP, check_row, repair_hint
 from warpvox.design import as_grid
 from warpvox.errors import RunError, StorageError
 from warpvox.io.reading import parse_json
@@ -36,8 +35,8 @@ from warpvox.io.writing import atomic_path
 
 __all__ = ["BACKUP", "FILE", "Archive", "Finished", "Record", "archives_in", "repair_hint"]
 
-FILE = "archive.sqlite"
-"""The name of the archive in a run's folder."""
+FILE, BACKUP = "archive.sqlite", "archive.backup.sqlite"
+"""Names in a run's folder: of the archive, and of what it was after the last whole generation."""
 
 APPLICATION = 0x77766F78
 """SQLite's application id of our files: "wvox"."""
@@ -87,6 +86,11 @@ CREATE VIEW generations AS
            MIN(fitness) AS worst, SUM(steps) AS steps
     FROM candidates GROUP BY generation;
 """
+KINDS = {
+    "id": int, "generation": int, "body": str, "origin": str, "seed": int, "fitness": float, "steps": int,
+    "stopped": int, "reused": int, "policy": str, "policy_sha256": str, "seconds": float,
+}  # fmt: skip
+"""Columns of a candidate that are read, and what they hold; those from ``fitness`` on may be missing."""
 DIVERGED = 2
 """In the column ``stopped``: there was no evaluation, and the fitness is the worst of all others until then."""
 
@@ -135,7 +139,7 @@ class Finished:
     reused: int | None = None
 
 
-class Archive:
+class Archive(AbstractContextManager["Archive"]):
     """Reads and writes the file of one experiment; a context manager that closes it.
 
     Make one with :meth:`create`, :meth:`open` or :meth:`read`. Only one process at a time may write.
@@ -215,10 +219,7 @@ class Archive:
         if self._lock is not None:
             self._lock.close()
 
-    def __enter__(self) -> Archive:
-        return self
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     # ------------------------------------------------------------------------------------------ writing
@@ -241,11 +242,9 @@ class Archive:
                 raise RunError(f"Candidate {candidate.id} must descend from earlier ones, got {candidate.parents}.")
         with self._writing() as db:
             for item in candidates:
-                row = (item.id, item.generation, body_text(item.body), item.origin)
-                db.execute(
-                    "INSERT INTO candidates (id, generation, body, origin, seed, proposed_at) VALUES (?,?,?,?,?,?)",
-                    (*row, candidate_seed(seed, item.id), _now()),
-                )
+                row = (item.id, item.generation, body_text(item.body), item.origin, candidate_seed(seed, item.id))
+                columns = "id, generation, body, origin, seed, proposed_at"
+                db.execute(f"INSERT INTO candidates ({columns}) VALUES (?,?,?,?,?,?)", (*row, _now()))
                 pairs = [(item.id, position, int(parent)) for position, parent in enumerate(item.parents)]
                 db.executemany("INSERT INTO parents VALUES (?,?,?)", pairs)
 
@@ -268,22 +267,16 @@ class Archive:
         known = [] if outcome.diverged else [outcome.fitness]
         if not all(math.isfinite(value) for value in (*known, *(value for _, value in outcome.curve))):
             raise RunError(f"The evaluation of candidate {result.id} gave no finite number: {outcome.fitness}.")
-        values = (
-            None if outcome.diverged else float(outcome.fitness),
-            int(outcome.steps),
-            DIVERGED if outcome.diverged else int(outcome.stopped),
-            result.reused,
-            result.policy,
-            result.policy_sha256,
-            _now(),
-            seconds,
-            result.id,
-        )
-        changed = db.execute(
-            "UPDATE candidates SET fitness=?, steps=?, stopped=?, reused=?, policy=?, policy_sha256=?, finished_at=?,"
-            " seconds=? WHERE id=? AND finished_at IS NULL",
-            values,
-        ).rowcount
+        values = {
+            "fitness": None if outcome.diverged else float(outcome.fitness),
+            "steps": int(outcome.steps),
+            "stopped": DIVERGED if outcome.diverged else int(outcome.stopped),
+            **{name: getattr(result, name) for name in ("reused", "policy", "policy_sha256")},
+            "finished_at": _now(),
+            "seconds": seconds,
+        }
+        query = f"UPDATE candidates SET {'=?, '.join(values)}=? WHERE id=? AND finished_at IS NULL"
+        changed = db.execute(query, (*values.values(), result.id)).rowcount
         if changed != 1:
             raise RunError(f"There is no candidate {result.id} that waits for its evaluation.")
         rows = [(result.id, k, int(steps), float(value)) for k, (steps, value) in enumerate(outcome.curve)]
@@ -311,10 +304,8 @@ class Archive:
         with self._writing() as db:
             query = "SELECT MIN(fitness) FROM candidates WHERE generation <= ? AND stopped < ?"
             worst = db.execute(query, (generation, DIVERGED)).fetchone()[0]
-            where = "generation = ? AND stopped = ? AND fitness IS NULL"
-            changed = db.execute(
-                f"UPDATE candidates SET fitness = ? WHERE {where}", (worst, generation, DIVERGED)
-            ).rowcount
+            change = "UPDATE candidates SET fitness = ? WHERE generation = ? AND stopped = ? AND fitness IS NULL"
+            changed = db.execute(change, (worst, generation, DIVERGED)).rowcount
             if changed and worst is None:
                 raise RunError(f"No design has a fitness yet that those of generation {generation} could be given.")
 
@@ -351,6 +342,10 @@ class Archive:
         with self._reading():
             return json.loads(self._db.execute("SELECT value FROM experiment WHERE key=?", (key,)).fetchone()[0])
 
+    def _number(self, query: str) -> int:
+        with self._reading():
+            return self._db.execute(query).fetchone()[0]
+
     @contextmanager
     def _reading(self) -> Iterator[None]:
         """Report values that we never write as damage, which SQLite's own check does not see."""
@@ -363,27 +358,20 @@ class Archive:
 
     def count(self) -> int:
         """Candidates so far, evaluated or not."""
-        with self._reading():
-            return self._db.execute("SELECT COUNT(*) FROM candidates").fetchone()[0]
+        return self._number("SELECT COUNT(*) FROM candidates")
 
     def trained(self) -> int:
         """Designs that were trained: evaluations that are not those of an equal body."""
-        query = "SELECT COUNT(*) FROM candidates WHERE finished_at IS NOT NULL AND reused IS NULL"
-        with self._reading():
-            return self._db.execute(query).fetchone()[0]
+        return self._number("SELECT COUNT(*) FROM candidates WHERE finished_at IS NOT NULL AND reused IS NULL")
 
     def generations(self) -> list[dict[str, Any]]:
         """A row a generation: generation, designs, evaluated, best, mean, worst, steps."""
         with self._reading():
-            cursor = self._db.execute("SELECT * FROM generations ORDER BY generation")
-            names = [column[0] for column in cursor.description]
-            return [dict(zip(names, row, strict=True)) for row in cursor]
+            return [dict(row) for row in self._db.execute("SELECT * FROM generations ORDER BY generation")]
 
     def records(self, generation: int | None = None) -> list[Record]:
         """All candidates, or those of a generation, by id."""
-        if generation is None:
-            return self._records("")
-        return self._records("WHERE generation = ?", generation)
+        return self._records("") if generation is None else self._records("WHERE generation = ?", generation)
 
     def record(self, number: int) -> Record:
         """One candidate.
@@ -409,7 +397,8 @@ class Archive:
                 AS place FROM (SELECT *, origin = '{FINALIST}' AS last FROM candidates)
                 WHERE fitness IS NOT NULL AND stopped < {DIVERGED} {where})
             WHERE place = 1 ORDER BY last DESC, fitness DESC, id LIMIT ?)"""
-        return sorted(self._records(query, *values, count), key=_rank)
+        found = self._records(query, *values, count)
+        return sorted(found, key=lambda one: (one.candidate.origin != FINALIST, -one.fitness, one.id))
 
     def lineage(self, number: int) -> list[Record]:
         """A candidate and all that it descends from, by id."""
@@ -420,26 +409,19 @@ class Archive:
         return self._records(query, number)
 
     def _records(self, where: str, *values: object) -> list[Record]:
-        ids = f"SELECT id FROM candidates {where}"
-        parents, curves = {}, {}
+        parents, curves = defaultdict(list), defaultdict(list)
         # one transaction, so that a writer cannot change the tables between the queries
         with self._reading(), _transaction(self._db, "DEFERRED"):
-            for child, parent in self._db.execute(
-                f"SELECT child, parent FROM parents WHERE child IN ({ids}) ORDER BY child, position", values
-            ):
-                parents.setdefault(child, []).append(parent)
-            for number, steps, value in self._db.execute(
-                f"SELECT candidate, steps, value FROM curves WHERE candidate IN ({ids}) ORDER BY candidate, position",
-                values,
-            ):
-                curves.setdefault(number, []).append((steps, value))
-            rows = self._db.execute(
-                "SELECT id, generation, body, origin, seed, fitness, steps, stopped, reused, policy, policy_sha256,"
-                f" seconds FROM candidates {where} ORDER BY id",
-                values,
-            ).fetchall()
+            last = f"IN (SELECT id FROM candidates {where}) ORDER BY position"
+            for child, parent in self._db.execute(f"SELECT child, parent FROM parents WHERE child {last}", values):
+                parents[child].append(parent)
+            query = f"SELECT candidate, steps, value FROM curves WHERE candidate {last}"
+            for number, *point in self._db.execute(query, values):
+                curves[number].append(tuple(point))
+            query = f"SELECT {', '.join(KINDS)} FROM candidates {where} ORDER BY id"
+            rows = self._db.execute(query, values).fetchall()
         with self._reading():
-            return [_record(row, parents.get(row[0], ()), curves.get(row[0], [])) for row in rows]
+            return [_record(dict(row), parents[row["id"]], curves[row["id"]]) for row in rows]
 
     def digest(self) -> str:
         """SHA-256 of everything but dates and durations: equal for equal experiments."""
@@ -452,24 +434,38 @@ class Archive:
         return total.hexdigest()
 
 
-def _rank(record: Record) -> tuple[bool, float, int]:
-    return record.candidate.origin != FINALIST, -record.fitness, record.id
+def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, float]]) -> Record:
+    """The record of a row of :data:`KINDS`; ValueError where values are not of the kinds that are written.
+
+    SQLite's columns take values of any kind, whatever their declaration says.
+    """
+    number, body, origin, generation, stopped = (row[k] for k in ("id", "body", "origin", "generation", "stopped"))
+    for place, (name, kind) in enumerate(KINDS.items()):
+        value, may_be_missing = row[name], place > 4
+        known = isinstance(value, kind) and (kind is not float or math.isfinite(value))
+        if not known and not (value is None and may_be_missing):
+            raise ValueError(f"the {name} of candidate {number!r:.40} is {value!r:.40}")
+    if not all(isinstance(parent, int) and 0 <= parent < number for parent in parents):
+        raise ValueError(f"candidate {number} descends from {parents!r:.80}")
+    if not all(isinstance(steps, int) and isinstance(value, float) and math.isfinite(value) for steps, value in curve):
+        raise ValueError(f"the curve of candidate {number} is {curve!r:.80}")
+    policy = PurePath(row["policy"] or "")
+    if policy.is_absolute() or ".." in policy.parts:
+        raise ValueError(f"the policy of candidate {number} lies outside of the experiment: {row['policy']!r:.80}")
+    candidate = Candidate(number, body_of(body), tuple(parents), origin, generation)
+    known = {name: row[name] for name in KINDS if name in Record.__dataclass_fields__}
+    known |= {"stopped": None if stopped is None else bool(stopped), "diverged": stopped == DIVERGED}
+    return Record(candidate, **known, curve=curve)
 
 
-def _record(row: Sequence[Any], parents: Sequence[int], curve: list[tuple[int, float]]) -> Record:
-    check_row(row, parents, curve)
-    return Record(
-        Candidate(row[0], body_of(row[2]), tuple(parents), row[3], row[1]),
-        seed=row[4],
-        fitness=row[5],
-        steps=row[6],
-        stopped=None if row[7] is None else bool(row[7]),
-        reused=row[8],
-        policy=row[9],
-        policy_sha256=row[10],
-        seconds=row[11],
-        curve=curve,
-        diverged=row[7] == DIVERGED,
+def repair_hint(path: Path) -> str:
+    """How to restore an archive that is damaged or gone from its backup, as a sentence; empty if there is none."""
+    backup = path.with_name(BACKUP)
+    if path == backup or not backup.is_file():
+        return ""
+    return (
+        f" {backup.name} beside it holds all generations that were whole: copy it over {path.name} (and remove"
+        f" {path.name}-journal, if there is one), then resume; the result is the same."
     )
 
 
@@ -506,9 +502,10 @@ def _transaction(db: sqlite3.Connection, kind: str = "IMMEDIATE") -> Iterator[No
 
 def _connect(path: Path, mode: str, wait: float = WAIT_SECONDS) -> sqlite3.Connection:
     # transactions are opened by hand: isolation_level=None turns the module's own off
-    return sqlite3.connect(
-        f"{path.resolve().as_uri()}?mode={mode}", uri=True, timeout=wait, isolation_level=None, check_same_thread=False
-    )
+    options = {"uri": True, "timeout": wait, "isolation_level": None, "check_same_thread": False}
+    db = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", **options)
+    db.row_factory = sqlite3.Row
+    return db
 
 
 def _lock_for_writing(path: Path) -> sqlite3.Connection:

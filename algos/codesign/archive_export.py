@@ -14,26 +14,13 @@ from warpvox.io.writing import atomic_path, write_table, write_text
 
 __all__ = ["FORMATS", "export", "read_designs", "write_csv", "write_designs", "write_parquet"]
 
-COLUMNS = (
-    "id",
-    "generation",
-    "body",
-    "rows",
-    "columns",
-    "origin",
-    "parents",
-    "seed",
-    "fitness",
-    "steps",
-    "stopped",
-    "diverged",
-    "reused",
-    "policy",
-    "seconds",
-    "curve_steps",
-    "curve_values",
-)
-"""Of the tables; bodies are JSON in both, lists are JSON in CSV and lists in Parquet."""
+COLUMNS = {
+    "id": "int64", "generation": "int64", "body": "string", "rows": "int64", "columns": "int64", "origin": "string",
+    "parents": ["int64"], "seed": "int64", "fitness": "float64", "steps": "int64", "stopped": "bool",
+    "diverged": "bool", "reused": "int64", "policy": "string", "seconds": "float64", "curve_steps": ["int64"],
+    "curve_values": ["float64"],
+}  # fmt: skip
+"""Of the tables, with Arrow's types; bodies are JSON in both, lists are JSON in CSV and lists in Parquet."""
 DESIGN_SUFFIXES = (".npz", ".json", ".npy")
 
 
@@ -74,19 +61,10 @@ def write_parquet(archive: Archive, path: Path) -> Path:
             "Parquet needs pyarrow, which is not installed: pip install 'warpvox[analysis]', or write CSV."
         ) from None
     kinds = {
-        "body": pa.string(),
-        "origin": pa.string(),
-        "parents": pa.list_(pa.int64()),
-        "fitness": pa.float64(),
-        "stopped": pa.bool_(),
-        "diverged": pa.bool_(),
-        "policy": pa.string(),
-        "seconds": pa.float64(),
-        "curve_steps": pa.list_(pa.int64()),
-        "curve_values": pa.list_(pa.float64()),
+        name: pa.list_(pa.type_for_alias(*kind)) if isinstance(kind, list) else pa.type_for_alias(kind)
+        for name, kind in COLUMNS.items()
     }
-    schema = pa.schema([(name, kinds.get(name, pa.int64())) for name in COLUMNS])
-    table = pa.Table.from_pylist([_row(record) for record in archive.records()], schema=schema)
+    table = pa.Table.from_pylist([_row(record) for record in archive.records()], schema=pa.schema(kinds))
     with atomic_path(path) as temporary:
         parquet.write_table(table, temporary)
     return path
@@ -140,25 +118,11 @@ def read_designs(paths: Sequence[str]) -> list[Design]:
 def _row(record: Record) -> dict[str, Any]:
     """The values of :data:`COLUMNS`."""
     item = record.candidate
-    values = (
-        item.id,
-        item.generation,
-        body_text(item.body),
-        *item.body.shape,
-        item.origin,
-        list(item.parents),
-        record.seed,
-        record.fitness,
-        record.steps,
-        record.stopped,
-        record.diverged,
-        record.reused,
-        record.policy,
-        record.seconds,
-        [steps for steps, _ in record.curve],
-        [value for _, value in record.curve],
-    )
-    return dict(zip(COLUMNS, values, strict=True))
+    known = vars(record) | vars(item) | {"body": body_text(item.body), "parents": list(item.parents)}
+    known |= dict(zip(("rows", "columns"), item.body.shape, strict=True))
+    for place, name in enumerate(("curve_steps", "curve_values")):
+        known[name] = [point[place] for point in record.curve]
+    return {name: known[name] for name in COLUMNS}
 
 
 FORMATS = {

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 
-from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.candidate import Candidate, Outcome, Parents, Report, candidate_seed
 from warpvox.algos.checkpoints.files import read_tensors, save_checkpoint, spec_dict
 from warpvox.algos.codesign.population_evaluator import describe, read_evaluation, save_evaluation
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.env_factory import EnvFactory
-from warpvox.algos.evaluate import Evaluation, evaluate
+from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.registry import layout_for
 from warpvox.algos.settings import CPG, Ppo
 from warpvox.algos.training.ascent import AscentRunner
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["FewShotEvaluator", "SharedEvaluator"]
 
-Report = Callable[[dict[str, Any]], None]
-
 
 @dataclass
 class SharedEvaluator:
@@ -45,41 +43,29 @@ class SharedEvaluator:
         factory: makes environments with ``obs="voxel"`` and a grid that has room for all designs.
         settings: how the policy is trained; ``settings.ppo`` has all values of :class:`Ppo`.
         seed: of the experiment.
-
     """
 
     factory: EnvFactory
     settings: CommonPolicy
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        self._learned: dict[str, Any] | None = None
+    _learned: dict[str, Any] | None = field(default=None, init=False, repr=False)
 
     def evaluate(
-        self,
-        candidates: Sequence[Candidate],
-        parents: Mapping[int, Parent],
-        report: Report | None = None,
-        checkpoint: Path | None = None,
+        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :class:`warpvox.algos.candidate.DesignEvaluator`; the candidates are those of one generation, in turn.
-
-        Raises:
-            RunError: the checkpoint is another's, or the policy has diverged (DivergenceError).
-            StorageError: a checkpoint cannot be written. DeviceError: memory has run out.
-            KeyboardInterrupt: interrupted; the checkpoint has been written.
-        """
+        """The candidates are those of one generation, in turn; DivergenceError: the policy has diverged."""
         if not candidates:
             return []
-        generation = candidates[0].generation
-        before = _states(checkpoint, generation)
+        before: list[Path] = []  # what the policy had learned after earlier generations, in their order
+        if checkpoint is not None:
+            file = checkpoint.parent / "shared" / f"{candidates[0].generation:06}.pt"
+            before = sorted(other for other in file.parent.glob("[0-9]*.pt") if other.name < file.name)
         if self._learned is None and before:
             self._learned = read_tensors(before[-1])
-        course = _Course(self.factory, self.settings, self.seed, candidates, self._learned)
+        course = _Course(self, candidates, self._learned)
         outcomes = course.run(report, checkpoint)
         self._learned = course.runner.alg.save()
         if checkpoint is not None:
-            file = _state_file(checkpoint, generation)
             with writing(file):
                 file.parent.mkdir(parents=True, exist_ok=True)
             save_checkpoint(file, self._learned)
@@ -105,56 +91,42 @@ class FewShotEvaluator:
     pretrained: Mapping[str, Any]
 
     def evaluate(
-        self,
-        candidates: Sequence[Candidate],
-        parents: Mapping[int, Parent],
-        report: Report | None = None,
-        checkpoint: Path | None = None,
+        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :meth:`SharedEvaluator.evaluate`; the candidates are tuned for together."""
-        if not candidates:
-            return []
-        return _Course(self.factory, self.settings, self.seed, candidates, self.pretrained, fresh=True).run(
-            report, checkpoint
-        )
+        """The candidates are tuned for together."""
+        course = _Course(self, candidates, self.pretrained, fresh=True)
+        return course.run(report, checkpoint) if candidates else []
 
 
 class _Course:
     """What the policy does in a generation: it learns on all designs, then each of them is evaluated.
 
     Args:
+        how: a :class:`SharedEvaluator` or :class:`FewShotEvaluator`.
         learned: networks and optimiser to begin with; None: new ones.
         fresh: whether schedules begin again.
     """
 
     def __init__(
-        self,
-        factory: EnvFactory,
-        settings: CommonPolicy,
-        seed: int,
-        candidates: Sequence[Candidate],
-        learned: Mapping[str, Any] | None,
-        fresh: bool = False,
+        self, how: Any, candidates: Sequence[Candidate], learned: Mapping[str, Any] | None, fresh: bool = False
     ) -> None:
-        self.factory, self.settings, self.candidates = factory, settings, list(candidates)
-        self.ppo = Ppo(**settings.ppo)
-        self.seed, self.seeds = seed, [candidate_seed(seed, candidate.id) for candidate in candidates]
+        self.factory, self.settings, self.seed, self.candidates = how.factory, how.settings, how.seed, list(candidates)
+        self.ppo, self.seeds = Ppo(**how.settings.ppo), [candidate_seed(how.seed, one.id) for one in candidates]
         self.learned, self.fresh = learned, fresh
         start = None if learned is None else policy_sha256(learned["actor_state_dict"])
-        self.about = describe(factory, settings, seed, candidates) | {"start": start}
+        self.about = describe(how.factory, how.settings, how.seed, candidates) | {"start": start}
         self.hint = (
-            f"Take less at once: evaluation.envs is {settings.envs} for each of {len(candidates)} designs, the steps of"
-            f" evaluation.ppo are {self.ppo.steps}."
+            f"Take less at once: evaluation.envs is {how.settings.envs} for each of {len(candidates)} designs, the"
+            f" steps of evaluation.ppo are {self.ppo.steps}."
         )
 
-    def run(self, report: Report | None, checkpoint: Path | None) -> list[Outcome]:
+    def run(self, report: Report, checkpoint: Path | None) -> list[Outcome]:
         """Learn and evaluate."""
         with torch.random.fork_rng(devices=[]), enough_memory(self.hint):
             torch.manual_seed(self.seeds[0])
             try:
                 self.runner = self._runner(report, checkpoint)
-                if self.runner.current_learning_iteration < self.settings.iterations:
-                    self.runner.run()
+                self.runner.run()
                 return self._judge()
             except (DivergenceError, ActionError) as error:
                 raise DivergenceError(
@@ -162,7 +134,7 @@ class _Course:
                     " new search with a lower learning rate, evaluation.ppo={learning_rate:1e-4}."
                 ) from error
 
-    def _runner(self, report: Report | None, checkpoint: Path | None) -> Runner:
+    def _runner(self, report: Report, checkpoint: Path | None) -> Runner:
         settings, ppo = self.settings, self.ppo
         env = adapt(self._make(settings.envs, auto_reset=True), ppo)
         voxels = {"network": settings.policy, "settings": dict(settings.network or {})}
@@ -173,8 +145,10 @@ class _Course:
                 save_evaluation(checkpoint, {"about": self.about, "training": runner.state()})
 
         def tell(row: Mapping[str, float]) -> None:
+            count = len(self.candidates)  # none of which is evaluated yet
+            done = {"iteration": int(row["iteration"]), "iterations": settings.iterations, "steps": int(row["steps"])}
             if report is not None:
-                report(self._progress(int(row["iteration"]), int(row["steps"])))
+                report(done | {"best": [math.nan] * count, "training": [True] * count})
 
         schedule = Schedule(settings.iterations, settings.save_interval)
         options = {"memory_hint": self.hint, "voxels": voxels, "on_save": save, "report": tell}
@@ -182,8 +156,8 @@ class _Course:
         climbs = settings.policy == CPG and settings.iterations > 0
         runner = (AscentRunner if climbs else Runner)(env, ppo, schedule, **options)
         moments = settings.policy != CPG  # those of other bodies' derivatives are of no use
-        if checkpoint is not None and checkpoint.exists():
-            runner.set_state(read_evaluation(checkpoint, self.about)["training"])
+        if content := read_evaluation(checkpoint, self.about):
+            runner.set_state(content["training"])
         elif self.fresh and self.learned is not None:
             runner.begin_with(self.learned, optimizer=moments)
         elif self.learned is not None:
@@ -191,7 +165,6 @@ class _Course:
         return runner
 
     def _make(self, envs: int, auto_reset: bool) -> VoxelVecEnv:
-        """Environments of all candidates."""
         bodies = [candidate.body for candidate in self.candidates]
         return self.factory.make(bodies, envs, self.seeds, auto_reset, shared=True)
 
@@ -203,35 +176,9 @@ class _Course:
         state = runner.alg.get_policy().state_dict()
         policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
         learning = settings.iterations * self.ppo.steps * settings.envs
+        spent = torch.bincount(result.design_index, result.lengths.double())  # by the evaluation of each design
         spec = spec_dict(runner.spec)
         return [
             Outcome(value, [(learning, value)], learning + steps, policy, spec=spec)
-            for value, steps in zip(result.fitness.tolist(), _steps(result), strict=True)
+            for value, steps in zip(result.fitness.tolist(), spent.long().tolist(), strict=True)
         ]
-
-    def _progress(self, iteration: int, steps: int) -> dict[str, Any]:
-        count, total = len(self.candidates), self.settings.iterations
-        return {
-            "iteration": iteration,
-            "iterations": total,
-            "steps": steps,
-            "best": [math.nan] * count,
-            "training": [True] * count,  # none of them is evaluated yet
-        }
-
-
-def _steps(result: Evaluation) -> list[int]:
-    """Control steps of each design's evaluation."""
-    return torch.bincount(result.design_index, result.lengths.double()).long().tolist()
-
-
-def _state_file(checkpoint: Path, generation: int) -> Path:
-    return checkpoint.parent / "shared" / f"{generation:06}.pt"
-
-
-def _states(checkpoint: Path | None, generation: int) -> list[Path]:
-    """What the policy had learned after earlier generations, in their order."""
-    if checkpoint is None:
-        return []
-    last = _state_file(checkpoint, generation)
-    return sorted(file for file in last.parent.glob("[0-9]*.pt") if file.name < last.name)

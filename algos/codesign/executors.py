@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parent
+from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parents
 
 __all__ = ["Batch", "Executor", "LocalExecutor", "Report", "batches"]
 
@@ -26,9 +26,7 @@ class Batch:
 class Executor(Protocol):
     """Evaluates batches of candidates. The results must not depend on where and in what order."""
 
-    def run(
-        self, work: Sequence[Batch], parents: Mapping[int, Parent], report: Report
-    ) -> Iterator[tuple[int, list[Outcome]]]:
+    def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
         """Yield the index of each batch in ``work`` with its outcomes, as they finish.
 
         Args:
@@ -45,10 +43,7 @@ class LocalExecutor:
     def __init__(self, evaluator: DesignEvaluator) -> None:
         self.evaluator = evaluator
 
-    def run(
-        self, work: Sequence[Batch], parents: Mapping[int, Parent], report: Report
-    ) -> Iterator[tuple[int, list[Outcome]]]:
-        """See :class:`Executor`."""
+    def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
         for place, batch in enumerate(work):
 
             def tell(event: dict[str, Any], place: int = place) -> None:

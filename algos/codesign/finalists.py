@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Outcome, Parent, Search
+from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Outcome, Parents, Report, Search
 
 __all__ = ["BestOf", "Finalists", "TwoStages"]
 
@@ -29,7 +29,6 @@ class Finalists:
         self._asked: list[Candidate] = []
 
     def ask(self) -> list[Candidate]:
-        """See :class:`Search`."""
         if self._asked and self._asked[0].origin == FINALIST:
             return []
         self._asked = self.search.ask() or self._finalists()
@@ -46,13 +45,11 @@ class Finalists:
         ]
 
     def tell(self, fitness: Sequence[float]) -> None:
-        """See :class:`Search`."""
         if self._asked[0].origin != FINALIST:
             self.search.tell(fitness)
             self._known += zip(self._asked, fitness, strict=True)
 
     def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
-        """See :class:`Search`."""
         searched = [pair for pair in history if pair[0][0].origin != FINALIST]
         self.search.replay(searched)
         self._known = [pair for generation in searched for pair in zip(*generation, strict=True)]
@@ -67,13 +64,8 @@ class TwoStages:
     final: DesignEvaluator
 
     def evaluate(
-        self,
-        candidates: Sequence[Candidate],
-        parents: Mapping[int, Parent],
-        report: Callable[[dict[str, Any]], None] | None = None,
-        checkpoint: Path | None = None,
+        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :class:`DesignEvaluator`."""
         finalists = bool(candidates) and candidates[0].origin == FINALIST
         return (self.final if finalists else self.screening).evaluate(candidates, parents, report, checkpoint)
 
@@ -86,13 +78,9 @@ class BestOf:
     training: DesignEvaluator
 
     def evaluate(
-        self,
-        candidates: Sequence[Candidate],
-        parents: Mapping[int, Parent],
-        report: Callable[[dict[str, Any]], None] | None = None,
-        checkpoint: Path | None = None,
+        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :class:`DesignEvaluator`. Gaits come from the parents; the trainings begin with new networks."""
+        """Gaits come from the parents; the trainings begin with new networks."""
         moved = self.gaits.evaluate(candidates, parents, report, checkpoint)
         spent = sum(outcome.steps for outcome in moved)
 

@@ -49,11 +49,7 @@ class Beam:
     episodes: int
 
     def search(
-        self,
-        known: Sequence[Sequence[Gait]],
-        random: Sequence[np.random.Generator],
-        seed: int,
-        steps: int,
+        self, known: Sequence[Sequence[Gait]], random: Sequence[np.random.Generator], seed: int, steps: int
     ) -> tuple[list[tuple[float, Gait]], np.ndarray]:
         """Go through the episode once.
 

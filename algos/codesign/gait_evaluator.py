@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.algos.candidate import START, Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.candidate import START, Candidate, Outcome, Parents, Report, candidate_seed
 from warpvox.algos.checkpoints.files import PolicySpec, spec_dict
 from warpvox.algos.codesign.gait_actions import begin_alike, play
 from warpvox.algos.codesign.gait_beam import Beam
@@ -75,17 +75,9 @@ class GaitEvaluator:
     known: Mapping[bytes, Gait] = field(default_factory=dict)
 
     def evaluate(
-        self,
-        candidates: Sequence[Candidate],
-        parents: Mapping[int, Parent],
-        report: Callable[[dict[str, Any]], None] | None = None,
-        checkpoint: Path | None = None,
+        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :class:`warpvox.algos.candidate.DesignEvaluator`; rounds that take seconds are not saved.
-
-        Raises:
-            DeviceError: memory has run out. RunError: the checkpoint is not one of these candidates.
-        """
+        """Rounds that take seconds are not saved."""
         if not candidates:
             return []
         most = max(self.count, self.beam if self.passes else 0)
@@ -100,7 +92,7 @@ class GaitEvaluator:
 class _Rounds:
     """The gaits of some candidates, round by round."""
 
-    def __init__(self, how: GaitEvaluator, candidates: Sequence[Candidate], parents: Mapping[int, Parent]) -> None:
+    def __init__(self, how: GaitEvaluator, candidates: Sequence[Candidate], parents: Parents) -> None:
         self.how, self.bodies = how, [candidate.body for candidate in candidates]
         self.seeds = [candidate_seed(how.seed, candidate.id) for candidate in candidates]
         self.random = [np.random.default_rng([STREAM, how.seed, candidate.id]) for candidate in candidates]
@@ -118,7 +110,7 @@ class _Rounds:
         envs = count * self.how.episodes
         return self.how.factory.make(self.bodies, envs, self.seeds, auto_reset=False, shared=True)
 
-    def run(self, report: Callable[[dict[str, Any]], None] | None, checkpoint: Path | None) -> list[Outcome]:
+    def run(self, report: Report, checkpoint: Path | None) -> list[Outcome]:
         if checkpoint is not None and checkpoint.is_file():
             self._read(checkpoint)
         self._tell(report)
@@ -137,26 +129,16 @@ class _Rounds:
         return [self._outcome(place) for place in range(len(self.bodies))]
 
     def _state(self) -> dict[str, Any]:
-        return {
-            "seeds": self.seeds,
-            "round": self.round,
-            "best": [
-                [value, {name: array.tolist() for name, array in vars(gait).items()}] for value, gait in self.best
-            ],
-            "curves": self.curves,
-            "spent": self.spent,
-            "random": [rng.bit_generator.state for rng in self.random],
-        }
+        best = [[value, {name: array.tolist() for name, array in vars(gait).items()}] for value, gait in self.best]
+        own = {"seeds": self.seeds, "round": self.round, "best": best, "curves": self.curves, "spent": self.spent}
+        return own | {"random": [rng.bit_generator.state for rng in self.random]}
 
     def _read(self, checkpoint: Path) -> None:
         try:
             state = json.loads(checkpoint.read_text(encoding="utf-8"))
             if state["seeds"] != self.seeds:
                 raise RunError(f"{checkpoint} belongs to other candidates than those to be evaluated.")
-            best = [
-                (value, Gait(**{name: np.array(array) for name, array in gait.items()}))
-                for value, gait in state["best"]
-            ]
+            best = [(value, Gait(**{k: np.array(array) for k, array in gait.items()})) for value, gait in state["best"]]
             for rng, numbers in zip(self.random, state["random"], strict=True):
                 rng.bit_generator.state = numbers
             curves = [[(steps, value) for steps, value in curve] for curve in state["curves"]]
@@ -164,7 +146,7 @@ class _Rounds:
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise RunError(f"{checkpoint} is damaged ({error}): remove it, and these rounds begin again.") from error
 
-    def _inherited(self, candidate: Candidate, parents: Mapping[int, Parent]) -> list[Gait]:
+    def _inherited(self, candidate: Candidate, parents: Parents) -> list[Gait]:
         """The gaits that a candidate begins with: those of its parents, the best first, or the one it is known by."""
         if candidate.origin == START:
             known = self.how.known.get(candidate.body.tobytes())
@@ -215,27 +197,15 @@ class _Rounds:
     def _outcome(self, place: int) -> Outcome:
         (value, gait), body = self.best[place], self.bodies[place]
         columns = self.env.obs_columns[place].values()
-        spec = PolicySpec(
-            num_obs=sum(part.stop - part.start for part in columns) + 1,  # the time
-            num_actions=int((body >= Cell.H_ACT).sum()),
-            hidden=[],
-            activation="",
-            normalize_obs=False,
-            action_scale=AMPLITUDE,
-            gait=dict(zip(("stages", "rows", "columns"), gait.phase.shape, strict=True)),
-        )
+        sizes = sum(part.stop - part.start for part in columns) + 1, int((body >= Cell.H_ACT).sum())  # with the time
+        shape = dict(zip(("stages", "rows", "columns"), gait.phase.shape, strict=True))
+        spec = PolicySpec(*sizes, [], "", normalize_obs=False, action_scale=AMPLITUDE, gait=shape)
         state = {name: torch.as_tensor(values) for name, values in vars(gait).items()}
         state["cells"] = torch.as_tensor(np.flatnonzero(body >= Cell.H_ACT))
         return Outcome(value, self.curves[place], self.spent[place], state, spec=spec_dict(spec))
 
-    def _tell(self, report: Callable[[dict[str, Any]], None] | None) -> None:
+    def _tell(self, report: Report) -> None:
+        best = [value for value, _ in self.best] or [math.nan] * len(self.bodies)
+        event = {"iteration": self.round, "iterations": self.rounds, "steps": sum(self.spent), "best": best}
         if report is not None:
-            report(
-                {
-                    "iteration": self.round,
-                    "iterations": self.rounds,
-                    "steps": sum(self.spent),
-                    "best": [value for value, _ in self.best] or [math.nan] * len(self.bodies),
-                    "training": [self.round < self.rounds] * len(self.bodies),
-                }
-            )
+            report(event | {"training": [self.round < self.rounds] * len(self.bodies)})

@@ -11,16 +11,9 @@ from warpvox.design import Design
 from warpvox.types import Cell
 
 __all__ = [
-    "Gait",
-    "Motion",
-    "draw_gait",
-    "draw_motion",
-    "gait_of",
-    "motions_of",
-    "mutate_gait",
-    "mutate_motion",
+    "Gait", "Motion", "draw_gait", "draw_motion", "gait_of", "motions_of", "mutate_gait", "mutate_motion",
     "with_stages",
-]
+]  # fmt: skip
 
 PERIODS = (5.0, 40.0)
 """Control steps of a travelling wave."""
@@ -100,7 +93,7 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
     begin = np.exp(rng.uniform(np.log(3.0), np.log(max(steps, 4)), stages)).round()
     begin = np.sort(begin if rng.random() < 0.5 else np.maximum(steps - begin, 0.0))
     begin[0] = 0.0
-    return Gait(begin, *(np.array(values) for values in zip(*motions, strict=True)))
+    return gait_of(list(zip(begin, motions, strict=True)))
 
 
 def with_stages(gait: Gait, stages: int, steps: int) -> Gait:

@@ -9,31 +9,23 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpvox.algos.candidate import FINALIST, Candidate, Outcome, Parent, Search
+from warpvox.algos.candidate import FINALIST, Candidate, Outcome, Parent, Parents, Search
 from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text
 from warpvox.algos.codesign.executors import Batch, Executor, batches
+from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
 from warpvox.errors import DivergenceError, RunError
 
 if TYPE_CHECKING:
     from warpvox.algos.codesign.run import SearchRun
 
-__all__ = ["Listener", "Loop", "PolicyStore"]
-
-
-class PolicyStore(Protocol):
-    """Keeps policies; see :class:`warpvox.algos.codesign.stored_policies.StoredPolicies`."""
-
-    def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
-        """Store a policy; returns its path and the SHA-256 of its content."""
-
-    def load(self, path: str) -> dict[str, Any]:
-        """The policy that :meth:`save` wrote there."""
+__all__ = ["Listener", "Loop"]
 
 
 class Listener:
@@ -58,10 +50,11 @@ class Listener:
         """The search has learned from a generation; not ``fresh``: it had been complete before this run."""
 
 
+@dataclass
 class Loop:
     """Runs a search to its end, or until it is interrupted.
 
-    Args:
+    Attributes:
         search: must not have been asked yet.
         executor: evaluates candidates.
         archive: new or of an experiment to go on with; open for writing.
@@ -74,25 +67,18 @@ class Loop:
         listeners: receive the callbacks, one after another.
     """
 
-    def __init__(
-        self,
-        search: Search,
-        executor: Executor,
-        archive: Archive,
-        *,
-        seed: int,
-        policies: PolicyStore | None = None,
-        checkpoints: Path | None = None,
-        batch: int | None = None,
-        reuse: bool = True,
-        inherit: bool = False,
-        listeners: Sequence[Listener] = (),
-    ) -> None:
-        self.search, self.executor, self.archive = search, executor, archive
-        self.seed, self.batch, self.reuse, self.inherit = seed, batch, reuse, inherit
-        self.policies, self.checkpoints = policies, checkpoints
-        self.listeners = listeners
-        self.generation = 0
+    search: Search
+    executor: Executor
+    archive: Archive
+    _: KW_ONLY
+    seed: int
+    policies: StoredPolicies | None = None
+    checkpoints: Path | None = None
+    batch: int | None = None
+    reuse: bool = True
+    inherit: bool = False
+    listeners: Sequence[Listener] = ()
+    generation: int = field(default=0, init=False)
 
     def run(self) -> None:
         """Go on until the search has spent its evaluations.
@@ -129,11 +115,9 @@ class Loop:
 
     def _replay(self) -> None:
         """Restore the state of the search from the archive."""
-        history = []
-        for row in self.archive.generations():
-            if row["evaluated"] == row["designs"]:
-                records = self.archive.records(row["generation"])
-                history.append(([record.candidate for record in records], [record.fitness for record in records]))
+        whole = [row["generation"] for row in self.archive.generations() if row["evaluated"] == row["designs"]]
+        known = [self.archive.records(generation) for generation in whole]
+        history = [([one.candidate for one in records], [one.fitness for one in records]) for records in known]
         if history:
             self.search.replay(history)
         for self.generation in range(len(history)):
@@ -143,9 +127,9 @@ class Loop:
     # ------------------------------------------------------------------------------------------ a generation
 
     def _check_new(self, asked: Sequence[Candidate]) -> None:
-        if any(candidate.generation != self.generation for candidate in asked):
-            wrong = next(candidate for candidate in asked if candidate.generation != self.generation)
-            raise RunError(f"Candidate {wrong.id} belongs to generation {self.generation}, not {wrong.generation}.")
+        for one in asked:
+            if one.generation != self.generation:
+                raise RunError(f"Candidate {one.id} belongs to generation {self.generation}, not {one.generation}.")
 
     def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> None:
         """Evaluate the candidates without a result."""
@@ -156,11 +140,7 @@ class Loop:
         work = [batch for batch in work if any(item.id not in done for item in batch.candidates)]
         self._tell("proposed", self.generation, [item for batch in work for item in batch.candidates], len(asked))
         self._train(work, interrupt)
-        copies = [
-            self._copy(candidate, originals[candidate.id])
-            for candidate in asked
-            if candidate.id in originals and candidate.id not in done
-        ]
+        copies = [self._copy(number, original) for number, original in originals.items() if number not in done]
         self.archive.finish(copies)
         self._rank_diverged()
         self._tell("finished", [self.archive.record(copy.id) for copy in copies])
@@ -197,11 +177,11 @@ class Loop:
                 originals[candidate.id] = original
         return originals
 
-    def _copy(self, candidate: Candidate, original: int) -> Finished:
+    def _copy(self, number: int, original: int) -> Finished:
         record = self.archive.record(original)
         # nothing was spent: the sum of all steps is what the experiment has cost
         outcome = Outcome(-math.inf if record.diverged else record.fitness, steps=0, stopped=record.stopped)
-        return Finished(candidate.id, outcome, record.policy, record.policy_sha256, reused=original)
+        return Finished(number, outcome, record.policy, record.policy_sha256, reused=original)
 
     def _train(self, work: Sequence[Batch], interrupt: Interrupt) -> None:
         def report(place: int, event: dict[str, Any]) -> None:
@@ -214,7 +194,11 @@ class Loop:
             batch = work[place]
             if len(outcomes) != len(batch.candidates):
                 raise RunError(f"The evaluator gave {len(outcomes)} outcomes for {len(batch.candidates)} candidates.")
-            results = [self._finished(*pair) for pair in zip(batch.candidates, outcomes, strict=True)]
+            results = []
+            for one, outcome in zip(batch.candidates, outcomes, strict=True):
+                keep = self.policies is not None and outcome.policy is not None
+                # the policy first: the archive never names a missing file
+                results.append(Finished(one.id, outcome, *(self.policies.save(one, outcome) if keep else ())))
             now = time.perf_counter()
             self.archive.finish(results, seconds=now - began)
             began = now
@@ -229,17 +213,10 @@ class Loop:
         if self.checkpoints is None or not self.checkpoints.is_dir():
             return
         if all(row["evaluated"] == row["designs"] for row in self.archive.generations()):
-            for file in self.checkpoints.iterdir():
-                if file.is_file():  # folders hold what lasts
-                    file.unlink()
+            for file in filter(Path.is_file, self.checkpoints.iterdir()):  # folders hold what lasts
+                file.unlink()
 
-    def _finished(self, candidate: Candidate, outcome: Outcome) -> Finished:
-        """Store the policy first: the archive never names a missing file."""
-        if self.policies is None or outcome.policy is None:
-            return Finished(candidate.id, outcome)
-        return Finished(candidate.id, outcome, *self.policies.save(candidate, outcome))
-
-    def _parents(self, work: Sequence[Batch]) -> dict[int, Parent]:
+    def _parents(self, work: Sequence[Batch]) -> Parents:
         if not self.inherit or self.policies is None:
             return {}
         wanted = sorted({parent for batch in work for item in batch.candidates for parent in item.parents})

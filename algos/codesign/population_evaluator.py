@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.candidate import Candidate, Outcome, Parent, Parents, Report, candidate_seed
 from warpvox.algos.checkpoints.files import read_tensors, save_checkpoint
 from warpvox.algos.codesign.inheritance import BodyLayout, copy_weights
 from warpvox.algos.env_factory import EnvFactory
@@ -23,16 +22,9 @@ from warpvox.errors import ConfigError, RunError
 from warpvox.io.writing import writing
 
 __all__ = [
-    "PopulationEvaluator",
-    "best_parent",
-    "describe",
-    "inherit_policy",
-    "memory_hint",
-    "read_evaluation",
+    "PopulationEvaluator", "best_parent", "describe", "inherit_policy", "memory_hint", "outcome_of", "read_evaluation",
     "save_evaluation",
-]
-
-Report = Callable[[dict[str, Any]], None]
+]  # fmt: skip
 
 VERSION = 3
 """Of the checkpoints of trainings under way; others are refused."""
@@ -63,54 +55,31 @@ class PopulationEvaluator:
             raise ConfigError("training.ppo.rnn and training.ppo.extra need training.method=sequential.")
 
     def evaluate(
-        self,
-        candidates: Sequence[Candidate],
-        parents: Mapping[int, Parent],
-        report: Report | None = None,
-        checkpoint: Path | None = None,
+        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :class:`warpvox.algos.candidate.DesignEvaluator`.
-
-        Raises:
-            RunError: the checkpoint is another's, or a policy does not fit.
-            StorageError: the checkpoint cannot be written. DeviceError: memory has run out.
-            KeyboardInterrupt: interrupted; the checkpoint has been written.
-        """
         if not candidates:
             return []
         with enough_memory(memory_hint(self.settings, len(candidates))):
-            return self._evaluate(candidates, parents, report, checkpoint)
-
-    def _evaluate(
-        self,
-        candidates: Sequence[Candidate],
-        parents: Mapping[int, Parent],
-        report: Report | None,
-        checkpoint: Path | None,
-    ) -> list[Outcome]:
-        generation = _Generation(self, candidates, parents)
-        if checkpoint is not None and checkpoint.exists():
+            generation = _Generation(self, candidates, parents)
             generation.restore(checkpoint)
-        with deferred_interrupts() as interrupted:
-            while generation.going:
-                generation.advance()
-                if report is not None:
-                    report(generation.progress())
-                due = generation.iteration % self.settings.save_interval == 0 and generation.going
-                stop = bool(interrupted)  # an interrupt from here on waits for the next iteration
-                if checkpoint is not None and (due or stop):
-                    generation.save(checkpoint)
-                if stop:
-                    interrupted.stop()
+            with deferred_interrupts() as interrupted:
+                while generation.going:
+                    generation.advance()
+                    if report is not None:
+                        report(generation.progress())
+                    due = generation.iteration % self.settings.save_interval == 0 and generation.going
+                    stop = bool(interrupted)  # an interrupt from here on waits for the next iteration
+                    if due or stop:
+                        generation.save(checkpoint)
+                    if stop:
+                        interrupted.stop()
         return generation.outcomes
 
 
 class _Generation:
     """The state of an evaluation."""
 
-    def __init__(
-        self, evaluator: PopulationEvaluator, candidates: Sequence[Candidate], parents: Mapping[int, Parent]
-    ) -> None:
+    def __init__(self, evaluator: PopulationEvaluator, candidates: Sequence[Candidate], parents: Parents) -> None:
         self.factory, self.settings, self.seed = evaluator.factory, evaluator.settings, evaluator.seed
         self.candidates, self.parents = list(candidates), parents
         self.seeds = [candidate_seed(evaluator.seed, candidate.id) for candidate in candidates]
@@ -145,15 +114,12 @@ class _Generation:
         self.training.iterate()
         for k in self.active:
             self.outcomes[k].steps = self.iteration * self.training.steps_per_iteration
-        self._drop_diverged()
+        self._keep([place for place, well in enumerate(self.training.algorithm.healthy().tolist()) if well])
         done, end = self.iteration, self.settings.iterations
         if self.active and (done % self.settings.eval_interval == 0 or done == end or done in self.rungs):
             self._evaluate()
             if done in self.rungs and done != end:
                 self._halve()
-
-    def _drop_diverged(self) -> None:
-        self._keep([place for place, well in enumerate(self.training.algorithm.healthy().tolist()) if well])
 
     def _evaluate(self) -> None:
         values = self.training.evaluate().tolist()
@@ -190,17 +156,16 @@ class _Generation:
             "training": [k in self.active and self.going for k in range(len(self.candidates))],
         }
 
-    def save(self, path: Path) -> None:
-        outcomes = [dataclasses.asdict(outcome) for outcome in self.outcomes]
-        content = {"about": self.about, "active": self.active, "outcomes": outcomes, "training": self.training.state()}
-        save_evaluation(path, content)
+    def save(self, path: Path | None) -> None:
+        if path is not None:
+            content = {"about": self.about, "active": self.active, "outcomes": list(map(asdict, self.outcomes))}
+            save_evaluation(path, content | {"training": self.training.state()})
 
-    def restore(self, path: Path) -> None:
+    def restore(self, path: Path | None) -> None:
         content = read_evaluation(path, self.about)
-        self.outcomes = [
-            Outcome(**outcome | {"curve": [tuple(point) for point in outcome["curve"]]})
-            for outcome in content["outcomes"]
-        ]
+        if content is None:
+            return
+        self.outcomes = list(map(outcome_of, content["outcomes"]))
         if content["active"] != self.active:
             self.active = content["active"]
             self.training = self._start()
@@ -217,7 +182,7 @@ def describe(factory: EnvFactory, settings: Any, seed: int, candidates: Sequence
         "version": VERSION,
         "task": get_task(factory.task).id,
         "simulation": repr((factory.rules, sim.physics, sim.dtype, sim.arithmetic, factory.max_episode_steps)),
-        "settings": {key: value for key, value in dataclasses.asdict(settings).items() if key not in irrelevant},
+        "settings": {key: value for key, value in asdict(settings).items() if key not in irrelevant},
         "seed": seed,
         "candidates": [[candidate.id, candidate.body.tolist(), list(candidate.parents)] for candidate in candidates],
     }
@@ -234,12 +199,14 @@ def save_evaluation(path: Path, content: dict[str, Any]) -> None:
     save_checkpoint(path, content)
 
 
-def read_evaluation(path: Path, about: dict[str, Any]) -> dict[str, Any]:
-    """Read the checkpoint of an evaluation.
+def read_evaluation(path: Path | None, about: dict[str, Any]) -> dict[str, Any] | None:
+    """Read the checkpoint of an evaluation; None: there is none.
 
     Raises:
         RunError: it is damaged, or ``about`` (:func:`describe`) differs.
     """
+    if path is None or not path.exists():
+        return None
     try:
         content = read_tensors(path)
     except RunError as error:
@@ -254,13 +221,18 @@ def read_evaluation(path: Path, about: dict[str, Any]) -> dict[str, Any]:
     return content
 
 
+def outcome_of(values: dict[str, Any]) -> Outcome:
+    """An outcome of the values that a checkpoint has of it."""
+    return Outcome(**values | {"curve": [tuple(point) for point in values["curve"]]})
+
+
 def memory_hint(settings: DesignTraining, count: int) -> str:
     """Advice for when the training of ``count`` designs takes too much memory."""
     fewer = f"batch={-(-count // 2)} trains {-(-count // 2)} designs at once instead of {count}; " if count > 1 else ""
     return f"Take less at once: {fewer}training.envs is {settings.envs}, training.ppo.steps {settings.ppo.steps}."
 
 
-def best_parent(candidate: Candidate, parents: Mapping[int, Parent]) -> Parent | None:
+def best_parent(candidate: Candidate, parents: Parents) -> Parent | None:
     """The fittest of a candidate's known parents; of equals the first."""
     known = [parents[number] for number in candidate.parents if number in parents]
     return max(known, key=lambda parent: parent.fitness, default=None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group
@@ -40,7 +41,6 @@ class SearchProgress(Listener):
         self._live: Live | None = None
 
     def begun(self, run: SearchRun) -> None:
-        """See :class:`warpvox.algos.codesign.loop.Listener`."""
         self.run, self.archive = run, run.results.archive
         self._began = self._printed = time.monotonic()
         self._start = self.archive.trained()
@@ -63,29 +63,23 @@ class SearchProgress(Listener):
         where = f"{run.workers} workers of Ray" if run.workers else settings.device
         done = f", {self._start} of {run.total} designs done" if run.resumed else ""
         echo(self.console, f"{run.results.search} on {settings.task}, rules {settings.rules}, on {where}{done}")
-        echo(self.console, f"run folder: {shown(run.results.folder)}")
-        lost = [one for one in self.archive.records() if one.policy and not (run.results.folder / one.policy).is_file()]
-        if lost:
-            echo(
-                self.console,
-                f"the policies of {len(lost)} designs are gone from {shown(run.results.folder / 'designs')}",
-            )
+        folder, budget = run.results.folder, settings.search.max_evaluations
+        echo(self.console, f"run folder: {shown(folder)}")
+        if lost := [one for one in self.archive.records() if one.policy and not (folder / one.policy).is_file()]:
+            echo(self.console, f"the policies of {len(lost)} designs are gone from {shown(folder / 'designs')}")
         if run.resumed and self._start >= run.total:
-            echo(
-                self.console,
-                f"the search has spent its {settings.search.max_evaluations} evaluations: nothing is left to do. What"
-                " it proposes depends on them, so that more make another search (search.max_evaluations=N)",
-            )
+            spent = f"the search has spent its {budget} evaluations: nothing is left to do. What"
+            more = " it proposes depends on them, so that more make another search (search.max_evaluations=N)"
+            echo(self.console, spent + more)
 
     def ended(self, summary: Mapping[str, Any]) -> None:
-        """See :class:`warpvox.algos.codesign.loop.Listener`: say how it has ended and what one can do next."""
+        """Say how it has ended and what one can do next."""
         if self._live is not None:
             self._live.stop()
         if not summary:
             return
         folder, best, status = self.run.results.folder, summary["best_design"], summary["status"]
-        words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
-        under_way = self.under_way if status == "interrupted" else ""
+        words, under_way = (f"{status}, state saved", self.under_way) if status == "interrupted" else (status, "")
         text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps{under_way}"
         if best is not None:
             text += f"; best fitness {summary['best_fitness']:.3f} (design {best})"
@@ -97,15 +91,12 @@ class SearchProgress(Listener):
             task = f" task={STORED}" if is_code(self.run.results.settings.task) else ""
             echo(self.console, f"look at the best: warpvox play {shell_argument('run', folder)}{task}")
         if status != "done":
-            echo(
-                self.console,
-                f"go on: warpvox codesign {shell_argument('resume', folder)}{again(self.run.results.settings)}",
-            )
+            keys = again(self.run.results.settings)
+            echo(self.console, f"go on: warpvox codesign {shell_argument('resume', folder)}{keys}")
 
     # ------------------------------------------------------------------------------------------ what happens
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
-        """See :class:`warpvox.algos.codesign.loop.Listener`."""
         self._generation, self._work = generation, {}
         last = any(candidate.origin == FINALIST for candidate in waiting)
         self._first = self._first if last == self._last else None
@@ -116,7 +107,6 @@ class SearchProgress(Listener):
         self._show()
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
-        """See :class:`warpvox.algos.codesign.loop.Listener`."""
         training = self._work.setdefault(batch[0].id, _Training(len(batch), event["steps"] if self._resumed else 0))
         training.event = event
         now = time.monotonic()
@@ -127,25 +117,19 @@ class SearchProgress(Listener):
         self._show()
 
     def finished(self, records: Sequence[Record]) -> None:
-        """See :class:`warpvox.algos.codesign.loop.Listener`."""
         for record in records:
-            training = self._work.pop(record.id, None)
-            if training is not None:
+            if training := self._work.pop(record.id, None):
                 self._spent += training.steps
         self._show()
 
     def told(self, generation: int, fresh: bool) -> None:
-        """See :class:`warpvox.algos.codesign.loop.Listener`."""
         if not fresh:
             return
         self._resumed = False
-        row = self.archive.generations()[generation]
-        echo(
-            self.console,
-            f"generation {generation} done: {self.archive.trained()}/{self.run.total} designs  best {row['best']:.3f}"
-            f"  mean {row['mean']:.3f}  best so far {self.archive.best()[0].fitness:.3f}{self._diverged(generation)}"
-            f"  {self._figures()}",
-        )
+        row, count = self.archive.generations()[generation], sum(r.diverged for r in self.archive.records(generation))
+        text = f"generation {generation} done: {self.archive.trained()}/{self.run.total} designs"
+        text += f"  best {row['best']:.3f}  mean {row['mean']:.3f}  best so far {self.archive.best()[0].fitness:.3f}"
+        echo(self.console, f"{text}{f'  {count} diverged' if count else ''}  {self._figures()}")
         if self._live is None:
             self.console.print(self._bodies())
         self._show()
@@ -179,11 +163,6 @@ class SearchProgress(Listener):
     def _figures(self) -> str:
         return f"{self.steps_per_second:,.0f} steps/s  left {self._left()}"
 
-    def _diverged(self, generation: int) -> str:
-        """How many designs' learning gave nothing to judge."""
-        count = sum(record.diverged for record in self.archive.records(generation))
-        return f"  {count} diverged" if count else ""
-
     def _left(self) -> str:
         """The time until the search is done, or its finalists begin, which take another time for a control step."""
         if self._first is None or self._steps <= self._first[1]:
@@ -205,12 +184,9 @@ class SearchProgress(Listener):
         if not events:
             return "starting"
         going = sum(sum(event["training"]) for event in events)
-        best = max((value for event in events for value in event["best"] if math.isfinite(value)), default=math.nan)
-        lost = sum(
-            math.isnan(value) and not training
-            for event in events
-            for value, training in zip(event["best"], event["training"], strict=True)
-        )
+        designs = [one for event in events for one in zip(event["best"], event["training"], strict=True)]
+        best = max((value for value, _ in designs if math.isfinite(value)), default=math.nan)
+        lost = sum(math.isnan(value) and not training for value, training in designs)
         diverged = f", {lost} diverged" if lost else ""
         return f"{self._iteration()}, {going} in training{diverged}, best of them {figure(best)}"
 
@@ -226,9 +202,8 @@ class SearchProgress(Listener):
         figures = f"{self.archive.trained()}/{self.run.total}  best {figure(best[0].fitness if best else math.nan)}  "
         rows = [row for row in self.archive.generations() if row["evaluated"]]
         figures += f"mean {figure(rows[-1]['mean'] if rows else math.nan)}  {self._figures()}"
-        self._progress.update(
-            self._line, completed=self.done, description=f"generation {self._generation}", figures=figures
-        )
+        description = f"generation {self._generation}"
+        self._progress.update(self._line, completed=self.done, description=description, figures=figures)
         parts = [self._progress, Text(f"  {self._inside()}", "dim")]
         self._live.update(Group(*parts, *([Text(), self._bodies()] if best else [])))
 
@@ -238,12 +213,13 @@ class SearchProgress(Listener):
         return body_rows([record.candidate.body for record in best], captions, self.console)
 
 
+@dataclass
 class _Training:
-    """A batch under way; ``before``: steps that it had already spent when it was resumed."""
+    """A batch under way; ``first``: steps that it had already spent when it was resumed."""
 
-    def __init__(self, designs: int, first: int) -> None:
-        self.designs, self.event = designs, {}
-        self.first = first
+    designs: int
+    first: int
+    event: dict[str, Any] = field(default_factory=dict)
 
     @property
     def share(self) -> float:

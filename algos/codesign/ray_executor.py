@@ -9,11 +9,11 @@ import socket
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parent
+from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parents
 from warpvox.algos.codesign.executors import Batch, Report
 from warpvox.errors import ConfigError, RunError, WarpvoxError
 
@@ -38,9 +38,7 @@ class _Worker:
         """The process is up; its id."""
         return os.getpid()
 
-    def evaluate(
-        self, candidates: Sequence[Candidate], parents: Mapping[int, Parent], checkpoint: Path | None
-    ) -> list[Outcome]:
+    def evaluate(self, candidates: Sequence[Candidate], parents: Parents, checkpoint: Path | None) -> list[Outcome]:
         """Outcomes of the candidates."""
         # made in this thread: some settings of torch belong to the thread that sets them
         self._evaluator = self._evaluator or self._make()
@@ -89,14 +87,8 @@ class RayExecutor:
         actor = self._class.remote(self._make)
         return _Handle(actor, actor.ready.options(concurrency_group="watch").remote())
 
-    def run(
-        self, work: Sequence[Batch], parents: Mapping[int, Parent], report: Report
-    ) -> Iterator[tuple[int, list[Outcome]]]:
-        """See :class:`warpvox.algos.codesign.executors.Executor`.
-
-        Raises:
-            RunError: there is no worker for too long, or a batch has lost too many of them.
-        """
+    def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
+        """RunError: there is no worker for too long, or a batch has lost too many of them."""
         waiting, losses = deque(range(len(work))), Counter()
         idle_since = time.monotonic()
         while waiting or any(worker.place is not None for worker in self._workers):
@@ -128,7 +120,7 @@ class RayExecutor:
                 else:
                     yield place, outcomes
 
-    def _assign(self, work: Sequence[Batch], parents: Mapping[int, Parent], waiting: deque[int]) -> None:
+    def _assign(self, work: Sequence[Batch], parents: Parents, waiting: deque[int]) -> None:
         """Give batches to workers that are up and idle: one that is not up might never get a node."""
         for number, worker in enumerate(self._workers):
             if not waiting:

@@ -54,15 +54,9 @@ class Results(Listener):
         self.search = NAMES.get(settings.search.algorithm, settings.search.algorithm)
         summary = read_summary(folder)
         before, self.fresh = summary.get("elapsed_seconds"), summary.get("fresh_seeds")
-        self._began, self._before = time.monotonic(), before if is_number(before) else 0.0
-
-    @property
-    def elapsed(self) -> float:
-        """Seconds that the search has run, those before a resume included."""
-        return self._before + time.monotonic() - self._began
+        self._began = time.monotonic() - (before if is_number(before) else 0.0)  # as if it had not been interrupted
 
     def told(self, generation: int, fresh: bool) -> None:
-        """See :class:`Listener`."""
         self.draw(generation)
         if fresh:
             self.write("running")
@@ -70,8 +64,7 @@ class Results(Listener):
     def best(self, until: int | None = None) -> list[Record]:
         """The best designs (up to and including a generation); finalists alone, once there are some."""
         best = self.archive.best(self.settings.top, until)
-        finalists = [record for record in best if record.candidate.origin == FINALIST]
-        return finalists or best
+        return [record for record in best if record.candidate.origin == FINALIST] or best
 
     def draw(self, generation: int) -> Path:
         """The best designs up to and including a generation as PNG; one that is there already stays."""
@@ -79,17 +72,14 @@ class Results(Listener):
         best = self.best(generation)
         if path.is_file() or not best:
             return path
-        captions = [
-            (f"{record.fitness:.3f}", f"#{record.id}  generation {record.candidate.generation}") for record in best
-        ]
+        captions = [(f"{one.fitness:.3f}", f"#{one.id}  generation {one.candidate.generation}") for one in best]
         title = f"{self.settings.task} · {self.search} · best designs after generation {generation}"
         return write_bodies(path, [record.candidate.body for record in best], captions, title)
 
     def write(self, status: str) -> dict[str, Any]:
         """Write report and summary; returns the summary."""
-        rows = self.archive.generations()
-        best = self.archive.best()
-        steps = sum(row["steps"] or 0 for row in rows)
+        rows, best = self.archive.generations(), next(iter(self.archive.best()), None)
+        steps, elapsed = sum(row["steps"] or 0 for row in rows), time.monotonic() - self._began
         summary = {
             "command": "codesign",
             "task": self.settings.task,
@@ -99,13 +89,13 @@ class Results(Listener):
             "evaluations": self.archive.trained(),
             "generations": sum(row["evaluated"] == row["designs"] for row in rows),
             "steps": steps,
-            "best_fitness": best[0].fitness if best else None,
-            "best_design": best[0].id if best else None,
-            "design": best[0].candidate.body.tolist() if best else None,
+            "best_fitness": best and best.fitness,
+            "best_design": best and best.id,
+            "design": best and best.candidate.body.tolist(),
             **({"fresh_seeds": self.fresh} if self.fresh else {}),
             **(self._screening() if self.settings.evaluation.finalists else {}),
-            "elapsed_seconds": round(self.elapsed, 3),
-            "steps_per_second": round(steps / self.elapsed, 1) if steps else None,
+            "elapsed_seconds": round(elapsed, 3),
+            "steps_per_second": round(steps / elapsed, 1) if steps else None,
         }
         write_summary(self.folder, summary)
         self.report(summary)

@@ -41,13 +41,11 @@ def read_start(settings: Codesign, folder: Path | None = None) -> list[Robot]:
     """
     if folder is not None:
         return _copies(folder)
-    robots = []
-    for text in settings.start:
-        found = _robots(text, settings)
-        if not all(robot.fully_connected for robot in found):
+    found = [(text, robot) for text in settings.start for robot in _robots(text, settings)]
+    for text, robot in found:
+        if not robot.fully_connected:
             raise ConfigError(f"start={text}: this robot lacks connections, which designs of a search have.")
-        robots += found
-    return robots
+    return [robot for _, robot in found]
 
 
 def _robots(text: str, settings: Codesign) -> list[Robot]:
@@ -66,8 +64,9 @@ def _robots(text: str, settings: Codesign) -> list[Robot]:
 def keep_start(robots: Sequence[Robot], folder: Path) -> None:
     """Copy the robots into the folder of a search."""
     for number, robot in enumerate(robots):
-        if not (folder / COPIES / f"{number}.npz").is_file():
-            save_robot(folder / COPIES / f"{number}.npz", robot)
+        path = folder / COPIES / f"{number}.npz"
+        if not path.is_file():
+            save_robot(path, robot)
 
 
 def _copies(folder: Path) -> list[Robot]:
@@ -77,15 +76,9 @@ def _copies(folder: Path) -> list[Robot]:
 
 def _history(folder: Path) -> list[dict[str, Any]]:
     """What the zoo tells of the robots that a search began with."""
+    names = ("return", "control_steps", "wall_s", "processor")
     return [
-        {
-            "task": robot.task,
-            "sha256": robot.sha256,
-            "return": robot.about.get("return"),
-            "control_steps": robot.about.get("control_steps"),
-            "wall_s": robot.about.get("wall_s"),
-            "processor": robot.about.get("processor"),
-        }
+        {"task": robot.task, "sha256": robot.sha256} | {name: robot.about.get(name) for name in names}
         for robot in _copies(folder)
     ]
 
@@ -159,10 +152,6 @@ def _shorter(values: np.ndarray) -> np.ndarray:
 def _about(run: Run) -> dict[str, Any]:
     """What the files of a search or training say of it."""
     summary = read_summary(run.folder)
-    return {
-        "wall_s": summary.get("elapsed_seconds"),
-        "version": summary.get("version"),
-        "commit": summary.get("commit"),
-        "processor": summary.get("processor"),
-        "config": {name: value for name, value in run.config.items() if name not in ("output_dir", "name")},
-    }
+    known = {name: summary.get(name) for name in ("version", "commit", "processor")}
+    config = {name: value for name, value in run.config.items() if name not in ("output_dir", "name")}
+    return {"wall_s": summary.get("elapsed_seconds"), **known, "config": config}

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import json
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,7 @@ from warpvox.envs.registry import get_task
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.plain_yaml import to_yaml
-from warpvox.runs import CONFIG, END, going_on, new_folder
+from warpvox.runs import CONFIG, END, run_folder
 from warpvox.trust import as_stored, keep_code
 
 __all__ = ["SearchRun", "check", "environments", "make_evaluator", "run_codesign"]
@@ -168,7 +168,7 @@ def run_codesign(
             opened.callback(executor.close)
         settings = dataclasses.replace(settings, batch=_batch(settings, executor))
         written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), stored or {})
-        folder = opened.enter_context(_folder(place, written))
+        folder = opened.enter_context(run_folder(resumed, written, "codesign", to_yaml(written), place, BEFORE))
         settings.evaluation.keep(known, folder)
         keep_start(start, folder)
         keep_code(settings, folder, console or Console(quiet=True))
@@ -182,27 +182,8 @@ def run_codesign(
     return Found(folder, written, summary)
 
 
-def _folder(place: Path | None, written: Codesign) -> AbstractContextManager[Path]:
-    """The folder of a search, new or one to go on with.
-
-    Raises:
-        RunError: it holds something else.
-    """
-    if place is None:
-        return new_folder(written.output_dir, "codesign", written.task, written.name, to_yaml(written))
-    place.mkdir(parents=True, exist_ok=True)
-    if not (place / ARCHIVE).is_file() and any(file.name not in BEFORE for file in place.iterdir()):
-        raise RunError(f"{place} holds something else than a design search: name another folder.")
-    return going_on(place, to_yaml(written))
-
-
 def _loop(
-    settings: Codesign,
-    search: Search,
-    executor: Executor,
-    results: Results,
-    listeners: Sequence[Listener],
-    resumed: bool,
+    settings: Codesign, search: Search, executor: Executor, results: Results, heard: Sequence[Listener], resumed: bool
 ) -> tuple[SearchRun, Loop]:
     """The loop, and what listeners see of it."""
     how, folder = settings.evaluation, results.folder
@@ -222,7 +203,7 @@ def _loop(
         batch=settings.batch,
         reuse=settings.reuse,
         inherit=how.inherits(settings),
-        listeners=[results, *listeners],
+        listeners=[results, *heard],
     )
     workers = executor.size if settings.executor == "ray" else 0
     return SearchRun(results, total, finalists, cost, workers, resumed), loop

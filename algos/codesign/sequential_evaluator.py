@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
+from warpvox.algos.candidate import Candidate, Outcome, Parent, Parents, Report, candidate_seed
 from warpvox.algos.checkpoints.files import Controller, spec_dict
 from warpvox.algos.codesign.inheritance import copy_voxel_policy
 from warpvox.algos.codesign.population_evaluator import (
@@ -19,6 +18,7 @@ from warpvox.algos.codesign.population_evaluator import (
     describe,
     inherit_policy,
     memory_hint,
+    outcome_of,
     read_evaluation,
     save_evaluation,
 )
@@ -61,18 +61,8 @@ class SequentialEvaluator:
             raise ConfigError("training.inherit does not go with training.ppo.rnn: recurrent layers are not inherited.")
 
     def evaluate(
-        self,
-        candidates: Sequence[Candidate],
-        parents: Mapping[int, Parent],
-        report: Callable[[dict[str, Any]], None] | None = None,
-        checkpoint: Path | None = None,
+        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        """See :class:`warpvox.algos.candidate.DesignEvaluator`.
-
-        Raises:
-            RunError: the checkpoint is another's. StorageError: it cannot be written. DeviceError: memory has run out.
-            KeyboardInterrupt: interrupted; the checkpoint has been written.
-        """
         about = describe(self.factory, self.settings, self.seed, candidates)
         if self.network is not None:
             about |= {"network": self.network, "network_settings": dict(self.network_settings)}
@@ -99,18 +89,16 @@ class SequentialEvaluator:
                 value = float(result.fitness[0])
                 outcome.curve.append((runner.steps, value))
                 if value > outcome.fitness:
+                    outcome.fitness, outcome.spec = value, spec_dict(policy.spec)
                     state = policy.actor.state_dict()
-                    outcome.fitness = value
-                    outcome.spec = spec_dict(policy.spec)
                     outcome.policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
                 return result
-
-            schedule = Schedule(settings.iterations, settings.save_interval, settings.eval_interval)
 
             def save() -> None:
                 if runner.current_learning_iteration > 0:  # before that there is nothing to save
                     done.save(outcome, runner.state())
 
+            schedule = Schedule(settings.iterations, settings.save_interval, settings.eval_interval)
             hint = memory_hint(settings, 1)
             options = {"evaluator": evaluate, "on_save": save, "memory_hint": hint, "voxels": self._voxels(env.env)}
             runner = Runner(env, settings.ppo, schedule, **options)
@@ -122,8 +110,7 @@ class SequentialEvaluator:
                 networks = Networks(runner.alg.actor, runner.alg.critic, torch.empty(0))
                 inherit_policy(self.factory, parent, env.env, 0, networks)
             try:
-                if runner.current_learning_iteration < settings.iterations:
-                    runner.run()
+                runner.run()
             except DivergenceError:  # it leaves with what it had, as one of many would
                 outcome.stopped = True
                 runner.current_learning_iteration += 1
@@ -133,17 +120,14 @@ class SequentialEvaluator:
     def _voxels(self, env: VoxelVecEnv) -> dict[str, Any] | None:
         if self.network is None:
             return None
-        return {
-            "network": self.network,
-            "settings": dict(self.network_settings),
-            "layout": layout_for(self.network, env).dict(),
-        }
+        layout = layout_for(self.network, env).dict()
+        return {"network": self.network, "settings": dict(self.network_settings), "layout": layout}
 
     def _progress(self, outcomes: Sequence[Outcome], count: int) -> dict[str, Any]:
-        left = count - len(outcomes)
+        left, total = count - len(outcomes), self.settings.iterations
         return {
-            "iteration": len(outcomes) * self.settings.iterations // count,
-            "iterations": self.settings.iterations,
+            "iteration": len(outcomes) * total // count,
+            "iterations": total,
             "steps": sum(outcome.steps for outcome in outcomes),
             "best": [math.nan if one.diverged else one.fitness for one in outcomes] + [math.nan] * left,
             "training": [False] * len(outcomes) + [True] * left,
@@ -158,11 +142,10 @@ class _Done:
         self.outcomes: list[Outcome] = []
         self.outcome: Outcome | None = None
         self.training: dict[str, Any] | None = None
-        if file is not None and file.exists():
-            content = read_evaluation(file, about)
-            self.outcomes = [_outcome(values) for values in content["outcomes"]]
+        if content := read_evaluation(file, about):
+            self.outcomes = list(map(outcome_of, content["outcomes"]))
             if content["training"] is not None:
-                self.outcome, self.training = _outcome(content["outcome"]), content["training"]
+                self.outcome, self.training = outcome_of(content["outcome"]), content["training"]
 
     def add(self, outcome: Outcome) -> None:
         """A candidate is done."""
@@ -172,14 +155,7 @@ class _Done:
 
     def save(self, outcome: Outcome | None, training: dict[str, Any] | None) -> None:
         """Write the checkpoint: outcomes, the current training (:meth:`Runner.state`) and its outcome so far."""
-        if self.file is None:
-            return
-        outcomes = [dataclasses.asdict(one) for one in self.outcomes]
-        current = outcome and dataclasses.asdict(outcome)
-        save_evaluation(
-            self.file, {"about": self.about, "outcomes": outcomes, "outcome": current, "training": training}
-        )
-
-
-def _outcome(values: dict[str, Any]) -> Outcome:
-    return Outcome(**values | {"curve": [tuple(point) for point in values["curve"]]})
+        if self.file is not None:
+            outcomes, current = list(map(asdict, self.outcomes)), outcome and asdict(outcome)
+            content = {"about": self.about, "outcomes": outcomes, "outcome": current, "training": training}
+            save_evaluation(self.file, content)

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from warpvox.algos.candidate import Candidate, Outcome
-from warpvox.algos.checkpoints.files import PolicySpec, load_checkpoint, save_checkpoint, spec_dict
+from warpvox.algos.checkpoints.files import load_checkpoint, save_checkpoint, spec_dict, spec_for
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.runner import BEST
 from warpvox.io.writing import check_folder, write_text, writing
@@ -44,7 +44,7 @@ class StoredPolicies:
         check_folder(self.folder / DESIGNS)
         place = Path(DESIGNS) / str(candidate.id)
         content = {
-            "policy": outcome.spec or spec_dict(self._spec(outcome.policy)),
+            "policy": outcome.spec or self._spec(outcome.policy),
             "actor_state_dict": {name: value.detach().cpu() for name, value in outcome.policy.items()},
             "eval_return": outcome.fitness,
             "infos": {"candidate": candidate.id, "steps": outcome.steps},
@@ -61,18 +61,10 @@ class StoredPolicies:
         """
         return load_checkpoint(self.folder / path)["actor_state_dict"]
 
-    def _spec(self, policy: Mapping[str, torch.Tensor]) -> PolicySpec:
+    def _spec(self, policy: Mapping[str, torch.Tensor]) -> dict[str, Any]:
         # The sizes of the first and last layer are those of the body, which the settings do not know.
         layers = [value for name, value in policy.items() if name.startswith("mlp.") and name.endswith(".weight")]
-        ppo = self.ppo
-        return PolicySpec(
-            num_obs=layers[0].shape[1],
-            num_actions=layers[-1].shape[0],
-            hidden=list(ppo.hidden),
-            activation=ppo.activation,
-            normalize_obs=ppo.normalize_obs,
-            action_scale=ppo.action_scale,
-        )
+        return spec_dict(spec_for(self.ppo, layers[0].shape[1], layers[-1].shape[0]))
 
 
 def policy_sha256(policy: Mapping[str, torch.Tensor]) -> str:

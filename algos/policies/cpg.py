@@ -94,7 +94,6 @@ class CpgNetwork(nn.Module):
         return self.motion(self._weights_once(cells), rest[:, -2 * self.oscillations :])
 
     def train(self, mode: bool = True) -> CpgNetwork:
-        """See ``torch.nn.Module``."""
         self._known = None
         return super().train(mode)
 

@@ -49,10 +49,7 @@ class VoxelNormalizer(nn.Module):
         moving = features[..., :MOVING].sub_(self.mean[:MOVING]).div_(deviation[:MOVING])
         moving.clamp_(-FARTHEST, FARTHEST).mul_(present)
         rest = (self._rest(obs) - self.mean[MOVING:]) / deviation[MOVING:]
-        rest = [
-            rest.clamp_(-FARTHEST, FARTHEST),
-            *([self.inputs.clock(obs[:, -1:])] if self.layout.timed else []),
-        ]
+        rest = [rest.clamp_(-FARTHEST, FARTHEST), *([self.inputs.clock(obs[:, -1:])] if self.layout.timed else [])]
         return torch.cat([features.flatten(1), *rest, actions.to(obs.dtype), kinds], dim=1)
 
     def _rest(self, obs: torch.Tensor) -> torch.Tensor:

@@ -13,7 +13,7 @@ from pathlib import Path
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.report.charts import Series, chart, sparkline
-from warpvox.algos.report.page import fact_list, page, row
+from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.algos.report.tree import family_tree
 from warpvox.io.writing import write_text
 from warpvox.view.cell_svg import body_svg
@@ -45,7 +45,7 @@ def report_page(archive: Archive, facts: Mapping[str, str]) -> str:
     slots = {
         "facts": fact_list(_figures(done, best) | dict(facts)),
         "progress": _progress(archive, done),
-        "best": "".join(_card(record) for record in best) or '<p class="faint">No design is evaluated yet.</p>',
+        "best": "".join(map(_card, best)) or NOTHING,
         "curves": _learning(best[:CURVES]),
         "tree": family_tree(line) if line else '<p class="faint">Nothing to show yet.</p>',
         "rows": "".join(_row(record) for record in records),
@@ -59,10 +59,10 @@ def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
         return {"evaluations": "0"}
     trained = [record for record in done if record.reused is None]
     diverged = sum(record.diverged for record in trained)
+    reused = f" (+{len(done) - len(trained)} reused)" if len(trained) < len(done) else ""
     return {
         "best fitness": f"{best[0].fitness:.3f}" if best else "-",
-        "evaluations": f"{len(trained)}"
-        + (f" (+{len(done) - len(trained)} reused)" if len(trained) < len(done) else ""),
+        "evaluations": f"{len(trained)}{reused}",
         "control steps": f"{sum(record.steps or 0 for record in done):,}",
     } | ({"diverged": str(diverged)} if diverged else {})
 
@@ -93,36 +93,27 @@ def _progress(archive: Archive, done: Sequence[Record]) -> str:
 
 
 def _learning(best: Sequence[Record]) -> str:
-    series = [
-        Series(f"#{record.id}", record.curve, "line", number)
-        for number, record in enumerate(best, start=1)
-        if record.curve
-    ]
+    series = [Series(f"#{one.id}", one.curve, "line", number) for number, one in enumerate(best, 1) if one.curve]
     return chart(series, "control steps", "return")
 
 
 def _card(record: Record) -> str:
     item = record.candidate
     parents = ", ".join(f"#{parent}" for parent in item.parents)
-    return (
-        f'<figure class="card">{body_svg(item.body, 22)}<figcaption><b>{record.fitness:.3f}</b>'
-        f"<span>#{record.id} · generation {item.generation}</span>"
-        f"<span>{escape(item.origin)}{f' of {parents}' if parents else ''}</span>"
-        f"{sparkline([value for _, value in record.curve])}</figcaption></figure>"
-    )
+    lines = f"#{record.id} · generation {item.generation}", f"{item.origin}{f' of {parents}' if parents else ''}"
+    return card(record, lines, more=sparkline([value for _, value in record.curve]))
 
 
 def _row(record: Record) -> str:
     item = record.candidate
-    state = "waiting" if record.fitness is None else ""
-    if record.reused is not None:
-        state = f"same body as #{record.reused}"
-    elif record.diverged:
-        state = "diverged"
-    elif record.stopped:
-        state = "stopped early"
-    elif item.origin == FINALIST:
-        state = "policy of its own"
+    states = {
+        f"same body as #{record.reused}": record.reused is not None,
+        "diverged": record.diverged,
+        "stopped early": record.stopped,
+        "policy of its own": item.origin == FINALIST,
+        "waiting": record.fitness is None,
+    }
+    state = next((text for text, holds in states.items() if holds), "")
     cells = (
         (record.id, f"{record.id}"),
         (None, body_svg(item.body, 5)),

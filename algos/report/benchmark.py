@@ -6,6 +6,7 @@ It is made from archives alone, also while the searches are running. Formulas an
 from __future__ import annotations
 
 import base64
+import itertools
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -18,13 +19,12 @@ from warpvox.algos.report.charts import COLOURS, PANEL, Series, chart, legend, s
 from warpvox.algos.report.comparison import compare, comparison_html, comparison_sheet
 from warpvox.algos.report.gallery import write_gallery
 from warpvox.algos.report.members import SearchResult, fitness_of, progress, read_members
-from warpvox.algos.report.page import fact_list, page, row
+from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.algos.statistics import Interval
 from warpvox.envs.known_returns import known_returns
 from warpvox.envs.registry import task_ids
 from warpvox.io.writing import write_table, write_text
 from warpvox.view.body_picture import write_bodies
-from warpvox.view.cell_svg import body_svg
 
 __all__ = ["FILE", "write_benchmark"]
 
@@ -74,7 +74,6 @@ def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, 
     return folder / FILE
 
 
-NOTHING = '<p class="faint">No design is evaluated yet.</p>'
 KNOWN = Series("best published", [(0.0, 0.0)], colour=3, look="rule")
 
 
@@ -84,36 +83,29 @@ def _groups(members: Sequence[SearchResult]) -> Groups:
     known = task_ids()
     tasks = sorted({one.task for one in done}, key=lambda task: (known.index(task) if task in known else 99, task))
     names = dict.fromkeys(one.search for one in done)
-    return {
-        task: {
-            name: runs for name in names if (runs := [one for one in done if (one.task, one.search) == (task, name)])
-        }
-        for task in tasks
-    }
+    groups: dict[str, dict[str, list[SearchResult]]] = {task: {} for task in tasks}
+    for task, name in itertools.product(tasks, names):
+        if runs := [one for one in done if (one.task, one.search) == (task, name)]:
+            groups[task][name] = runs
+    return groups
 
 
 def _names(groups: Groups) -> dict[str, Series]:
     """The colour and look of each search, as a series with its name."""
     names = list(dict.fromkeys(name for named in groups.values() for name in named))
-    looks = ("", "dash")
-    return {
-        name: Series(name, [(0.0, 0.0)], colour=COLOURS[k % len(COLOURS)], look=looks[k // len(COLOURS) % 2])
-        for k, name in enumerate(names)
-    }
+    looks = zip(names, itertools.cycle(itertools.product(("", "dash"), COLOURS)), strict=False)
+    return {name: Series(name, [(0.0, 0.0)], colour=colour, look=look) for name, (look, colour) in looks}
 
 
 def _winners(groups: Groups) -> dict[str, SearchResult]:
     """The best search of each task."""
-    return {
-        task: max((one for runs in named.values() for one in runs), key=lambda one: fitness_of(one.winner))
-        for task, named in groups.items()
-    }
+    every = {task: [one for runs in named.values() for one in runs] for task, named in groups.items()}
+    return {task: max(several, key=lambda one: fitness_of(one.winner)) for task, several in every.items()}
 
 
 def _figures(members: Sequence[SearchResult], groups: Groups) -> dict[str, str]:
-    known = known_returns()
     best = {task: fitness_of(one.winner) for task, one in _winners(groups).items()}
-    published = {task: value for task in best if task in known and (value := known[task].best) is not None}
+    published = {task: value for task in best if (value := _published(task)) is not None}
     reached = sum(best[task] >= value for task, value in published.items())
     return {
         "tasks": f"{len(groups)}",
@@ -127,10 +119,14 @@ def _figures(members: Sequence[SearchResult], groups: Groups) -> dict[str, str]:
 # ------------------------------------------------------------------------------------------------ table and winners
 
 
+def _published(task: str) -> float | None:
+    known = known_returns().get(task)
+    return known and known.best
+
+
 def _row(task: str, name: str, runs: Sequence[SearchResult]) -> str:
     best = np.array([fitness_of(one.winner) for one in runs])
-    known = known_returns().get(task)
-    published = known.best if known else None
+    published = _published(task)
     fresh = runs[int(best.argmax())].fresh
     seconds = [one.seconds for one in runs if one.seconds is not None]
     numbers = [
@@ -156,21 +152,13 @@ def _duration(seconds: float) -> str:
 
 
 def _card(task: str, member: SearchResult, record: Record) -> str:
-    known = known_returns().get(task)
+    published = _published(task)
     lines = [task, f"{member.search}, seed {member.seed}, #{record.id}"]
     if member.fresh:
         lines.append(f"on fresh seeds {_fresh(member.fresh)}")
-    if known and known.best is not None:
-        lines.append(f"best published {known.best:g}")
-    return _figure(record, lines)
-
-
-def _figure(record: Record, lines: Sequence[str], cell: int = 22) -> str:
-    spans = "".join(f"<span>{escape(line)}</span>" for line in lines)
-    return (
-        f'<figure class="card">{body_svg(record.candidate.body, cell)}'
-        f"<figcaption><b>{record.fitness:.3f}</b>{spans}</figcaption></figure>"
-    )
+    if published is not None:
+        lines.append(f"best published {published:g}")
+    return card(record, lines)
 
 
 def _gallery(path: Path, groups: Groups) -> str:
@@ -216,9 +204,8 @@ def _panel(task: str, named: Mapping[str, Sequence[SearchResult]], x: str, looks
             band = [*upper, *reversed(lower)]
         points = list(zip(places, mean, strict=True))
         series.append(Series(name, points, "line", looks[name].colour, band=band, look=looks[name].look))
-    known = known_returns().get(task)
-    if known and known.best is not None:
-        series.append(Series(KNOWN.name, [(0.0, known.best), (last, known.best)], colour=3, look=KNOWN.look))
+    if (best := _published(task)) is not None:
+        series.append(Series(KNOWN.name, [(0.0, best), (last, best)], colour=3, look=KNOWN.look))
     label = {"evaluations": "designs trained", "steps": "control steps"}[x]
     return chart(series, label, task, PANEL, names=False)
 
@@ -236,7 +223,7 @@ def _three(member: SearchResult) -> dict[int, list[Record]]:
 def _generations(task: str, member: SearchResult) -> str:
     columns = "".join(
         f"<div><p>generation {generation}</p><div class="
-        f'"cards">{"".join(_figure(r, [f"#{r.id} · {r.candidate.origin}"], 12) for r in records)}</div></div>'
+        f'"cards">{"".join(card(r, [f"#{r.id} · {r.candidate.origin}"], 12) for r in records)}</div></div>'
         for generation, records in _three(member).items()
     )
     title = f"{task} · {member.search}, seed {member.seed}"

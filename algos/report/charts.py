@@ -64,7 +64,10 @@ def chart(
     span_x, span_y = (_span([point[axis] for point in points]) for axis in (0, 1))
     span_x = (min(0.0, span_x[0]), span_x[1])
     frame = _Frame(span_x, span_y, size)
-    parts = [*_axes(frame, x_label, y_label), *(_band(one, frame) for one in series if one.band)]
+    parts = _axes(frame, x_label, y_label)
+    for one in (one for one in series if one.band):
+        corners = "L".join("{:.1f} {:.1f}".format(*frame.at(point)) for point in one.band)
+        parts.append(f'<path class="band s{one.colour}" d="M{corners}Z"/>')
     # dots first: lines stay visible on top of them
     for one in sorted(series, key=lambda item: item.kind != "dots"):
         parts += _marks(one, frame)
@@ -196,11 +199,6 @@ def _axes(frame: _Frame, x_label: str, y_label: str, y_ticks: bool = True) -> li
     parts.append(f'<text class="label" x="{right}" y="{height - 4}" text-anchor="end">{escape(x_label)}</text>')
     parts.append(f'<text class="label" x="{LEFT}" y="{TOP - 10}">{escape(y_label)}</text>')
     return parts
-
-
-def _band(series: Series, frame: _Frame) -> str:
-    corners = "L".join("{:.1f} {:.1f}".format(*frame.at(point)) for point in series.band)
-    return f'<path class="band s{series.colour}" d="M{corners}Z"/>'
 
 
 def _marks(series: Series, frame: _Frame) -> list[str]:

@@ -12,7 +12,12 @@ from itertools import permutations
 
 import numpy as np
 
-from warpvox.algos.aggregates import (
+from warpvox.algos.report.charts import PANEL, Series, chart, intervals, sheet
+from warpvox.algos.report.members import SearchResult
+from warpvox.algos.report.page import row
+from warpvox.algos.statistics import (
+    LEVEL,
+    Interval,
     bootstrap,
     improvement,
     interquartile_mean,
@@ -21,10 +26,6 @@ from warpvox.algos.aggregates import (
     optimality_gap,
     profile,
 )
-from warpvox.algos.report.charts import PANEL, Series, chart, intervals, sheet
-from warpvox.algos.report.members import SearchResult
-from warpvox.algos.report.page import row
-from warpvox.algos.statistics import LEVEL, Interval
 from warpvox.envs.known_returns import known_returns
 
 __all__ = ["Comparison", "compare", "comparison_html", "comparison_sheet"]

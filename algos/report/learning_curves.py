@@ -152,8 +152,10 @@ def write_curves(
         _dress(axes, AXES[x])
         axes.locator_params(axis="x", nbins=max(2, size[0] // 110))
     # Equal runs make equal files: names inside an SVG are hashes with a random salt otherwise.
+    kind = target.suffix[1:].lower()
+    undated = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
     with atomic_path(target) as temporary, rc_context({"svg.hashsalt": "warpvox"}):
-        figure.savefig(temporary, format=target.suffix[1:].lower(), metadata=_no_date(target.suffix))
+        figure.savefig(temporary, format=kind, metadata=undated)
     _write_csv(panels, target.with_suffix(".csv"), x)
     return target
 
@@ -199,8 +201,3 @@ def _dress(axes: Any, label: str) -> None:
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
     axes.margins(x=0.01)
     axes.legend(frameon=False, loc="best")
-
-
-def _no_date(suffix: str) -> dict[str, Any]:
-    """Metadata that makes equal pictures equal files."""
-    return {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}[suffix.lower()]

@@ -92,14 +92,11 @@ class SearchResult:
         return float(self.best[max(0, np.searchsorted(self.steps, steps, "right") - 1)])
 
     @property
-    def diversity(self) -> tuple[float, float]:
+    def diversity(self) -> tuple[float, ...]:
         """The :func:`diversity` of the bodies proposed in the first and in the last generation."""
         searched = [record.candidate for record in self.records if record.candidate.origin != FINALIST]
         last = max((candidate.generation for candidate in searched), default=0)
-        first, end = (
-            diversity(np.array([one.body for one in searched if one.generation == number])) for number in (0, last)
-        )
-        return first, end
+        return tuple(diversity(np.array([one.body for one in searched if one.generation == k])) for k in (0, last))
 
     @property
     def seconds(self) -> float | None:

@@ -6,8 +6,16 @@ import re
 from collections.abc import Iterable, Mapping
 from html import escape
 from importlib.resources import files
+from typing import TYPE_CHECKING
 
-__all__ = ["fact_list", "page", "row", "text"]
+from warpvox.view.cell_svg import body_svg
+
+if TYPE_CHECKING:
+    from warpvox.algos.codesign.archive import Record
+
+__all__ = ["NOTHING", "card", "fact_list", "page", "row", "text"]
+
+NOTHING = '<p class="faint">No design is evaluated yet.</p>'
 
 
 def page(template: str, title: str, slots: Mapping[str, str]) -> str:
@@ -34,6 +42,13 @@ def text(name: str) -> str:
 def fact_list(facts: Mapping[str, object]) -> str:
     """Names with their values, for a ``<dl class="facts">``."""
     return "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(str(value))}</dd></div>" for name, value in facts.items())
+
+
+def card(record: Record, lines: Iterable[str], cell: int = 22, more: str = "") -> str:
+    """A design with its fitness and some lines of text, and more HTML; ``cell``: pixels of a voxel."""
+    spans = "".join(f"<span>{escape(line)}</span>" for line in lines)
+    head = f'<figure class="card">{body_svg(record.candidate.body, cell)}<figcaption><b>{record.fitness:.3f}</b>'
+    return f"{head}{spans}{more}</figcaption></figure>"
 
 
 def row(cells: Iterable[tuple[float | str | None, str]]) -> str:

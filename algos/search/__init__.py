@@ -24,16 +24,6 @@ from warpvox.algos.search.settings import (
 )
 
 __all__ = [
-    "ALGORITHMS",
-    "BO",
-    "GA",
-    "BaseSearch",
-    "CppnNeat",
-    "CustomSearch",
-    "MapElites",
-    "Proposal",
-    "RandomDesigns",
-    "SearchSettings",
-    "make_search",
-    "settings_from",
-]
+    "ALGORITHMS", "BO", "GA", "BaseSearch", "CppnNeat", "CustomSearch", "MapElites", "Proposal", "RandomDesigns",
+    "SearchSettings", "make_search", "settings_from",
+]  # fmt: skip

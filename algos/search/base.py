@@ -196,7 +196,18 @@ class BaseSearch(ABC):
         """
         if self._asked is None:
             raise SearchError("tell() was called without ask(): there are no candidates that wait for their fitness.")
-        self._take_in(self._asked, fitness)
+        asked, values = self._asked, [float(value) for value in fitness]
+        if len(values) != len(asked):
+            raise SearchError(f"tell() needs one fitness per candidate: expected {len(asked)}, got {len(values)}.")
+        for candidate, value in zip(asked, values, strict=True):
+            if not math.isfinite(value):
+                raise SearchError(f"The fitness of candidate {candidate.id} must be a finite number, got {value}.")
+        self.bodies += [candidate.body for candidate in asked]
+        self.fitness += values
+        self._told |= {body_key(candidate.body) for candidate in asked}
+        self.learn(asked, values)
+        self._asked = None
+        self.generation += 1
 
     def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
         """Restore the state after these generations, and check that this search proposed them.
@@ -255,20 +266,6 @@ class BaseSearch(ABC):
                 raise SearchError(f"{who} a body that is not valid. {error}") from error
             if not all(0 <= parent < len(self.bodies) for parent in proposal.parents):
                 raise SearchError(f"{who} a body with parents {proposal.parents}: expected ids of evaluated bodies.")
-
-    def _take_in(self, asked: Sequence[Candidate], fitness: Sequence[float]) -> None:
-        values = [float(value) for value in fitness]
-        if len(values) != len(asked):
-            raise SearchError(f"tell() needs one fitness per candidate: expected {len(asked)}, got {len(values)}.")
-        for candidate, value in zip(asked, values, strict=True):
-            if not math.isfinite(value):
-                raise SearchError(f"The fitness of candidate {candidate.id} must be a finite number, got {value}.")
-        self.bodies += [candidate.body for candidate in asked]
-        self.fitness += values
-        self._told |= {body_key(candidate.body) for candidate in asked}
-        self.learn(asked, values)
-        self._asked = None
-        self.generation += 1
 
 
 def _check_same(told: Sequence[Candidate], asked: Sequence[Candidate]) -> None:

@@ -128,24 +128,17 @@ class BayesianSearch(BaseSearch):
             if self.claim(climb.summit[path]):
                 proposals.append(Proposal(climb.summit[path], parents, "posterior"))
                 continue
-            proposal = self._second_best(climb.around[path], climb.at_around[path], parents)
-            proposal = proposal or self._second_best_of_pool(pool, climb.at_pool[path])
-            proposals += [proposal] if proposal else []
+            around, bodies = climb.around[path], pool.bodies
+            if (place := self._second_best(around, climb.at_around[path])) is not None:
+                proposals.append(Proposal(around[place], parents, "posterior"))
+            elif (place := self._second_best(bodies, climb.at_pool[path])) is not None:
+                proposals.append(Proposal(bodies[place], pool.parents_of(place), "posterior"))
         return proposals
 
-    def _second_best(self, bodies: np.ndarray, values: np.ndarray, parents: tuple[int, ...]) -> Proposal | None:
-        for place in np.argsort(-values, kind="stable"):
-            if values[place] == -np.inf:
-                return None
-            if self.claim(bodies[place]):
-                return Proposal(bodies[place], parents, "posterior")
-        return None
-
-    def _second_best_of_pool(self, pool: Pool, values: np.ndarray) -> Proposal | None:
-        for place in np.argsort(-values, kind="stable"):
-            if self.claim(pool.bodies[place]):
-                return Proposal(pool.bodies[place], pool.parents_of(place), "posterior")
-        return None
+    def _second_best(self, bodies: np.ndarray, values: np.ndarray) -> int | None:
+        """The place of the best new body, claimed."""
+        places = (place for place in np.argsort(-values, kind="stable") if values[place] > -np.inf)
+        return next((int(place) for place in places if self.claim(bodies[place])), None)
 
     # ------------------------------------------------------------------------------------------------- pool
 
@@ -170,10 +163,7 @@ class BayesianSearch(BaseSearch):
         return Pool(np.stack(bodies) if bodies else np.zeros((0, *self.shape), np.int8), np.array(parents, dtype=int))
 
     def _gather(
-        self,
-        found: dict[bytes, tuple[np.ndarray, int]],
-        draw: Callable[[], tuple[np.ndarray, np.ndarray]],
-        total: int,
+        self, found: dict[bytes, tuple[np.ndarray, int]], draw: Callable[[], tuple[np.ndarray, np.ndarray]], total: int
     ) -> None:
         """Add new valid bodies until there are ``total``."""
         for _ in range(ROUNDS):

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
+from typing import Any
 
 from warpvox.algos.candidate import Search
-from warpvox.algos.search.settings import SearchSettings
+from warpvox.algos.search.settings import CustomSearch, SearchSettings
+from warpvox.code import load_code
 from warpvox.design import Design
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, listing
 
 __all__ = ["make_search"]
 
@@ -18,9 +20,11 @@ SEARCHES = {
     "bo": ("bo", "BayesianSearch"),
     "cppn_neat": ("cppn_neat", "CppnNeatSearch"),
     "map_elites": ("map_elites", "MapElitesSearch"),
-    "custom": ("custom", "make_custom"),
+    "custom": ("factory", "make_custom"),
 }
 """Module of this package and class (or function) for each :attr:`SearchSettings.algorithm`."""
+
+VERBS = ("ask", "tell", "replay")
 
 
 def make_search(
@@ -45,4 +49,27 @@ def make_search(
         if not hasattr(search, "start_with"):
             raise ConfigError(f"{type(search).__name__} has no start_with(bodies), which start needs.")
         search.start_with(start)
+    return search
+
+
+def make_custom(settings: CustomSearch, shape: tuple[int, int], seed: int) -> Search:
+    """Call what ``settings.make`` names with settings, shape and seed.
+
+    Raises:
+        ConfigError: no such file, module or name, or what it makes does not ask, tell and replay.
+    """
+    make = settings.make or ""
+    place, _, name = make.rpartition(":")
+    if not place or not name.isidentifier():
+        raise ConfigError(
+            "The search 'custom' needs make=FILE.py:NAME or make=MODULE:NAME, where NAME makes a search of settings,"
+            f" shape and seed; got {settings.make!r}."
+        )
+    search: Any = load_code(make)(settings, shape, seed)
+    missing = [verb for verb in VERBS if not callable(getattr(search, verb, None))]
+    if missing:
+        raise ConfigError(
+            f"'{settings.make}' makes a {type(search).__name__}, which cannot {listing(missing)}: a search has"
+            f" {listing(VERBS)}. BaseSearch of warpvox.algos.search brings them along."
+        )
     return search

@@ -8,16 +8,26 @@ import numpy as np
 
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.base import BaseSearch, Proposal
-from warpvox.algos.search.descriptors import describe
 from warpvox.algos.search.settings import MapElites
 from warpvox.errors import ConfigError
+from warpvox.types import Cell
 
 try:
     from ribs.archives import GridArchive
 except ImportError as error:
     raise ConfigError("search=map_elites needs the package ribs: pip install 'warpvox[search]'") from error
 
-__all__ = ["MapElitesSearch"]
+__all__ = ["MapElitesSearch", "describe"]
+
+SHARES = {
+    "actuators": (Cell.H_ACT, Cell.V_ACT),
+    "empty": (Cell.EMPTY,),
+    "rigid": (Cell.RIGID,),
+    "soft": (Cell.SOFT,),
+    "horizontal": (Cell.H_ACT,),
+    "vertical": (Cell.V_ACT,),
+}
+"""Shares of all cells of the grid."""
 
 
 class MapElitesSearch(BaseSearch):
@@ -59,3 +69,23 @@ class MapElitesSearch(BaseSearch):
             describe(bodies, self.settings.descriptors),
             id=np.array([candidate.id for candidate in candidates]),
         )
+
+
+def describe(bodies: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """float64 ``[n, descriptors]`` of bodies ``[n, rows, columns]``.
+
+    ``actuators``, ``empty``, ``rigid``, ``soft``, ``horizontal`` and ``vertical`` are shares of the grid's cells;
+    ``height`` and ``width`` what the body spans of the grid; ``symmetry`` is the share of cells that equal their
+    mirror image from left to right.
+    """
+    return np.stack([_describe(bodies, name) for name in names], 1)
+
+
+def _describe(bodies: np.ndarray, name: str) -> np.ndarray:
+    if name in SHARES:
+        return np.isin(bodies, SHARES[name]).mean((1, 2))
+    if name == "symmetry":
+        return (bodies == bodies[:, :, ::-1]).mean((1, 2))
+    # a body is in one piece, so that it touches every row and column between its ends
+    touched = (bodies != Cell.EMPTY).any(axis={"height": 2, "width": 1}[name])
+    return touched.mean(1)

@@ -16,20 +16,12 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values, convert, key
 
 __all__ = [
-    "ALGORITHMS",
-    "BO",
-    "DESCRIPTORS",
-    "GA",
-    "CppnNeat",
-    "CustomSearch",
-    "MapElites",
-    "RandomDesigns",
-    "SearchSettings",
-    "settings_from",
-]
+    "ALGORITHMS", "BO", "DESCRIPTORS", "GA", "CppnNeat", "CustomSearch", "MapElites", "RandomDesigns",
+    "SearchSettings", "settings_from",
+]  # fmt: skip
 
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
-"""What MAP-Elites can sort bodies by, each a number from 0 to 1; see :mod:`warpvox.algos.search.descriptors`."""
+"""What MAP-Elites can sort bodies by, each a number from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
 
 
 @dataclass
@@ -137,12 +129,7 @@ class CustomSearch(SearchSettings):
 
 
 ALGORITHMS: dict[str, type[SearchSettings]] = {
-    "ga": GA,
-    "bo": BO,
-    "cppn_neat": CppnNeat,
-    "map_elites": MapElites,
-    "random": RandomDesigns,
-    "custom": CustomSearch,
+    kind.algorithm: kind for kind in (GA, BO, CppnNeat, MapElites, RandomDesigns, CustomSearch)
 }
 """The settings of each algorithm, by its name."""
 

@@ -101,16 +101,14 @@ class Table:
     @classmethod
     def stored(cls, folder: Path) -> Table:
         """The table as ``members.csv`` has it; without rows if there is no such file."""
-        rows = []
         try:
-            lines = list(csv.DictReader(io.StringIO((folder / MEMBERS).read_text(encoding="utf-8"))))
-            for line in lines:
-                place = folder / line["folder"]
-                rows.append(
-                    Row(line["task"], line["search"], int(line["seed"]), place, 0, line["state"], line["error"])
-                )
+            lines = csv.DictReader(io.StringIO((folder / MEMBERS).read_text(encoding="utf-8")))
+            rows = [
+                Row(one["task"], one["search"], int(one["seed"]), folder / one["folder"], 0, one["state"], one["error"])
+                for one in lines
+            ]
         except (OSError, UnicodeDecodeError, csv.Error, KeyError, ValueError):
-            return cls(folder, [])
+            rows = []
         return cls(folder, rows)
 
     def of(self, *states: str) -> list[Row]:
@@ -125,10 +123,10 @@ class Table:
     def write(self) -> None:
         """Write ``members.csv``, by task, search and seed."""
         check_folder(self.folder)
-        lines = []
-        for row in self._sorted():
-            place = row.folder.relative_to(self.folder).as_posix()
-            lines.append((*row.key, row.state, *row.figures().values(), place, row.error))
+        lines = [
+            (*row.key, row.state, *row.figures().values(), row.folder.relative_to(self.folder).as_posix(), row.error)
+            for row in self._sorted()
+        ]
         if lines != self._written:
             write_table(self.folder / MEMBERS, COLUMNS, lines)
             self._written = lines

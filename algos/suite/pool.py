@@ -63,7 +63,6 @@ class LocalPool:
         self._workers: list[_Worker] = []
 
     def begin(self, number: int, job: Any, folder: Path) -> None:
-        """See :class:`Pool`."""
         worker = next((worker for worker in self._workers if worker.number is None), None)
         if worker is None:
             worker = _Worker.start(self._make)
@@ -73,7 +72,6 @@ class LocalPool:
             worker.pipe.send((job, folder))
 
     def wait(self, seconds: float) -> list[tuple[int, Outcome]]:
-        """See :class:`Pool`."""
         busy = {worker.pipe: worker for worker in self._workers if worker.number is not None}
         ended = []
         for pipe in wait(list(busy), seconds):
@@ -100,13 +98,11 @@ class LocalPool:
         return {"status": "failed", "error": f"Its process {how}{hint}."}
 
     def stop(self) -> None:
-        """See :class:`Pool`."""
         self._stopping = True
         for worker in self._workers:
             worker.process.terminate()
 
     def close(self) -> None:
-        """See :class:`Pool`."""
         for worker in self._workers:
             worker.process.kill()
             worker.process.join()
@@ -200,11 +196,9 @@ class RayPool:
         self._numbers: dict[Any, int] = {}
 
     def begin(self, number: int, job: Any, folder: Path) -> None:
-        """See :class:`Pool`."""
         self._numbers[self._task.remote(self._make, job, folder.absolute())] = number
 
     def wait(self, seconds: float) -> list[tuple[int, Outcome]]:
-        """See :class:`Pool`."""
         if not self._numbers:
             return []
         ended, _ = self._ray.wait(list(self._numbers), num_returns=len(self._numbers), timeout=0)
@@ -221,13 +215,11 @@ class RayPool:
             return {"status": "failed", "error": " ".join(str(error).split())[:300]}
 
     def stop(self) -> None:
-        """See :class:`Pool`."""
         self._stopping = True
         for task in self._numbers:
             self._ray.cancel(task)
 
     def close(self) -> None:
-        """See :class:`Pool`."""
         self._ray.shutdown()
 
 

@@ -53,7 +53,8 @@ class SuiteProgress:
         best, designs = _number(figures["best_fitness"]), figures["evaluations"] or 0
         state = "interrupted" if row.state == WAITING else row.state
         end = f": {row.error}" if row.error else f", best {figure(best)} of {designs} designs"
-        echo(self.console, f"[{self._counted()}] {_name(row)} {state}{end}  left {self._left()}")
+        done, (task, search, seed) = f"{len(self.table.of(DONE, FAILED))}/{len(self.table.rows)}", row.key
+        echo(self.console, f"[{done}] {task} {search} seed {seed} {state}{end}  left {self._left()}")
 
     def refresh(self) -> None:
         """Show and store how far members have come, now and then."""
@@ -66,16 +67,11 @@ class SuiteProgress:
 
     # -------------------------------------------------------------------------------------------- what is shown
 
-    def _counted(self) -> str:
-        """``5/18``: members that have ended, of all."""
-        return f"{len(self.table.of(DONE, FAILED))}/{len(self.table.rows)}"
-
     def _share(self) -> float:
         """How much of the evaluations of all members is done, from 0 to 1."""
-        spent = sum(
-            row.total if row.state in (DONE, FAILED) else row.figures()["evaluations"] or 0 for row in self.table.rows
-        )
-        return spent / sum(row.total for row in self.table.rows)
+        rows = self.table.rows
+        spent = [row.total if row.state in (DONE, FAILED) else row.figures()["evaluations"] or 0 for row in rows]
+        return sum(spent) / sum(row.total for row in rows)
 
     def _left(self) -> str:
         share = self._share()
@@ -94,11 +90,6 @@ class SuiteProgress:
         for row in [*self.table.of(RUNNING), *self._ended[-ENDED:]]:
             grid.add_row(*map(literal, _cells(row)), style="" if row.state == RUNNING else "dim")
         return Group(head, grid)
-
-
-def _name(row: Row) -> str:
-    task, search, seed = row.key
-    return f"{task} {search} seed {seed}"
 
 
 def _cells(row: Row) -> Iterator[Any]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import torch
@@ -12,14 +14,13 @@ from warpvox.algos.policies.cpg import TYPE, CpgNetwork
 from warpvox.algos.policies.layout import MOVING
 from warpvox.algos.training.ppo import PPO
 from warpvox.algos.training.runner import Runner
-from warpvox.algos.training.targets import Targets
 from warpvox.envs.adapters.rsl_rl import ACTION_CENTER
 from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, SimulationError
 from warpvox.gradients import Gradients
 
-__all__ = ["Ascent", "AscentRunner", "check_gradients"]
+__all__ = ["Ascent", "AscentRunner", "Targets", "check_gradients"]
 
 DERIVED = ("com", "velocity")
 """What of a state is differentiated: quantities that rewards may be made of."""
@@ -38,6 +39,53 @@ DECAY = 0.01
 DRIVEN = slice(TYPE.start + 2, TYPE.stop)
 """The types with an actuator, in what does not move."""
 TINY = 1e-12
+
+
+class Targets:
+    """What the policy is to learn: weights of the last bodies; a body that comes again has its newest ones.
+
+    Args:
+        limit: how many are kept.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        self._keys: list[bytes] = []
+        self._bodies, self._targets = torch.empty(0), torch.empty(0)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def add(self, bodies: torch.Tensor, targets: torch.Tensor) -> None:
+        """Add ``[rows, ...]`` of both; of equal bodies the last row counts."""
+        keys = self._known_as(bodies)
+        newest = {key: row for row, key in enumerate(keys)}
+        rows = torch.tensor(list(newest.values()), device=bodies.device)
+        bodies, targets = bodies[rows], targets[rows]
+        if self._keys:
+            stay = torch.tensor([key not in newest for key in self._keys], device=bodies.device)
+            bodies, targets = torch.cat([self._bodies[stay], bodies]), torch.cat([self._targets[stay], targets])
+        kept = [key for key in self._keys if key not in newest] + list(newest)
+        self._keys = kept[-self.limit :]
+        self._bodies, self._targets = bodies[-self.limit :], targets[-self.limit :]
+
+    def draw(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """So many bodies and targets, drawn at random with torch's generator of the CPU."""
+        rows = torch.randint(len(self), (count,)).to(self._bodies.device)
+        return self._bodies[rows], self._targets[rows]
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """For :meth:`set_state`."""
+        return {"bodies": self._bodies, "targets": self._targets}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Go on from :meth:`state`."""
+        self._bodies, self._targets = state["bodies"], state["targets"]
+        self._keys = self._known_as(self._bodies)
+
+    @staticmethod
+    def _known_as(bodies: torch.Tensor) -> list[bytes]:
+        return [row.tobytes() for row in bodies.cpu().numpy()]
 
 
 class Ascent(PPO):
@@ -84,18 +132,13 @@ class Ascent(PPO):
             loss.backward()
             nn.utils.clip_grad_norm_(self.learner.parameters(), self.max_grad_norm)
             self.optimizer.step()
-            self._follow()
+            self.steps += 1
+            share = max(1 - SMOOTHING, 9 / (self.steps + 9))  # the policy follows the learner, faster at first
+            for mean, value in zip(self.actor.network.parameters(), self.learner.parameters(), strict=True):
+                mean.data.lerp_(value.data, share)
             total += loss.item() / times
         self.updates += 1
         return total
-
-    @torch.no_grad()
-    def _follow(self) -> None:
-        """Move the policy toward the learner, faster at first."""
-        self.steps += 1
-        share = max(1 - SMOOTHING, 9 / (self.steps + 9))
-        for mean, value in zip(self.actor.network.parameters(), self.learner.parameters(), strict=True):
-            mean.lerp_(value, share)
 
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
         """Restore what :meth:`save` gave; the learner begins with the policy's parameters."""
@@ -148,18 +191,22 @@ class AscentRunner(Runner):
         by_action = leaf.new_zeros(len(leaf), layout.actions + 1, leaf.shape[2]).scatter(1, place, leaf)[:, :-1]
         state, total = self._gradients.state(), 0.0
         stopped = torch.zeros(self.env.num_envs, dtype=torch.bool, device=self.device)
-        before = Snapshot(_Differentiated(self._gradients, state))
+        before = self._snapshot(state)
         for step in range(steps):
             outputs = CpgNetwork.motion(by_action, inputs.clock(leaf.new_full((1, 1), step)))
             state = self._gradients.step(state, ACTION_CENTER + self.ppo.action_scale * outputs)
             stopped |= env.sim.unstable
-            after = Snapshot(_Differentiated(self._gradients, state))
+            after = self._snapshot(state)
             total = total + sum(term(before, after) * term.weight for term in env.spec.rewards)
             before = after
         (slope,) = torch.autograd.grad(total.sum(), leaf)
         stopped |= ~slope.isfinite().flatten(1).all(1)
         returns = total.detach().masked_fill(stopped, 0.0)
         return returns, slope.masked_fill(stopped[:, None, None], 0.0), stopped
+
+    def _snapshot(self, state: torch.Tensor) -> Snapshot:
+        """The state for rewards, differentiable."""
+        return Snapshot(_Differentiated(**{name: partial(getattr(self._gradients, name), state) for name in DERIVED}))
 
     def _improve(self) -> None:
         self._collect()
@@ -182,12 +229,10 @@ class AscentRunner(Runner):
         self.logger.ended = torch.ones_like(stopped)
 
     def state(self) -> dict[str, Any]:
-        """See :meth:`Runner.state`."""
         own = {"learner": self.alg.learner.state_dict(), "steps": self.alg.steps, "targets": self._targets.state()}
         return super().state() | {"ascent": own}
 
     def set_state(self, content: dict[str, Any]) -> None:
-        """See :meth:`Runner.set_state`."""
         super().set_state(content)
         if "env" not in content:
             return
@@ -205,17 +250,8 @@ class AscentRunner(Runner):
         return {"episodes": count, "length": self.ppo.steps, "diverged": 0} | self._found
 
 
-class _Differentiated:
-    """What rewards may ask of a state, differentiable; a simulation for :class:`Snapshot`."""
-
-    def __init__(self, gradients: Gradients, state: torch.Tensor) -> None:
-        self._gradients, self._state = gradients, state
-
-    def com(self, name: str) -> torch.Tensor:
-        return self._gradients.com(self._state, name)
-
-    def velocity(self, name: str) -> torch.Tensor:
-        return self._gradients.velocity(self._state, name)
+class _Differentiated(SimpleNamespace):
+    """The quantities of a state that are differentiated, in the place of a simulation."""
 
     def __getattr__(self, quantity: str) -> Any:
         raise ConfigError(f"method=gradients differentiates centres of mass and velocities, not {quantity}.")

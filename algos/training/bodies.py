@@ -54,14 +54,9 @@ def load_bodies(spec: Any, seed: int) -> list[np.ndarray | dict[str, np.ndarray]
         spec = spec.tolist()
     if not isinstance(spec, list) or not spec:
         raise DesignError(f"design must be a name, a file or rows of cells such as [[3,3],[4,4]]; got {spec!r}.")
-    several = all(isinstance(item, str) or _is_body(item) for item in spec)
-    if not several:
-        return [load_design(spec, seed=seed)]
-    return [load_design(item, seed=seed + number) for number, item in enumerate(spec)]
-
-
-def _is_body(item: Any) -> bool:
-    return isinstance(item, list) and bool(item) and all(isinstance(row, list) for row in item)
+    several = all(isinstance(one, str) or (isinstance(one, list) and one and isinstance(one[0], list)) for one in spec)
+    bodies = spec if several else [spec]
+    return [load_design(body, seed=seed + number) for number, body in enumerate(bodies)]
 
 
 def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) -> list[Design]:
@@ -307,17 +302,13 @@ class Bodies:
 
     def state(self, env: RslRlVecEnv) -> dict[str, Any]:
         """Bodies of the environments, returns and random numbers: what :meth:`set_state` takes back."""
-        inner = env.env
-        grids = np.zeros((env.num_envs, *self.shape), np.int8)
-        for number, design in enumerate(inner.design_index.tolist()):
-            body = inner.designs[design]
-            grids[number, : body.shape[0], : body.shape[1]] = body
-        shapes = [list(inner.designs[design].shape) for design in inner.design_index.tolist()]
-        return {
-            "grids": torch.from_numpy(grids),
+        bodies = [env.env.designs[design] for design in env.env.design_index.tolist()]
+        grids, shapes = np.zeros((env.num_envs, *self.shape), np.int8), [list(body.shape) for body in bodies]
+        for grid, body in zip(grids, bodies, strict=True):
+            grid[: body.shape[0], : body.shape[1]] = body
+        arrays = {"grids": grids, "which": self._which.copy(), "returns": self._returns.copy()}
+        return {name: torch.from_numpy(array) for name, array in arrays.items()} | {
             "shapes": shapes,
-            "which": torch.from_numpy(self._which.copy()),
-            "returns": torch.from_numpy(self._returns.copy()),
             "seen": self._seen,
             "digests": torch.tensor(sorted(self._digests)),
             "random": json.dumps(self._rng.bit_generator.state),

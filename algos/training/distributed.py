@@ -12,7 +12,7 @@ import torch.distributed as dist
 
 from warpvox.errors import ConfigError, DeviceError
 
-__all__ = ["SINGLE_PROCESS", "ProcessGroup", "join_process_group", "started_by_torchrun"]
+__all__ = ["SINGLE_PROCESS", "ProcessGroup", "join_process_group"]
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,6 @@ class ProcessGroup:
 SINGLE_PROCESS = ProcessGroup()
 
 
-def started_by_torchrun() -> bool:
-    """Whether this is one of several processes that ``torchrun`` has started."""
-    return int(os.environ.get("WORLD_SIZE", "1")) > 1
-
-
 def join_process_group(device: str) -> ProcessGroup:
     """Meet the other processes; a group of one where ``torchrun`` has started none.
 
@@ -79,7 +74,7 @@ def join_process_group(device: str) -> ProcessGroup:
     Raises:
         DeviceError: there are fewer GPUs than processes. ConfigError: a single GPU is named for all.
     """
-    if not started_by_torchrun():
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         return SINGLE_PROCESS
     names = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE")
     rank, size, local_rank, local_size = (int(os.environ[name]) for name in names)

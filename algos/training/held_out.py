@@ -60,7 +60,10 @@ class HeldOut:
         last = result.fitness.numpy()
         self.best = np.maximum(self.best, last)
         if self.folder is not None:
-            self._write(last)
+            cells = ["/".join("".join(map(str, row)) for row in body.tolist()) for body in self.bodies]
+            figures = [[f"{value:.6g}" for value in values] for values in (last, self.best)]
+            rows = zip(range(len(cells)), *figures, cells, strict=True)
+            write_table(self.folder / f"{self.name}.csv", ("body", "last_return", "best_return", "cells"), rows)
             self._draw(last)
         return result
 
@@ -88,9 +91,3 @@ class HeldOut:
             shades=shades(self.task, last[order]),
             columns=8,
         )
-
-    def _write(self, last: np.ndarray) -> None:
-        cells = ["/".join("".join(map(str, row)) for row in body.tolist()) for body in self.bodies]
-        figures = [[f"{value:.6g}" for value in values] for values in (last, self.best)]
-        rows = zip(range(len(cells)), *figures, cells, strict=True)
-        write_table(self.folder / f"{self.name}.csv", ("body", "last_return", "best_return", "cells"), rows)

@@ -208,8 +208,7 @@ class Job:
         runner.report = report
         listener.begin(self)
         try:
-            if runner.current_learning_iteration < runner.schedule.total:
-                runner.run()
+            runner.run()
             status = "done"
         except KeyboardInterrupt:
             status = "interrupted"
@@ -217,21 +216,20 @@ class Job:
         finally:
             seconds = time.perf_counter() - began
             if runner.current_learning_iteration and self.group.is_main_process:
-                about = {"command": command, "task": runner.env.cfg["task"], "status": status}
-                self.summary = about | {"seed": self.settings.seed, **self._bodies(), **runner.summary()}
+                settings, designs = self.settings, self.settings.designs
+                about = {"command": command, "task": runner.env.cfg["task"], "status": status, "seed": settings.seed}
+                if isinstance(self.judge, HeldOut):
+                    about["designs"] = {"bodies": designs.bodies, "refresh": designs.refresh}
+                    about["evaluated_on"] = self.judge.about
+                else:
+                    about["design"] = settings.design
+                self.summary = about | runner.summary()
                 self.summary["steps_per_second"] = round((runner.steps - before) / seconds, 1)
                 # a run that has failed may have failed because nothing can be written; that is the error to report
                 with suppress(StorageError) if status == "failed" else nullcontext():
                     if self.folder is not None:
                         write_summary(self.folder, self.summary)
             listener.end(self)
-
-    def _bodies(self) -> dict[str, Any]:
-        """Entries of a summary about the bodies."""
-        if not isinstance(self.judge, HeldOut):
-            return {"design": self.settings.design}
-        designs = {"bodies": self.settings.designs.bodies, "refresh": self.settings.designs.refresh}
-        return {"designs": designs, "evaluated_on": self.judge.about}
 
     @property
     def policy(self) -> Policy:
@@ -241,11 +239,13 @@ class Job:
         return policy.to("cpu")
 
 
+@dataclasses.dataclass
 class _Best:
     """An evaluator that keeps the best policy in memory."""
 
-    def __init__(self, judge: Evaluator | None) -> None:
-        self.judge, self.value, self.policy = judge, -np.inf, None
+    judge: Evaluator | None
+    value: float = -np.inf
+    policy: Policy | None = None
 
     def __call__(self, controller: Any) -> Evaluation:
         found = self.judge(controller)
@@ -294,9 +294,8 @@ def _trained_on(settings: Training) -> dict[str, Any]:
     known = {"task": str(task_name(settings.task)), "rules": settings.rules, "seed": settings.seed}
     if not settings.is_many:
         return known | {"design": settings.design}
-    designs = settings.designs
-    about = {"bodies": designs.bodies, "refresh": designs.refresh, "held_out": designs.held_out}
-    return known | {"design": None, "designs": about}
+    names = ("bodies", "refresh", "held_out")
+    return known | {"design": None, "designs": {name: getattr(settings.designs, name) for name in names}}
 
 
 def _voxels(settings: Training, env: VoxelVecEnv) -> dict[str, Any] | None:

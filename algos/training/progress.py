@@ -112,7 +112,6 @@ class Notebook(Listener):
     """Shows the same in an element of a notebook that changes in place; it needs no widgets."""
 
     def begin(self, job: Job) -> None:
-        """See :meth:`Terminal.begin`."""
         from IPython.display import HTML, display  # what has started the notebook
 
         self._html, self._figures, self._began = HTML, Figures(), time.monotonic()
@@ -129,7 +128,6 @@ class Notebook(Listener):
         self._place.update(self._html(f"<pre>{html.escape(self._said)}</pre>{bar}"))
 
     def end(self, job: Job) -> None:
-        """See :meth:`Terminal.end`."""
         if job.summary:
             text = f"{self._said}\n{_conclusion(job, time.monotonic() - self._began)}"
             self._place.update(self._html(f"<pre>{html.escape(text)}</pre>"))
@@ -157,7 +155,7 @@ def _announcement(job: Job) -> str:
 
 def _conclusion(job: Job, seconds: float) -> str:
     runner, folder, status, best = job.runner, job.folder, job.summary["status"], job.summary["best_return"]
-    words = {"done": "done", "interrupted": "interrupted, state saved", "failed": "failed"}[status]
+    words = f"{status}, state saved" if status == "interrupted" else status
     if status != "done" and (folder is None or runner.saved_iteration != runner.current_learning_iteration):
         words = status if folder is None else f"{status}, the state of iteration {runner.saved_iteration} is kept,"
     text = f"{words} after {runner.steps:,} control steps in {seconds:.0f} s"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,21 +51,15 @@ def continued(settings: Training, source: Run) -> tuple[Training, Path]:
         reason = str(error).rstrip(".")
         for number in reversed(source.iterations):
             other = source.folder / f"model_{number}.pt"
-            if other != checkpoint and _is_readable(other):
-                raise RunError(
-                    f"{reason}. The newest checkpoint that can be read is that of iteration {number};"
-                    f" go on from there, with new episodes: warpvox train {shell_argument('resume', other)}"
-                ) from None
-        raise RunError(f"{reason}, and there is no other checkpoint: start the run again.") from None
+            with suppress(RunError):
+                load_checkpoint(other)
+                reason += f". The newest checkpoint that can be read is that of iteration {number}; go on from there,"
+                reason += f" with new episodes: warpvox train {shell_argument('resume', other)}"
+                break
+        else:
+            reason += ", and there is no other checkpoint: start the run again."
+        raise RunError(reason) from None
     return dataclasses.replace(settings, resume=None), checkpoint
-
-
-def _is_readable(checkpoint: Path) -> bool:
-    try:
-        load_checkpoint(checkpoint)
-    except RunError:
-        return False
-    return True
 
 
 def check_left(folder: Path, runner: Runner) -> None:

@@ -17,12 +17,12 @@ from rsl_rl.utils.logger import Logger
 
 from warpvox.algos.checkpoints.files import (
     Controller,
-    PolicySpec,
     check_fits,
     load_checkpoint,
     rnn_of,
     save_checkpoint,
     spec_dict,
+    spec_for,
     spec_of,
 )
 from warpvox.algos.evaluate import Evaluation, Evaluator, StatefulEvaluator
@@ -170,16 +170,8 @@ class Runner(OnPolicyRunner):
             f"Train with fewer environments (num_envs={max(1, env.num_envs // 2)} instead of {env.num_envs}) or a lower"
             " ppo.steps."
         )
-        self.spec = PolicySpec(
-            num_obs=env.get_observations()["policy"].shape[1],
-            num_actions=env.num_actions,
-            hidden=list(ppo.hidden),
-            activation=ppo.activation,
-            normalize_obs=ppo.normalize_obs,
-            action_scale=ppo.action_scale,
-            voxels=None if voxels is None else dict(voxels),
-            rnn=rnn_of(config["actor"]),
-        )
+        kind = {"voxels": None if voxels is None else dict(voxels), "rnn": rnn_of(config["actor"])}
+        self.spec = spec_for(ppo, env.get_observations()["policy"].shape[1], env.num_actions, **kind)
         self.current_learning_iteration, self.saved_iteration, self.elapsed = 0, None, 0.0
         self.best_return, self.best_iteration, self.last_return = -math.inf, 0, math.nan
         self._metrics: Metrics | None = None
@@ -214,24 +206,18 @@ class Runner(OnPolicyRunner):
         The first interrupt waits for the end of the iteration, saves, and then raises KeyboardInterrupt.
 
         Raises:
-            RunError: learning has diverged (DivergenceError), or there is nothing left to do.
+            DivergenceError: learning has diverged.
             StorageError: the folder cannot be written any more. DeviceError: memory has run out. In both cases what was
                 saved last is whole, and learning goes on from there as if nothing had happened.
         """
-        self.check_schedule()
         left = self.schedule.total - self.current_learning_iteration
-        with enough_memory(self.memory_hint):
-            self.learn(left, init_at_random_ep_len=self.ppo.random_start)
-
-    def check_schedule(self) -> None:
-        """Raise RunError if there is nothing left to do."""
-        done = self.current_learning_iteration
-        if done >= self.schedule.total:
-            raise RunError(f"This run has made {done} iterations already; ask for more: max_iterations={2 * done}.")
+        if left > 0:
+            with enough_memory(self.memory_hint):
+                self.learn(left, init_at_random_ep_len=self.ppo.random_start)
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Learn for so many iterations; random lengths apply to the very first one only."""
-        end = self.current_learning_iteration + num_learning_iterations
+        end, goal = self.current_learning_iteration + num_learning_iterations, self.schedule.stop_return
         if self.current_learning_iteration == 0:
             self.save_state()  # a run can be resumed whenever it is killed
         if init_at_random_ep_len and self.current_learning_iteration == 0:
@@ -243,7 +229,7 @@ class Runner(OnPolicyRunner):
             self.alg.broadcast_parameters()
         try:
             with deferred_interrupts() as interrupted:
-                while self.current_learning_iteration < end and not self._reached():
+                while self.current_learning_iteration < end and (goal is None or not self.last_return >= goal):
                     self._iterate(end)
                     if self.group.any(bool(interrupted)):
                         self.save_all()
@@ -252,10 +238,6 @@ class Runner(OnPolicyRunner):
         finally:
             if self._metrics is not None:
                 self._metrics.close()
-
-    def _reached(self) -> bool:
-        goal = self.schedule.stop_return
-        return goal is not None and self.last_return >= goal
 
     def _iterate(self, end: int) -> None:
         """One iteration: collect, learn, then evaluate, log and save as scheduled."""
@@ -323,11 +305,11 @@ class Runner(OnPolicyRunner):
         if math.isnan(value):  # there is no evaluator
             return value
         self.last_return = value
-        if self.last_return > self.best_return:
-            self.best_return, self.best_iteration = self.last_return, self.current_learning_iteration
+        if value > self.best_return:
+            self.best_return, self.best_iteration = value, self.current_learning_iteration
             if self.folder is not None and self.group.is_main_process:
                 save_checkpoint(self.folder / BEST, self._policy_content())
-        return self.last_return
+        return value
 
     def _row(self, losses: dict[str, float], seconds: float, evaluated: float) -> dict[str, float]:
         episodes = self._episodes()
@@ -357,9 +339,7 @@ class Runner(OnPolicyRunner):
 
     def _quantiles(self, evaluated: float) -> dict[str, float]:
         """Of the returns of the last evaluation, over its bodies where there are several."""
-        if math.isnan(evaluated) or self._judged is None:
-            return {}
-        fitness = self._judged.fitness
+        fitness = () if math.isnan(evaluated) or self._judged is None else self._judged.fitness
         if len(fitness) < 2:
             return {}
         return {f"eval_q{share}": float(torch.quantile(fitness, share / 100)) for share in (10, 50, 90)}
@@ -369,12 +349,10 @@ class Runner(OnPolicyRunner):
         own = self.env.pop_episodes()
         count = own["episodes"]
         sums = [count, *(count * own[name] if count else 0.0 for name in ("return", "length"))]
-        sums += [own["unstable"], own["diverged"]]
-        count, total, length, unstable, diverged = self.group.sum(sums)
+        count, *means, unstable, diverged = self.group.sum([*sums, own["unstable"], own["diverged"]])
+        mean, length = (value / count if count else math.nan for value in means)
         stopped = {"unstable": int(unstable), "diverged": int(diverged)}
-        if not count:
-            return {"episodes": 0, "return": math.nan, "length": math.nan} | stopped
-        return {"episodes": int(count), "return": total / count, "length": length / count} | stopped
+        return {"episodes": int(count), "return": mean, "length": length} | stopped
 
     def summary(self) -> dict[str, Any]:
         """The run in figures, for ``summary.json``."""
@@ -391,14 +369,8 @@ class Runner(OnPolicyRunner):
     # --------------------------------------------------------------- checkpoints
 
     def _policy_content(self) -> dict[str, Any]:
-        own = {
-            "iter": self.current_learning_iteration,
-            "infos": None,
-            "policy": spec_dict(self.spec),
-            "eval_return": self.last_return,
-            "trained_on": self.trained_on,
-        }
-        return self.alg.save() | own
+        own = {"iter": self.current_learning_iteration, "infos": None, "policy": spec_dict(self.spec)}
+        return self.alg.save() | own | {"eval_return": self.last_return, "trained_on": self.trained_on}
 
     def save_all(self) -> None:
         """Write ``model_<iteration>.pt`` and ``state.pt`` to the run's folder, if there is one.

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
-from warpvox.algos.aggregates import bootstrap, improvement, interquartile_mean, interval, mean, optimality_gap, profile
+from warpvox.algos.statistics import bootstrap, improvement, interquartile_mean, interval, mean, optimality_gap, profile
 
 RUNS = st.lists(st.floats(-10, 10), min_size=1, max_size=7).map(np.array)
 SCORES = st.dictionaries(st.sampled_from("abcd"), RUNS, min_size=1)

@@ -8,11 +8,5 @@ from warpvox.algos.codesign.evaluations.specialist import Specialist
 
 __all__ = ["EVALUATIONS", "Custom", "Evaluation", "FewShot", "Gaits", "Shared", "Specialist"]
 
-EVALUATIONS: dict[str, type[Evaluation]] = {
-    "specialist": Specialist,
-    "shared": Shared,
-    "few_shot": FewShot,
-    "gaits": Gaits,
-    "custom": Custom,
-}
+EVALUATIONS: dict[str, type[Evaluation]] = {one.name: one for one in (Specialist, Shared, FewShot, Gaits, Custom)}
 """The evaluations by name."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpvox.algos.settings import MLP, DesignTraining, Ppo
+from warpvox.algos.settings import DesignTraining, Ppo
 from warpvox.errors import ConfigError
 from warpvox.keys import check_values, key
 from warpvox.types import Cell
@@ -24,18 +24,7 @@ if TYPE_CHECKING:
     from warpvox.envs.vec_env import VoxelVecEnv
     from warpvox.robots.entry import Robot
 
-__all__ = [
-    "Evaluation",
-    "Workload",
-    "check_network",
-    "check_training",
-    "full_body",
-    "probe",
-    "steps_of_training",
-    "training_evaluator",
-    "training_workload",
-    "try_network",
-]
+__all__ = ["Evaluation", "Workload", "check_network", "full_body", "probe", "steps_of_training"]
 
 
 @dataclass(frozen=True)
@@ -125,64 +114,6 @@ class Evaluation:
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
         """Settings of a training run that differ from the search's own for the policy of a design, to play it by."""
         return {}
-
-
-# --------------------------------------------------------------------------------------------- trainings of designs
-
-
-def check_training(search: Codesign) -> None:
-    """Find settings of a design's own training that do not go together.
-
-    Raises:
-        ConfigError: which, and what would.
-    """
-    from warpvox.algos.policies.registry import check_policy
-
-    training = search.training
-    training.ppo.check(training.envs, "training.ppo")
-    check_policy(search.policy)
-    if training.method == "sequential" and training.rungs:
-        raise ConfigError("training.rungs needs training.method=population: designs must be trained side by side.")
-    if search.policy == MLP and search.network is not None:
-        raise ConfigError(
-            "network has the settings of policy=grid, transformer or your own; mlp has training.ppo.hidden."
-        )
-    if search.policy != MLP and training.method != "sequential":
-        raise ConfigError(
-            f"policy={search.policy} needs training.method=sequential: designs that are trained side by side have"
-            " fully connected layers (policy=mlp)."
-        )
-
-
-def try_network(search: Codesign) -> None:
-    """Try the network of the designs' own policies.
-
-    Raises:
-        WarpvoxError: as :func:`check_network`.
-    """
-    if search.policy != MLP:
-        check_network(probe(search.factory("voxel"), search.shape), search.policy, search.network, "network")
-
-
-def training_evaluator(search: Codesign) -> DesignEvaluator:
-    """The evaluator that trains a policy for each design."""
-    from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
-    from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
-
-    if search.training.method == "population":
-        return PopulationEvaluator(search.factory(), search.training, search.seed)
-    if search.policy == MLP:
-        return SequentialEvaluator(search.factory(), search.training, search.seed)
-    network = search.policy, dict(search.network or {})
-    return SequentialEvaluator(search.factory("voxel"), search.training, search.seed, *network)
-
-
-def training_workload(search: Codesign, designs: int) -> Workload:
-    """The batch of so many designs' own trainings."""
-    training = search.training
-    together = 1 if training.method == "sequential" else min(search.batch or designs, designs)
-    obs = "task" if search.policy == MLP else "voxel"
-    return Workload(together, training.envs, "training.envs", training.envs, obs, training.ppo)
 
 
 def steps_of_training(training: DesignTraining, designs: int) -> float:

@@ -11,17 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.evaluations.base import (
-    Workload,
-    check_network,
-    probe,
-    steps_of_training,
-)
-from warpvox.algos.codesign.evaluations.screened import Screened
+from warpvox.algos.codesign.evaluations.base import Workload, check_network, probe, steps_of_training
+from warpvox.algos.codesign.evaluations.specialist import Screened
 from warpvox.algos.settings import CPG, MLP, Ppo
+from warpvox.algos.training.pretrained import check_learned, find_pretrained, kept_name, observed_by
 from warpvox.code import is_code
-from warpvox.errors import ConfigError, did_you_mean
-from warpvox.keys import check_values, key
+from warpvox.errors import ConfigError
+from warpvox.keys import changed, check_values, convert, key
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
@@ -53,7 +49,6 @@ class CommonPolicy(Screened):
     ppo: Any = key(None, "settings of PPO that differ from training.ppo: {epochs:4,schedule:adaptive}")
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
         from warpvox.algos.policies.registry import check_policy
 
         super().check(search)
@@ -70,16 +65,11 @@ class CommonPolicy(Screened):
         Raises:
             ConfigError: no such setting, or a value that it cannot have.
         """
-        given, known = self.ppo or {}, dataclasses.asdict(search.training.ppo)
+        given = self.ppo or {}
         if not isinstance(given, Mapping):
             raise ConfigError(f"evaluation.ppo must be settings by name, such as {{epochs:4}}; got {given!r:.80}.")
-        for name, value in given.items():
-            if name not in known:
-                raise ConfigError(f"evaluation.ppo: PPO has no setting {name!r:.80}.{did_you_mean(str(name), known)}")
-            wanted = (int, float) if isinstance(known[name], float) else type(known[name])
-            if not isinstance(value, wanted) or isinstance(value, bool) != isinstance(known[name], bool):
-                raise ConfigError(f"evaluation.ppo: {name} must be like {known[name]!r}, got {value!r:.80}.")
-        ppo = dataclasses.replace(search.training.ppo, **given)
+        ppo = changed(search.training.ppo, given, "evaluation.ppo")
+        convert(ppo, "evaluation.ppo.")
         check_values(ppo, "evaluation.ppo.")
         return ppo
 
@@ -106,19 +96,17 @@ class CommonPolicy(Screened):
         return found
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
-        """See :class:`Evaluation`; the first is about as many."""
+        """The first is about as many."""
         each = (self.ppo or {}).get("steps", search.training.ppo.steps) * self.iterations * self.envs
         last = self.finalists * steps_of_training(search.training, self.finalists)
         return each + self.eval_envs * task.max_episode_steps, last
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """See :class:`Evaluation`."""
         population, ppo = search.search.population, self.ppo_of(search)
         batch = Workload(population, self.envs, "evaluation.envs", self.envs, "voxel", ppo, "search.population")
         return [*super().workloads(search), batch]
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
-        """See :class:`Evaluation`."""
         if candidate.origin == FINALIST:
             return {}
         bodies = [candidate.body.tolist()]
@@ -143,7 +131,6 @@ class Shared(CommonPolicy):
     iterations: int = key(10, "training iterations on the designs of each generation", low=1)
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
         super().check(search)
         if search.executor == "ray":
             raise ConfigError(
@@ -158,13 +145,11 @@ class Shared(CommonPolicy):
             )
 
     def resolved(self, search: Codesign, folder: Path | None) -> Shared:
-        """See :class:`Evaluation`."""
         super().resolved(search, folder)
         self.layout(search)
         return dataclasses.replace(self, ppo=dataclasses.asdict(self.ppo_of(search)))
 
     def screening(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """See :class:`Screened`."""
         from warpvox.algos.codesign.common_policy import SharedEvaluator
 
         return SharedEvaluator(self.factory(search), self, search.seed)
@@ -185,7 +170,6 @@ class FewShot(CommonPolicy):
     )
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
         super().check(search)
         if self.pretrained is None:
             raise ConfigError(
@@ -194,9 +178,7 @@ class FewShot(CommonPolicy):
             )
 
     def resolved(self, search: Codesign, folder: Path | None) -> FewShot:
-        """See :class:`Evaluation`."""
         from warpvox.algos.policies.layout import VoxelLayout
-        from warpvox.algos.training.pretrained import find_pretrained, kept_name, observed_by
 
         super().resolved(search, folder)
         content = self._read(search, folder)
@@ -227,7 +209,6 @@ class FewShot(CommonPolicy):
             RunError: no such run or file. ConfigError: a policy that cannot be tuned for other bodies.
         """
         from warpvox.algos.checkpoints.files import load_checkpoint
-        from warpvox.algos.training.pretrained import check_learned, find_pretrained
 
         path, run = (folder / PRETRAINED, {}) if folder else find_pretrained(self.pretrained, search.output_dir)
         content = load_checkpoint(path)
@@ -247,11 +228,10 @@ class FewShot(CommonPolicy):
         return content
 
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> dict[str, Any]:
-        """See :class:`Evaluation`: the checkpoint of the pretrained policy."""
+        """The checkpoint of the pretrained policy."""
         return self._read(search, folder)
 
     def keep(self, known: Any, folder: Path) -> None:
-        """See :class:`Evaluation`."""
         from warpvox.algos.checkpoints.files import save_checkpoint
 
         if not (folder / PRETRAINED).is_file():
@@ -259,12 +239,9 @@ class FewShot(CommonPolicy):
             save_checkpoint(folder / PRETRAINED, dict(known))
 
     def pretraining_steps(self, known: Any) -> int | None:
-        """See :class:`Evaluation`."""
         return known.get(STEPS)
 
     def screening(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """See :class:`Screened`."""
         from warpvox.algos.codesign.common_policy import FewShotEvaluator
-        from warpvox.algos.training.pretrained import observed_by
 
         return FewShotEvaluator(self.factory(search, observed_by(known["policy"])), self, search.seed, known)

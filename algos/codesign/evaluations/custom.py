@@ -32,7 +32,6 @@ class Custom(Evaluation):
     settings: Any = key(None, "settings of your own, by name: {episodes:3}")
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
         place, _, name = (self.make or "").rpartition(":")
         if not place or not name.isidentifier():
             raise ConfigError(
@@ -42,15 +41,10 @@ class Custom(Evaluation):
         self.build(search, None)
 
     def inherits(self, search: Codesign) -> bool:
-        """See :class:`Evaluation`."""
         return search.training.inherit
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """See :class:`Evaluation`.
-
-        Raises:
-            ConfigError: no such file, module or name, settings that it does not take, or it makes no evaluator.
-        """
+        """ConfigError: no such file, module or name, settings that it does not take, or it makes no evaluator."""
         try:
             made = load_code(self.make)(search, **(self.settings or {}))
         except TypeError as error:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.evaluations.base import Workload, steps_of_training, training_evaluator
-from warpvox.algos.codesign.evaluations.screened import Screened
+from warpvox.algos.codesign.evaluations.base import Workload, steps_of_training
+from warpvox.algos.codesign.evaluations.specialist import Screened
 from warpvox.algos.settings import MLP
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -47,7 +47,6 @@ class Gaits(Screened):
     final_beam: int = key(64, "motions that a finalist tries in each stage of a beam search", low=1)
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
         super().check(search)
         for prefix, passes, rounds in ("", self.passes, self.rounds), ("final_", self.final_passes, self.final_rounds):
             if passes + rounds == 0:
@@ -57,7 +56,7 @@ class Gaits(Screened):
                 )
 
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
-        """See :class:`Evaluation`: the gaits of robots that have one, by the bytes of their bodies."""
+        """The gaits of robots that have one, by the bytes of their bodies."""
         from warpvox.algos.codesign.gaits import Gait
         from warpvox.robots.gait import Gait as RobotGait
         from warpvox.robots.replay import by_cell
@@ -69,18 +68,15 @@ class Gaits(Screened):
         }
 
     def inherits(self, search: Codesign) -> bool:
-        """See :class:`Evaluation`."""
         return True
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
-        """See :class:`Evaluation`."""
         steps = _episodes(search) * task.max_episode_steps
         first = self.passes * self.beam + self.rounds * self.gaits
         last = self.final_passes * self.final_beam + self.final_rounds * self._final_gaits
         return first * steps, self.finalists * (last * steps + steps_of_training(search.training, self.finalists))
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """See :class:`Evaluation`."""
         first = {"evaluation.gaits": self.gaits, "evaluation.beam": self.beam if self.passes else 1}
         last = {"evaluation.final_gaits": self._final_gaits}
         last["evaluation.final_beam"] = self.final_beam if self.final_passes else 1
@@ -96,7 +92,6 @@ class Gaits(Screened):
         return self.final_gaits or self.gaits
 
     def screening(self, search: Codesign, known: Any) -> GaitEvaluator:
-        """See :class:`Screened`."""
         from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
         return GaitEvaluator(
@@ -113,15 +108,15 @@ class Gaits(Screened):
         )
 
     def final(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """See :class:`Screened`: more gaits, and a training."""
+        """More gaits, and a training."""
         from warpvox.algos.codesign.finalists import BestOf
 
         changes = {"count": self._final_gaits, "rounds": self.final_rounds, "passes": self.final_passes}
         more = dataclasses.replace(self.screening(search, known), beam=self.final_beam, **changes)
-        return BestOf(more, training_evaluator(search))
+        return BestOf(more, super().final(search, known))
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
-        """See :class:`Evaluation`: a gait is played in simulations like those that have found its fitness."""
+        """A gait is played in simulations like those that have found its fitness."""
         if not (outcome.spec and outcome.spec.get("gait")):
             return {}
         count = self._final_gaits if candidate.origin == FINALIST else self.gaits

@@ -1,4 +1,4 @@
-"""Each design is judged by a policy of its own."""
+"""Each design is judged by a policy of its own, or only the best of those that are compared in another way."""
 
 from __future__ import annotations
 
@@ -6,15 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpvox.algos.codesign.evaluations.base import (
-    Evaluation,
-    Workload,
-    check_training,
-    steps_of_training,
-    training_evaluator,
-    training_workload,
-    try_network,
-)
+from warpvox.algos.codesign.evaluations.base import Evaluation, Workload, check_network, probe, steps_of_training
+from warpvox.algos.settings import MLP
+from warpvox.errors import ConfigError
 from warpvox.keys import key
 
 if TYPE_CHECKING:
@@ -22,7 +16,7 @@ if TYPE_CHECKING:
     from warpvox.algos.codesign.settings import Codesign
     from warpvox.envs.spec import TaskSpec
 
-__all__ = ["Specialist"]
+__all__ = ["Screened", "Specialist"]
 
 
 @dataclass
@@ -32,26 +26,79 @@ class Specialist(Evaluation):
     name: str = key("specialist", "each design has a policy of its own", choices=("specialist",))
 
     def check(self, search: Codesign) -> None:
-        """See :class:`Evaluation`."""
-        check_training(search)
+        from warpvox.algos.policies.registry import check_policy
 
-    def resolved(self, search: Codesign, folder: Path | None) -> Specialist:
-        """See :class:`Evaluation`."""
-        try_network(search)
+        training = search.training
+        training.ppo.check(training.envs, "training.ppo")
+        check_policy(search.policy)
+        if training.method == "sequential" and training.rungs:
+            raise ConfigError("training.rungs needs training.method=population: designs must be trained side by side.")
+        if search.policy == MLP and search.network is not None:
+            raise ConfigError(
+                "network has the settings of policy=grid, transformer or your own; mlp has training.ppo.hidden."
+            )
+        if search.policy != MLP and training.method != "sequential":
+            raise ConfigError(
+                f"policy={search.policy} needs training.method=sequential: designs that are trained side by side have"
+                " fully connected layers (policy=mlp)."
+            )
+
+    def resolved(self, search: Codesign, folder: Path | None) -> Evaluation:
+        if search.policy != MLP:
+            check_network(probe(search.factory("voxel"), search.shape), search.policy, search.network, "network")
         return self
 
     def inherits(self, search: Codesign) -> bool:
-        """See :class:`Evaluation`."""
         return search.training.inherit
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
-        """See :class:`Evaluation`."""
         return steps_of_training(search.training, search.search.population), 0
 
-    def workloads(self, search: Codesign) -> list[Workload]:
-        """See :class:`Evaluation`."""
-        return [training_workload(search, search.search.population)]
+    def workloads(self, search: Codesign, designs: int | None = None) -> list[Workload]:
+        """The batch of so many designs' own trainings; None: of a generation."""
+        training, count = search.training, designs or search.search.population
+        together = 1 if training.method == "sequential" else min(search.batch or count, count)
+        obs = "task" if search.policy == MLP else "voxel"
+        return [Workload(together, training.envs, "training.envs", training.envs, obs, training.ppo)]
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """See :class:`Evaluation`."""
-        return training_evaluator(search)
+        from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
+        from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
+
+        if search.training.method == "population":
+            return PopulationEvaluator(search.factory(), search.training, search.seed)
+        if search.policy == MLP:
+            return SequentialEvaluator(search.factory(), search.training, search.seed)
+        network = search.policy, dict(search.network or {})
+        return SequentialEvaluator(search.factory("voxel"), search.training, search.seed, *network)
+
+
+@dataclass
+class Screened(Specialist):
+    """The base of evaluations with finalists: :meth:`screening` is for all designs, :meth:`final` for the best."""
+
+    finalists: int = key(4, "number of best designs that get a training of their own at the end", low=1)
+
+    def screening(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """The evaluator of all designs but the finalists."""
+        raise NotImplementedError
+
+    def final(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """The evaluator of the finalists."""
+        return super().build(search, known)
+
+    def build(self, search: Codesign, known: Any) -> DesignEvaluator:
+        from warpvox.algos.codesign.finalists import TwoStages
+
+        return TwoStages(self.screening(search, known), self.final(search, known))
+
+    def check(self, search: Codesign) -> None:
+        super().check(search)
+        if search.training.inherit:
+            raise ConfigError(
+                f"training.inherit does not go with evaluation={self.name}: the trainings of the finalists begin with"
+                " new networks."
+            )
+
+    def workloads(self, search: Codesign) -> list[Workload]:
+        return super().workloads(search, self.finalists)

@@ -217,7 +217,7 @@ def test_files_that_are_no_archives_are_refused(tmp_path: Path) -> None:
 
 def test_csv_holds_every_candidate(filled: Archive, tmp_path: Path) -> None:
     rows = list(csv.DictReader(write_csv(filled, tmp_path / "a.csv").open()))
-    assert tuple(rows[0]) == COLUMNS
+    assert list(rows[0]) == list(COLUMNS)
     for row, record in zip(rows, filled.records(), strict=True):
         assert json.loads(row["body"]) == record.candidate.body.tolist()
         assert json.loads(row["parents"]) == list(record.candidate.parents)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from warpvox.algos.search import MapElites, make_search
-from warpvox.algos.search.descriptors import describe
+from warpvox.algos.search.map_elites import describe
 from warpvox.algos.search.settings import DESCRIPTORS
 from warpvox.design import sample_design
 from warpvox.errors import ConfigError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from warpvox.algos.training.targets import Targets
+from warpvox.algos.training.ascent import Targets
 
 
 def bodies(*numbers: int) -> torch.Tensor:
