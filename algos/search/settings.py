@@ -134,7 +134,7 @@ ALGORITHMS: dict[str, type[SearchSettings]] = {
 """The settings of each algorithm, by its name."""
 
 
-def settings_from(values: Mapping[str, Any] | object) -> SearchSettings:
+def settings_from(values: Mapping[str, Any] | SearchSettings) -> SearchSettings:
     """The settings that plain values stand for.
 
     Args:
@@ -144,9 +144,8 @@ def settings_from(values: Mapping[str, Any] | object) -> SearchSettings:
     Raises:
         ConfigError: an unknown algorithm, a setting that this algorithm does not have, or a value that is not valid.
     """
-    if dataclasses.is_dataclass(values):
-        values = {item.name: getattr(values, item.name) for item in dataclasses.fields(values)}
-    given = {name: value for name, value in dict(values).items() if value is not None}  # type: ignore[call-overload]
+    plain: Mapping[str, Any] = vars(values) if isinstance(values, SearchSettings) else values
+    given = {name: value for name, value in plain.items() if value is not None}
     algorithm = given.pop("algorithm", None)
     if algorithm not in ALGORITHMS:
         hint = did_you_mean(algorithm, ALGORITHMS)

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -39,6 +40,7 @@ class Pool(Protocol):
 
     def wait(self, seconds: float) -> list[tuple[int, Outcome]]:
         """The members that have ended, by number, as soon as there is one or the time is over."""
+        ...
 
     def stop(self) -> None:
         """Ask all members that are being made to save their state and end; :meth:`wait` returns when they have."""
@@ -72,12 +74,12 @@ class LocalPool:
             worker.pipe.send((job, folder))
 
     def wait(self, seconds: float) -> list[tuple[int, Outcome]]:
-        busy = {worker.pipe: worker for worker in self._workers if worker.number is not None}
+        busy: dict[Any, _Worker] = {worker.pipe: worker for worker in self._workers if worker.number is not None}
         ended = []
         for pipe in wait(list(busy), seconds):
             worker = busy[pipe]
             try:
-                outcome = pipe.recv()
+                outcome = worker.pipe.recv()
             except (EOFError, OSError):
                 outcome = self._lost(worker)
             ended.append((worker.number, outcome))
@@ -114,7 +116,7 @@ class LocalPool:
 class _Worker:
     """A process, the pipe to it, and the member that it makes."""
 
-    process: multiprocessing.process.BaseProcess
+    process: BaseProcess
     pipe: Connection
     number: int | None = None
 
@@ -158,7 +160,9 @@ def _serve(pipe: Connection, make: Make) -> None:
 
 
 def _end_with_parent() -> None:
-    multiprocessing.parent_process().join()
+    parent = multiprocessing.parent_process()
+    assert parent is not None  # of a worker
+    parent.join()
     os._exit(1)
 
 
