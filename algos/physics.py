@@ -53,8 +53,11 @@ _fields: list[tuple[str, Any, Any]] = [
         if one.name != "name"
     ),
 ]
-PhysicsConfig = make_dataclass("PhysicsConfig", _fields, namespace={"__module__": __name__})
-"""Keys ``physics.*``: a preset, and constants that differ from it (paper section A, Table 1)."""
+_Constants: Any = make_dataclass("_Constants", _fields, namespace={"__module__": __name__})
+
+
+class PhysicsConfig(_Constants):
+    """Keys ``physics.*``: a preset, and constants that differ from it (paper section A, Table 1)."""
 
 
 def physics_of(config: Any) -> Physics:

@@ -66,15 +66,16 @@ def codesign(
         search = CustomSearch(make=_name(own), **sizes)
     if not isinstance(evaluation, str | Mapping | Evaluation):
         evaluation = _Given(evaluation)
-    where = {} if not isinstance(executor, str) else {"executor": executor}
+    where: dict[str, Any] = {"executor": executor} if isinstance(executor, str) else {}
     known = {item.name for item in dataclasses.fields(Codesign)}
     for name in settings:
         if name not in known:
             raise ConfigError(f"codesign() takes no '{name}'.{did_you_mean(name, known)}")
-    job = Codesign(task=task, shape=list(shape), search=search, evaluation=evaluation, **where, **settings)
+    how: dict[str, Any] = {"search": search, "evaluation": evaluation}  # names and mappings become settings
+    job = Codesign(task=task, shape=list(shape), **how, **where, **settings)
     job = with_code(job, typed(job))
     kept = tempfile.TemporaryDirectory(prefix="warpvox_") if folder is None else None
-    place = None if folder == "auto" else Path(kept.name if kept else folder).expanduser()
+    place = None if folder == "auto" else Path(kept.name if kept else str(folder)).expanduser()
     watching = [*([SearchProgress(Console())] if progress else []), *listeners]
     made = None if isinstance(executor, str) else executor
     found = run_codesign(job, place, watching, search=own, executor=made)

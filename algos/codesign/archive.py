@@ -398,7 +398,7 @@ class Archive(AbstractContextManager["Archive"]):
                 WHERE fitness IS NOT NULL AND stopped < {DIVERGED} {where})
             WHERE place = 1 ORDER BY last DESC, fitness DESC, id LIMIT ?)"""
         found = self._records(query, *values, count)
-        return sorted(found, key=lambda one: (one.candidate.origin != FINALIST, -one.fitness, one.id))
+        return sorted(found, key=lambda one: (one.candidate.origin != FINALIST, -(one.fitness or 0.0), one.id))
 
     def lineage(self, number: int) -> list[Record]:
         """A candidate and all that it descends from, by id."""
@@ -564,6 +564,7 @@ def _checked(path: Path) -> sqlite3.Connection:
             db.close()
         hint = repair_hint(path) if "damaged" in reason else ""
         raise RunError(f"{path} {reason}.{hint}")
+    assert db is not None
     return db
 
 

@@ -84,7 +84,7 @@ def write_designs(archive: Archive, folder: Path, suffix: str) -> Path:
         place = folder / f"generation_{row['generation']}"
         for record in done:
             save_design(place / "structure" / f"{record.id}{suffix}", record.candidate.body)
-        ranked = sorted(done, key=lambda record: (-record.fitness, record.id))
+        ranked = sorted(done, key=lambda record: (-(record.fitness or 0.0), record.id))
         write_text(place / "output.txt", "".join(f"{record.id}\t\t{record.fitness}\n" for record in ranked))
     return folder
 

@@ -32,6 +32,7 @@ class Executor(Protocol):
         Args:
             parents: as for :class:`warpvox.algos.candidate.DesignEvaluator`.
         """
+        ...
 
     def close(self) -> None:
         """Release the workers."""

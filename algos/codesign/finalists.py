@@ -85,7 +85,8 @@ class BestOf:
         spent = sum(outcome.steps for outcome in moved)
 
         def tell(event: dict[str, Any]) -> None:
-            report(event | {"steps": spent + event["steps"]})
+            if report is not None:
+                report(event | {"steps": spent + event["steps"]})
 
         trained = self.training.evaluate(candidates, {}, report and tell, checkpoint)
         return [_better(*pair) for pair in zip(moved, trained, strict=True)]

@@ -84,7 +84,7 @@ class Beam:
                     search.choose(values[place], ended[place])
                 if not any(search.beginnings for search in searches):
                     break
-        return [search.best for search in searches], spent
+        return [search.best for search in searches if search.best is not None], spent
 
     def _environments(self, searches: Sequence[_Search]) -> torch.Tensor:
         """The environment whose state each environment continues."""

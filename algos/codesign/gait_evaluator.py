@@ -198,7 +198,7 @@ class _Rounds:
         (value, gait), body = self.best[place], self.bodies[place]
         columns = self.env.obs_columns[place].values()
         sizes = sum(part.stop - part.start for part in columns) + 1, int((body >= Cell.H_ACT).sum())  # with the time
-        shape = dict(zip(("stages", "rows", "columns"), gait.phase.shape, strict=True))
+        shape: dict[str, int] = dict(zip(("stages", "rows", "columns"), gait.phase.shape, strict=True))
         spec = PolicySpec(*sizes, [], "", normalize_obs=False, action_scale=AMPLITUDE, gait=shape)
         state = {name: torch.as_tensor(values) for name, values in vars(gait).items()}
         state["cells"] = torch.as_tensor(np.flatnonzero(body >= Cell.H_ACT))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -39,8 +40,9 @@ class BodyLayout:
         body = env.designs[design]
         first = design * env.num_envs // env.num_designs
         mesh = env.sim.designs[int(env.sim.design_index[first])].body(ROBOT)
+        assert mesh is not None  # every world of a task has its robot
         # The mesh has the grid that its world holds; bodies are compared by their own.
-        row, column = (int(np.flatnonzero((body != Cell.EMPTY).any(axis))[0]) for axis in (1, 0))
+        row, column = (int(np.flatnonzero(np.any(body != Cell.EMPTY, axis))[0]) for axis in (1, 0))
         row -= min(cell[0] for cell in mesh.cells)
         column -= min(cell[1] for cell in mesh.cells)
         corners = {}
@@ -112,7 +114,7 @@ def copy_voxel_policy(actor: VoxelModel, policy: Mapping[str, torch.Tensor]) -> 
         actor.load_state_dict(policy)
     except RuntimeError as error:
         raise RunError(f"A parent's policy has another architecture: {str(error).splitlines()[-1].strip()}") from None
-    actor.obs_normalizer.count.clamp_(max=MAX_COUNT)
+    cast(Any, actor).obs_normalizer.count.clamp_(max=MAX_COUNT)
 
 
 def _matches(child: tuple[tuple, ...], parent: tuple[tuple, ...]) -> tuple[list[int], list[int]]:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -101,7 +101,7 @@ class Loop:
                     self._check_new(asked)
                     self.archive.propose(asked, self.seed)
                 self._evaluate(asked, interrupt)
-                self.search.tell([record.fitness for record in self.archive.records(self.generation)])
+                self.search.tell([cast(float, record.fitness) for record in self.archive.records(self.generation)])
                 self.archive.back_up()
                 self._tell("told", self.generation, True)
                 self.generation += 1
@@ -117,7 +117,9 @@ class Loop:
         """Restore the state of the search from the archive."""
         whole = [row["generation"] for row in self.archive.generations() if row["evaluated"] == row["designs"]]
         known = [self.archive.records(generation) for generation in whole]
-        history = [([one.candidate for one in records], [one.fitness for one in records]) for records in known]
+        history = [
+            ([one.candidate for one in records], [cast(float, one.fitness) for one in records]) for records in known
+        ]
         if history:
             self.search.replay(history)
         for self.generation in range(len(history)):
@@ -180,7 +182,8 @@ class Loop:
     def _copy(self, number: int, original: int) -> Finished:
         record = self.archive.record(original)
         # nothing was spent: the sum of all steps is what the experiment has cost
-        outcome = Outcome(-math.inf if record.diverged else record.fitness, steps=0, stopped=record.stopped)
+        fitness = -math.inf if record.diverged else cast(float, record.fitness)
+        outcome = Outcome(fitness, steps=0, stopped=bool(record.stopped))
         return Finished(number, outcome, record.policy, record.policy_sha256, reused=original)
 
     def _train(self, work: Sequence[Batch], interrupt: Interrupt) -> None:
@@ -196,9 +199,11 @@ class Loop:
                 raise RunError(f"The evaluator gave {len(outcomes)} outcomes for {len(batch.candidates)} candidates.")
             results = []
             for one, outcome in zip(batch.candidates, outcomes, strict=True):
-                keep = self.policies is not None and outcome.policy is not None
-                # the policy first: the archive never names a missing file
-                results.append(Finished(one.id, outcome, *(self.policies.save(one, outcome) if keep else ())))
+                place = sha256 = None
+                if self.policies is not None and outcome.policy is not None:
+                    # the policy first: the archive never names a missing file
+                    place, sha256 = self.policies.save(one, outcome)
+                results.append(Finished(one.id, outcome, place, sha256))
             now = time.perf_counter()
             self.archive.finish(results, seconds=now - began)
             began = now
@@ -221,7 +226,7 @@ class Loop:
             return {}
         wanted = sorted({parent for batch in work for item in batch.candidates for parent in item.parents})
         return {
-            record.id: Parent(record.candidate.body, self.policies.load(record.policy), record.fitness)
+            record.id: Parent(record.candidate.body, self.policies.load(record.policy), cast(float, record.fitness))
             for record in map(self.archive.record, wanted)
             if record.policy is not None
         }

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, Parents, Report, candidate_seed
 from warpvox.algos.checkpoints.files import read_tensors, save_checkpoint
@@ -90,13 +90,16 @@ class _Generation:
         self.training = self._start()
 
     def _start(self) -> PopulationTraining:
-        prepare = None
+        prepare: Any = None
         if self.settings.inherit:
             chosen = [best_parent(self.candidates[k], self.parents) for k in self.active]
 
-            def prepare(design: int, env: VoxelVecEnv, networks: Networks) -> None:
-                if chosen[design] is not None:
-                    inherit_policy(self.factory, chosen[design], env, design, networks)
+            def inherit(design: int, env: VoxelVecEnv, networks: Networks) -> None:
+                parent = chosen[design]
+                if parent is not None:
+                    inherit_policy(self.factory, parent, env, design, networks)
+
+            prepare = inherit
 
         bodies, seeds = zip(*((self.candidates[k].body, self.seeds[k]) for k in self.active), strict=True)
         return PopulationTraining(self.factory, bodies, seeds, self.settings, prepare, self.seed)
@@ -223,7 +226,7 @@ def read_evaluation(path: Path | None, about: dict[str, Any]) -> dict[str, Any] 
 
 def outcome_of(values: dict[str, Any]) -> Outcome:
     """An outcome of the values that a checkpoint has of it."""
-    return Outcome(**values | {"curve": [tuple(point) for point in values["curve"]]})
+    return Outcome(**cast(Any, values | {"curve": [tuple(point) for point in values["curve"]]}))
 
 
 def memory_hint(settings: DesignTraining, count: int) -> str:

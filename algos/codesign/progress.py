@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -199,7 +199,8 @@ class SearchProgress(Listener):
         if self._live is None:
             return
         best = self.archive.best()
-        figures = f"{self.archive.trained()}/{self.run.total}  best {figure(best[0].fitness if best else math.nan)}  "
+        fitness = cast(float, best[0].fitness) if best else math.nan
+        figures = f"{self.archive.trained()}/{self.run.total}  best {figure(fitness)}  "
         rows = [row for row in self.archive.generations() if row["evaluated"]]
         figures += f"mean {figure(rows[-1]['mean'] if rows else math.nan)}  {self._figures()}"
         description = f"generation {self._generation}"

@@ -11,7 +11,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parents
 from warpvox.algos.codesign.executors import Batch, Report
@@ -103,11 +103,11 @@ class RayExecutor:
             )
             for worker in busy:
                 for event in self._events(worker):
-                    report(worker.place, event)
+                    report(cast(int, worker.place), event)
             for worker in busy:
                 if not self._is_done(worker.task):
                     continue
-                place = worker.place
+                place = cast(int, worker.place)
                 outcomes = self._collect(worker)
                 if outcomes is None:
                     losses[place] += 1

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -87,7 +87,7 @@ def check(settings: Codesign, folder: Path | None = None, search: Search | None 
     task_world(get_task(settings.task), np.full(settings.shape, 3, np.int8))
     start = [robot.body for robot in read_start(settings, folder)]
     if search is None:
-        make_search(settings.search, tuple(settings.shape), settings.seed, start)
+        make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, start)
     settings.sim  # noqa: B018  (constants out of range are found)
     settings.evaluation.check(settings)
     settings = dataclasses.replace(settings, evaluation=settings.evaluation.resolved(settings, folder))
@@ -174,7 +174,7 @@ def run_codesign(
         keep_code(settings, folder, console or Console(quiet=True))
         if search is None:
             bodies = [robot.body for robot in start]
-            search = make_search(settings.search, tuple(settings.shape), settings.seed, bodies)
+            search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, bodies)
         archive = opened.enter_context(_archive(folder, written))
         results = Results(folder, archive, written, settings.evaluation.pretraining_steps(known))
         run, loop = _loop(settings, search, executor, results, listeners, resumed is not None)
@@ -205,7 +205,7 @@ def _loop(
         inherit=how.inherits(settings),
         listeners=[results, *heard],
     )
-    workers = executor.size if settings.executor == "ray" else 0
+    workers = cast(Any, executor).size if settings.executor == "ray" else 0
     return SearchRun(results, total, finalists, cost, workers, resumed), loop
 
 
@@ -259,7 +259,7 @@ def _batch(settings: Codesign, executor: Executor) -> int | None:
         return settings.batch
     if settings.training.method == "sequential" and not settings.evaluation.finalists:
         return 1
-    return -(-settings.search.population // executor.size) if settings.executor == "ray" else None
+    return -(-settings.search.population // cast(Any, executor).size) if settings.executor == "ray" else None
 
 
 def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome: Outcome) -> str:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 
@@ -105,7 +105,7 @@ class SequentialEvaluator:
             if done.training is not None:
                 runner.set_state(done.training)
             elif settings.inherit and parent is not None and self.network is not None:
-                copy_voxel_policy(runner.alg.actor, parent.policy)
+                copy_voxel_policy(cast(Any, runner.alg.actor), parent.policy)
             elif settings.inherit and parent is not None:
                 networks = Networks(runner.alg.actor, runner.alg.critic, torch.empty(0))
                 inherit_policy(self.factory, parent, env.env, 0, networks)

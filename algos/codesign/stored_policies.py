@@ -42,16 +42,17 @@ class StoredPolicies:
             StorageError: it cannot be written, or the folder of all policies has vanished.
         """
         check_folder(self.folder / DESIGNS)
+        policy = outcome.policy or {}
         place = Path(DESIGNS) / str(candidate.id)
         content = {
-            "policy": outcome.spec or self._spec(outcome.policy),
-            "actor_state_dict": {name: value.detach().cpu() for name, value in outcome.policy.items()},
+            "policy": outcome.spec or self._spec(policy),
+            "actor_state_dict": {name: value.detach().cpu() for name, value in policy.items()},
             "eval_return": outcome.fitness,
             "infos": {"candidate": candidate.id, "steps": outcome.steps},
         }
         write_text(self.folder / place / "config.yaml", self.config(candidate, outcome))
         save_checkpoint(self.folder / place / BEST, content)
-        return (place / BEST).as_posix(), policy_sha256(outcome.policy)
+        return (place / BEST).as_posix(), policy_sha256(policy)
 
     def load(self, path: str) -> dict[str, Any]:
         """The policy that :meth:`save` has written to ``path``.

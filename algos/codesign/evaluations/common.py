@@ -190,8 +190,8 @@ class FewShot(CommonPolicy):
         if not is_code(spec["voxels"]["network"]):
             changes["policy"] = spec["voxels"]["network"]
         if folder is None:
-            file, _ = find_pretrained(self.pretrained, search.output_dir)
-            changes["pretrained"] = kept_name(self.pretrained, file)
+            file, _ = find_pretrained(str(self.pretrained), search.output_dir)
+            changes["pretrained"] = kept_name(str(self.pretrained), file)
         resolved = dataclasses.replace(self, **changes)
         layout, found = resolved.layout(search, observed_by(spec)), VoxelLayout(**spec["voxels"]["layout"])
         if found != layout:
@@ -210,7 +210,7 @@ class FewShot(CommonPolicy):
         """
         from warpvox.algos.checkpoints.files import load_checkpoint
 
-        path, run = (folder / PRETRAINED, {}) if folder else find_pretrained(self.pretrained, search.output_dir)
+        path, run = (folder / PRETRAINED, {}) if folder else find_pretrained(str(self.pretrained), search.output_dir)
         content = load_checkpoint(path)
         voxels = content["policy"].get("voxels") if isinstance(content["policy"], Mapping) else None
         if not voxels:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from warpvox.algos.codesign.evaluations.base import Evaluation
 from warpvox.code import load_code
@@ -46,7 +46,7 @@ class Custom(Evaluation):
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
         """ConfigError: no such file, module or name, settings that it does not take, or it makes no evaluator."""
         try:
-            made = load_code(self.make)(search, **(self.settings or {}))
+            made = load_code(cast(str, self.make))(search, **(self.settings or {}))
         except TypeError as error:
             raise ConfigError(f"'{self.make}' does not take these settings: {error}.") from error
         if not callable(getattr(made, "evaluate", None)):
