@@ -74,8 +74,11 @@ class SearchRun:
     resumed: bool
 
 
-def check(settings: Codesign, folder: Path | None = None, search: Search | None = None) -> None:
+def check(settings: Codesign, folder: Path | None = None, search: Search | None = None) -> Codesign:
     """Find mistakes before anything is made.
+
+    Returns:
+        A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
 
     Args:
         folder: of the search that is resumed.
@@ -90,7 +93,7 @@ def check(settings: Codesign, folder: Path | None = None, search: Search | None 
         make_search(settings.search, tuple(settings.shape), settings.seed, start)
     settings.sim  # noqa: B018  (constants out of range are found)
     settings.evaluation.check(settings)
-    settings = dataclasses.replace(settings, evaluation=settings.evaluation.resolved(settings, folder))
+    settings = settings.resolved(folder)
     if settings.executor == "local":
         resolve_device(settings.device)
         for key in ("address", "workers"):
@@ -98,6 +101,8 @@ def check(settings: Codesign, folder: Path | None = None, search: Search | None 
                 raise ConfigError(f"{key} goes with executor=ray.")
         if settings.memory_check:
             _ask_for_memory(settings)
+        settings = dataclasses.replace(settings, device=resolve_device(settings.device, environments(settings)))
+    return settings  # designs on workers run on the devices of the workers
 
 
 def environments(settings: Codesign) -> int:
@@ -118,18 +123,6 @@ def _ask_for_memory(settings: Codesign) -> None:
             what = f"({batch.key}) for each of {designs} designs"
             ask(each * designs * envs / value, value, sim.device, batch.key, what)
         ask(each * envs, designs, sim.device, batch.fewer, f"designs of {envs:,} environments each")
-
-
-def resolve(settings: Codesign, folder: Path | None = None) -> Codesign:
-    """A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
-
-    Args:
-        folder: of the search that is resumed.
-    """
-    settings = settings.resolved(folder)
-    if settings.executor != "local":  # designs on workers run on the devices of the workers
-        return settings
-    return dataclasses.replace(settings, device=resolve_device(settings.device, environments(settings)))
 
 
 def run_codesign(
@@ -159,8 +152,7 @@ def run_codesign(
     """
     resumed = place if place is not None and (place / ARCHIVE).is_file() else None
     with own_torch(settings.torch_threads), ExitStack() as opened:
-        check(settings, resumed, search)
-        settings = resolve(settings, resumed)
+        settings = check(settings, resumed, search)
         start = read_start(settings, resumed)
         known = settings.evaluation.begins_with(settings, start, resumed)
         if executor is None:

@@ -138,9 +138,7 @@ class PopulationModel(nn.Module):
             columns = slice(outputs if k == last else None)
             state[f"mlp.{2 * k}.weight"] = weight[design, : inputs if k == 0 else None, columns].T
             state[f"mlp.{2 * k}.bias"] = bias[design, 0, columns]
-        return {
-            name: value.detach().cpu().clone(memory_format=torch.contiguous_format) for name, value in state.items()
-        }
+        return {k: v.detach().cpu().clone(memory_format=torch.contiguous_format) for k, v in state.items()}
 
     def part(self, share: slice) -> PopulationModel:
         """Some neighbouring designs as a model that shares this one's memory."""

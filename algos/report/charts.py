@@ -112,9 +112,7 @@ def sheet(charts: Sequence[str], series: Sequence[Series] = (), columns: int = 2
         charts: what :func:`chart` gives without a legend, or :func:`intervals`.
     """
     found = [re.search(r'<svg class="chart".*?viewBox="0 0 (\d+) (\d+)">', one) for one in charts]
-    shown = [
-        (one[match.start() :], int(match[1]), int(match[2])) for one, match in zip(charts, found, strict=True) if match
-    ]
+    shown = [(one[m.start() :], int(m[1]), int(m[2])) for one, m in zip(charts, found, strict=True) if m]
     parts, top, x = [], 34 if series else 8, 8.0
     for one in series:
         parts.append(f'<path class="curve s{one.colour} {one.look}" d="M{x:g} 18h18"/>')

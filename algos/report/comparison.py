@@ -135,7 +135,6 @@ def comparison_html(comparison: Comparison, looks: Mapping[str, Series]) -> str:
         f" Intervals: {100 * LEVEL:g} %, stratified bootstrap over the runs of each task; none where there is one run."
     )
     if comparison.left_out:
-        text += (
-            f" Left out, without a published return or without runs of every search: {', '.join(comparison.left_out)}."
-        )
+        left_out = ", ".join(comparison.left_out)
+        text += f" Left out, without a published return or without runs of every search: {left_out}."
     return "".join([*parts, f'<p class="faint">{escape(text)}</p>'])

@@ -269,10 +269,8 @@ class BaseSearch(ABC):
 
 
 def _check_same(told: Sequence[Candidate], asked: Sequence[Candidate]) -> None:
-    same = len(told) == len(asked) and all(
-        one.id == other.id and np.array_equal(one.body, other.body) for one, other in zip(told, asked, strict=True)
-    )
-    if not same:
+    known, again = ([(one.id, one.body.tolist()) for one in several] for several in (told, asked))
+    if known != again:
         generation = asked[0].generation if asked else "the last"
         raise SearchError(
             f"The history is not of this search: generation {generation} holds other designs than these settings and"

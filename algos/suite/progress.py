@@ -122,6 +122,5 @@ def _spread(rows: Sequence[Row]) -> str:
     if not values:
         return "-"
     deviation = f" ± {statistics.stdev(values):.3f}" if len(values) > 1 else ""
-    return f"{statistics.fmean(values):.3f}{deviation}" + (
-        f" ({len(values)} of {len(rows)})" * (len(values) < len(rows))
-    )
+    share = f" ({len(values)} of {len(rows)})" if len(values) < len(rows) else ""
+    return f"{statistics.fmean(values):.3f}{deviation}{share}"

@@ -171,9 +171,8 @@ class Job:
 
         On a GPU a few environments would take the launches of ten iterations, one after another.
         """
-        sim = dataclasses.replace(
-            sim_of(settings), device="cpu", lanes=bodies.lanes(settings, settings.device), grid=bodies.grid
-        )
+        lanes = bodies.lanes(settings, settings.device)
+        sim = dataclasses.replace(sim_of(settings), device="cpu", lanes=lanes, grid=bodies.grid)
         count = settings.eval_envs * len(bodies.judged)
         options = options | {"auto_reset": False, "seed": settings.seed, "sim": sim}
         judge = evaluator(make_vec(settings.task, bodies.judged, count, **options), settings.seed)

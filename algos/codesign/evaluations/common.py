@@ -183,9 +183,7 @@ class FewShot(CommonPolicy):
         super().resolved(search, folder)
         content = self._read(search, folder)
         spec = content["policy"]
-        ppo = dataclasses.replace(
-            self.ppo_of(search), action_scale=spec["action_scale"], normalize_obs=spec["normalize_obs"]
-        )
+        ppo = dataclasses.replace(self.ppo_of(search), **{k: spec[k] for k in ("action_scale", "normalize_obs")})
         changes: dict[str, Any] = {"network": dict(spec["voxels"]["settings"]), "ppo": dataclasses.asdict(ppo)}
         if not is_code(spec["voxels"]["network"]):
             changes["policy"] = spec["voxels"]["network"]
