@@ -122,8 +122,6 @@ class Loop:
             self._tell("told", self.generation, False)
         self.generation = len(history)
 
-    # ------------------------------------------------------------------------------------------ a generation
-
     def _check_new(self, asked: Sequence[Candidate]) -> None:
         for one in asked:
             if one.generation != self.generation:

@@ -272,9 +272,6 @@ def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome:
     return to_yaml(Training(design=candidate.body, **values)) + END
 
 
-# -------------------------------------------------------------------------------------------------- evaluation
-
-
 def make_evaluator(settings: Codesign, known: Any) -> DesignEvaluator:
     """The evaluator of resolved settings; called in the process that evaluates."""
     start_warp()

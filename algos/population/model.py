@@ -83,8 +83,6 @@ class PopulationModel(nn.Module):
         """Number of stacked models."""
         return len(self.inputs)
 
-    # ----------------------------------------------------------------- forward
-
     def scaled(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[..., num_obs]``, sorted by design, as inputs ``[designs, rows, num_obs]`` of the networks."""
         obs = obs.reshape(self.num_designs, -1, obs.shape[-1])
@@ -121,8 +119,6 @@ class PopulationModel(nn.Module):
 
     def get_hidden_state(self) -> None:
         """None: these networks are not recurrent."""
-
-    # ----------------------------------------------------------------- designs
 
     def member(self, design: int) -> dict[str, torch.Tensor]:
         """The state of one design's network as a stock model loads it, on the CPU."""

@@ -84,10 +84,10 @@ def legend(series: Sequence[Series]) -> str:
     return f'<ul class="legend">{"".join(items)}</ul>'
 
 
-def intervals(rows: Sequence[tuple[str, int, Interval]], x_label: str, width: int = PANEL[0]) -> str:
+def intervals(rows: Sequence[tuple[str, int, Interval]], x_label: str) -> str:
     """A figure with a row for each (name, colour, estimate): the estimate as a dot, its interval as a line."""
     ends = [v for _, _, one in rows for v in (one.mean, one.low, one.high) if math.isfinite(v)]
-    size = (width, TOP + BOTTOM + 36 * len(rows))
+    size = (PANEL[0], TOP + BOTTOM + 36 * len(rows))
     frame = _Frame(_span(ends), (-len(rows), 0), size)
     parts = _axes(frame, "", x_label, y_ticks=False)
     for number, (name, colour, one) in enumerate(rows):

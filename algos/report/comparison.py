@@ -88,9 +88,6 @@ def compare(groups: Mapping[str, Mapping[str, Sequence[SearchResult]]]) -> Compa
     return Comparison(scores if tasks else {}, steps, [task for task in groups if task not in tasks])
 
 
-# ------------------------------------------------------------------------------------------------------- pictures
-
-
 def _charts(comparison: Comparison, looks: Mapping[str, Series]) -> list[str]:
     """The measures, then the profiles."""
     charts = [

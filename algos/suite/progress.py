@@ -65,8 +65,6 @@ class SuiteProgress:
         if self._live is not None:
             self._live.update(self._block())
 
-    # -------------------------------------------------------------------------------------------- what is shown
-
     def _share(self) -> float:
         """How much of the evaluations of all members is done, from 0 to 1."""
         rows = self.table.rows

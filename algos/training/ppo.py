@@ -118,8 +118,6 @@ class PPO(RslRlPPO):
         for _ in range(epochs):
             yield from map(copy.copy, batches)
 
-    # ------------------------------------------------------------------- state
-
     def save(self) -> dict[str, Any]:
         """Networks, optimiser and schedule."""
         return super().save() | {"updates": self.updates}

@@ -60,14 +60,8 @@ class Schedule:
 
 def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
     """Wrap a :class:`VoxelVecEnv` with the settings of ``ppo``; ``apart``: designs share no running moments."""
-    return RslRlVecEnv(
-        env,
-        action_scale=ppo.action_scale,
-        reward_scale=ppo.reward_scale,
-        reward_gamma=ppo.gamma if ppo.normalize_reward else None,
-        bootstrap_time_limit=ppo.bootstrap_time_limit,
-        apart=apart,
-    )
+    own = {name: getattr(ppo, name) for name in ("action_scale", "reward_scale", "bootstrap_time_limit")}
+    return RslRlVecEnv(env, reward_gamma=ppo.gamma if ppo.normalize_reward else None, apart=apart, **own)
 
 
 class _Rollout(Logger):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.evaluations.base import Workload, check_network, probe, steps_of_training
+from warpvox.algos.codesign.evaluations.base import Workload, probe, steps_of_training
 from warpvox.algos.codesign.evaluations.specialist import Screened
 from warpvox.algos.settings import CPG, MLP, Ppo
 from warpvox.algos.training.pretrained import check_learned, find_pretrained, kept_name, observed_by
@@ -87,6 +87,7 @@ class CommonPolicy(Screened):
         Raises:
             WarpvoxError: a network, or settings of it, that are not to be had or do not fit the task.
         """
+        from warpvox.algos.policies.registry import check_network
         from warpvox.algos.training.ascent import check_gradients
 
         env = probe(self.factory(search, obs), search.shape)
