@@ -261,8 +261,7 @@ def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome:
         "task": task,
         "num_envs": training.envs,
         "max_iterations": training.iterations,
-        "eval_interval": training.eval_interval,
-        "eval_envs": training.eval_envs,
+        **{name: getattr(training, name) for name in ("eval_interval", "eval_envs")},
         "lanes": lanes_for(training.eval_envs),  # as in the evaluation that found the fitness
         "physics": dataclasses.asdict(settings.physics),
         "ppo": dataclasses.asdict(training.ppo),

@@ -174,7 +174,7 @@ class AscentRunner(Runner):
                 " robot pushes or carries has none, nor have contacts of voxels with each other."
             )
         self._targets = Targets(MEMORY * self.env.num_envs)
-        self._found = 0.0, 0  # mean return of the last rollout, and episodes that were stopped
+        self._found: dict[str, float] = {}
 
     def _roll_out(
         self, weights: torch.Tensor, actions: torch.Tensor, steps: int
@@ -211,7 +211,7 @@ class AscentRunner(Runner):
     def _improve(self) -> None:
         self._collect()
         distance = self.alg.ascend(self._targets) if len(self._targets) else 0.0
-        self.logger.losses = {"value": distance, "surrogate": -self._found[0], "entropy": 0.0}
+        self.logger.losses = {"value": distance, "surrogate": -self._found["return_mean"], "entropy": 0.0}
         self._exchange()
 
     def _collect(self) -> None:
@@ -224,7 +224,7 @@ class AscentRunner(Runner):
         targets = weights + (STEP * size / norm.clamp(min=TINY))[:, None, None] * slope
         if bool(known.any()):
             self._targets.add(bodies[known], targets[known])
-        self._found = float(returns.mean()), int(stopped.sum())
+        self._found = {"return_mean": float(returns.mean()), "unstable": int(stopped.sum())}
         self.logger.means = {"Gradient/norm": float(norm.median()), "Episode/unstable": float(stopped.float().mean())}
         self.logger.ended = torch.ones_like(stopped)
 
@@ -246,9 +246,7 @@ class AscentRunner(Runner):
 
     def _episodes(self) -> dict[str, float]:
         """Of the rollout: the beginnings of episodes."""
-        value, unstable = self._found
-        own = {"episodes": self.env.num_envs, "return_mean": value, "length_mean": self.ppo.steps}
-        return own | {"unstable": unstable, "diverged": 0}
+        return {"episodes": self.env.num_envs, "length_mean": self.ppo.steps, "diverged": 0} | self._found
 
 
 def check_gradients(env: VoxelVecEnv, processes: int = 1) -> None:

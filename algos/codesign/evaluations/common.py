@@ -112,13 +112,9 @@ class CommonPolicy(Screened):
             return {}
         bodies = [candidate.body.tolist()]
         return {
-            "policy": self.policy,
-            "network": self.network,
-            "ppo": self.ppo,
+            **{name: getattr(self, name) for name in ("policy", "network", "ppo", "eval_envs")},
             "num_envs": self.envs,
-            "max_iterations": max(1, self.iterations),
-            "eval_interval": max(1, self.iterations),
-            "eval_envs": self.eval_envs,
+            **dict.fromkeys(("max_iterations", "eval_interval"), max(1, self.iterations)),
             "lanes": search.factory().shared_lanes(self.eval_envs),
             "designs": {"bodies": bodies, "refresh": "none", "held_out": bodies},
         }
