@@ -94,12 +94,8 @@ def evaluate(
             unstable = unstable | info["unstable"]
             if (step + 1) % check_every == 0 and bool((terminated | truncated).all()):
                 break
-    return Evaluation(
-        info["episode"]["return"].double().cpu(),
-        info["episode"]["length"].long().cpu(),
-        unstable.cpu(),
-        env.design_index.cpu(),
-    )
+    returns, lengths = info["episode"]["return"].double().cpu(), info["episode"]["length"].long().cpu()
+    return Evaluation(returns, lengths, unstable.cpu(), env.design_index.cpu())
 
 
 def evaluator(env: VoxelVecEnv, seed: int | Sequence[int] | None = None) -> Evaluator:

@@ -74,9 +74,7 @@ class Controller:
         self.actor, self.spec = actor, spec
         self.reset()
         parts = {**dict(actor.named_parameters()), **dict(actor.named_buffers())}  # tables that are not saved, too
-        self._state = {
-            name: value.detach().double() if value.is_floating_point() else value for name, value in parts.items()
-        }
+        self._state = {k: v.detach().double() if v.is_floating_point() else v for k, v in parts.items()}
 
     def reset(self) -> None:
         """Episodes begin: a recurrent policy forgets."""
@@ -212,9 +210,7 @@ def check_sizes(spec: PolicySpec) -> None:
     scale = spec.action_scale
     if type(scale) not in (int, float) or not abs(scale) < WIDEST:
         raise ValueError(f"action_scale must be a number, got {scale!r:.100}")
-    layout = {
-        key: size for key, size in (spec.voxels or {}).get("layout", {}).items() if key not in ("timed", "periods")
-    }
+    layout = {k: size for k, size in (spec.voxels or {}).get("layout", {}).items() if k not in ("timed", "periods")}
     rnn = dict(spec.rnn or {})
     if rnn and (rnn.keys() != RNN.keys() or rnn.pop("rnn_type") not in ("lstm", "gru")):
         raise ValueError(f"recurrent layers must be described by {', '.join(RNN)}, got {spec.rnn!r:.100}")

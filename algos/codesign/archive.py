@@ -352,9 +352,7 @@ class Archive(AbstractContextManager["Archive"]):
         try:
             yield
         except (sqlite3.Error, ValueError, TypeError) as error:
-            reason = _access_problem(error) or f"is damaged ({error})"
-            hint = repair_hint(self.path) if "damaged" in reason else ""
-            raise RunError(f"{self.path} {reason}.{hint}") from None
+            raise _unreadable(self.path, _access_problem(error) or f"is damaged ({error})") from None
 
     def count(self) -> int:
         """Candidates so far, evaluated or not."""
@@ -562,18 +560,19 @@ def _checked(path: Path) -> sqlite3.Connection:
     if reason is not None:
         if db is not None:
             db.close()
-        hint = repair_hint(path) if "damaged" in reason else ""
-        raise RunError(f"{path} {reason}.{hint}")
+        raise _unreadable(path, reason)
     assert db is not None
     return db
 
 
+def _unreadable(path: Path, reason: str) -> RunError:
+    return RunError(f"{path} {reason}.{repair_hint(path) if 'damaged' in reason else ''}")
+
+
 def _access_problem(error: Exception) -> str | None:
     """Why an intact archive cannot be read: an unfinished transaction cannot be rolled back at present."""
-    text = str(error)
-    if isinstance(error, sqlite3.OperationalError) and any(
-        word in text for word in ("full", "I/O", "locked", "readonly")
-    ):
+    text, words = str(error), ("full", "I/O", "locked", "readonly")
+    if isinstance(error, sqlite3.OperationalError) and any(word in text for word in words):
         return f"cannot be read ({text}): its disk must have some room and be writable, then it is as it was"
     return None
 

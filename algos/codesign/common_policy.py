@@ -16,7 +16,7 @@ from warpvox.algos.codesign.population_evaluator import describe, read_evaluatio
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
-from warpvox.algos.policies.registry import layout_for
+from warpvox.algos.policies.registry import voxels_of
 from warpvox.algos.settings import CPG, Ppo
 from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.runner import Runner, Schedule, adapt
@@ -137,8 +137,7 @@ class _Course:
     def _runner(self, report: Report, checkpoint: Path | None) -> Runner:
         settings, ppo = self.settings, self.ppo
         env = adapt(self._make(settings.envs, auto_reset=True), ppo)
-        voxels = {"network": settings.policy, "settings": dict(settings.network or {})}
-        voxels["layout"] = layout_for(settings.policy, env.env).dict()
+        voxels = voxels_of(settings.policy, env.env, settings.network)
 
         def save() -> None:
             if checkpoint is not None and runner.current_learning_iteration > 0:

@@ -84,9 +84,7 @@ def actions_of_gaits(
             timing[:, :own, place, k] = np.stack([gait.begin, gait.period])[:, :, None, None]
             cells = np.stack([gait.amplitude, gait.phase, gait.rest])[:, :, driven]
             values[:, :own, place, k, :, : cells.shape[-1]] = cells[:, :, None]
-    parts = [
-        torch.as_tensor(array.reshape(stages, env.num_envs, -1), device=env.device) for array in (*timing, *values)
-    ]
+    parts = [torch.as_tensor(one.reshape(stages, env.num_envs, -1), device=env.device) for one in (*timing, *values)]
     together = max(1, AT_ONCE // (env.num_envs * env.num_actions))
     for begin in itertools.count(first, together):
         end = min(begin + together, last)

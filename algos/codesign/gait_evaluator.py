@@ -189,9 +189,7 @@ class _Rounds:
         gaits = [self._gaits(place) for place in range(len(self.bodies))]
         begin_alike(self.env, len(self.bodies), how.count, how.episodes, how.seed)
         returns = play(self.env, self.bodies, gaits, how.episodes).numpy()
-        found = [
-            (float(values.max()), tried[int(values.argmax())]) for values, tried in zip(returns, gaits, strict=True)
-        ]
+        found = [(float(got.max()), tried[int(got.argmax())]) for got, tried in zip(returns, gaits, strict=True)]
         return found, self.env.state()["length"].view(len(self.bodies), -1).sum(1).cpu().numpy()
 
     def _outcome(self, place: int) -> Outcome:

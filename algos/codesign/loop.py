@@ -13,8 +13,6 @@ from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
-
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome, Parent, Parents, Search
 from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text
 from warpvox.algos.codesign.executors import Batch, Executor, batches
@@ -126,8 +124,6 @@ class Loop:
             self._tell("told", self.generation, False)
         self.generation = len(history)
 
-    # ------------------------------------------------------------------------------------------ a generation
-
     def _check_new(self, asked: Sequence[Candidate]) -> None:
         for one in asked:
             if one.generation != self.generation:
@@ -234,14 +230,9 @@ class Loop:
 
 def _check_same(asked: Sequence[Candidate], known: Sequence[Record]) -> None:
     """Raise RunError unless the search repeats its earlier proposals."""
-    same = len(asked) == len(known) and all(
-        candidate.id == record.id
-        and np.array_equal(candidate.body, record.candidate.body)
-        and tuple(candidate.parents) == record.candidate.parents
-        and candidate.origin == record.candidate.origin
-        for candidate, record in zip(asked, known, strict=False)
-    )
-    if not same:
+    several = asked, [record.candidate for record in known]
+    now, before = ([(one.id, body_text(one.body), tuple(one.parents), one.origin) for one in each] for each in several)
+    if now != before:
         raise RunError(
             f"The search now proposes other designs for generation {known[0].candidate.generation} than the archive"
             " holds: it was made by another version of warpvox or of the library that the search uses."

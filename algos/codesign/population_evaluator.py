@@ -67,7 +67,7 @@ class PopulationEvaluator:
                     generation.advance()
                     if report is not None:
                         report(generation.progress())
-                    due = generation.iteration % self.settings.save_interval == 0 and generation.going
+                    due = generation.training.iteration % self.settings.save_interval == 0 and generation.going
                     stop = bool(interrupted)  # an interrupt from here on waits for the next iteration
                     if due or stop:
                         generation.save(checkpoint)
@@ -105,20 +105,16 @@ class _Generation:
         return PopulationTraining(self.factory, bodies, seeds, self.settings, prepare, self.seed)
 
     @property
-    def iteration(self) -> int:
-        return self.training.iteration
-
-    @property
     def going(self) -> bool:
-        return bool(self.active) and self.iteration < self.settings.iterations
+        return bool(self.active) and self.training.iteration < self.settings.iterations
 
     def advance(self) -> None:
         """One iteration, then evaluation and halving as scheduled."""
         self.training.iterate()
         for k in self.active:
-            self.outcomes[k].steps = self.iteration * self.training.steps_per_iteration
+            self.outcomes[k].steps = self.training.iteration * self.training.steps_per_iteration
         self._keep([place for place, well in enumerate(self.training.algorithm.healthy().tolist()) if well])
-        done, end = self.iteration, self.settings.iterations
+        done, end = self.training.iteration, self.settings.iterations
         if self.active and (done % self.settings.eval_interval == 0 or done == end or done in self.rungs):
             self._evaluate()
             if done in self.rungs and done != end:
@@ -152,7 +148,7 @@ class _Generation:
     def progress(self) -> dict[str, Any]:
         """What a report holds, see :data:`warpvox.algos.candidate.PROGRESS`."""
         return {
-            "iteration": self.iteration,
+            "iteration": self.training.iteration,
             "iterations": self.settings.iterations,
             "steps": sum(outcome.steps for outcome in self.outcomes),
             "best": [outcome.fitness if outcome.curve else math.nan for outcome in self.outcomes],
@@ -173,9 +169,6 @@ class _Generation:
             self.active = content["active"]
             self.training = self._start()
         self.training.set_state(content["training"])
-
-
-# ------------------------------------------------------------------------------- shared with other evaluators
 
 
 def describe(factory: EnvFactory, settings: Any, seed: int, candidates: Sequence[Candidate]) -> dict[str, Any]:

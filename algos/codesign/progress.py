@@ -94,8 +94,6 @@ class SearchProgress(Listener):
             keys = again(self.run.results.settings)
             echo(self.console, f"go on: warpvox codesign {shell_argument('resume', folder)}{keys}")
 
-    # ------------------------------------------------------------------------------------------ what happens
-
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
         self._generation, self._work = generation, {}
         last = any(candidate.origin == FINALIST for candidate in waiting)
@@ -133,8 +131,6 @@ class SearchProgress(Listener):
         if self._live is None:
             self.console.print(self._bodies())
         self._show()
-
-    # ------------------------------------------------------------------------------------------ what is shown
 
     @property
     def done(self) -> float:

@@ -98,9 +98,8 @@ class RayExecutor:
                 idle_since = time.monotonic()
             elif time.monotonic() - idle_since > WORKER_TIMEOUT:
                 raise RunError(f"No worker has come up for {WORKER_TIMEOUT:.0f} s; see `ray status`.")
-            self._ray.wait(
-                [worker.task for worker in busy] or [worker.up for worker in self._workers], timeout=POLL_SECONDS
-            )
+            awaited = [worker.task for worker in busy] or [worker.up for worker in self._workers]
+            self._ray.wait(awaited, timeout=POLL_SECONDS)
             for worker in busy:
                 for event in self._events(worker):
                     report(cast(int, worker.place), event)

@@ -147,14 +147,12 @@ def evaluate_winner(folder: Path, settings: Codesign) -> dict[str, Any]:
     if not get_task(settings.task).under(settings.rules).is_random:
         return {}
     seed = FRESH_SEED + (settings.seed == FRESH_SEED)  # which the search has compared its designs by
-    play = Playing(
-        FRESH,
-        seed=seed,
-        device=settings.device if settings.executor == "local" else "cpu",
-        threads=settings.threads,
-        task=settings.task if is_code(settings.task) or not isinstance(settings.task, str) else None,
-        policy=settings.policy if is_code(settings.policy) else None,
-    )
+    own = {
+        "task": settings.task if is_code(settings.task) or not isinstance(settings.task, str) else None,
+        "policy": settings.policy if is_code(settings.policy) else None,
+    }
+    device = settings.device if settings.executor == "local" else "cpu"
+    play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **own)
     env, policy = load_run(find_run(str(folder), settings.output_dir), play)
     found = mean_interval(evaluate(env, policy).returns.tolist())
     return {"mean": found.mean, "low": found.low, "high": found.high, "episodes": FRESH, "seed": seed}

@@ -74,8 +74,11 @@ class SearchRun:
     resumed: bool
 
 
-def check(settings: Codesign, folder: Path | None = None, search: Search | None = None) -> None:
+def check(settings: Codesign, folder: Path | None = None, search: Search | None = None) -> Codesign:
     """Find mistakes before anything is made.
+
+    Returns:
+        A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
 
     Args:
         folder: of the search that is resumed.
@@ -90,7 +93,7 @@ def check(settings: Codesign, folder: Path | None = None, search: Search | None 
         make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, start)
     settings.sim  # noqa: B018  (constants out of range are found)
     settings.evaluation.check(settings)
-    settings = dataclasses.replace(settings, evaluation=settings.evaluation.resolved(settings, folder))
+    settings = settings.resolved(folder)
     if settings.executor == "local":
         resolve_device(settings.device)
         for key in ("address", "workers"):
@@ -98,6 +101,8 @@ def check(settings: Codesign, folder: Path | None = None, search: Search | None 
                 raise ConfigError(f"{key} goes with executor=ray.")
         if settings.memory_check:
             _ask_for_memory(settings)
+        settings = dataclasses.replace(settings, device=resolve_device(settings.device, environments(settings)))
+    return settings  # designs on workers run on the devices of the workers
 
 
 def environments(settings: Codesign) -> int:
@@ -118,18 +123,6 @@ def _ask_for_memory(settings: Codesign) -> None:
             what = f"({batch.key}) for each of {designs} designs"
             ask(each * designs * envs / value, value, sim.device, batch.key, what)
         ask(each * envs, designs, sim.device, batch.fewer, f"designs of {envs:,} environments each")
-
-
-def resolve(settings: Codesign, folder: Path | None = None) -> Codesign:
-    """A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
-
-    Args:
-        folder: of the search that is resumed.
-    """
-    settings = settings.resolved(folder)
-    if settings.executor != "local":  # designs on workers run on the devices of the workers
-        return settings
-    return dataclasses.replace(settings, device=resolve_device(settings.device, environments(settings)))
 
 
 def run_codesign(
@@ -159,8 +152,7 @@ def run_codesign(
     """
     resumed = place if place is not None and (place / ARCHIVE).is_file() else None
     with own_torch(settings.torch_threads), ExitStack() as opened:
-        check(settings, resumed, search)
-        settings = resolve(settings, resumed)
+        settings = check(settings, resumed, search)
         start = read_start(settings, resumed)
         known = settings.evaluation.begins_with(settings, start, resumed)
         if executor is None:
@@ -269,8 +261,7 @@ def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome:
         "task": task,
         "num_envs": training.envs,
         "max_iterations": training.iterations,
-        "eval_interval": training.eval_interval,
-        "eval_envs": training.eval_envs,
+        **{name: getattr(training, name) for name in ("eval_interval", "eval_envs")},
         "lanes": lanes_for(training.eval_envs),  # as in the evaluation that found the fitness
         "physics": dataclasses.asdict(settings.physics),
         "ppo": dataclasses.asdict(training.ppo),
@@ -278,9 +269,6 @@ def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome:
     values |= settings.evaluation.run_of(settings, candidate, outcome)
     values.setdefault("obs", "task" if values["policy"] == MLP else observed_by(outcome.spec))
     return to_yaml(Training(design=candidate.body, **values)) + END
-
-
-# -------------------------------------------------------------------------------------------------- evaluation
 
 
 def make_evaluator(settings: Codesign, known: Any) -> DesignEvaluator:

@@ -24,12 +24,11 @@ from warpvox.algos.codesign.population_evaluator import (
 )
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import Evaluation, evaluator
-from warpvox.algos.policies.registry import layout_for
+from warpvox.algos.policies.registry import voxels_of
 from warpvox.algos.population.training import Networks
 from warpvox.algos.settings import DesignTraining
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
-from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, DivergenceError
 
 __all__ = ["SequentialEvaluator"]
@@ -99,8 +98,9 @@ class SequentialEvaluator:
                     done.save(outcome, runner.state())
 
             schedule = Schedule(settings.iterations, settings.save_interval, settings.eval_interval)
-            hint = memory_hint(settings, 1)
-            options = {"evaluator": evaluate, "on_save": save, "memory_hint": hint, "voxels": self._voxels(env.env)}
+            hint, name = memory_hint(settings, 1), self.network
+            voxels = None if name is None else voxels_of(name, env.env, self.network_settings)
+            options = {"evaluator": evaluate, "on_save": save, "memory_hint": hint, "voxels": voxels}
             runner = Runner(env, settings.ppo, schedule, **options)
             if done.training is not None:
                 runner.set_state(done.training)
@@ -116,12 +116,6 @@ class SequentialEvaluator:
                 runner.current_learning_iteration += 1
         outcome.steps = runner.steps
         return outcome
-
-    def _voxels(self, env: VoxelVecEnv) -> dict[str, Any] | None:
-        if self.network is None:
-            return None
-        layout = layout_for(self.network, env).dict()
-        return {"network": self.network, "settings": dict(self.network_settings), "layout": layout}
 
     def _progress(self, outcomes: Sequence[Outcome], count: int) -> dict[str, Any]:
         left, total = count - len(outcomes), self.settings.iterations

@@ -153,12 +153,10 @@ class Codesign:
 def _evaluation(values: str | Mapping[str, Any]) -> Evaluation:
     """The evaluation that a name, or values with one, stand for."""
     given = {"name": values} if isinstance(values, str) else dict(values)
-    kind = EVALUATIONS.get(given.get("name", ""))
-    if kind is None:
-        name = given.get("name")
-        raise ConfigError(
-            f"evaluation must be one of {listing(EVALUATIONS)}; got {name!r:.80}.{did_you_mean(name, EVALUATIONS)}"
-        )
+    name = given.get("name", "")
+    if (kind := EVALUATIONS.get(name)) is None:
+        hint = did_you_mean(name, EVALUATIONS)
+        raise ConfigError(f"evaluation must be one of {listing(EVALUATIONS)}; got {name!r:.80}.{hint}")
     known = [item.name for item in dataclasses.fields(kind)]
     for key_ in given:
         if key_ not in known:

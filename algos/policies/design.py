@@ -47,13 +47,8 @@ def design_models(
     """
     if not env.env.env.voxels or env.env.layout.actions != "types":
         raise ConfigError('These models need design_episodes(..., obs="voxel", actions="types").')
-    model = {
-        "class_name": DesignModel,
-        "layout": env.env.layout.dict(),
-        "network": network,
-        "settings": dict(settings or {}),
-        "channels": channels,
-    }
+    control = {"network": network, "settings": dict(settings or {})}
+    model = {"class_name": DesignModel, "layout": env.env.layout.dict(), "channels": channels, **control}
     noise = {"class_name": "GaussianDistribution", "init_std": init_std, "std_type": "log"}
     return {
         "obs_groups": {"actor": [OBS_GROUP], "critic": [OBS_GROUP]},

@@ -17,7 +17,7 @@ from warpvox.code import is_code, load_code
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["POLICIES", "check_policy", "layout_for", "make_network"]
+__all__ = ["POLICIES", "check_network", "check_policy", "layout_for", "make_network", "voxels_of"]
 
 NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork, CPG: CpgNetwork}
 POLICIES = (MLP, *NETWORKS)
@@ -40,6 +40,24 @@ def layout_for(name: str, env: VoxelVecEnv) -> VoxelLayout:
     """
     check_policy(name)
     return layout_of(env, getattr(NETWORKS.get(name) or load_code(name), "periods", CLOCK))
+
+
+def voxels_of(name: str, env: VoxelVecEnv, settings: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """``network``, ``settings`` and ``layout`` of a policy: what :class:`VoxelModel` is built by."""
+    return {"network": name, "settings": dict(settings or {}), "layout": layout_for(name, env).dict()}
+
+
+def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str = "network") -> VoxelLayout:
+    """The layout of a network, after its settings, those of ``key``, have been tried.
+
+    Raises:
+        ConfigError: settings that it does not have, or environments that it is not for.
+    """
+    if settings is not None and not isinstance(settings, Mapping):
+        raise ConfigError(f"{key} must be settings by name, such as {{width:32}}; got {settings!r:.80}.")
+    layout = layout_for(name, env)
+    make_network(name, layout, False, settings)
+    return layout
 
 
 def make_network(name: str, layout: VoxelLayout, critic: bool, settings: Mapping[str, Any] | None = None) -> nn.Module:

@@ -83,8 +83,6 @@ class PopulationModel(nn.Module):
         """Number of stacked models."""
         return len(self.inputs)
 
-    # ----------------------------------------------------------------- forward
-
     def scaled(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[..., num_obs]``, sorted by design, as inputs ``[designs, rows, num_obs]`` of the networks."""
         obs = obs.reshape(self.num_designs, -1, obs.shape[-1])
@@ -122,8 +120,6 @@ class PopulationModel(nn.Module):
     def get_hidden_state(self) -> None:
         """None: these networks are not recurrent."""
 
-    # ----------------------------------------------------------------- designs
-
     def member(self, design: int) -> dict[str, torch.Tensor]:
         """The state of one design's network as a stock model loads it, on the CPU."""
         inputs, outputs, state = self.inputs[design], self.outputs[design], {}
@@ -138,9 +134,7 @@ class PopulationModel(nn.Module):
             columns = slice(outputs if k == last else None)
             state[f"mlp.{2 * k}.weight"] = weight[design, : inputs if k == 0 else None, columns].T
             state[f"mlp.{2 * k}.bias"] = bias[design, 0, columns]
-        return {
-            name: value.detach().cpu().clone(memory_format=torch.contiguous_format) for name, value in state.items()
-        }
+        return {k: v.detach().cpu().clone(memory_format=torch.contiguous_format) for k, v in state.items()}
 
     def part(self, share: slice) -> PopulationModel:
         """Some neighbouring designs as a model that shares this one's memory."""

@@ -84,8 +84,6 @@ class PopulationPPO(PPO):
         """Number of designs."""
         return self.actor.num_designs
 
-    # ------------------------------------------------------------- collection
-
     @torch.no_grad()
     def act(self, obs: TensorDict) -> torch.Tensor:
         """Draw actions. What else learning needs to know of them is computed for the whole rollout at once."""
@@ -140,8 +138,6 @@ class PopulationPPO(PPO):
     def _samples(self, values: torch.Tensor) -> torch.Tensor:
         """``[steps, rows, ...]`` of the storage as ``[designs, steps * envs, ...]``."""
         return values.unflatten(1, (self.num_designs, -1)).transpose(0, 1).flatten(1, 2)
-
-    # ---------------------------------------------------------------- learning
 
     def update(self) -> dict[str, float]:
         """One iteration's optimisation; returns the mean losses.
@@ -237,8 +233,6 @@ class PopulationPPO(PPO):
         lower, higher = (rate / 1.5).clamp_(min=SLOWEST), (rate * 1.5).clamp_(max=FASTEST)
         far, near = kl > 2 * self.desired_kl, (kl < self.desired_kl / 2) & (kl > 0)
         rate.copy_(torch.where(far, lower, torch.where(near, higher, rate)))
-
-    # ------------------------------------------------------------ state, parts
 
     def healthy(self) -> torch.Tensor:
         """bool ``[designs]``: whose networks consist of finite numbers."""

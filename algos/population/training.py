@@ -96,6 +96,7 @@ class PopulationTraining:
         settings = self.settings
         training = self.factory.make(self.bodies, settings.envs, self.seeds, auto_reset=True)
         self.env = adapt(training, self.ppo, apart=True)
+        self._eval_seeds = [self.eval_seed] * self.num_designs
         self._judge = self.factory.make(self.bodies, settings.eval_envs, self._eval_seeds, auto_reset=False)
 
     def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
@@ -116,15 +117,9 @@ class PopulationTraining:
         return len(self.bodies)
 
     @property
-    def _eval_seeds(self) -> list[int]:
-        return [self.eval_seed] * self.num_designs
-
-    @property
     def steps_per_iteration(self) -> int:
         """Control steps of a design in an iteration."""
         return self.ppo.steps * self.settings.envs
-
-    # ---------------------------------------------------------------- learning
 
     def iterate(self) -> None:
         """One iteration: collect, learn."""
@@ -169,8 +164,6 @@ class PopulationTraining:
     def policy(self, design: int) -> dict[str, torch.Tensor]:
         """The design's policy as the state of a stock actor."""
         return self.algorithm.actor.member(design)
-
-    # ------------------------------------------------------------ state, parts
 
     def keep(self, index: Sequence[int]) -> None:
         """Keep these designs, in this order; their training continues as before, up to rounding."""

@@ -116,9 +116,6 @@ def _figures(members: Sequence[SearchResult], groups: Groups) -> dict[str, str]:
     }
 
 
-# ------------------------------------------------------------------------------------------------ table and winners
-
-
 def _published(task: str) -> float | None:
     known = known_returns().get(task)
     return known and known.best
@@ -188,9 +185,6 @@ def _write_table(path: Path, members: Sequence[SearchResult]) -> None:
     write_table(path, [*names, *(f"fresh_{name}" for name in fresh), "folder"], rows)
 
 
-# --------------------------------------------------------------------------------------------------------- curves
-
-
 def _panel(task: str, named: Mapping[str, Sequence[SearchResult]], x: str, looks: Mapping[str, Series]) -> str:
     """Best return over ``x``: the mean over the runs of each search, one standard deviation as a band."""
     series, last = [], 0.0
@@ -208,9 +202,6 @@ def _panel(task: str, named: Mapping[str, Sequence[SearchResult]], x: str, looks
         series.append(Series(KNOWN.name, [(0.0, best), (last, best)], colour=3, look=KNOWN.look))
     label = {"evaluations": "designs trained", "steps": "control steps"}[x]
     return chart(series, label, task, PANEL, names=False)
-
-
-# ---------------------------------------------------------------------------------------------------- generations
 
 
 def _three(member: SearchResult) -> dict[int, list[Record]]:

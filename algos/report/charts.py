@@ -85,10 +85,10 @@ def legend(series: Sequence[Series]) -> str:
     return f'<ul class="legend">{"".join(items)}</ul>'
 
 
-def intervals(rows: Sequence[tuple[str, int, Interval]], x_label: str, width: int = PANEL[0]) -> str:
+def intervals(rows: Sequence[tuple[str, int, Interval]], x_label: str) -> str:
     """A figure with a row for each (name, colour, estimate): the estimate as a dot, its interval as a line."""
     ends = [v for _, _, one in rows for v in (one.mean, one.low, one.high) if math.isfinite(v)]
-    size = (width, TOP + BOTTOM + 36 * len(rows))
+    size = (PANEL[0], TOP + BOTTOM + 36 * len(rows))
     frame = _Frame(_span(ends), (-len(rows), 0), size)
     parts = _axes(frame, "", x_label, y_ticks=False)
     for number, (name, colour, one) in enumerate(rows):
@@ -113,9 +113,7 @@ def sheet(charts: Sequence[str], series: Sequence[Series] = (), columns: int = 2
         charts: what :func:`chart` gives without a legend, or :func:`intervals`.
     """
     found = [re.search(r'<svg class="chart".*?viewBox="0 0 (\d+) (\d+)">', one) for one in charts]
-    shown = [
-        (one[match.start() :], int(match[1]), int(match[2])) for one, match in zip(charts, found, strict=True) if match
-    ]
+    shown = [(one[m.start() :], int(m[1]), int(m[2])) for one, m in zip(charts, found, strict=True) if m]
     parts, top, x = [], 34 if series else 8, 8.0
     for one in series:
         parts.append(f'<path class="curve s{one.colour} {one.look}" d="M{x:g} 18h18"/>')

@@ -58,10 +58,8 @@ class Comparison:
 
     def improvements(self) -> dict[tuple[str, str], Interval]:
         """The probability that a run of the first is better than one of the second, for all ordered pairs."""
-        return {
-            (first, second): interval(improvement, self.scores[first], self.scores[second])
-            for first, second in permutations(self.scores, 2)
-        }
+        pairs = permutations(self.scores, 2)
+        return {pair: interval(improvement, *map(self.scores.__getitem__, pair)) for pair in pairs}
 
 
 def compare(groups: Mapping[str, Mapping[str, Sequence[SearchResult]]]) -> Comparison:
@@ -72,23 +70,15 @@ def compare(groups: Mapping[str, Mapping[str, Sequence[SearchResult]]]) -> Compa
     """
     names = list(dict.fromkeys(name for named in groups.values() for name in named))
     known = known_returns()
-    tasks = [
-        task
-        for task, named in groups.items()
-        if len(named) == len(names) and task in known and known[task].best is not None
-    ]
+    published = {task for task, returns in known.items() if returns.best is not None}
+    tasks = [task for task, named in groups.items() if len(named) == len(names) and task in published]
     steps = {task: min(int(one.steps[-1]) for runs in groups[task].values() for one in runs) for task in tasks}
-    scores = {
-        name: {
-            task: np.array([known[task].score(one.best_at(steps[task])) for one in groups[task][name]])
-            for task in tasks
-        }
-        for name in names
-    }
-    return Comparison(scores if tasks else {}, steps, [task for task in groups if task not in tasks])
 
+    def scored(task: str, name: str) -> np.ndarray:
+        return np.array([known[task].score(one.best_at(steps[task])) for one in groups[task][name]])
 
-# ------------------------------------------------------------------------------------------------------- pictures
+    scores = {name: {task: scored(task, name) for task in tasks} for name in names if tasks}
+    return Comparison(scores, steps, [task for task in groups if task not in tasks])
 
 
 def _charts(comparison: Comparison, looks: Mapping[str, Series]) -> list[str]:
@@ -135,7 +125,6 @@ def comparison_html(comparison: Comparison, looks: Mapping[str, Series]) -> str:
         f" Intervals: {100 * LEVEL:g} %, stratified bootstrap over the runs of each task; none where there is one run."
     )
     if comparison.left_out:
-        text += (
-            f" Left out, without a published return or without runs of every search: {', '.join(comparison.left_out)}."
-        )
+        left_out = ", ".join(comparison.left_out)
+        text += f" Left out, without a published return or without runs of every search: {left_out}."
     return "".join([*parts, f'<p class="faint">{escape(text)}</p>'])

@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -144,15 +145,11 @@ class BaseSearch(ABC):
             )
         return Proposal(body)
 
-    def mutants(self, rng: np.random.Generator, parent: int, rate: float) -> Callable[[], np.ndarray]:
-        """Draws mutants of a parent, valid or not, int8 ``[n, rows, columns]``."""
-        copies = np.repeat(self.bodies[parent][None], MUTANTS_PER_DRAW, axis=0)
-        return lambda: mutate(rng, copies, rate)
-
     def mutant(self, rng: np.random.Generator, parents: Sequence[int], rate: float) -> Proposal:
         """A new mutant of a parent drawn uniformly; a random body if all their mutants are known."""
         for parent in rng.permutation(parents):
-            body = self.new_body(self.mutants(rng, parent, rate), MAX_MUTANT_VOXELS)
+            copies = np.repeat(self.bodies[parent][None], MUTANTS_PER_DRAW, axis=0)
+            body = self.new_body(partial(mutate, rng, copies, rate), MAX_MUTANT_VOXELS)
             if body is not None:
                 return Proposal(body, (int(parent),), "mutation")
         return self.random_proposal(rng)
@@ -269,10 +266,8 @@ class BaseSearch(ABC):
 
 
 def _check_same(told: Sequence[Candidate], asked: Sequence[Candidate]) -> None:
-    same = len(told) == len(asked) and all(
-        one.id == other.id and np.array_equal(one.body, other.body) for one, other in zip(told, asked, strict=True)
-    )
-    if not same:
+    known, again = ([(one.id, one.body.tolist()) for one in several] for several in (told, asked))
+    if known != again:
         generation = asked[0].generation if asked else "the last"
         raise SearchError(
             f"The history is not of this search: generation {generation} holds other designs than these settings and"

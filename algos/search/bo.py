@@ -78,8 +78,6 @@ class BayesianSearch(BaseSearch):
         """Take the candidates as given: to fit every generation again would cost minutes and change nothing."""
         self.adopt(candidates)
 
-    # ------------------------------------------------------------------------------------------ acquisition
-
     def _improved(self, rng: np.random.Generator, count: int) -> list[Proposal]:
         pool = self.pool(rng, self.settings.candidates, 0)
         if not len(pool):
@@ -139,8 +137,6 @@ class BayesianSearch(BaseSearch):
         """The place of the best new body, claimed."""
         places = (place for place in np.argsort(-values, kind="stable") if values[place] > -np.inf)
         return next((int(place) for place in places if self.claim(bodies[place])), None)
-
-    # ------------------------------------------------------------------------------------------------- pool
 
     def pool(self, rng: np.random.Generator, random: int, mutants: int) -> Pool:
         """Bodies to choose from: ``random`` ones and ``mutants`` of the best, or fewer where there are no more."""

@@ -67,11 +67,8 @@ def make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> Si
         lengthscale_prior=LogNormalPrior(1.0, 1.0),
         lengthscale_constraint=GreaterThan(2.5e-2, initial_value=settings.kernel_length_scale),
     )
-    kernel = ScaleKernel(
-        base,
-        outputscale_prior=LogNormalPrior(0.0, 1.0),
-        outputscale_constraint=GreaterThan(1e-4, initial_value=settings.kernel_variance),
-    )
+    bounded = GreaterThan(1e-4, initial_value=settings.kernel_variance)
+    kernel = ScaleKernel(base, outputscale_prior=LogNormalPrior(0.0, 1.0), outputscale_constraint=bounded)
     targets = torch.tensor(list(fitness), dtype=torch.float64)[:, None]
     return SingleTaskGP(one_hot(bodies), targets, covar_module=kernel.double(), outcome_transform=Standardize(1))
 

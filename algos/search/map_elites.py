@@ -63,12 +63,8 @@ class MapElitesSearch(BaseSearch):
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
         """Put each design into its cell, unless a better one is there."""
         bodies = np.stack([candidate.body for candidate in candidates])
-        self.archive.add(
-            bodies.reshape(len(bodies), -1),
-            np.asarray(fitness),
-            describe(bodies, self.settings.descriptors),
-            id=np.array([candidate.id for candidate in candidates]),
-        )
+        kinds, ids = describe(bodies, self.settings.descriptors), np.array([candidate.id for candidate in candidates])
+        self.archive.add(bodies.reshape(len(bodies), -1), np.asarray(fitness), kinds, id=ids)
 
 
 def describe(bodies: np.ndarray, names: Sequence[str]) -> np.ndarray:

@@ -65,8 +65,6 @@ class SuiteProgress:
         if self._live is not None:
             self._live.update(self._block())
 
-    # -------------------------------------------------------------------------------------------- what is shown
-
     def _share(self) -> float:
         """How much of the evaluations of all members is done, from 0 to 1."""
         rows = self.table.rows
@@ -122,6 +120,5 @@ def _spread(rows: Sequence[Row]) -> str:
     if not values:
         return "-"
     deviation = f" ± {statistics.stdev(values):.3f}" if len(values) > 1 else ""
-    return f"{statistics.fmean(values):.3f}{deviation}" + (
-        f" ({len(values)} of {len(rows)})" * (len(values) < len(rows))
-    )
+    share = f" ({len(values)} of {len(rows)})" if len(values) < len(rows) else ""
+    return f"{statistics.fmean(values):.3f}{deviation}{share}"

@@ -211,7 +211,7 @@ class AscentRunner(Runner):
     def _improve(self) -> None:
         self._collect()
         distance = self.alg.ascend(self._targets) if len(self._targets) else 0.0
-        self.logger.losses = {"value": distance, "surrogate": -self._found["return"], "entropy": 0.0}
+        self.logger.losses = {"value": distance, "surrogate": -self._found["return_mean"], "entropy": 0.0}
         self._exchange()
 
     def _collect(self) -> None:
@@ -224,7 +224,7 @@ class AscentRunner(Runner):
         targets = weights + (STEP * size / norm.clamp(min=TINY))[:, None, None] * slope
         if bool(known.any()):
             self._targets.add(bodies[known], targets[known])
-        self._found = {"return": float(returns.mean()), "unstable": int(stopped.sum())}
+        self._found = {"return_mean": float(returns.mean()), "unstable": int(stopped.sum())}
         self.logger.means = {"Gradient/norm": float(norm.median()), "Episode/unstable": float(stopped.float().mean())}
         self.logger.ended = torch.ones_like(stopped)
 
@@ -246,8 +246,7 @@ class AscentRunner(Runner):
 
     def _episodes(self) -> dict[str, float]:
         """Of the rollout: the beginnings of episodes."""
-        count = self.env.num_envs
-        return {"episodes": count, "length": self.ppo.steps, "diverged": 0} | self._found
+        return {"episodes": self.env.num_envs, "length_mean": self.ppo.steps, "diverged": 0} | self._found
 
 
 class _Differentiated(SimpleNamespace):

@@ -222,10 +222,10 @@ class Bodies:
         self.bodies, self.refresh, self.without = list(bodies), refresh, list(without)
         self._rng = rng
         self._returns = np.full(len(self.bodies), np.nan)
-        self._seen = 0
+        self.seen = 0  # bodies that environments were given so far, those that came again included
         self._digests = {_digest(body) for body in [*self.bodies, *self.without]}
         self._which = np.zeros(0, np.int64)
-        self.shape = tuple(max(body.shape[axis] for body in self.bodies) for axis in (0, 1))
+        self.shape = _shape(self.bodies)
 
     @classmethod
     def of(cls, bodies: TrainingBodies, settings: Training, seed: int) -> Bodies:
@@ -249,13 +249,8 @@ class Bodies:
         order = np.arange(num_envs) % len(self.bodies)
         if len(self.bodies) > num_envs:
             order = self._rng.choice(len(self.bodies), num_envs, replace=False)
-        self._which, self._seen = np.sort(order), len(np.unique(order))
+        self._which, self.seen = np.sort(order), len(np.unique(order))
         return [self.bodies[k] for k in self._which]
-
-    @property
-    def seen(self) -> int:
-        """Bodies that environments were given so far, those that came again included."""
-        return self._seen
 
     def record(self, ended: torch.Tensor, returns: torch.Tensor) -> None:
         """Record the returns ``[num_envs]`` of whole episodes that have ended (bool)."""
@@ -276,7 +271,7 @@ class Bodies:
             which = self._rng.choice(len(self.bodies), count, p=self._shares())
             bodies = [self.bodies[k] for k in which]
         self._which[ended.cpu().numpy()] = which
-        self._seen += count
+        self.seen += count
         env.set_designs(bodies, ended)
 
     def _new(self, count: int) -> list[Design]:
@@ -309,7 +304,7 @@ class Bodies:
         arrays = {"grids": grids, "which": self._which.copy(), "returns": self._returns.copy()}
         return {name: torch.from_numpy(array) for name, array in arrays.items()} | {
             "shapes": shapes,
-            "seen": self._seen,
+            "seen": self.seen,
             "digests": torch.tensor(sorted(self._digests)),
             "random": json.dumps(self._rng.bit_generator.state),
         }
@@ -319,7 +314,7 @@ class Bodies:
         pairs = zip(state["grids"].cpu().numpy(), state["shapes"], strict=True)
         bodies = [grid[:rows, :columns] for grid, (rows, columns) in pairs]
         env.set_designs(bodies, torch.ones(env.num_envs, dtype=torch.bool, device=env.device))
-        self._which, self._seen = state["which"].cpu().numpy().copy(), state["seen"]
+        self._which, self.seen = state["which"].cpu().numpy().copy(), state["seen"]
         self._returns = state["returns"].cpu().numpy().copy()
         self._digests |= set(state["digests"].tolist()) if "digests" in state else set()
         self._rng.bit_generator.state = json.loads(state["random"])

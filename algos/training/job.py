@@ -16,7 +16,7 @@ from rich.console import Console
 from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.evaluate import Evaluation, Evaluator, evaluator
 from warpvox.algos.physics import physics_of, sim_of
-from warpvox.algos.policies.registry import MLP, check_policy, layout_for, make_network
+from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
 from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.bodies import Bodies, TrainingBodies, load_bodies, read_bodies, training_bodies
 from warpvox.algos.training.distributed import ProcessGroup, join_process_group
@@ -96,15 +96,12 @@ class Job:
         """Raise an error where a name in the settings stands for nothing."""
         resolved(self.settings)
 
-    def train(
-        self, listener: Listener, *, write: bool = True, place: Path | None = None, command: str = "train"
-    ) -> None:
+    def train(self, listener: Listener, *, write: bool = True, place: Path | None = None) -> None:
         """Make the run. Nothing is written before everything has been checked.
 
         Args:
             write: whether there is a folder.
             place: of a new run; None: it lies in ``output_dir`` and is named by the time.
-            command: that the summary names.
 
         Raises:
             WarpvoxError: something asked for does not exist or is not valid, or learning has diverged.
@@ -116,10 +113,8 @@ class Job:
             self._prepare(listener)
             if not write:
                 self.runner.evaluator = self.best = _Best(self.judge)
-                self._learn(listener, command)
-                return
-            with self._folder(place, command, listener):
-                self._learn(listener, command)
+            with self._folder(place, listener) if write else nullcontext():
+                self._learn(listener)
 
     def _prepare(self, listener: Listener) -> None:
         """Make environments and runner."""
@@ -171,9 +166,8 @@ class Job:
 
         On a GPU a few environments would take the launches of ten iterations, one after another.
         """
-        sim = dataclasses.replace(
-            sim_of(settings), device="cpu", lanes=bodies.lanes(settings, settings.device), grid=bodies.grid
-        )
+        lanes = bodies.lanes(settings, settings.device)
+        sim = dataclasses.replace(sim_of(settings), device="cpu", lanes=lanes, grid=bodies.grid)
         count = settings.eval_envs * len(bodies.judged)
         options = options | {"auto_reset": False, "seed": settings.seed, "sim": sim}
         judge = evaluator(make_vec(settings.task, bodies.judged, count, **options), settings.seed)
@@ -182,10 +176,10 @@ class Job:
         return HeldOut(judge, bodies.judged, "bodies" if bodies.own else "held_out", str(task_name(settings.task)))
 
     @contextmanager
-    def _folder(self, place: Path | None, command: str, listener: Listener) -> Iterator[None]:
+    def _folder(self, place: Path | None, listener: Listener) -> Iterator[None]:
         """The folder of a new run, or that of the one which goes on; made by the first process."""
         settings, group, runner = self.settings, self.group, self.runner
-        made = run_folder(self.folder, self.written, command, to_yaml(self.written), place)
+        made = run_folder(self.folder, self.written, "train", to_yaml(self.written), place)
         with made if group.is_main_process else nullcontext() as folder:
             self.folder = runner.folder = folder = Path(str(group.broadcast(folder and str(folder))))
             if settings.nan_guard == "dump":
@@ -197,7 +191,7 @@ class Job:
                 keep_code(settings, folder, listener.console)
             yield
 
-    def _learn(self, listener: Listener, command: str) -> None:
+    def _learn(self, listener: Listener) -> None:
         """Learn, and sum up however it ends."""
         runner, began, before, status = self.runner, time.perf_counter(), self.runner.steps, "failed"
 
@@ -217,7 +211,7 @@ class Job:
             seconds = time.perf_counter() - began
             if runner.current_learning_iteration and self.group.is_main_process:
                 settings, designs = self.settings, self.settings.designs
-                about = {"command": command, "task": runner.env.cfg["task"], "status": status, "seed": settings.seed}
+                about = {"command": "train", "task": runner.env.cfg["task"], "status": status, "seed": settings.seed}
                 if isinstance(self.judge, HeldOut):
                     about["designs"] = {"bodies": designs.bodies, "refresh": designs.refresh}
                     about["evaluated_on"] = self.judge.about
@@ -308,11 +302,8 @@ def _voxels(settings: Training, env: VoxelVecEnv) -> dict[str, Any] | None:
         if settings.network is not None:
             raise ConfigError("network has the settings of the other policies; those of policy=mlp are ppo.hidden.")
         return None
-    if settings.network is not None and not isinstance(settings.network, Mapping):
-        raise ConfigError(f"network must be settings by name, such as {{width:32}}; got {settings.network!r:.80}.")
-    layout, own = layout_for(settings.policy, env), dict(settings.network or {})
-    make_network(settings.policy, layout, False, own)
-    return {"network": settings.policy, "settings": own, "layout": layout.dict()}
+    check_network(env, settings.policy, settings.network)
+    return voxels_of(settings.policy, env, settings.network)
 
 
 def _ask_for_memory(settings: Training, designs: list[Any], sim: SimOptions) -> None:

@@ -209,9 +209,7 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
         task = config.task
     robot = dataclasses.replace(robot, task=task)
     count = config.num_envs if get_task(robot.task).is_random else 1  # all episodes would be the same
-    options = {
-        name: getattr(config, name) for name in ("dtype", "arithmetic", "seed") if getattr(config, name) is not None
-    }
+    options = {name: value for name in ("dtype", "arithmetic", "seed") if (value := getattr(config, name)) is not None}
     if config.arithmetic == "fast":
         options.setdefault("dtype", "float32")
     options |= {"threads": config.threads, "memory_check": config.memory_check}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -15,27 +15,28 @@ from warpvox.io.writing import write_text, writing
 
 __all__ = ["COLUMNS", "Metrics", "check_logger", "read_metrics"]
 
-COLUMNS = (
-    "iteration",  # iterations complete
-    "steps",  # control steps of all environments since the start
-    "episodes",  # that ended in this iteration
-    "return_mean",  # of those, exploring; empty if none ended
-    "length_mean",  # of those, in control steps
-    "unstable",  # episodes that were stopped in this iteration, by self-folding or divergence
-    "diverged",  # those of them that diverged
-    "eval_return",  # deterministic; empty if there was no evaluation
-    "best_return",  # the best evaluation so far
-    "eval_q10",  # quantiles of the evaluation's mean returns by body, where there are several bodies
-    "eval_q50",
-    "eval_q90",
-    "value_loss",
-    "surrogate_loss",
-    "entropy",
-    "learning_rate",
-    "action_std",  # mean standard deviation of the policy's output
-    "steps_per_second",  # of this iteration, learning included, evaluation not
-    "elapsed",  # seconds of all iterations and evaluations so far
-)
+COLUMNS = {
+    "iteration": "",  # iterations complete
+    "steps": "",  # control steps of all environments since the start
+    "episodes": "",  # that ended in this iteration
+    "return_mean": "Train/return",  # of those, exploring; empty if none ended
+    "length_mean": "Train/length",  # of those, in control steps
+    "unstable": "",  # episodes that were stopped in this iteration, by self-folding or divergence
+    "diverged": "",  # those of them that diverged
+    "eval_return": "Eval/return",  # deterministic; empty if there was no evaluation
+    "best_return": "Eval/best",  # the best evaluation so far
+    "eval_q10": "Eval/q10",  # quantiles of the evaluation's mean returns by body, where there are several bodies
+    "eval_q50": "Eval/q50",
+    "eval_q90": "Eval/q90",
+    "value_loss": "Loss/value",
+    "surrogate_loss": "Loss/surrogate",
+    "entropy": "Loss/entropy",
+    "learning_rate": "Loss/learning_rate",
+    "action_std": "Policy/std",  # mean standard deviation of the policy's output
+    "steps_per_second": "Perf/steps_per_second",  # of this iteration, learning included, evaluation not
+    "elapsed": "",  # seconds of all iterations and evaluations so far
+}
+"""Columns, and their tags for loggers."""
 NEEDED = ("iteration", "steps", "eval_return", "elapsed")
 """Columns that something is made of; others may be missing from a file that an earlier version has written."""
 FILE = "metrics.csv"
@@ -43,22 +44,6 @@ WRITERS = {"wandb": "WandbLogWriter", "neptune": "NeptuneLogWriter"}
 """rsl-rl's writers, which write TensorBoard events, too."""
 PROJECT = "warpvox"
 """Name of the project in Weights & Biases and Neptune."""
-
-TAGS = {
-    "return_mean": "Train/return",
-    "length_mean": "Train/length",
-    "eval_return": "Eval/return",
-    "best_return": "Eval/best",
-    "eval_q10": "Eval/q10",
-    "eval_q50": "Eval/q50",
-    "eval_q90": "Eval/q90",
-    "value_loss": "Loss/value",
-    "surrogate_loss": "Loss/surrogate",
-    "entropy": "Loss/entropy",
-    "learning_rate": "Loss/learning_rate",
-    "action_std": "Policy/std",
-    "steps_per_second": "Perf/steps_per_second",
-}
 
 
 class Metrics:
@@ -98,12 +83,11 @@ class Metrics:
             if not file.tell():  # somebody has moved it away
                 file.write(_line(COLUMNS))
             file.write(_line(_cells(row)))
-        known = {tag: row[name] for name, tag in TAGS.items() if _known(row.get(name))}
-        scalars, step = known | dict(log or {}), int(row["iteration"])
+        known = {tag: row[name] for name, tag in COLUMNS.items() if tag and _known(row.get(name))}
         if self._writer is not None:
             with writing(self.path.parent):
-                for tag, value in scalars.items():
-                    self._writer.add_scalar(tag, value, step)
+                for tag, value in (known | dict(log or {})).items():
+                    self._writer.add_scalar(tag, value, int(row["iteration"]))
                 self._writer.flush()
 
     def close(self) -> None:
@@ -162,7 +146,7 @@ def _known(value: float | None) -> bool:
     return value is not None and math.isfinite(value)
 
 
-def _line(cells: tuple[str, ...] | list[str]) -> str:
+def _line(cells: Iterable[str]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow(cells)
     return text.getvalue()

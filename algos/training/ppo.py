@@ -26,6 +26,13 @@ __all__ = ["PPO", "rsl_rl_config"]
 SYMMETRY = "data_augmentation_func"
 """The setting of ``symmetry_cfg`` that names code."""
 MLP_SETTINGS = inspect.signature(MLPModel.__init__).parameters
+SETTINGS = {
+    "num_learning_epochs": "epochs", "num_mini_batches": "minibatches", "clip_param": "clip",
+    "use_clipped_value_loss": "clip_values", "value_loss_coef": "value_coef",
+} | {name: name for name in (
+    "schedule", "gamma", "lam", "entropy_coef", "max_grad_norm", "learning_rate", "desired_kl",
+)}  # fmt: skip
+"""Settings of rsl-rl's PPO, and our names of them."""
 GIVEN = ("self", "actor", "critic", "storage", "device", "multi_gpu_cfg")
 """Arguments of rsl-rl's PPO that are no settings."""
 
@@ -118,8 +125,6 @@ class PPO(RslRlPPO):
         for _ in range(epochs):
             yield from map(copy.copy, batches)
 
-    # ------------------------------------------------------------------- state
-
     def save(self) -> dict[str, Any]:
         """Networks, optimiser and schedule."""
         return super().save() | {"updates": self.updates}
@@ -174,20 +179,7 @@ def rsl_rl_config(
             raise ConfigError("ppo.rnn goes with policy=mlp: policies for voxels are not recurrent.")
         network |= {"class_name": RNNModel, **_checked("rnn", ppo.rnn, RNNModel, MLP_SETTINGS)}
     network["obs_normalization"] = ppo.normalize_obs
-    settings = {
-        "schedule": ppo.schedule,
-        "num_learning_epochs": ppo.epochs,
-        "num_mini_batches": ppo.minibatches,
-        "gamma": ppo.gamma,
-        "lam": ppo.lam,
-        "clip_param": ppo.clip,
-        "use_clipped_value_loss": ppo.clip_values,
-        "value_loss_coef": ppo.value_coef,
-        "entropy_coef": ppo.entropy_coef,
-        "max_grad_norm": ppo.max_grad_norm,
-        "learning_rate": ppo.learning_rate,
-        "desired_kl": ppo.desired_kl,
-    }
+    settings = {theirs: getattr(ppo, ours) for theirs, ours in SETTINGS.items()}
     extra = _checked("extra", ppo.extra or {}, RslRlPPO, [*settings, *GIVEN])
     symmetry = extra.get("symmetry_cfg")
     if symmetry is not None:

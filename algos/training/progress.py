@@ -164,7 +164,7 @@ def _conclusion(job: Job, seconds: float) -> str:
     if folder is None:
         return text
     keys = again(job.settings)
-    if status == "done" and job.summary["command"] == "train":
+    if status == "done":
         text += f"\nlook at it: warpvox play {shell_argument('run', folder)}{keys} 'export=[gif,html]'"
     if status != "done" and (folder / STATE).is_file():
         text += f"\ngo on: warpvox train {shell_argument('resume', folder)}{keys}"

@@ -60,14 +60,8 @@ class Schedule:
 
 def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
     """Wrap a :class:`VoxelVecEnv` with the settings of ``ppo``; ``apart``: designs share no running moments."""
-    return RslRlVecEnv(
-        env,
-        action_scale=ppo.action_scale,
-        reward_scale=ppo.reward_scale,
-        reward_gamma=ppo.gamma if ppo.normalize_reward else None,
-        bootstrap_time_limit=ppo.bootstrap_time_limit,
-        apart=apart,
-    )
+    own = {name: getattr(ppo, name) for name in ("action_scale", "reward_scale", "bootstrap_time_limit")}
+    return RslRlVecEnv(env, reward_gamma=ppo.gamma if ppo.normalize_reward else None, apart=apart, **own)
 
 
 class _Rollout(Logger):
@@ -312,15 +306,10 @@ class Runner(OnPolicyRunner):
         return value
 
     def _row(self, losses: dict[str, float], seconds: float, evaluated: float) -> dict[str, float]:
-        episodes = self._episodes()
         return {
             "iteration": self.current_learning_iteration,
             "steps": self.steps,
-            "episodes": episodes["episodes"],
-            "return_mean": episodes["return"],
-            "length_mean": episodes["length"],
-            "unstable": episodes["unstable"],
-            "diverged": episodes["diverged"],
+            **self._episodes(),
             "eval_return": evaluated,
             "best_return": self.best_return,
             **self._quantiles(evaluated),
@@ -352,7 +341,7 @@ class Runner(OnPolicyRunner):
         count, *means, unstable, diverged = self.group.sum([*sums, own["unstable"], own["diverged"]])
         mean, length = (value / count if count else math.nan for value in means)
         stopped = {"unstable": int(unstable), "diverged": int(diverged)}
-        return {"episodes": int(count), "return": mean, "length": length} | stopped
+        return {"episodes": int(count), "return_mean": mean, "length_mean": length} | stopped
 
     def summary(self) -> dict[str, Any]:
         """The run in figures, for ``summary.json``."""

@@ -41,7 +41,7 @@ def test_a_run_leaves_what_was_promised(train: Callable) -> None:
     assert config["physics"]["gravity"] == 110.0
     assert (config["device"], config["seed"], config["num_envs"]) == ("cpu", 3, 8)
     written = (folder / "metrics.csv").read_text().splitlines()
-    assert tuple(written[0].split(",")) == COLUMNS
+    assert written[0].split(",") == list(COLUMNS)
     assert [row["iteration"] for row in read_metrics(folder)] == [1, 2, 3, 4]
     figures = summary(folder)
     assert figures["status"] == "done"

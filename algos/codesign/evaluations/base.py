@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpvox.algos.settings import DesignTraining, Ppo
-from warpvox.errors import ConfigError
 from warpvox.keys import check_values, key
 from warpvox.types import Cell
 
@@ -19,12 +18,11 @@ if TYPE_CHECKING:
     from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
     from warpvox.algos.codesign.settings import Codesign
     from warpvox.algos.env_factory import EnvFactory
-    from warpvox.algos.policies.layout import VoxelLayout
     from warpvox.envs.spec import TaskSpec
     from warpvox.envs.vec_env import VoxelVecEnv
     from warpvox.robots.entry import Robot
 
-__all__ = ["Evaluation", "Workload", "check_network", "full_body", "probe", "steps_of_training"]
+__all__ = ["Evaluation", "Workload", "full_body", "probe", "steps_of_training"]
 
 
 @dataclass(frozen=True)
@@ -129,21 +127,6 @@ def steps_of_training(training: DesignTraining, designs: int) -> float:
 def probe(factory: EnvFactory, shape: Sequence[int]) -> VoxelVecEnv:
     """One environment with the largest body, to try on what a search will need."""
     return factory.computed(device="cpu", threads=1).make([full_body(shape)], 1, [0], auto_reset=False)
-
-
-def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str) -> VoxelLayout:
-    """The layout that a network for voxels has in a search, after its settings have been tried.
-
-    Raises:
-        ConfigError: settings that it does not have. WarpvoxError: a network or task that it is not for.
-    """
-    from warpvox.algos.policies.registry import layout_for, make_network
-
-    if settings is not None and not isinstance(settings, Mapping):
-        raise ConfigError(f"{key}: settings of a network have names, {{width:32}}; got {settings!r:.80}.")
-    layout = layout_for(name, env)
-    make_network(name, layout, False, settings)
-    return layout
 
 
 def full_body(shape: Sequence[int]) -> np.ndarray:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.evaluations.base import Workload, check_network, probe, steps_of_training
+from warpvox.algos.codesign.evaluations.base import Workload, probe, steps_of_training
 from warpvox.algos.codesign.evaluations.specialist import Screened
 from warpvox.algos.settings import CPG, MLP, Ppo
 from warpvox.algos.training.pretrained import check_learned, find_pretrained, kept_name, observed_by
@@ -87,6 +87,7 @@ class CommonPolicy(Screened):
         Raises:
             WarpvoxError: a network, or settings of it, that are not to be had or do not fit the task.
         """
+        from warpvox.algos.policies.registry import check_network
         from warpvox.algos.training.ascent import check_gradients
 
         env = probe(self.factory(search, obs), search.shape)
@@ -111,13 +112,9 @@ class CommonPolicy(Screened):
             return {}
         bodies = [candidate.body.tolist()]
         return {
-            "policy": self.policy,
-            "network": self.network,
-            "ppo": self.ppo,
+            **{name: getattr(self, name) for name in ("policy", "network", "ppo", "eval_envs")},
             "num_envs": self.envs,
-            "max_iterations": max(1, self.iterations),
-            "eval_interval": max(1, self.iterations),
-            "eval_envs": self.eval_envs,
+            **dict.fromkeys(("max_iterations", "eval_interval"), max(1, self.iterations)),
             "lanes": search.factory().shared_lanes(self.eval_envs),
             "designs": {"bodies": bodies, "refresh": "none", "held_out": bodies},
         }
@@ -183,9 +180,7 @@ class FewShot(CommonPolicy):
         super().resolved(search, folder)
         content = self._read(search, folder)
         spec = content["policy"]
-        ppo = dataclasses.replace(
-            self.ppo_of(search), action_scale=spec["action_scale"], normalize_obs=spec["normalize_obs"]
-        )
+        ppo = dataclasses.replace(self.ppo_of(search), **{k: spec[k] for k in ("action_scale", "normalize_obs")})
         changes: dict[str, Any] = {"network": dict(spec["voxels"]["settings"]), "ppo": dataclasses.asdict(ppo)}
         if not is_code(spec["voxels"]["network"]):
             changes["policy"] = spec["voxels"]["network"]

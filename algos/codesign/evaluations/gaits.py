@@ -94,18 +94,9 @@ class Gaits(Screened):
     def screening(self, search: Codesign, known: Any) -> GaitEvaluator:
         from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
-        return GaitEvaluator(
-            search.factory(),
-            count=self.gaits,
-            rounds=self.rounds,
-            stages=self.stages,
-            seed=search.seed,
-            episodes=_episodes(search),
-            passes=self.passes,
-            beam=self.beam,
-            stage_steps=self.stage_steps,
-            known=known,
-        )
+        own = {name: getattr(self, name) for name in ("rounds", "stages", "passes", "beam", "stage_steps")}
+        fixed = {"seed": search.seed, "episodes": _episodes(search), "known": known}
+        return GaitEvaluator(search.factory(), count=self.gaits, **fixed, **own)
 
     def final(self, search: Codesign, known: Any) -> DesignEvaluator:
         """More gaits, and a training."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpvox.algos.codesign.evaluations.base import Evaluation, Workload, check_network, probe, steps_of_training
+from warpvox.algos.codesign.evaluations.base import Evaluation, Workload, probe, steps_of_training
 from warpvox.algos.settings import MLP
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -44,6 +44,8 @@ class Specialist(Evaluation):
             )
 
     def resolved(self, search: Codesign, folder: Path | None) -> Evaluation:
+        from warpvox.algos.policies.registry import check_network
+
         if search.policy != MLP:
             check_network(probe(search.factory("voxel"), search.shape), search.policy, search.network, "network")
         return self

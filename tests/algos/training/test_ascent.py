@@ -70,7 +70,7 @@ def test_the_rollout_is_what_the_policy_does() -> None:
         rewards = [env.step(runner.alg.actor(env.get_observations()))[1] for _ in range(STEPS)]
     runner._collect()
     total = float(sum(rewards).mean()) / runner.ppo.reward_scale
-    assert runner._found["return"] == pytest.approx(total, abs=1e-6)
+    assert runner._found["return_mean"] == pytest.approx(total, abs=1e-6)
 
 
 @pytest.mark.parametrize("refresh", ["none", pytest.param("new", marks=pytest.mark.slow)])
