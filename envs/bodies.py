@@ -11,6 +11,7 @@ from warpvox.design import Design, load_design
 from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.worlds import task_team
 from warpvox.errors import ConfigError, DesignError
+from warpvox.examples import AUTO, example_for
 
 __all__ = ["load_connections", "load_designs", "one_body"]
 
@@ -39,6 +40,7 @@ def load_designs(spec: TaskSpec, designs: Any) -> list[Design | dict[str, Design
     loaded = []
     for number, body in enumerate(bodies):
         try:
+            body = example_for(spec.id) if isinstance(body, str) and body == AUTO else body
             team = {name: load_design(given) for name, given in task_team(spec, body).items()}
         except DesignError as error:
             raise DesignError(f"Design {number}: {error}" if len(bodies) > 1 else str(error)) from None
