@@ -53,7 +53,8 @@ def _outputs(source: str, names: dict[str, Any], title: str, number: int) -> lis
     if text := printed.getvalue():
         found.append({"output_type": "stream", "name": "stdout", "text": text.splitlines(keepends=True)})
     if value is not None:
-        data = {"text/plain": repr(value).splitlines(keepends=True)}
+        text = re.sub(r" at 0x\w+", "", repr(value))  # the same in every run
+        data = {"text/plain": text.splitlines(keepends=True)}
         if hasattr(value, "_repr_html_"):
             data["text/html"] = value._repr_html_().splitlines(keepends=True)
         if hasattr(value, "_repr_png_"):
