@@ -45,7 +45,9 @@ def _outputs(source: str, names: dict[str, Any], title: str, number: int) -> lis
     """What a cell prints, and what its last expression shows."""
     linecache.cache[title] = len(source), None, source.splitlines(keepends=True), title  # as in a notebook
     tree = ast.parse(source)
-    last = ast.Expression(tree.body.pop().value) if isinstance(tree.body[-1], ast.Expr) else None
+    end = tree.body[-1]
+    last = ast.Expression(end.value) if isinstance(end, ast.Expr) else None
+    tree.body = tree.body[: -1 if last else None]
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         exec(compile(tree, title, "exec"), names)
         value = None if last is None else eval(compile(last, title, "eval"), names)
@@ -53,7 +55,8 @@ def _outputs(source: str, names: dict[str, Any], title: str, number: int) -> lis
     if text := printed.getvalue():
         found.append({"output_type": "stream", "name": "stdout", "text": text.splitlines(keepends=True)})
     if value is not None:
-        data = {"text/plain": repr(value).splitlines(keepends=True)}
+        text = re.sub(r" at 0x\w+", "", repr(value))  # the same in every run
+        data: dict[str, Any] = {"text/plain": text.splitlines(keepends=True)}
         if hasattr(value, "_repr_html_"):
             data["text/html"] = value._repr_html_().splitlines(keepends=True)
         if hasattr(value, "_repr_png_"):

@@ -11,6 +11,7 @@ from warpvox.design import Design, load_design
 from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.envs.worlds import task_team, task_world
 from warpvox.errors import ConfigError, DesignError
+from warpvox.examples import AUTO, example_for
 from warpvox.world import World
 
 __all__ = ["load_worlds", "one_body"]
@@ -44,6 +45,7 @@ def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[De
     loaded = []
     for number, body in enumerate(bodies):
         try:
+            body = example_for(spec.id) if isinstance(body, str) and body == AUTO else body
             team = {name: load_design(given) for name, given in task_team(spec, body).items()}
         except DesignError as error:
             raise DesignError(f"Design {number}: {error}" if len(bodies) > 1 else str(error)) from None

@@ -17,7 +17,7 @@ def main(rounds=10, num_envs=64, steps=200):
     torch.set_num_threads(1)
     envs = gym.make_vec("warpvox/Walker-v0", num_envs=num_envs, body="walker", max_episode_steps=steps)
     envs = RecordEpisodeStatistics(envs)
-    rng, count = np.random.default_rng(0), envs.single_action_space.shape[0]
+    rng, count = np.random.default_rng(0), len(envs.single_action_space.sample())
     best, best_return = rng.uniform(0, 2 * np.pi, count), -np.inf
     for number in range(1, rounds + 1):
         phases = best + 0.5 * rng.standard_normal((num_envs, count))

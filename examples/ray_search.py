@@ -26,4 +26,4 @@ def main(address=None, workers=2, bodies=24, iterations=40):
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    main(sys.argv[1] if len(sys.argv) > 1 else None)

@@ -4,6 +4,7 @@ import sys
 
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
 
 from warpvox.envs.adapters.sb3 import VoxelSB3VecEnv
 
@@ -15,12 +16,8 @@ def main(steps=400_000, num_envs=128):
     model.learn(steps)
 
     judge = VoxelSB3VecEnv("Walker-v0", 1, body="walker")
-    obs, total, done = judge.reset(), 0.0, False
-    while not done:
-        action, _ = model.predict(obs, deterministic=True)
-        obs, (reward,), (done,), _ = judge.step(action)
-        total += float(reward)
-    print(f"return {total:.2f} after {model.num_timesteps:,} steps")
+    mean, _ = evaluate_policy(model, judge, n_eval_episodes=1, warn=False)
+    print(f"return {mean:.2f} after {model.num_timesteps:,} steps")
 
 
 if __name__ == "__main__":

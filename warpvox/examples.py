@@ -5,7 +5,10 @@ All are our own. Each is a starting point for one kind of task, not the best bod
 
 from __future__ import annotations
 
-__all__ = ["EXAMPLES", "MADE_FOR"]
+__all__ = ["AUTO", "EXAMPLES", "MADE_FOR", "example_for"]
+
+AUTO = "auto"
+"""The name that stands for the example made for the task."""
 
 EXAMPLES: dict[str, tuple[tuple[int, ...], ...]] = {
     # a bounding quadruped: two muscle bands over two legs
@@ -79,3 +82,8 @@ MADE_FOR: dict[str, tuple[str, ...]] = {
     "lifter": ("Lifter-v0",),
 }
 """Tasks that an example is a starting point for; "mini" is for none in particular."""
+
+
+def example_for(task: str) -> str:
+    """The name of the example made for a task; ``walker`` where there is none."""
+    return next((name for name, tasks in MADE_FOR.items() if task in tasks), "walker")

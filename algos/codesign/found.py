@@ -87,10 +87,10 @@ class Found:
         from warpvox.view.cell_svg import body_svg
 
         cells = "".join(
-            f"<td style='text-align:center'>{body_svg(record.candidate.body)}<br>{record.fitness:.3f} #{record.id}</td>"
+            f"<td>{body_svg(record.candidate.body, 16)}<br>{record.fitness:.3f} #{record.id}</td>"
             for record in self.designs[:SHOWN]
         )
         curve = self.curve
         points = list(zip(curve["evaluations"].tolist(), curve["best"].tolist(), strict=True))
         chart = picture(points, "designs", "best return", "step")
-        return f"<table><caption>{escape(repr(self))}</caption><tr>{cells}</tr></table>{chart}"
+        return f"{escape(repr(self))}<table><tr>{cells}</tr></table>{chart}"

@@ -12,6 +12,7 @@ from typing import Any
 from warpvox.algos.physics import PhysicsConfig
 from warpvox.algos.settings import LOGGERS, REFRESH, Ppo
 from warpvox.errors import ConfigError
+from warpvox.examples import AUTO, example_for
 from warpvox.keys import check_values, convert, key, plain
 from warpvox.types import Physics
 
@@ -73,7 +74,8 @@ class Training:
     )
     design: Any = key(
         "walker",
-        "body: the name of an example, random, random:5x7, zoo:TASK, a .json/.npz/.npy file, or rows of cells;"
+        "body: the name of an example, auto (the example made for the task), random, random:5x7, zoo:TASK, a"
+        " .json/.npz/.npy file, or rows of cells;"
         " for a task with several robots {name:body}",
         path="read",
     )
@@ -154,6 +156,8 @@ class Training:
             self.physics = PhysicsConfig(constants.pop("name"), **constants)
         convert(self, without=("task",))  # or a specification of a task
         self.design, self.network = plain(self.design, "design"), plain(self.network, "network")
+        if self.design == AUTO:
+            self.design = example_for(getattr(self.task, "id", self.task))
         for name in ("bodies", "held_out"):
             setattr(self.designs, name, plain(getattr(self.designs, name), f"designs.{name}"))
         check_values(self)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 import sys
@@ -33,6 +34,17 @@ def run_command(line: str) -> None:
     threads = torch.get_num_threads()
     assert main([command, *given, *SMALL[command].split()]) == 0, line
     torch.set_num_threads(threads)
+
+
+@pytest.mark.parametrize("page", ["../README.md", *PAGES])
+def test_names_of_python_on_a_page_exist(page: str) -> None:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    for name in sorted(set(re.findall(r"`(warpvox(?:\.[A-Za-z_]\w*)+)[`(]", text))):
+        module, _, last = name.rpartition(".")
+        try:
+            importlib.import_module(name)
+        except ImportError:
+            assert hasattr(importlib.import_module(module), last), f"{page}: {name}"
 
 
 @pytest.mark.parametrize("page", PAGES)

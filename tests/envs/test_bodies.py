@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from warpvox.design import full_connections, sample_design
+from warpvox.algos.training.settings import Training
+from warpvox.design import example_design, full_connections, sample_design
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError, DesignError, SimulationError, WorldError
@@ -166,3 +167,8 @@ def test_rewards_and_resets_of_a_changed_environment_are_its_own() -> None:
         obs, _, _, truncated, _ = env.step(move)
     assert truncated.all()
     assert torch.equal(obs[1], first[1])
+
+
+def test_auto_is_the_example_made_for_the_task() -> None:
+    assert np.array_equal(make_vec("UpStepper-v0", "auto", device="cpu").designs[0], example_design("stepper"))
+    assert [Training(task=task, design="auto").design for task in ("Climber-v0", "Pusher-v0")] == ["climber", "walker"]
