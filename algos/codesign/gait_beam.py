@@ -63,7 +63,8 @@ class Beam:
             The best mean return and its gait, of each design, and the control steps ``[designs]`` that it took.
         """
         env, limit = self.env, self.env.max_episode_steps
-        searches = [_Search(one, self.count, *more) for one, *more in zip(self.bodies, known, random, strict=True)]
+        drawn = zip(self.bodies, known, random, strict=True)
+        searches = [_Search(body, self.count, gaits, rng) for body, gaits, rng in drawn]
         spent = np.zeros(len(searches), np.int64)
         with torch.no_grad():
             env.reset(seed=[seed] * len(searches))

@@ -152,3 +152,11 @@ def test_what_evaluate_refuses(warpvox: Callable, tmp_path: Path) -> None:
         assert (outcome.code, outcome.err.count("\n")) == (2, 1)
         assert phrase in outcome.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_robots_of_different_tasks_are_not_compared(warpvox: Callable) -> None:
+    words = "device=cpu", "threads=1", "episodes=1"
+    outcome = warpvox("evaluate", "runs=[zoo:AreaMaximizer-v0,zoo:AreaMinimizer-v0]", *words)
+    assert outcome.code == 0, outcome.err
+    assert "mean return" in outcome.out
+    assert "differences of mean returns" not in outcome.out

@@ -101,8 +101,8 @@ def _evaluate(found: Run, config: EvaluateConfig) -> EvaluatedPolicy:
 
 
 def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged, Interval]]:
-    """The difference of the mean returns of each two groups, the first less the second, with Welch's interval."""
-    pairs = combinations(judged, 2)
+    """The difference of the mean returns of each two groups on one task, first less second, with Welch's interval."""
+    pairs = [pair for pair in combinations(judged, 2) if pair[0].rows[0].task == pair[1].rows[0].task]
     return [(first, second, difference(first.values, second.values, level)) for first, second in pairs]
 
 
