@@ -148,10 +148,10 @@ class BaseSearch(ABC):
     def mutant(self, rng: np.random.Generator, parents: Sequence[int], rate: float) -> Proposal:
         """A new mutant of a parent drawn uniformly; a random body if all their mutants are known."""
         for parent in rng.permutation(parents):
-            copies = np.repeat(np.asarray(self.bodies[parent], np.int8)[None], MUTANTS_PER_DRAW, axis=0)
-            found = self.new_body(partial(mutate, rng, copies, rate), MAX_MUTANT_VOXELS)
-            if found is not None:
-                return Proposal(found, (int(parent),), "mutation")
+            copies = np.repeat(self.bodies[int(parent)][None], MUTANTS_PER_DRAW, axis=0)
+            body = self.new_body(partial(mutate, rng, copies, rate), MAX_MUTANT_VOXELS)
+            if body is not None:
+                return Proposal(body, (int(parent),), "mutation")
         return self.random_proposal(rng)
 
     # ----------------------------------------------------------------------------------------------- in turns
