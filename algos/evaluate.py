@@ -11,7 +11,7 @@ import torch
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 
-__all__ = ["Evaluation", "Evaluator", "Policy", "StatefulEvaluator", "evaluate", "evaluator"]
+__all__ = ["EpisodeReturns", "Evaluator", "Policy", "StatefulEvaluator", "evaluate", "evaluator"]
 
 Policy = Callable[[torch.Tensor], torch.Tensor]
 """Observations ``[num_envs, num_obs]`` to actions ``[num_envs, num_actions]`` in [0.6, 1.6]."""
@@ -21,7 +21,7 @@ CHECK_EVERY = 25
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class EpisodeReturns:
     """One episode of every environment, on the CPU.
 
     ``returns`` float64 and ``lengths`` long (control steps), ``unstable`` bool (self-folding ended it),
@@ -49,7 +49,7 @@ class Evaluation:
 class Evaluator(Protocol):
     """Evaluates policies during training."""
 
-    def __call__(self, policy: Policy) -> Evaluation:
+    def __call__(self, policy: Policy) -> EpisodeReturns:
         """Evaluate ``policy``; must not touch the environments that it is trained in."""
         ...
 
@@ -68,7 +68,7 @@ class StatefulEvaluator(Evaluator, Protocol):
 
 def evaluate(
     env: VoxelVecEnv, policy: Policy, max_steps: int | None = None, seed: int | Sequence[int] | None = None
-) -> Evaluation:
+) -> EpisodeReturns:
     """Run one episode in every environment of ``env`` from its beginning.
 
     Args:
@@ -95,7 +95,7 @@ def evaluate(
             if (step + 1) % check_every == 0 and bool((terminated | truncated).all()):
                 break
     returns, lengths = info["episode"]["return"].double().cpu(), info["episode"]["length"].long().cpu()
-    return Evaluation(returns, lengths, unstable.cpu(), env.design_index.cpu())
+    return EpisodeReturns(returns, lengths, unstable.cpu(), env.design_index.cpu())
 
 
 def evaluator(env: VoxelVecEnv, seed: int | Sequence[int] | None = None) -> Evaluator:

@@ -23,7 +23,7 @@ from warpvox.algos.codesign.population_evaluator import (
     save_evaluation,
 )
 from warpvox.algos.env_factory import EnvFactory
-from warpvox.algos.evaluate import Evaluation, evaluator
+from warpvox.algos.evaluate import EpisodeReturns, evaluator
 from warpvox.algos.policies.registry import voxels_of
 from warpvox.algos.population.training import Networks
 from warpvox.algos.settings import DesignTraining
@@ -83,7 +83,7 @@ class SequentialEvaluator:
             on_cpu = self.factory.computed(device="cpu")  # where few environments are faster
             judge = evaluator(on_cpu.make([candidate.body], settings.eval_envs, [seed], auto_reset=False), [self.seed])
 
-            def evaluate(policy: Controller) -> Evaluation:
+            def evaluate(policy: Controller) -> EpisodeReturns:
                 result = judge(policy)
                 value = float(result.fitness[0])
                 outcome.curve.append((runner.steps, value))

@@ -14,7 +14,7 @@ from warpvox.envs.known_returns import known_returns
 from warpvox.io.writing import write_table
 
 if TYPE_CHECKING:
-    from warpvox.algos.evaluate import Evaluation, Evaluator
+    from warpvox.algos.evaluate import EpisodeReturns, Evaluator
 
 __all__ = ["HeldOut", "shades"]
 
@@ -54,7 +54,7 @@ class HeldOut:
         count = f"{len(self.bodies)} bod{'y' if len(self.bodies) == 1 else 'ies'}"
         return f"the {count} trained on" if self.name == "bodies" else f"{count} held out from training"
 
-    def __call__(self, policy: Any) -> Evaluation:
+    def __call__(self, policy: Any) -> EpisodeReturns:
         """Evaluate ``policy``."""
         result = self.judge(policy)
         last = result.fitness.numpy()

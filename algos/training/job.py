@@ -14,7 +14,7 @@ import torch
 from rich.console import Console
 
 from warpvox.algos.checkpoints.policy import Policy, policy_of
-from warpvox.algos.evaluate import Evaluation, Evaluator, evaluator
+from warpvox.algos.evaluate import EpisodeReturns, Evaluator, evaluator
 from warpvox.algos.physics import physics_of, sim_of
 from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
 from warpvox.algos.training.ascent import AscentRunner
@@ -241,7 +241,7 @@ class _Best:
     value: float = -np.inf
     policy: Policy | None = None
 
-    def __call__(self, controller: Any) -> Evaluation:
+    def __call__(self, controller: Any) -> EpisodeReturns:
         found = self.judge(controller)
         if found.mean_return > self.value:
             with torch.random.fork_rng(devices=[]):  # a policy begins with random weights

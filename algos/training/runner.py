@@ -25,7 +25,7 @@ from warpvox.algos.checkpoints.files import (
     spec_for,
     spec_of,
 )
-from warpvox.algos.evaluate import Evaluation, Evaluator, StatefulEvaluator
+from warpvox.algos.evaluate import EpisodeReturns, Evaluator, StatefulEvaluator
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
@@ -150,7 +150,7 @@ class Runner(OnPolicyRunner):
         self.ppo, self.schedule, self.folder = ppo, schedule, folder
         self.evaluator, self.report, self.group, self.on_save = evaluator, report, group, on_save
         self.bodies, self.trained_on = bodies, dict(trained_on or {})
-        self._judged: Evaluation | None = None
+        self._judged: EpisodeReturns | None = None
         config = rsl_rl_config(ppo, schedule.total, voxels, self.algorithm)
         try:
             with contextlib.redirect_stdout(io.StringIO()):  # rsl-rl prints both networks
