@@ -13,7 +13,7 @@ from warpvox.types import Physics
 if TYPE_CHECKING:
     from warpvox.batch.options import SimOptions
 
-__all__ = ["CONSTANTS", "PhysicsConfig", "physics_of", "sim_of"]
+__all__ = ["CONSTANTS", "PRESETS", "PhysicsConfig", "physics_of", "sim_of"]
 
 CONSTANTS = {
     "dt": "time step of a sub-step, 1e-8 to 0.01; stable up to about 1.3e-4 with the default constants",
@@ -58,6 +58,10 @@ _Constants: Any = make_dataclass("_Constants", _fields, namespace={"__module__":
 
 class PhysicsConfig(_Constants):
     """Keys ``physics.*``: a preset, and constants that differ from it (paper section A, Table 1)."""
+
+
+PRESETS = {name: PhysicsConfig(preset=name) for name in ("auto", *Physics.presets())}
+"""The choices of the group ``physics``."""
 
 
 def physics_of(config: Any) -> Physics:

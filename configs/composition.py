@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.configs.paper import design_of, shape_of
-from warpvox.configs.schema import COMMANDS, NODES, PRESET, PRESET_OF
+from warpvox.configs.schema import PRESET, PRESET_OF, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean, listing
 
 __all__ = ["composed", "hydras_errors", "quoted", "register"]
@@ -34,20 +34,20 @@ def composed(command: str, overrides: Sequence[str] = (), config_dir: Path | Non
     """
     if config_dir is None:
         return copy.deepcopy(_from_package(command, tuple(overrides)))
-    with _opened():
+    with _opened(command):
         return compose(command, [*overrides, f"hydra.searchpath=[{quoted(f'file://{config_dir}')}]"])
 
 
 @functools.cache
 def _from_package(command: str, overrides: tuple[str, ...]) -> DictConfig:
-    with _opened():
+    with _opened(command):
         return compose(command, list(overrides))
 
 
 @contextmanager
-def _opened() -> Iterator[None]:
+def _opened(command: str) -> Iterator[None]:
     """Hydra's global state on our configurations; a launcher that makes runs in this process has its own."""
-    register()
+    register(command)
     shared = GlobalHydra.instance()
     outer = shared.hydra
     shared.clear()
@@ -85,13 +85,12 @@ def quoted(text: str) -> str:
 
 
 @functools.cache
-def register() -> None:
-    """Make the schemas and the nodes of groups known to Hydra; once, because it takes as long as a small command."""
+def register(command: str) -> None:
+    """Make the schema of a command and the nodes of its groups known to Hydra, once."""
     store = ConfigStore.instance()
-    for command, schema in COMMANDS.items():
-        own = (files("warpvox.configs") / f"{command}.yaml").is_file()
-        store.store(name=f"{command}_schema" if own else command, node=schema)
-    for group, nodes in NODES.items():
+    own = (files("warpvox.configs") / f"{command}.yaml").is_file()
+    store.store(name=f"{command}_schema" if own else command, node=schema_of(command))
+    for group, nodes in nodes_of(command).items():
         for name, node in nodes.items():
             store.store(group=group, name=name, node=node)
     for name, resolver in {"paper_shape": shape_of, "paper_design": design_of}.items():

@@ -39,7 +39,7 @@ def with_tables(text: str) -> str:
 
 def table_of(command: str) -> str:
     """The keys of a command as a table."""
-    values = flat_values(dataclasses.asdict(load(command, [])))
+    values = flat_values(command, dataclasses.asdict(load(command, [])))
     lines = [f"`usage: warpvox {command} [KEY=VALUE ...]`"]
     for name, value, meaning in help_rows(command, values):
         lines += ["", "| key | default | meaning |", "|---|---|---|"] if len(lines) == 1 else []

@@ -29,14 +29,16 @@ def key(
     high: float | None = None,
     form: str | None = None,
     path: str | None = None,
+    nodes: Mapping[str, Any] | None = None,
 ) -> Any:
     """A field that knows its meaning and valid values: ``low <= value <= high`` and ``value > above``.
 
     ``form``: how a list of fixed length is written, such as ``[width,height]``. ``path``: the value names something
     that may lie on a disk, which is ``read`` (one path, or several of a sweep) or ``written``; the command
-    line takes it as it is typed.
+    line takes it as it is typed. ``nodes``: the dataclasses, or instances of them, that the key may have, by the names
+    that choose them.
     """
-    limits = {"choices": choices, "low": low, "above": above, "high": high, "form": form, "path": path}
+    limits = {"choices": choices, "low": low, "above": above, "high": high, "form": form, "path": path, "nodes": nodes}
     metadata = {"help": meaning} | {name: limit for name, limit in limits.items() if limit is not None}
     if isinstance(default, list):
         return field(default_factory=lambda: list(default), metadata=metadata)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation, Specialist
-from warpvox.algos.physics import PhysicsConfig, physics_of, sim_of
+from warpvox.algos.physics import PRESETS, PhysicsConfig, physics_of, sim_of
 from warpvox.algos.search.settings import GA, SearchSettings, settings_from
 from warpvox.algos.settings import DesignTraining
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, arithmetic_key
@@ -81,7 +81,7 @@ class Codesign:
     device: str = key("auto", DEVICES)
     dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
     arithmetic: str | None = arithmetic_key("chosen by dtype")
-    physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the physics")
+    physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the physics", nodes=PRESETS)
     threads: int | None = key(
         None, "CPU threads of the simulation; null: all cores (executor=ray: one)", low=1, high=MOST_THREADS
     )

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.algos.physics import PhysicsConfig
+from warpvox.algos.physics import PRESETS, PhysicsConfig
 from warpvox.algos.settings import LOGGERS, REFRESH, Ppo
 from warpvox.errors import ConfigError
 from warpvox.examples import AUTO, example_for
@@ -129,7 +129,7 @@ class Training:
     resume: str | None = key(None, "continue a run: latest, its folder, or a checkpoint file in it", path="read")
     name: str | None = key(None, "appended to the name of the run's folder")
     output_dir: str = key("outputs", "folder that runs are written to", path="written")
-    physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the physics")
+    physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the physics", nodes=PRESETS)
     ppo: Ppo = key(Ppo, "settings of PPO")
     designs: Designs = key(Designs, "many bodies for one policy")
     pretrained: str | None = key(

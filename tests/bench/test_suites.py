@@ -18,8 +18,7 @@ from warpvox.bench.cases import full_body, sampled_or_full
 from warpvox.bench.ptxas import find_program
 from warpvox.bench.report import number
 from warpvox.bench.runner import Runner
-from warpvox.configs.bench_keys import ScalingConfig
-from warpvox.configs.schema import BenchConfig
+from warpvox.configs.bench import BenchConfig, ScalingConfig
 from warpvox.design import check_design
 from warpvox.errors import ConfigError, SimulationError, WarpvoxError
 from warpvox.kernels.state import DATA

@@ -18,7 +18,7 @@ from warpvox.algos.physics import physics_of
 from warpvox.cli import COMMANDS, main
 from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.help import flat_keys, flat_values, options_of
-from warpvox.configs import schema
+from warpvox.configs import composition, schema, tools
 from warpvox.design import load_design
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -83,7 +83,7 @@ def test_the_papers_preset(task: str, shape: tuple[int, int]) -> None:
 def test_what_is_typed_goes_before_a_preset(command: str, words: list[str], path: str, value: Any) -> None:
     """Wherever the preset stands."""
     config = load(command, [*words, "preset=paper"][:: 1 if len(path) % 2 else -1])
-    assert flat_values(dataclasses.asdict(config))[path] == value
+    assert flat_values(command, dataclasses.asdict(config))[path] == value
     assert config.rules == ("evogym" if words == ["rules=evogym"] else "paper")
 
 
@@ -143,7 +143,7 @@ def test_a_constant_changes_alone_whatever_the_order() -> None:
 
 def test_every_constant_of_the_physics_is_a_key_with_a_meaning() -> None:
     constants = {field.name for field in dataclasses.fields(Physics)} - {"name"}
-    assert {field.name for field in dataclasses.fields(schema.PhysicsConfig)} == constants | {"preset"}
+    assert {field.name for field in dataclasses.fields(physics.PhysicsConfig)} == constants | {"preset"}
     assert set(physics.CONSTANTS) == constants
 
 
@@ -153,11 +153,13 @@ def test_no_default_is_missing_and_none_is_out_of_range(command: str) -> None:
     assert "???" not in str(values)
 
 
-@pytest.mark.parametrize("group", schema.GROUPS)
-def test_every_choice_of_a_group_composes(group: str) -> None:
-    names = options_of(group)
+@pytest.mark.parametrize(
+    ("command", "group"),
+    [("train", "physics"), ("train", "ppo"), *(("codesign", name) for name in ("search", "evaluation", "training"))],
+)
+def test_every_choice_of_a_group_composes(command: str, group: str) -> None:
+    names = options_of(command, group)
     assert len(names) >= 2
-    command = "codesign" if group in ("search", "evaluation", "training") else "train"
     for name in names:
         load(command, [f"{group}={name}"])
 
@@ -187,7 +189,7 @@ def test_help_names_every_key_with_its_meaning(command: str, capsys: pytest.Capt
     text = capsys.readouterr().out
     assert f"warpvox {command.replace('demo', 'train')}" in text  # of which the demo is a preset
     if command in schema.COMMANDS:
-        for name, key in flat_keys(schema.COMMANDS[command]):
+        for name, key in flat_keys(schema.schema_of(command)):
             assert key.help
             if not dataclasses.is_dataclass(key.default) and len(key.choices) != 1:
                 assert f"  {name}=" in text, name
@@ -302,24 +304,20 @@ class Deep(Beam):
 
 
 @dataclasses.dataclass
-class ZooWithBeam(schema.ZooConfig):
-    beam: Beam = key("???", "a group")  # noqa: RUF009  (a field with a meaning)
+class ZooWithBeam(tools.ZooConfig):
+    beam: Beam = key("???", "a group", nodes={"wide": Wide, "deep": Deep})  # noqa: RUF009  (a field with a meaning)
     config: str | None = key(None, "a file")
 
 
 @pytest.fixture
 def beam(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A command ``beamed`` with such a group; returns the user's folder of choices in files."""
-    nodes = {"wide": Wide, "deep": Deep}
-    monkeypatch.setitem(schema.COMMANDS, "beamed", ZooWithBeam)
-    monkeypatch.setitem(schema.NODES, "beam", nodes)
-    for module in ("warpvox.configs.schema", "warpvox.cli.help"):
-        monkeypatch.setattr(f"{module}.GROUPS", (*schema.GROUPS, "beam"))
-    load("zoo", [])  # has registered what there is
+    monkeypatch.setitem(schema.COMMANDS, "beamed", "tools")
+    monkeypatch.setattr(tools, "BeamedConfig", ZooWithBeam, raising=False)
     store = ConfigStore.instance()
     monkeypatch.setattr(store, "repo", dict(store.repo))
-    for name, node in nodes.items():
-        store.store(group="beam", name=name, node=node)
+    composition.register.cache_clear()
+    composition.register("beamed")
     store.store(name="beamed_schema", node=ZooWithBeam)
     store.store(name="beamed", node={"defaults": ["beamed_schema", {"beam": "wide"}, "_self_"]})
     (tmp_path / "beam").mkdir()

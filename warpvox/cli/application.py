@@ -71,7 +71,7 @@ def run_command(
         if not (given.multirun or views):
             raise ConfigError(f"'{word}' is about sweeps: add --multirun.")
     if given.help:
-        _parser(command, flat_values(dataclasses.asdict(load(command, [])))).print_help()
+        _parser(command, flat_values(command, dataclasses.asdict(load(command, [])))).print_help()
     elif views:
         if any(word.startswith("config=") for word in overrides):
             raise ConfigError("--cfg and --info show what Hydra composes, which config=FILE is no part of.")

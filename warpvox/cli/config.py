@@ -13,7 +13,7 @@ from warpvox.algos.interrupt import uninterrupted
 from warpvox.cli.help import flat_keys, flat_values, groups_of
 from warpvox.cli.overrides import key_and_value, read_overrides
 from warpvox.configs.composition import composed, hydras_errors, quoted
-from warpvox.configs.schema import COMMANDS, NODES, PRESET
+from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.io.plain_yaml import to_yaml
 from warpvox.io.reading import Unreadable, parse_yaml, read_text
@@ -74,7 +74,7 @@ def load_values(command: str, values: dict[str, Any]) -> Any:
     Raises:
         ConfigError: values of the wrong type or out of range.
     """
-    known = {item.name: values[item.name] for item in dataclasses.fields(COMMANDS[command]) if item.name in values}
+    known = {item.name: values[item.name] for item in dataclasses.fields(schema_of(command)) if item.name in values}
     with hydras_errors("The stored configuration is not valid: "), uninterrupted():
         result = OmegaConf.to_object(OmegaConf.merge(composed(command, _nodes_of(command, known)), known))
     check_values(result)
@@ -97,9 +97,9 @@ def _composed(command: str, parsed: list[Override], config_dir: Path | None, sto
     """The configuration of a command, unchecked."""
     groups = [override for override in parsed if override.key_or_group in groups_of(command)]
     choices = [f"{override.get_key_element()}={quoted(key_and_value(override)[1])}" for override in groups]
-    named = {override.key_or_group for override in groups}
-    stored = stored and {key: value for key, value in stored.items() if key not in NODES or key not in named}
-    nodes = [choice for choice in choices if choice.partition("=")[0] in NODES] + _nodes_of(command, stored or {})
+    named, with_nodes = {override.key_or_group for override in groups}, nodes_of(command)
+    stored = stored and {key: value for key, value in stored.items() if key not in with_nodes or key not in named}
+    nodes = [choice for choice in choices if choice.partition("=")[0] in with_nodes] + _nodes_of(command, stored or {})
     config = composed(command, list(dict.fromkeys(choices + nodes)), config_dir)
     for override in parsed:
         if override not in groups:
@@ -107,10 +107,10 @@ def _composed(command: str, parsed: list[Override], config_dir: Path | None, sto
     if stored is None:
         return config
     defaults = composed(command, nodes, config_dir)
-    for key in flat_values(stored):
+    for key in flat_values(command, stored):
         if not _has(defaults, key):
             raise _unknown(command, key, defaults)
-    now, usual = (flat_values(cast(Any, OmegaConf.to_container(one))) for one in (config, defaults))
+    now, usual = (flat_values(command, cast(Any, OmegaConf.to_container(one))) for one in (config, defaults))
     below = cast(DictConfig, OmegaConf.merge(defaults, stored))
     changed = [key for key in now if now[key] != usual.get(key)]
     for key in [*changed, *(override.key_or_group for override in parsed if _has(config, override.key_or_group))]:
@@ -120,15 +120,14 @@ def _composed(command: str, parsed: list[Override], config_dir: Path | None, sto
 
 def _nodes_of(command: str, values: dict[str, Any]) -> list[str]:
     """The overrides that choose the nodes of stored values, by their names."""
-    known = [group for group in groups_of(command) if group in NODES]
-    sections = {group: values[group] for group in known if isinstance(values.get(group), dict)}
+    sections = {group: values[group] for group in nodes_of(command) if isinstance(values.get(group), dict)}
     names = {group: one.get("name", one.get("algorithm")) for group, one in sections.items()}
     return [f"{group}={quoted(str(name))}" for group, name in names.items() if name]
 
 
 def _set(config: DictConfig, override: Override, command: str) -> None:
     """Set the value of a key."""
-    key, keys = override.key_or_group, dict(flat_keys(COMMANDS[command]))
+    key, keys = override.key_or_group, dict(flat_keys(schema_of(command)))
     if override.package is not None or not _has(config, key):
         raise _unknown(command, override.get_key_element(), config)
     if dataclasses.is_dataclass(keys[key].type):
@@ -148,12 +147,12 @@ def _has(config: DictConfig, key: str) -> bool:
 
 def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
     """The error that names the nearest key of a composed configuration."""
-    keys, last = dict(flat_keys(COMMANDS[command])), key.split(".")[-1]
+    keys, last = dict(flat_keys(schema_of(command))), key.split(".")[-1]
     known = [name for name in keys if _has(config, name)]
     hint = did_you_mean(key, known) or did_you_mean(last, known)
     if key in keys:
         group, _, name = key.partition(".")
-        owners = [one for one, node in NODES[group].items() if name in node.__dataclass_fields__]
+        owners = [one for one, node in nodes_of(command)[group].items() if name in node.__dataclass_fields__]
         hint = f" It is a setting of {' and '.join(f'{group}={one}' for one in owners)}."
     for name in known:
         if name.split(".")[-1] == ALIASES.get(last):

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import functools
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from warpvox.configs.schema import COMMANDS, GROUPS, NODES, PRESET, PRESET_OF
+from warpvox.configs.schema import PRESET, PRESET_OF, nodes_of, schema_of
 from warpvox.keys import MISSING
 
 __all__ = ["Key", "add_keys", "flat_keys", "flat_values", "groups_of", "help_rows", "options_of", "preset_key"]
+
+FOLDERS = ("ppo", "training")
+"""Keys that take the name of a YAML file in the folder of the same name, and of nothing else."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,7 +40,7 @@ def flat_keys(schema: type, prefix: str = "") -> Iterator[tuple[str, Key]]:
         default = item.default if item.default_factory is dataclasses.MISSING else item.default_factory()
         about = item.metadata
         yield name, Key(types[item.name], default, about["help"], about.get("choices", ()), about.get("path"))
-        kinds = [one if isinstance(one, type) else type(one) for one in (default, *NODES.get(name, {}).values())]
+        kinds = [one if isinstance(one, type) else type(one) for one in (default, *about.get("nodes", {}).values())]
         kinds = [kind for kind in kinds if dataclasses.is_dataclass(kind) and issubclass(kind, types[item.name])]
         yield from {part: key for kind in kinds for part, key in flat_keys(kind, f"{name}.")}.items()
 
@@ -50,32 +52,30 @@ def preset_key(command: str) -> str:
 
 def groups_of(command: str) -> list[str]:
     """The groups that a command has, as Hydra calls them."""
-    names = [item.name for item in dataclasses.fields(COMMANDS[command])]
+    names = [item.name for item in dataclasses.fields(schema_of(command))]
     presets = [f"{PRESET}/{command}"] if preset_key(command) in names else []
-    return presets + [name for name in GROUPS if name in names]
+    return presets + [name for name in names if name in nodes_of(command) or name in FOLDERS]
 
 
-def options_of(group: str, config_dir: Path | None = None) -> list[str]:
+def options_of(command: str, group: str, config_dir: Path | None = None) -> list[str]:
     """The names of the choices of a group, those in a folder of the user's own among them."""
     folders = [files("warpvox.configs") / group, *([config_dir / group] if config_dir else [])]
     found = [file.name for folder in folders if folder.is_dir() for file in folder.iterdir()]
-    return sorted({name.removesuffix(".yaml") for name in found if name.endswith(".yaml")} | {*NODES.get(group, {})})
+    names = {name.removesuffix(".yaml") for name in found if name.endswith(".yaml")}
+    return sorted(names | {*nodes_of(command).get(group, {})})
 
 
-@functools.cache
-def _mappings() -> frozenset[str]:
-    """Keys whose value may be a mapping."""
-    return frozenset(name for schema in COMMANDS.values() for name, key in flat_keys(schema) if key.type is Any)
-
-
-def flat_values(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat_values(command: str, values: dict[str, Any]) -> dict[str, Any]:
     """Nested values by their dotted keys; a value that may be anything is one, also if it is a mapping."""
-    found = {}
-    for name, value in values.items():
-        key = prefix + name
-        nested = isinstance(value, dict) and key not in _mappings()
-        found |= flat_values(value, f"{key}.") if nested else {key: value}
-    return found
+    anything = {name for name, key in flat_keys(schema_of(command)) if key.type is Any}
+
+    def flat(values: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+        for name, value in values.items():
+            key = prefix + name
+            nested = isinstance(value, dict) and key not in anything
+            yield from flat(value, f"{key}.") if nested else [(key, value)]
+
+    return dict(flat(values, ""))
 
 
 def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str | None, str]]:
@@ -84,11 +84,11 @@ def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str |
     Args:
         values: the composed defaults by dotted key, for those that the schema leaves open.
     """
-    for name, key in flat_keys(COMMANDS[command]):
+    for name, key in flat_keys(schema_of(command)):
         if name in groups_of(command):
-            yield name, None, f"{key.help}: {', '.join(options_of(name))}"
+            yield name, None, f"{key.help}: {', '.join(options_of(command, name))}"
         elif not dataclasses.is_dataclass(key.default) and len(key.choices) != 1:  # what the name of a choice sets
-            choices = options_of(f"{PRESET}/{command}") if name == preset_key(command) else key.choices
+            choices = options_of(command, f"{PRESET}/{command}") if name == preset_key(command) else key.choices
             missing = any(choice not in key.help for choice in choices)
             meaning = f"{key.help}: {', '.join(choices)}" if missing else key.help
             yield name, _text(values.get(name, key.default)), meaning

@@ -30,7 +30,8 @@ def run_hydra(
     Raises:
         ConfigError: what Hydra says of a configuration or plugin. Exception: what ``task`` raises.
     """
-    register()
+    if command is not None:
+        register(command)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors are raised, not printed
     place = ["--config-dir", str(config_dir)] if config_dir else []
     words, sys.argv = sys.argv, [sys.argv[0], *flags, *place, *overrides]

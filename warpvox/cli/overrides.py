@@ -19,7 +19,7 @@ from hydra.errors import HydraException
 
 from warpvox.cli.help import Key, flat_keys, preset_key
 from warpvox.configs.composition import quoted
-from warpvox.configs.schema import COMMANDS, PRESET
+from warpvox.configs.schema import PRESET, schema_of
 from warpvox.errors import ConfigError
 
 __all__ = ["expand", "key_and_value", "key_and_word", "read_overrides"]
@@ -35,7 +35,7 @@ def read_overrides(command: str, words: list[str], sweeps: bool = False) -> list
     Raises:
         ConfigError: what cannot be read, what adds or removes keys, a key that is given twice, several values.
     """
-    keys = dict(flat_keys(COMMANDS[command]))
+    keys = dict(flat_keys(schema_of(command)))
     no_preset = f"{PRESET}=null" if PRESET in keys else None  # which is the default, and no choice of Hydra's
     parsed = [_read(command, word, keys, sweeps) for word in words if word != no_preset]
     names = [override.key_or_group for override in parsed]

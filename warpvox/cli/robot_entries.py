@@ -87,11 +87,11 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> Added:
 
 def command_of(command: str, config: dict[str, Any]) -> str:
     """The shortest command line that ``config``, the content of a ``config.yaml``, comes from: what is no default."""
-    values = {name: value for name, value in flat_values(config).items() if not name.startswith("physics.")}
+    values = {name: value for name, value in flat_values(command, config).items() if not name.startswith("physics.")}
     words: list[str] = []
     for group in GROUPS[command]:
         only = values.get("search.algorithm") if group == "search" else None
-        names = [name for name in options_of(group) if only in (None, name)]
+        names = [name for name in options_of(command, group) if only in (None, name)]
         choices = [[*words, f"{group}={name}"] for name in names]
         words = min([words, *choices], key=lambda one: (len(_differences(command, one, values)), len(one)))
     return " ".join(["warpvox", command, *words, *_differences(command, words, values)])
@@ -108,7 +108,7 @@ def _differences(command: str, words: list[str], values: dict[str, Any]) -> list
 
 @functools.cache
 def _values(command: str, words: tuple[str, ...]) -> dict[str, Any]:
-    return flat_values(dataclasses.asdict(load(command, list(words))))
+    return flat_values(command, dataclasses.asdict(load(command, list(words))))
 
 
 def _text(value: Any) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from warpvox.algos.report.learning_curves import Group
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values
-from warpvox.configs.bench_keys import PPO
+from warpvox.configs.bench import PPO
 from warpvox.design import example_design, example_designs
 from warpvox.runs import Run
 
@@ -49,7 +49,7 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
 
 def settings(run: Run) -> dict[str, Any]:
     """Settings of a run by dotted keys, without those that only say where and how it was computed."""
-    flat = flat_values(run.config)
+    flat = flat_values("train", run.config)
     if isinstance(flat.get("device"), str):
         flat["device"] = flat["device"].partition(":")[0]  # which of several GPUs makes no difference
     return {name: value for name, value in flat.items() if name not in NOT_SETTINGS}

@@ -15,9 +15,9 @@ from warpvox.checks import check_integer, check_shape, is_integer
 from warpvox.cli.config import load
 from warpvox.cli.help import options_of
 from warpvox.cli.suite_words import by_key
+from warpvox.configs.codesign import SuiteConfig
 from warpvox.configs.composition import quoted
 from warpvox.configs.paper import shape_of
-from warpvox.configs.suite_keys import SuiteConfig
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing
@@ -101,7 +101,7 @@ def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesig
     Raises:
         ConfigError: a search that does not exist, or a key that none of them has.
     """
-    known = options_of("search", config_dir)
+    known = options_of("codesign", "search", config_dir)
     if not config.searches:
         raise ConfigError(f"searches must name one search or more of {listing(known)}, got [].")
     for name in config.searches:

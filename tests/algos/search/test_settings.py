@@ -27,8 +27,8 @@ from warpvox.errors import ConfigError
 
 
 def test_every_choice_makes_a_search() -> None:
-    assert set(ALGORITHMS) < set(options_of("search"))
-    for name in options_of("search"):
+    assert set(ALGORITHMS) < set(options_of("codesign", "search"))
+    for name in options_of("codesign", "search"):
         own = ["search.make=warpvox.algos.search.random_search:RandomSearch"] if name == "custom" else []
         settings = load("codesign", [f"search={name}", *own]).search
         if settings.algorithm != "map_elites" or find_spec("ribs") is not None:

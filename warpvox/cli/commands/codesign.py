@@ -13,7 +13,7 @@ from rich.console import Console
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
-from warpvox.configs.schema import CodesignConfig
+from warpvox.configs.codesign import CodesignConfig
 from warpvox.errors import RunError, listing
 from warpvox.io.console import echo, shown
 from warpvox.io.plain_yaml import to_yaml

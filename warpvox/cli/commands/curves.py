@@ -21,7 +21,7 @@ from warpvox.algos.report.members import read_members
 from warpvox.algos.statistics import LEVEL, mean_interval
 from warpvox.cli.application import run_command
 from warpvox.cli.run_groups import group_runs
-from warpvox.configs.schema import CurvesConfig
+from warpvox.configs.show import CurvesConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, literal
 from warpvox.runs import find_runs, find_searches

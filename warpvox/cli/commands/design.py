@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from warpvox.cli.application import run_command
-from warpvox.configs.schema import DesignConfig
+from warpvox.configs.tools import DesignConfig
 from warpvox.errors import ConfigError
 from warpvox.io.console import echo
 from warpvox.system import has_display

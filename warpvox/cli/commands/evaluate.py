@@ -18,7 +18,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
 from warpvox.cli.run_groups import group_runs
 from warpvox.code import Code, is_code
-from warpvox.configs.schema import EvaluateConfig
+from warpvox.configs.show import EvaluateConfig
 from warpvox.errors import ConfigError
 from warpvox.io.console import echo, literal, shown
 from warpvox.io.writing import write_table

@@ -21,7 +21,7 @@ from warpvox.cli.exports import (
 )
 from warpvox.cli.playback import play_in_window, wants_window
 from warpvox.code import Code
-from warpvox.configs.schema import PlayConfig
+from warpvox.configs.show import PlayConfig
 from warpvox.errors import ConfigError, listing
 from warpvox.io.console import echo, shown
 from warpvox.runs import ZOO, as_name, find_run, new_folder, write_summary

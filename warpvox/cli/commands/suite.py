@@ -19,7 +19,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
 from warpvox.cli.suite_plan import plan, seeds_of, task_names
 from warpvox.cli.suite_words import gone_on_with, merged
-from warpvox.configs.suite_keys import SuiteConfig
+from warpvox.configs.codesign import SuiteConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, shell_argument, shown
 from warpvox.io.plain_yaml import to_yaml

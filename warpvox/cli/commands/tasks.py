@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from warpvox.cli.application import run_command
-from warpvox.configs.schema import TasksConfig
+from warpvox.configs.tools import TasksConfig
 from warpvox.errors import ConfigError, WorldError, listing
 from warpvox.io.console import echo, literal
 

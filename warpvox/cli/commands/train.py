@@ -11,7 +11,7 @@ from rich.console import Console
 from warpvox.cli.application import prepared, run_command
 from warpvox.cli.config import load
 from warpvox.code import is_code
-from warpvox.configs.schema import TrainConfig
+from warpvox.configs.train import TrainConfig
 from warpvox.io.console import echo
 from warpvox.runs import TRAINING, find_run
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from warpvox.cli.application import run_command
-from warpvox.configs.schema import ZooConfig
+from warpvox.configs.tools import ZooConfig
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, WarpvoxError, did_you_mean, listing
 from warpvox.io.console import duration, echo, figure, literal

@@ -1,14 +1,14 @@
-"""Suites of ``warpvox bench``, and the keys of some of its suites."""
+"""The keys of ``warpvox bench``, and its suites."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+from warpvox.algos.training.settings import ARITHMETICS, MOST_THREADS
 from warpvox.keys import key
-
-__all__ = ["COLUMNS", "PPO", "SUITES", "GradientsConfig", "LearningConfig", "PeerConfig", "ScalingConfig"]
 
 PPO = ("parallel", "evogym")
 """Names of configs/ppo."""
@@ -70,3 +70,37 @@ class GradientsConfig:
     smoothing: list[float] = key(
         [1e-6, 1e-4, 4e-4, 8e-4, 1.6e-3, 6.4e-3], "of contacts with terrain, in simulator units", above=0
     )
+
+
+@dataclass
+class BenchConfig:
+    """Keys of ``warpvox bench``."""
+
+    suite: str = key("peer", "; ".join(f"{name}: {text}" for name, text in SUITES.items()), choices=tuple(SUITES))
+    task: str = key("Walker-v0", "task id", path="read")
+    tasks: list[str] = key([], "tasks of suite=tasks and suite=gpu; []: all", path="read")
+    design: Any = key("walker", "body, as for train", path="read")
+    num_envs: int = key(512, "environments stepped in parallel", low=1)
+    steps: int = key(40, "control steps of a timed repetition; fewer if they would take longer than limit", low=1)
+    repeats: int = key(5, "number of repetitions, whose median is reported", low=1)
+    limit: float = key(
+        4.0, "time limit of a repetition, in seconds; what takes longer even at its shortest is left out", above=0
+    )
+    columns: list[str] = key(list(COLUMNS), "what is timed: step, inference, training", choices=COLUMNS)
+    device: str | None = key(None, "auto, cpu, cuda, cuda:<index>; null: cuda for suite=gpu, cpu for the others")
+    dtype: str = key("float32", "precision of the simulation", choices=("float32", "float64"))
+    arithmetic: str | None = key(None, "arithmetic of the simulation; null: chosen by dtype", choices=ARITHMETICS)
+    threads: int = key(1, "CPU threads of the simulation", low=1, high=MOST_THREADS)
+    torch_threads: int = key(1, "PyTorch threads", low=1, high=MOST_THREADS)
+    seed: int = key(0, "seed of the random actions", low=0)
+    compile: bool = key(True, "suite=kernels: compile all kernels of a control step again and time that")
+    peer: PeerConfig = key(PeerConfig, "the reference")
+    scaling: ScalingConfig = key(ScalingConfig, "suite=scaling")
+    learning: LearningConfig = key(LearningConfig, "suite=learning")
+    gradients: GradientsConfig = key(GradientsConfig, "suite=gradients")
+    seconds: float = key(400.0, "suite=gpu: no further part begins after so many seconds", above=0)
+    document: str | None = key(
+        None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)", path="written"
+    )
+    name: str | None = key(None, "appended to the name of the result's folder")
+    output_dir: str = key("outputs", "folder that results are written to", path="written")

@@ -1,4 +1,4 @@
-"""The keys of ``warpvox suite``: which design searches it makes, and how many at a time."""
+"""The keys of ``warpvox codesign`` and ``warpvox suite``."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -7,10 +7,36 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation
+from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS
-from warpvox.keys import key
+from warpvox.configs.schema import CONFIG_FILE, PresetConfig
+from warpvox.keys import MISSING, key
 
-__all__ = ["SuiteConfig"]
+ARCHIVE_EXPORTS = ("csv", "parquet", "npz", "json")
+
+
+@dataclass
+class CodesignConfig(Codesign, PresetConfig):
+    """Keys of ``warpvox codesign``."""
+
+    search: SearchSettings = key(MISSING, "how designs are proposed", nodes=ALGORITHMS)
+    evaluation: Evaluation = key(MISSING, "how designs are compared", nodes=EVALUATIONS)
+    export: list[str] = key(
+        [],
+        "formats in which the archive is written at the end: csv, parquet, npz and json (designs)",
+        choices=ARCHIVE_EXPORTS,
+    )
+    resume: str | None = key(None, "continue a search: latest or its folder", path="read")
+    config: str | None = key(None, CONFIG_FILE, path="read")
+    report: Any = key(
+        None,
+        "only make the report and the exports of a search again: latest or its folder; or one report that"
+        " compares several searches: [FOLDER,...], a pattern such as 'outputs/codesign/*/*', or a folder that"
+        " contains searches",
+        path="read",
+    )
 
 
 @dataclass

@@ -1,0 +1,68 @@
+"""The keys of the commands about bodies, tasks and stored robots: design, zoo, tasks, info."""
+
+# ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from warpvox.configs.schema import SHOW
+from warpvox.keys import key
+
+
+@dataclass
+class DesignConfig:
+    """Keys of ``warpvox design``."""
+
+    file: str | None = key(None, "file of the folder to open at the start", path="read")
+    folder: str = key(
+        "designs", "folder in which files are opened and saved; made when something is saved", path="written"
+    )
+    tasks: list[str] = key(
+        [], "tasks of your own to try bodies in, beside the benchmark's: file.py:NAME, module:NAME", path="read"
+    )
+    port: int = key(0, "port of the server on 127.0.0.1; 0: any free port", low=0, high=65535)
+    browser: str = key("auto", "open the page in a browser: on, off, or auto (if there is a display)", choices=SHOW)
+
+
+@dataclass
+class ZooConfig:
+    """Keys of ``warpvox zoo``."""
+
+    task: str | None = key(
+        None,
+        "show the robot of this task in detail; with add, for runs of a task of your own: its code, file.py:NAME, or"
+        " stored for the copy in the run",
+        path="read",
+    )
+    add: list[str] = key(
+        [],
+        "make entries from these: folders of design searches or runs, checkpoints, or patterns; an entry is"
+        " replaced only by one with a higher return",
+        path="read",
+    )
+    top: int = key(10, "number of best designs of a search that add evaluates", low=1)
+    folder: str | None = key(None, "folder of the entries; null: that of the package", path="written")
+
+
+@dataclass
+class TasksConfig:
+    """Keys of ``warpvox tasks``."""
+
+    task: str | None = key(
+        None,
+        "task id, module:NAME or file.py:NAME to show in detail, with its world; its key may be omitted",
+        path="read",
+    )
+    rules: str = key("evogym", "as released (evogym) or as printed (paper)", choices=("evogym", "paper"))
+    design: Any = key(
+        "walker", "body that worlds are shown with, and that the layout of the observation is for", path="read"
+    )
+    picture: str | None = key(None, "with a task: also write its world as a picture (.png)", path="written")
+    gallery: str | None = key(None, "instead of the list write all worlds into one picture (.png)", path="written")
+
+
+@dataclass
+class InfoConfig:
+    """``warpvox info`` has no keys."""
