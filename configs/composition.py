@@ -19,11 +19,16 @@ from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from warpvox.configs.paper import design_of, shape_of
 from warpvox.configs.schema import PRESET, PRESET_OF, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean, listing
 
 __all__ = ["composed", "hydras_errors", "quoted", "register"]
+
+SHAPE, SHAPES = (5, 5), {"Lifter-v0": (5, 7)}
+"""Rows and columns of the paper's bodies (Table 2): one task has a larger grid, for a body designed by hand."""
+
+DESIGN, DESIGNS = "walker", {"Lifter-v0": "lifter"}
+"""An example body of that shape."""
 
 
 def composed(command: str, overrides: Sequence[str] = (), config_dir: Path | None = None) -> DictConfig:
@@ -95,3 +100,13 @@ def register(command: str) -> None:
             store.store(group=group, name=name, node=node)
     for name, resolver in {"paper_shape": shape_of, "paper_design": design_of}.items():
         OmegaConf.register_new_resolver(name, resolver, replace=True)
+
+
+def shape_of(task: str) -> list[int]:
+    """Rows and columns of the bodies that a search on a task proposes: ``${paper_shape:${task}}`` in YAML files."""
+    return list(SHAPES.get(task, SHAPE))
+
+
+def design_of(task: str) -> str:
+    """The example design that is trained on a task unless another is named."""
+    return DESIGNS.get(task, DESIGN)

@@ -89,7 +89,7 @@ def test_no_layer_imports_a_later_one() -> None:
     for module in set(SOURCES) - {"warpvox"}:
         for line, target in imports(parse(SOURCES[module])):
             # `import warpvox` loads what lies in any layer: its version is read by what says who made a run
-            last = layer(module) if target != "warpvox" else layer(module) - layer("warpvox.provenance")
+            last = layer(module) if target != "warpvox" else layer(module) - layer("warpvox.runs")
             if target.split(".")[0] == "warpvox" and (layer(target) or 0) > last:
                 wrong.append(f"{place(SOURCES[module], line)} imports {target}, which belongs to a later layer")
     assert not wrong, "\n".join(wrong)

@@ -158,7 +158,8 @@ def evaluate(
     """
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.job import own_torch
-    from warpvox.algos.training.loading import Playing, TrainedRun, is_alone, load_policy
+    from warpvox.algos.training.loading import TrainedRun, is_alone, load_policy
+    from warpvox.algos.training.playing import Playing
     from warpvox.algos.training.policy_table import EvaluatedPolicy, PolicyTable, evaluate_run
     from warpvox.code import Code, is_code
     from warpvox.envs.vec_env import make_vec

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import functools
 import glob
 import json
 import os
 import re
 import shutil
+import subprocess
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
@@ -17,13 +19,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from warpvox import __version__
 from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in, repair_hint
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.reading import Unreadable, parse_yaml, read_facts, read_text
 from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
-from warpvox.provenance import provenance
 from warpvox.robots.entry import Robot, find_robot
 from warpvox.robots.gait import Gait
+from warpvox.system import processor_name
 
 __all__ = [
     "END", "ZOO", "Run", "as_name", "check_output", "check_unchanged", "find_codesign", "find_run", "find_runs",
@@ -53,6 +56,8 @@ LONGEST_NAME, LONGEST_BYTES = 100, 150
 """Limits of what a name adds to that of a folder: date and values of a sweep need room, and 255 bytes are the end."""
 END = "...\n"
 """The last line of a run's configuration, YAML's own mark of an end: what lacks it has been cut short."""
+PATIENCE = 20.0
+"""Seconds that git may take, on the disk of a network for instance."""
 
 
 @dataclass(frozen=True)
@@ -400,6 +405,25 @@ def read_summary(folder: Path) -> dict[str, Any]:
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
     """Write ``summary.json``: ``content``, and which version of the program has made it."""
     write_text(folder / SUMMARY, json.dumps(content | provenance(), indent=2) + "\n", make_folders=False)
+
+
+def provenance() -> dict[str, str | None]:
+    """For ``summary.json``: version, processor and, in a checkout, the commit (``-dirty`` where files were changed)."""
+    return {"version": __version__, "commit": _commit(), "processor": processor_name()}
+
+
+@functools.cache
+def _commit() -> str | None:
+    """None: an installed package, or no git."""
+    root = Path(__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, stdin=subprocess.DEVNULL)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None if done.returncode == 0 else None
 
 
 def check_unchanged(before: Mapping[str, Any], config: Any, changeable: Sequence[str]) -> None:

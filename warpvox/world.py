@@ -22,7 +22,7 @@ from warpvox.errors import WorldError, did_you_mean, listing
 from warpvox.io.reading import Missing, Unreadable, parse_json, read_text
 from warpvox.io.writing import write_text
 from warpvox.types import Cell
-from warpvox.view.cell_svg import body_svg
+from warpvox.view.palette import body_svg
 
 __all__ = ["World", "WorldObject"]
 

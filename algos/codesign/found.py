@@ -84,7 +84,7 @@ class Found:
     def _repr_html_(self) -> str:
         """The best bodies with their returns, and the curve, for notebooks."""
         from warpvox.algos.report.charts import picture
-        from warpvox.view.cell_svg import body_svg
+        from warpvox.view.palette import body_svg
 
         cells = "".join(
             f"<td>{body_svg(record.candidate.body, 16)}<br>{record.fitness:.3f} #{record.id}</td>"

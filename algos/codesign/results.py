@@ -14,7 +14,7 @@ from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.report import FILE as REPORT, write_report
 from warpvox.algos.statistics import Interval, mean_interval
-from warpvox.algos.training.loading import Playing, load_run
+from warpvox.algos.training.playing import Playing, load_trained
 from warpvox.checks import is_number
 from warpvox.code import is_code
 from warpvox.envs.registry import get_task
@@ -153,7 +153,7 @@ def evaluate_winner(folder: Path, settings: Codesign) -> dict[str, Any]:
     }
     device = settings.device if settings.executor == "local" else "cpu"
     play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **own)
-    env, policy = load_run(find_run(str(folder), settings.output_dir), play)
+    env, policy = load_trained(find_run(str(folder), settings.output_dir), play)
     found = mean_interval(evaluate(env, policy).returns.tolist())
     return {"mean": found.mean, "low": found.low, "high": found.high, "episodes": FRESH, "seed": seed}
 

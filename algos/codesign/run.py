@@ -38,7 +38,7 @@ from warpvox.envs.memory import ask, environment_bytes, fitting
 from warpvox.envs.registry import get_task
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, RunError, StorageError
-from warpvox.io.plain_yaml import to_yaml
+from warpvox.io.writing import to_yaml
 from warpvox.runs import CONFIG, END, run_folder
 from warpvox.trust import as_stored, keep_code
 

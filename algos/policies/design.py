@@ -105,7 +105,7 @@ class DesignDistribution(Distribution):
 
     Args:
         layout: of actions.
-        gaussian: the distribution of the control stage (:class:`warpvox.algos.policies.distribution.VoxelGaussian`).
+        gaussian: the distribution of the control stage (:class:`warpvox.algos.policies.network.VoxelGaussian`).
     """
 
     def __init__(self, layout: DesignLayout, gaussian: Distribution) -> None:

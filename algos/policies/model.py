@@ -9,9 +9,8 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 
-from warpvox.algos.policies.distribution import VoxelGaussian
 from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelInputs, VoxelLayout
-from warpvox.algos.policies.network import Network, observations
+from warpvox.algos.policies.network import Network, VoxelGaussian, observations
 from warpvox.algos.policies.registry import make_network
 
 __all__ = ["VoxelModel", "VoxelNormalizer"]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import nn
 
-from warpvox.algos.policies.distribution import HALF_LOG_2PI
+from warpvox.algos.policies.network import HALF_LOG_2PI
 
 __all__ = ["StackedGaussian"]
 

@@ -16,7 +16,7 @@ from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.algos.report.tree import family_tree
 from warpvox.io.writing import write_text
-from warpvox.view.cell_svg import body_svg
+from warpvox.view.palette import body_svg
 
 __all__ = ["FILE", "report_page", "write_report"]
 

@@ -8,7 +8,7 @@ from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from warpvox.view.cell_svg import body_svg
+from warpvox.view.palette import body_svg
 
 if TYPE_CHECKING:
     from warpvox.algos.codesign.archive import Record

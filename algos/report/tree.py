@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 from warpvox.algos.codesign.archive import Record
-from warpvox.view.cell_svg import body_svg
+from warpvox.view.palette import body_svg
 
 __all__ = ["family_tree", "places"]
 

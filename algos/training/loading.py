@@ -12,28 +12,24 @@ import numpy as np
 import torch
 
 from warpvox.algos.checkpoints.export import read_exported
-from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.checkpoints.policy import Policy, read_policy
-from warpvox.algos.checkpoints.sampling import SampledController
-from warpvox.algos.physics import sim_of
-from warpvox.algos.training.bodies import read_bodies, training_bodies
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.algos.training.settings import Training
+from warpvox.algos.training.playing import Playing, load_trained
 from warpvox.code import Code, is_code
 from warpvox.devices.names import resolve_device
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
-from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 from warpvox.robots.entry import Robot
 from warpvox.robots.replay import SEEDS, robot_env, torch_policy
 from warpvox.runs import CONFIG, Run, find_run
-from warpvox.trust import STORED, allowed, with_code
+from warpvox.trust import STORED, allowed
 
 if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
 
-__all__ = ["Playing", "TrainedRun", "is_alone", "load_policy", "load_run"]
+__all__ = ["TrainedRun", "is_alone", "load_policy", "load_run"]
 
 
 @torch.random.fork_rng(devices=[])  # networks begin with random weights
@@ -131,70 +127,11 @@ class TrainedRun:
         return {name: np.array([row.get(name, np.nan) for row in self.rows]) for name in self.rows[0]}
 
 
-@dataclasses.dataclass(frozen=True)
-class Playing:
-    """How the policy of a run is played; None: as the run says.
-
-    Attributes:
-        task, policy: code of the user's own that the run names, see :func:`warpvox.trust.allowed`.
-        stochastic: sample actions as in training, instead of taking their mean.
-    """
-
-    num_envs: int = 1
-    checkpoint: str = "best"
-    stochastic: bool = False
-    seed: int | None = None
-    device: str = "cpu"
-    dtype: str | None = None
-    arithmetic: str | None = None
-    threads: int | None = None
-    memory_check: bool = True
-    task: Any = None
-    policy: str | None = None
-
-
 def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
-    """Environments and policy of a run.
-
-    Args:
-        run: the run.
-        config: :class:`Playing`, or the keys of a command that has the same.
-        designs: bodies for a policy over many bodies; None: those held out, as many as there are environments.
-        every: of such a policy, all bodies, the same number of environments for each.
-
-    Raises:
-        RunError: no checkpoint, or one that does not fit. ConfigError, DeviceError: ``config`` asks too much, or the
-            run has a task of somebody's own that the user has not named.
-    """
+    """Environments and policy of a run or a stored robot, see :func:`warpvox.algos.training.playing.load_trained`."""
     if run.robot is not None:
         return _load_robot(run.robot, config, run.folder)
-    device = resolve_device(config.device, config.num_envs)
-    path = run.find_checkpoint(config.checkpoint)
-    own = config.task if isinstance(config.task, TaskSpec) else None
-    stored = run.config if own is None else run.config | {"task": own.id}
-    trained = with_code(Training.of(stored), {"task": config.task, "policy": config.policy}, stored, run.folder)
-    trained = trained if own is None else dataclasses.replace(trained, task=own)
-    named = {name: value for name in ("dtype", "arithmetic", "seed") if (value := getattr(config, name)) is not None}
-    if "dtype" in named:
-        named = {"arithmetic": None} | named
-    trained = dataclasses.replace(trained, threads=config.threads, memory_check=config.memory_check, **named)
-    bodies = training_bodies(trained)
-    count, judged = config.num_envs, bodies.judged
-    if trained.is_many:
-        judged = judged if designs is None else read_bodies(designs, config.seed or 0, "designs")
-        if every:
-            count = len(judged) * max(1, count // len(judged))
-        judged = judged[:count]
-    elif designs is not None:
-        raise ConfigError(
-            "Other bodies go with a run over many of them (warpvox train designs=...); this one has its own."
-        )
-    sim = dataclasses.replace(sim_of(trained), device=device, lanes=bodies.lanes(trained, device), grid=bodies.grid)
-    options: dict[str, Any] = {"rules": trained.rules, "obs": trained.obs, "seed": trained.seed, "sim": sim}
-    env = make_vec(trained.task, judged, count, auto_reset=False, **options)
-    controller = load_controller(path, device, trained.policy)
-    controller.check(env)
-    return env, SampledController(controller, trained.seed) if config.stochastic else controller
+    return load_trained(run, config, designs, every)
 
 
 def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv, Any]:

@@ -13,9 +13,8 @@ from rsl_rl.models import MLPModel, RNNModel
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
-from warpvox.algos.policies.distribution import Gaussian
 from warpvox.algos.policies.model import VoxelModel
-from warpvox.algos.policies.network import LATENT, Network
+from warpvox.algos.policies.network import LATENT, Gaussian, Network
 from warpvox.algos.settings import Ppo
 from warpvox.code import load_code
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP

@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpvox.algos import checkpoints
 from warpvox.algos.training.settings import Training
 from warpvox.errors import ConfigError, RunError
 from warpvox.runs import CONFIG, TRAINING, ZOO, find_run
@@ -21,7 +20,7 @@ OBS_OF_VOXELS = {"task": "voxel", "timed": "timed_voxel"}
 """What a policy for voxels observes in place of what ``obs`` says."""
 UNIVERSAL = "universal"
 """The policy that comes with warpvox, made by ``preset=universal_cpg``: for bodies up to 5x5 on Walker-v0."""
-UNIVERSAL_FILE = Path(checkpoints.__file__).with_name("data") / f"{UNIVERSAL}.pt"
+UNIVERSAL_FILE = Path(__file__).parents[1] / "checkpoints" / "data" / f"{UNIVERSAL}.pt"
 
 
 def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]:

@@ -37,8 +37,8 @@ from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError
 from warpvox.runs import END
-from warpvox.view.cell_svg import cell_colour
 from warpvox.view.cell_text import body_rows
+from warpvox.view.palette import cell_colour
 
 TINY = (
     "shape=[3,3] search.population=5 search.max_evaluations=8 search.survivor_rate=0.3 training.envs=8"

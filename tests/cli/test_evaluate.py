@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from warpvox.algos.checkpoints.files import load_controller
-from warpvox.algos.checkpoints.sampling import SampledController
 from warpvox.algos.statistics import difference, mean_interval
+from warpvox.algos.training.playing import SampledController
 from warpvox.cli.run_groups import group_runs
 from warpvox.errors import RunError
 from warpvox.runs import Run, find_runs

@@ -12,7 +12,7 @@ from PIL import Image
 
 from warpvox.design import example_design, sample_design
 from warpvox.view.body_picture import draw_bodies, write_bodies
-from warpvox.view.cell_svg import body_svg, cell_colour
+from warpvox.view.palette import body_svg, cell_colour
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -15,8 +15,8 @@ from warpvox.cli.overrides import key_and_value, read_overrides
 from warpvox.configs.composition import composed, hydras_errors, quoted
 from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean
-from warpvox.io.plain_yaml import to_yaml
 from warpvox.io.reading import Unreadable, parse_yaml, read_text
+from warpvox.io.writing import to_yaml
 from warpvox.keys import check_values, converted
 from warpvox.runs import CONFIG, LARGEST_CONFIG
 from warpvox.trust import check_address, typed, with_code

@@ -16,8 +16,7 @@ from warpvox.cli.config import load
 from warpvox.cli.help import options_of
 from warpvox.cli.suite_words import by_key
 from warpvox.configs.codesign import SuiteConfig
-from warpvox.configs.composition import quoted
-from warpvox.configs.paper import shape_of
+from warpvox.configs.composition import quoted, shape_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing

@@ -8,6 +8,7 @@ machine or of the disk's space leaves either the old file or the new one. What a
 from __future__ import annotations
 
 import csv
+import dataclasses
 import errno
 import io
 import os
@@ -15,7 +16,11 @@ import secrets
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
+import yaml
+
+from warpvox.code import Code
 from warpvox.errors import RunError, StorageError
 from warpvox.system import flush_to_disk, folder_lock
 
@@ -168,3 +173,21 @@ def sweep(folder: Path) -> None:
     for file in folder.rglob(f"{MARK}*"):
         with suppress(OSError):
             file.unlink()
+
+
+def to_yaml(config: Any) -> str:
+    """A configuration as YAML; lists of plain values take one line."""
+    return yaml.dump(dataclasses.asdict(config), Dumper=_Dumper, sort_keys=False, width=110)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Rows of a body on one line each."""
+
+
+def _represent_list(dumper: _Dumper, values: list) -> yaml.Node:
+    flat = not any(isinstance(value, list | dict) for value in values)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=flat)
+
+
+_Dumper.add_representer(list, _represent_list)
+_Dumper.add_representer(Code, lambda dumper, code: dumper.represent_str(str(code)))

@@ -26,7 +26,7 @@ from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
 from warpvox.robots.gait import ARRAYS, Gait
 from warpvox.robots.network import Network
-from warpvox.view.cell_svg import body_svg
+from warpvox.view.palette import body_svg
 
 __all__ = ["DIGITS", "FOLDER", "Robot", "find_robot", "read_robot", "save_robot", "zoo", "zoo_tasks"]
 

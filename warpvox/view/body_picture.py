@@ -11,8 +11,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from warpvox.design import Design
-from warpvox.view.cell_svg import cell_colour
 from warpvox.view.painter import INK, font, save_png
+from warpvox.view.palette import cell_colour
 
 __all__ = ["draw_bodies", "write_bodies"]
 

@@ -13,8 +13,7 @@ from rich.text import Text
 
 from warpvox.io.console import echo
 from warpvox.types import Cell
-from warpvox.view.cell_svg import cell_colour
-from warpvox.view.palette import CELL_NAMES, RAMPS
+from warpvox.view.palette import CELL_NAMES, RAMPS, cell_colour
 from warpvox.world import World
 
 __all__ = ["body_rows", "print_world"]

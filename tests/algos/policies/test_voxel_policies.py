@@ -17,11 +17,11 @@ from tensordict import TensorDict
 from warpvox.algos.checkpoints.export import read_exported, write_onnx, write_script
 from warpvox.algos.checkpoints.files import Controller, load_controller
 from warpvox.algos.checkpoints.policy import policy_of
-from warpvox.algos.checkpoints.sampling import SampledController
 from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.policies.layout import FEATURES, INPUTS, VoxelInputs, VoxelLayout, layout_of
 from warpvox.algos.policies.model import VoxelNormalizer
 from warpvox.algos.policies.registry import check_policy, layout_for, make_network
+from warpvox.algos.training.playing import SampledController
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
 from warpvox.code import Code

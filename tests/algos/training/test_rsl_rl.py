@@ -13,8 +13,8 @@ from tensordict import TensorDict
 from warpvox.algos.checkpoints.export import write_script
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.checkpoints.policy import parse_policy, policy_of, policy_text
-from warpvox.algos.checkpoints.sampling import SampledController
 from warpvox.algos.evaluate import evaluate, evaluator
+from warpvox.algos.training.playing import SampledController
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
 from warpvox.code import Code
 from warpvox.errors import ConfigError, RunError

@@ -16,8 +16,7 @@ from warpvox.cli.config import load, load_values
 from warpvox.configs.codesign import CodesignConfig
 from warpvox.errors import RunError, listing
 from warpvox.io.console import echo, shown
-from warpvox.io.plain_yaml import to_yaml
-from warpvox.io.writing import check_writable
+from warpvox.io.writing import check_writable, to_yaml
 from warpvox.runs import find_codesign, find_searches, new_folder, read_summary
 from warpvox.trust import as_stored
 
@@ -50,7 +49,7 @@ def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | No
         WarpvoxError: what is wrong with it.
     """
     from warpvox.algos.codesign.run import check
-    from warpvox.algos.training.resumption import check_unchanged
+    from warpvox.runs import check_unchanged
 
     job = Job(config)
     if config.report is not None:

@@ -22,8 +22,7 @@ from warpvox.cli.suite_words import gone_on_with, merged
 from warpvox.configs.codesign import SuiteConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, shell_argument, shown
-from warpvox.io.plain_yaml import to_yaml
-from warpvox.io.writing import check_writable
+from warpvox.io.writing import check_writable, to_yaml
 from warpvox.runs import STAMP, check_unchanged, find_suite, going_on, make_folder
 from warpvox.trust import keep_code
 

@@ -62,12 +62,12 @@ def train(job: Job, console: Console) -> Path:
 
 def _export(folder: Path, config: TrainConfig, console: Console) -> None:
     """Record the best policy of a run and write it into the run's folder."""
-    from warpvox.algos.training.loading import Playing, load_run
+    from warpvox.algos.training.playing import Playing, load_trained
     from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
 
     run = find_run(str(folder), config.output_dir)
     named: dict[str, Any] = {name: value for name in ("task", "policy") if is_code(value := getattr(config, name))}
-    env, controller = load_run(run, Playing(device=config.device, **named))
+    env, controller = load_trained(run, Playing(device=config.device, **named))
     with console.status("simulating"):
         rollout = record_run(run, env, controller, None)
     print_returns(rollout, console)

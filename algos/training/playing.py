@@ -1,0 +1,117 @@
+"""Trained policies in environments of their run, to be played and evaluated."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import torch
+
+from warpvox.algos.checkpoints.files import Controller, actions_of, load_controller
+from warpvox.algos.physics import sim_of
+from warpvox.algos.training.bodies import read_bodies, training_bodies
+from warpvox.algos.training.settings import Training
+from warpvox.devices.names import resolve_device
+from warpvox.envs.spec import TaskSpec
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.errors import ConfigError
+from warpvox.runs import Run
+from warpvox.trust import with_code
+
+
+@dataclasses.dataclass(frozen=True)
+class Playing:
+    """How the policy of a run is played; None: as the run says.
+
+    Attributes:
+        task, policy: code of the user's own that the run names, see :func:`warpvox.trust.allowed`.
+        stochastic: sample actions as in training, instead of taking their mean.
+    """
+
+    num_envs: int = 1
+    checkpoint: str = "best"
+    stochastic: bool = False
+    seed: int | None = None
+    device: str = "cpu"
+    dtype: str | None = None
+    arithmetic: str | None = None
+    threads: int | None = None
+    memory_check: bool = True
+    task: Any = None
+    policy: str | None = None
+
+
+class SampledController:
+    """Draws actions from the Gaussian distribution of a policy, instead of taking its mean.
+
+    Args:
+        controller: the policy.
+        seed: of the draws; equal seeds give equal actions for equal observations on the same device.
+
+    Raises:
+        ConfigError: the policy is an open-loop gait, which was found without exploration.
+    """
+
+    def __init__(self, controller: Controller, seed: int = 0) -> None:
+        self.controller, self.spec, self.reset = controller, controller.spec, controller.reset
+        if self.spec.gait is not None:
+            raise ConfigError("stochastic=true goes with a trained policy; this one is an open-loop gait.")
+        distribution = controller.actor.distribution
+        low, high = distribution.log_std_range
+        self._std = distribution.log_std_param.detach().clamp(low, high).exp()
+        self._generator = torch.Generator(self._std.device).manual_seed(seed)
+
+    @torch.no_grad()
+    def __call__(self, obs: torch.Tensor) -> torch.Tensor:
+        """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
+        mean = self.controller.outputs(obs)
+        noise = torch.randn(mean.shape, generator=self._generator, device=mean.device)
+        return actions_of(mean + self._deviation() * noise, self.spec.action_scale)
+
+    def _deviation(self) -> torch.Tensor:
+        """Of each action; that of a policy for voxels belongs to the type of an actuator."""
+        if self.spec.voxels is None:
+            return self._std
+        return self.controller.actor.distribution.by_kind(self._std, 0.0).to(self._std.dtype)
+
+
+def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
+    """Environments and policy of a run, which is no stored robot.
+
+    Args:
+        run: the run.
+        config: :class:`Playing`, or the keys of a command that has the same.
+        designs: bodies for a policy over many bodies; None: those held out, as many as there are environments.
+        every: of such a policy, all bodies, the same number of environments for each.
+
+    Raises:
+        RunError: no checkpoint, or one that does not fit. ConfigError, DeviceError: ``config`` asks too much, or the
+            run has a task of somebody's own that the user has not named.
+    """
+    device = resolve_device(config.device, config.num_envs)
+    path = run.find_checkpoint(config.checkpoint)
+    own = config.task if isinstance(config.task, TaskSpec) else None
+    stored = run.config if own is None else run.config | {"task": own.id}
+    trained = with_code(Training.of(stored), {"task": config.task, "policy": config.policy}, stored, run.folder)
+    trained = trained if own is None else dataclasses.replace(trained, task=own)
+    named = {name: value for name in ("dtype", "arithmetic", "seed") if (value := getattr(config, name)) is not None}
+    if "dtype" in named:
+        named = {"arithmetic": None} | named
+    trained = dataclasses.replace(trained, threads=config.threads, memory_check=config.memory_check, **named)
+    bodies = training_bodies(trained)
+    count, judged = config.num_envs, bodies.judged
+    if trained.is_many:
+        judged = judged if designs is None else read_bodies(designs, config.seed or 0, "designs")
+        if every:
+            count = len(judged) * max(1, count // len(judged))
+        judged = judged[:count]
+    elif designs is not None:
+        raise ConfigError(
+            "Other bodies go with a run over many of them (warpvox train designs=...); this one has its own."
+        )
+    sim = dataclasses.replace(sim_of(trained), device=device, lanes=bodies.lanes(trained, device), grid=bodies.grid)
+    options: dict[str, Any] = {"rules": trained.rules, "obs": trained.obs, "seed": trained.seed, "sim": sim}
+    env = make_vec(trained.task, judged, count, auto_reset=False, **options)
+    controller = load_controller(path, device, trained.policy)
+    controller.check(env)
+    return env, SampledController(controller, trained.seed) if config.stochastic else controller
