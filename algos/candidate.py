@@ -12,11 +12,6 @@ import numpy as np
 
 from warpvox.design import Design
 
-__all__ = [
-    "FINALIST", "PROGRESS", "START", "Candidate", "DesignEvaluator", "Outcome",
-    "Parent", "Parents", "Report", "Search", "candidate_seed",
-]  # fmt: skip
-
 FINALIST = "finalist"
 """The origin of a candidate whose body has been compared by a common policy, and now gets a policy of its own."""
 START = "start"

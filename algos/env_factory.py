@@ -12,8 +12,6 @@ from warpvox.devices.names import resolve_device
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 
-__all__ = ["EnvFactory"]
-
 CPU = SimOptions(device="cpu")
 
 

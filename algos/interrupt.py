@@ -10,8 +10,6 @@ from typing import Any, NoReturn
 
 from warpvox.system import HANGUP, stop_signals
 
-__all__ = ["Interrupt", "Terminated", "deferred_interrupts", "terminable", "uninterrupted"]
-
 
 class Terminated(KeyboardInterrupt):
     """A request to end: treated as Ctrl-C is.

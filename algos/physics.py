@@ -13,8 +13,6 @@ from warpvox.types import Physics
 if TYPE_CHECKING:
     from warpvox.batch.options import SimOptions
 
-__all__ = ["CONSTANTS", "PRESETS", "PhysicsConfig", "physics_of", "sim_of"]
-
 CONSTANTS = {
     "dt": "time step of a sub-step, 1e-8 to 0.01; stable up to about 1.3e-4 with the default constants",
     "substeps": "sub-steps of a control step, 1 to 10000",

@@ -10,8 +10,6 @@ from typing import Any
 from warpvox.errors import ConfigError
 from warpvox.keys import key
 
-__all__ = ["ACTIVATIONS", "CPG", "LOGGERS", "MLP", "REFRESH", "DesignTraining", "Ppo"]
-
 MLP = "mlp"
 """The policy that is no network for voxels: fully connected layers on the whole observation."""
 CPG = "cpg"

@@ -13,11 +13,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "LEVEL", "Interval", "Scores", "bootstrap", "difference", "improvement", "interquartile_mean", "interval", "mean",
-    "mean_interval", "optimality_gap", "profile",
-]  # fmt: skip
-
 LEVEL = 0.95
 """Default confidence level."""
 

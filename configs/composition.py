@@ -22,8 +22,6 @@ from omegaconf.errors import OmegaConfBaseException
 from warpvox.configs.schema import PRESET, PRESET_OF, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["composed", "hydras_errors", "quoted", "register"]
-
 SHAPE, SHAPES = (5, 5), {"Lifter-v0": (5, 7)}
 """Rows and columns of the paper's bodies (Table 2): one task has a larger grid, for a body designed by hand."""
 

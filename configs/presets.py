@@ -9,8 +9,6 @@ from omegaconf import OmegaConf
 from warpvox.algos.settings import DesignTraining
 from warpvox.configs.composition import composed, hydras_errors, quoted
 
-__all__ = ["ppo_preset", "training_preset"]
-
 
 def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any) -> DesignTraining:
     """The settings ``training=<name>`` of a design search, with other values of ``training.*`` and ``training.ppo.*``.

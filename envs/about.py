@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from math import degrees, inf
 from typing import Any, TypeVar
 
-__all__ = ["ANGLE", "LENGTH", "NUMBER", "SPEED", "UNITS", "About", "about", "about_of"]
-
 LENGTH, SPEED, ANGLE, NUMBER = "length", "speed", "rad", "number"
 UNITS = {
     LENGTH: "10 voxels = 1",

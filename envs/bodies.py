@@ -14,8 +14,6 @@ from warpvox.errors import ConfigError, DesignError
 from warpvox.examples import AUTO, example_for
 from warpvox.world import World
 
-__all__ = ["load_worlds", "one_body"]
-
 DEFAULT_DESIGN = "walker"
 
 

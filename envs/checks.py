@@ -18,8 +18,6 @@ from warpvox.envs.spec import Observation, TaskSpec, Term
 from warpvox.errors import SimulationError, TaskError, listing
 from warpvox.simulation import Simulation
 
-__all__ = ["check_fields", "check_memory", "check_terms"]
-
 
 def check_memory(spec: TaskSpec, sim: Simulation, draws: RandomStream) -> None:
     """Check what the memories of a task begin with; TaskError names the memory and what is wrong."""

@@ -27,8 +27,6 @@ from warpvox.envs.vec_env import StepResult, VoxelVecEnv, make_vec
 from warpvox.errors import ActionError, ConfigError, DesignError, did_you_mean, listing
 from warpvox.types import Cell
 
-__all__ = ["NUM_TYPES", "DesignLayout", "DesignVecEnv", "design_episodes"]
-
 NUM_TYPES = 5
 """Types of a cell of a robot: empty, rigid, soft, horizontal and vertical actuator (:class:`warpvox.types.Cell`)."""
 CHOICES = {"revise": ("all", "one"), "actions": ("types", "logits"), "invalid": ("repair", "end")}

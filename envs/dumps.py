@@ -18,8 +18,6 @@ from warpvox.view.rollout import Rollout, facts_of, scenes_of
 if TYPE_CHECKING:
     from warpvox.envs.vec_env import VoxelVecEnv
 
-__all__ = ["LIMIT", "STEPS", "DivergenceDump"]
-
 STEPS = 64
 """Control steps that a file holds at most."""
 LIMIT = 10

@@ -9,8 +9,6 @@ import torch
 
 from warpvox.envs.snapshot import Quantity, Snapshot
 
-__all__ = ["Episodes", "state_rows"]
-
 
 class Episodes:
     """The running episodes of all environments.

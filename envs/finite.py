@@ -12,8 +12,6 @@ from warpvox.envs.observations import ObservationLayout
 from warpvox.envs.spec import TaskSpec
 from warpvox.simulation import Simulation
 
-__all__ = ["FiniteGuard", "all_finite"]
-
 
 class FiniteGuard:
     """Replaces non-finite values in observations and rewards, and counts them by term.

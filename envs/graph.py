@@ -15,8 +15,6 @@ import warp as wp
 
 from warpvox.kernels.device import current_stream
 
-__all__ = ["EAGER_STEPS", "StepGraph", "capture_on_cuda"]
-
 Capture = Callable[[Callable[[], Any]], tuple[Callable[[], None], Any]]
 """Records what a function launches, without doing it; returns what does it, again and again, and what it returned."""
 EAGER_STEPS = 2

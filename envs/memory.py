@@ -28,8 +28,6 @@ from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.state import DATA, MODEL, bytes_of
 from warpvox.world import World
 
-__all__ = ["ask", "environment_bytes", "fitting"]
-
 MEMORY_SHARE = 0.8
 """Share of the free memory that may be asked for."""
 FLOAT, LONG = 4, 8

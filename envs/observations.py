@@ -8,8 +8,6 @@ from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import Observation
 from warpvox.simulation import Simulation
 
-__all__ = ["ObservationLayout"]
-
 LEAST_POINTS = 4
 """Points of the smallest body, a single voxel."""
 

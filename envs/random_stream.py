@@ -9,8 +9,6 @@ import torch
 
 from warpvox.errors import TaskError
 
-__all__ = ["RandomStream"]
-
 _EPISODE = 1 << 16  # numbers that an episode may draw
 _STEP, _MIX_1, _MIX_2 = (
     int(np.uint64(word).astype(np.int64)) for word in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)

@@ -7,8 +7,6 @@ from warpvox.envs.spec import TaskSpec
 from warpvox.envs.tasks import climb, locomotion, manipulate, misc, shape, traverse
 from warpvox.errors import TaskError, did_you_mean, listing
 
-__all__ = ["get_task", "released_id", "task_ids"]
-
 _FAMILIES = (locomotion, manipulate, climb, traverse, shape, misc)
 _ALIASES = {"WingspanMazimizer-v0": "WingspanMaximizer-v0"}  # the release's spelling
 _RELEASED = {ours: theirs for theirs, ours in _ALIASES.items()}

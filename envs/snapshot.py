@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from warpvox.envs.spec import Memory
 
-__all__ = ["Quantity", "Snapshot"]
-
 Quantity = tuple[Any, ...]
 """A method of the simulation and its arguments."""
 

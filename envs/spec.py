@@ -29,20 +29,6 @@ if TYPE_CHECKING:
     from warpvox.envs.random_stream import RandomStream
     from warpvox.envs.snapshot import Snapshot
 
-__all__ = [
-    "ROBOT",
-    "RULES",
-    "Memory",
-    "Observation",
-    "Reward",
-    "TaskSpec",
-    "Term",
-    "Termination",
-    "observes",
-    "rewards",
-    "terminates",
-]
-
 RULES = ("evogym", "paper")
 """``evogym``: the benchmark as released (2.0.0). ``paper``: as section B of the paper prints it."""
 

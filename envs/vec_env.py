@@ -34,7 +34,6 @@ from warpvox.simulation import Simulation
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["VoxelVecEnv", "make_vec", "one_body"]
 
 OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 

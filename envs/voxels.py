@@ -21,8 +21,6 @@ from warpvox.simulation import Simulation
 from warpvox.types import Cell
 from warpvox.world import WorldObject
 
-__all__ = ["FEATURES", "NUM_FEATURES", "VoxelGrid", "VoxelLayout", "voxel_layouts", "voxel_observations"]
-
 CELLS = (Cell.EMPTY, Cell.RIGID, Cell.SOFT, Cell.H_ACT, Cell.V_ACT)
 FEATURES = {"positions": slice(0, 8), "velocities": slice(8, 16), "type": slice(16, 21), "neighbours": slice(21, 25)}
 """Columns of the features of a cell.

@@ -17,8 +17,6 @@ from warpvox.errors import DesignError, WorldError, did_you_mean, listing
 from warpvox.types import Cell
 from warpvox.world import World, WorldObject
 
-__all__ = ["block", "columns", "heights", "rows", "task_team", "task_world"]
-
 _CELLS = {".": Cell.EMPTY, "R": Cell.RIGID, "S": Cell.SOFT, "H": Cell.H_ACT, "V": Cell.V_ACT, "F": Cell.FIXED}
 _RUN = re.compile(r"(\d*)([.RSHVF])")
 

@@ -14,19 +14,6 @@ from typing import Any, cast
 import numpy as np
 import warp as wp
 
-__all__ = [
-    "BLOCK",
-    "Command",
-    "current_stream",
-    "from_numpy",
-    "kernel",
-    "launch",
-    "on_cuda",
-    "record",
-    "register_limited",
-    "zeros",
-]
-
 kernel: Callable[[Callable[..., None]], wp.Kernel] = wp.kernel(
     enable_backward=False, module="unique", module_options={"fuse_fp": False}
 )

@@ -21,8 +21,6 @@ from warpvox.kernels.reset import save
 from warpvox.kernels.springs import goals, limit, runge_kutta
 from warpvox.types import VOXEL
 
-__all__ = ["record_reverse"]
-
 REACH = 30.0
 """Smoothings: a point higher than this above a side has no contact with it."""
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from warpvox.batch.options import SimOptions
     from warpvox.envs.spec import TaskSpec
 
-__all__ = ["evaluate", "train"]
-
 AUTO = "auto"
 PLAYED = ("device", "dtype", "arithmetic", "threads", "memory_check")
 """Options of an evaluation by name."""

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from torch import Tensor
     from typing_extensions import TypeIs
 
-__all__ = ["check_integer", "check_mask", "check_shape", "is_integer", "is_number"]
-
 
 def is_integer(value: object) -> TypeIs[int]:
     """Whether a value is an integer of Python or numpy; ``True`` is none."""

@@ -25,8 +25,6 @@ from typing import Any
 
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["Code", "invocation", "is_code", "load_code", "sources_of"]
-
 invocation: ContextVar[tuple[str, ...]] = ContextVar("invocation", default=())
 """The command line without the program's name, for advice that can be pasted."""
 

@@ -16,17 +16,6 @@ from warpvox.errors import SimulationError
 from warpvox.types import VOXEL, Cell, Physics
 from warpvox.world import World, WorldObject
 
-__all__ = [
-    "Body",
-    "CompiledWorld",
-    "compile_others",
-    "compile_world",
-    "exact_tables",
-    "pack_drives",
-    "pad",
-    "world_arrays",
-]
-
 # Corners and sides of a voxel in clockwise order; side k runs from corner k to corner k + 1.
 TL, TR, BR, BL = range(4)
 CREATION = (TL, TR, BL, BR)

@@ -14,8 +14,6 @@ import numpy as np
 
 from warpvox.errors import SimulationError
 
-__all__ = ["DEEPEST", "HashSet", "Tree", "no_order", "order_arrays", "tree_of"]
-
 DEEPEST = 40
 """Levels of two trees together that the path of a descent holds (``PATH`` of ``kernels/exact/order.py``)."""
 MOST_OBJECTS = 1024  # whose pairs fit into the 20 bits above the path

@@ -22,20 +22,6 @@ from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_
 from warpvox.io.writing import atomic_path, write_text
 from warpvox.types import Cell
 
-__all__ = [
-    "Design",
-    "check_design",
-    "example_design",
-    "example_designs",
-    "full_connections",
-    "has_actuator",
-    "is_connected",
-    "load_design",
-    "repair_design",
-    "sample_design",
-    "save_design",
-]
-
 Design: TypeAlias = np.ndarray
 """int8 ``[rows, columns]``, row 0 on top, entries are :class:`warpvox.types.Cell`."""
 

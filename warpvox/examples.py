@@ -5,8 +5,6 @@ All are our own. Each is a starting point for one kind of task, not the best bod
 
 from __future__ import annotations
 
-__all__ = ["AUTO", "EXAMPLES", "MADE_FOR", "example_for"]
-
 AUTO = "auto"
 """The name that stands for the example made for the task."""
 

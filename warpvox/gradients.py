@@ -15,8 +15,6 @@ from warpvox.kernels.state import TAPE, allocate, structs
 from warpvox.simulation import Simulation
 from warpvox.types import AXES
 
-__all__ = ["SMOOTHING", "Gradients"]
-
 SMOOTHING = 8e-4
 """Smoothing of contacts with terrain in simulator units, 0.8 % of a voxel; ``bench suite=gradients`` has others."""
 PARTS = ("pos", "vel", "true_vel")

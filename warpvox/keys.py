@@ -13,8 +13,6 @@ import numpy as np
 
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["MISSING", "changed", "check_values", "convert", "converted", "key", "plain"]
-
 MISSING: Any = "???"
 """A key without a value of its own: one of the group's YAML files must set it."""
 

@@ -28,12 +28,6 @@ from warpvox.robots.entry import Robot, find_robot
 from warpvox.robots.gait import Gait
 from warpvox.system import processor_name
 
-__all__ = [
-    "END", "ZOO", "Run", "as_name", "check_output", "check_unchanged", "find_codesign", "find_run", "find_runs",
-    "find_searches", "find_suite", "going_on", "label", "make_folder", "new_folder", "read_summary", "run_folder",
-    "write_summary",
-]  # fmt: skip
-
 CONFIG, SUMMARY = "config.yaml", "summary.json"
 LARGEST_CONFIG = 1_000_000
 """Bytes that the former may have."""

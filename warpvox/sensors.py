@@ -14,8 +14,6 @@ from warpvox.kernels import sensing
 from warpvox.kernels.device import Command
 from warpvox.types import SIGHT
 
-__all__ = ["Recorded", "Sensing"]
-
 Recorded = wp.Launch | Command
 
 

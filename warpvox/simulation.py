@@ -29,8 +29,6 @@ from warpvox.world import World
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["STATE_FIELDS", "Simulation"]
-
 NUMBERS = {
     torch.float32,
     torch.float64,

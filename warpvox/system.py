@@ -16,18 +16,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = [
-    "HANGUP",
-    "available_memory",
-    "flush_to_disk",
-    "folder_lock",
-    "has_display",
-    "processor_name",
-    "python_of",
-    "stop_signals",
-    "usable_cores",
-]
-
 WINDOWS = sys.platform == "win32"
 
 # --------------------------------------------------------------------------------------------------------- signals

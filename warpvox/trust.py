@@ -20,8 +20,6 @@ from warpvox.errors import ConfigError, RunError
 from warpvox.io.console import echo, escaped
 from warpvox.io.writing import write_bytes
 
-__all__ = ["STORED", "again", "allowed", "as_stored", "check_address", "keep_code", "typed", "with_code"]
-
 STORED = "stored"
 """Value of a key that names the copy in the folder of the run."""
 COPIES = {

@@ -9,8 +9,6 @@ from enum import IntEnum
 from warpvox.checks import is_number
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["ACTION_HIGH", "ACTION_LOW", "AXES", "DT", "FRAME_SECONDS", "SIGHT", "SUBSTEPS", "VOXEL", "Cell", "Physics"]
-
 VOXEL = 0.1
 """Side of a voxel in simulator units."""
 FRAME_SECONDS = 1 / 50

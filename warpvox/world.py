@@ -24,8 +24,6 @@ from warpvox.io.writing import write_text
 from warpvox.types import Cell
 from warpvox.view.palette import body_svg
 
-__all__ = ["World", "WorldObject"]
-
 LARGEST_FILE = 16_000_000
 """Bytes that a world file, or the text of one, may have."""
 MOST_OBJECTS = 1000

@@ -26,8 +26,6 @@ from warpvox.errors import RunError
 from warpvox.io.reading import Unreadable, read_bytes
 from warpvox.io.writing import atomic_path
 
-__all__ = ["POLICY_WRITERS", "read_exported", "write_onnx", "write_script"]
-
 CARD = "warpvox.json"
 """Name of the entry that holds the policy's text."""
 ROWS = (1, 64)

@@ -26,8 +26,6 @@ from warpvox.errors import RunError
 from warpvox.io.writing import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["Controller", "PolicySpec", "load_checkpoint", "load_controller", "read_tensors", "save_checkpoint"]
-
 KINDS = ("voxels", "gait", "rnn")
 """Of :class:`PolicySpec`: what a policy of fully connected layers has not."""
 RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}

@@ -32,8 +32,6 @@ from warpvox.errors import RunError
 from warpvox.io.reading import Unreadable, parse_json
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["LARGEST", "Policy", "parse_policy", "policy_of", "policy_text", "read_policy"]
-
 FORMAT, VERSION = "warpvox policy", 1
 LARGEST = 1 << 28
 """Bytes that the text of a policy may have."""

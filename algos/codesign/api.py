@@ -23,8 +23,6 @@ from warpvox.code import Code
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.trust import typed, with_code
 
-__all__ = ["codesign"]
-
 
 def codesign(
     task: Any = "Walker-v0",

@@ -33,8 +33,6 @@ from warpvox.errors import RunError, StorageError
 from warpvox.io.reading import parse_json
 from warpvox.io.writing import atomic_path
 
-__all__ = ["BACKUP", "FILE", "Archive", "Finished", "Record", "archives_in", "repair_hint"]
-
 FILE, BACKUP = "archive.sqlite", "archive.backup.sqlite"
 """Names in a run's folder: of the archive, and of what it was after the last whole generation."""
 

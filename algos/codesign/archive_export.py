@@ -12,8 +12,6 @@ from warpvox.design import Design, load_design, save_design
 from warpvox.errors import DesignError, RunError, did_you_mean, listing
 from warpvox.io.writing import atomic_path, write_table, write_text
 
-__all__ = ["FORMATS", "export", "read_designs", "write_csv", "write_designs", "write_parquet"]
-
 COLUMNS = {
     "id": "int64", "generation": "int64", "body": "string", "rows": "int64", "columns": "int64", "origin": "string",
     "parents": ["int64"], "seed": "int64", "fitness": "float64", "steps": "int64", "stopped": "bool",

@@ -28,8 +28,6 @@ from warpvox.io.writing import writing
 if TYPE_CHECKING:
     from warpvox.algos.codesign.evaluations.common import CommonPolicy
 
-__all__ = ["FewShotEvaluator", "SharedEvaluator"]
-
 
 @dataclass
 class SharedEvaluator:

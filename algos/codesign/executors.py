@@ -9,8 +9,6 @@ from typing import Any, Protocol
 
 from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parents
 
-__all__ = ["Batch", "Executor", "LocalExecutor", "Report", "batches"]
-
 Report = Callable[[int, dict[str, Any]], None]
 """Called with the index of a batch and the progress of its evaluation."""
 

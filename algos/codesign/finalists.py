@@ -9,8 +9,6 @@ from typing import Any
 
 from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Outcome, Parents, Report, Search
 
-__all__ = ["BestOf", "Finalists", "TwoStages"]
-
 
 class Finalists:
     """A search, and after it a last generation with the best of its designs; a :class:`Search` itself.

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from warpvox.algos.checkpoints.policy import Policy
     from warpvox.algos.codesign.settings import Codesign
 
-__all__ = ["Found"]
-
 SHOWN = 5
 """Designs that a notebook shows."""
 

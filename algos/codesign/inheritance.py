@@ -17,8 +17,6 @@ from warpvox.envs.worlds import ROBOT
 from warpvox.errors import RunError
 from warpvox.types import Cell
 
-__all__ = ["BodyLayout", "copy_voxel_policy", "copy_weights"]
-
 MAX_COUNT = 4096
 """Largest sample count that a child's normaliser takes over, so that it still adapts to its own observations."""
 

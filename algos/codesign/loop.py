@@ -23,8 +23,6 @@ from warpvox.errors import DivergenceError, RunError
 if TYPE_CHECKING:
     from warpvox.algos.codesign.run import SearchRun
 
-__all__ = ["Listener", "Loop"]
-
 
 class Listener:
     """Callbacks of a search; the methods of this class do nothing."""

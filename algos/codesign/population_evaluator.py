@@ -21,11 +21,6 @@ from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, RunError
 from warpvox.io.writing import writing
 
-__all__ = [
-    "PopulationEvaluator", "best_parent", "describe", "inherit_policy", "memory_hint", "outcome_of", "read_evaluation",
-    "save_evaluation",
-]  # fmt: skip
-
 VERSION = 3
 """Of the checkpoints of trainings under way; others are refused."""
 

@@ -26,8 +26,6 @@ from warpvox.view.cell_text import body_rows
 if TYPE_CHECKING:
     from warpvox.algos.codesign.run import SearchRun
 
-__all__ = ["SearchProgress"]
-
 QUIET_SECONDS = 30.0
 """Without a terminal, seconds between lines."""
 

@@ -17,8 +17,6 @@ from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parents
 from warpvox.algos.codesign.executors import Batch, Report
 from warpvox.errors import ConfigError, RunError, WarpvoxError
 
-__all__ = ["RayExecutor", "connect"]
-
 POLL_SECONDS = 0.5
 """How often progress is asked for."""
 MAX_ATTEMPTS = 3

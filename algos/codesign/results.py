@@ -25,8 +25,6 @@ from warpvox.view.body_picture import write_bodies
 if TYPE_CHECKING:
     from warpvox.algos.codesign.settings import Codesign
 
-__all__ = ["FRESH", "Results", "evaluate_winner", "fresh_text"]
-
 FRESH = 64
 """Episodes of a winner that its search never met, in tasks that draw at random."""
 FRESH_SEED = 1000

@@ -22,8 +22,6 @@ from warpvox.runs import ZOO, Run, find_codesign, find_run, read_summary
 if TYPE_CHECKING:
     from warpvox.algos.codesign.settings import Codesign
 
-__all__ = ["keep_start", "read_start", "robots_of", "trained"]
-
 WEIGHT_BITS = 8
 """Last bits of a weight's 23 that entries leave out, so that those of all tasks fit into a megabyte."""
 COPIES = Path("training") / "start"

@@ -42,8 +42,6 @@ from warpvox.io.writing import to_yaml
 from warpvox.runs import CONFIG, END, run_folder
 from warpvox.trust import as_stored, keep_code
 
-__all__ = ["SearchRun", "check", "environments", "make_evaluator", "run_codesign"]
-
 OF_DESIGNS = (
     "task", "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir", "policy",
     "network",

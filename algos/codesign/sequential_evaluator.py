@@ -31,8 +31,6 @@ from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.errors import ConfigError, DivergenceError
 
-__all__ = ["SequentialEvaluator"]
-
 
 @dataclass(frozen=True)
 class SequentialEvaluator:

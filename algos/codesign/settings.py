@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from warpvox.algos.env_factory import EnvFactory
     from warpvox.batch.options import SimOptions
 
-__all__ = ["CHANGEABLE", "Codesign"]
-
 CHANGEABLE = (
     "executor", "address", "workers", "device", "threads", "torch_threads", "top", "name", "training.save_interval",
     "memory_check", "output_dir",

@@ -15,8 +15,6 @@ from warpvox.algos.settings import Ppo
 from warpvox.algos.training.runner import BEST
 from warpvox.io.writing import check_folder, write_text, writing
 
-__all__ = ["StoredPolicies", "policy_sha256"]
-
 DESIGNS = "designs"
 """The folder of all policies."""
 

@@ -12,8 +12,6 @@ from warpvox.algos.policies.response import LinearResponse
 from warpvox.algos.policies.transformer import AttentionBlock
 from warpvox.errors import ConfigError
 
-__all__ = ["CpgNetwork"]
-
 WAVE = (-0.3, -1.0, -2.6)
 """Phases by which the first motion of all bodies runs ahead, in radians: of a column, of a row (counted downward), of a
 vertical actuator. The best of 96 random waves for 256 random bodies on Walker-v0."""

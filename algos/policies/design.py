@@ -24,8 +24,6 @@ from warpvox.envs.design_episodes import NUM_TYPES, DesignLayout
 from warpvox.envs.voxels import NUM_FEATURES
 from warpvox.errors import ConfigError
 
-__all__ = ["Automaton", "DesignDistribution", "DesignModel", "design_models"]
-
 
 def design_models(
     env: RslRlDesignEnv,

@@ -10,8 +10,6 @@ from torch import nn
 
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 
-__all__ = ["AMPLITUDE", "GaitModel", "gait_outputs", "phase_at"]
-
 AMPLITUDE = 0.5
 """Of the actions, about 1.1: from the shortest to the longest."""
 

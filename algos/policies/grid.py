@@ -7,8 +7,6 @@ from torch import nn
 
 from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelLayout
 
-__all__ = ["GridNetwork"]
-
 
 def weight(inputs: int, outputs: int, gain: float) -> nn.Parameter:
     """``[inputs, outputs]``, orthogonal."""

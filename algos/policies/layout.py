@@ -15,8 +15,6 @@ from warpvox.envs.voxels import FEATURES as OBSERVED, NUM_FEATURES
 from warpvox.errors import ConfigError
 from warpvox.types import VOXEL
 
-__all__ = ["CLOCK", "FEATURES", "INPUTS", "MOVING", "VoxelInputs", "VoxelLayout", "layout_of"]
-
 INPUTS = {
     "shift": slice(0, 2),
     "shape": slice(2, 8),

@@ -13,8 +13,6 @@ from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelInputs, VoxelLa
 from warpvox.algos.policies.network import Network, VoxelGaussian, observations
 from warpvox.algos.policies.registry import make_network
 
-__all__ = ["VoxelModel", "VoxelNormalizer"]
-
 FARTHEST = 8.0
 """Deviations from the mean beyond which scaled inputs are cut off."""
 BLOCK = 1024

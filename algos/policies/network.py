@@ -12,8 +12,6 @@ from tensordict import TensorDict
 from torch import nn
 from torch.nn import functional
 
-__all__ = ["LATENT", "Network", "observations"]
-
 LATENT = "latent"
 """Group of observations that holds the scaled inputs of a network, where they are known already."""
 

@@ -17,8 +17,6 @@ from warpvox.code import is_code, load_code
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["POLICIES", "check_network", "check_policy", "layout_for", "make_network", "voxels_of"]
-
 NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork, CPG: CpgNetwork}
 POLICIES = (MLP, *NETWORKS)
 

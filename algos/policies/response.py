@@ -12,8 +12,6 @@ from torch import nn
 
 from warpvox.types import Cell, Physics
 
-__all__ = ["LinearResponse"]
-
 DEGREE = 64
 """Of the polynomials: for a period of 10 control steps they are off by 1.3 % of their largest value."""
 KEPT = 400 << 20

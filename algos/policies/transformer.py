@@ -9,8 +9,6 @@ from torch.nn import functional
 from warpvox.algos.policies.layout import FEATURES, INPUTS, VoxelLayout
 from warpvox.errors import ConfigError
 
-__all__ = ["AttentionBlock", "TransformerNetwork"]
-
 
 class TransformerNetwork(nn.Module):
     """A token for each voxel, with its place in the grid; the rest of the observation is joined after attention.

@@ -9,8 +9,6 @@ from typing import Any
 import torch
 from torch import nn
 
-__all__ = ["VectorAdam"]
-
 FIRST, SECOND = 0.9, 0.999
 """How much of the moments stays in a step: torch's defaults."""
 

@@ -10,8 +10,6 @@ from torch import nn
 
 from warpvox.algos.policies.network import HALF_LOG_2PI
 
-__all__ = ["StackedGaussian"]
-
 
 class StackedGaussian(nn.Module):
     """rsl-rl's distributions with a logarithmic deviation, of one policy for each design.

@@ -8,8 +8,6 @@ from typing import Any
 import torch
 from torch.autograd.function import once_differentiable
 
-__all__ = ["tanh_layers"]
-
 
 def tanh_layers(inputs: torch.Tensor, weights: Sequence[torch.Tensor], biases: Sequence[torch.Tensor]) -> torch.Tensor:
     """Outputs ``[networks, rows, outputs]`` of layers with tanh after each but the last.

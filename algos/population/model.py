@@ -16,8 +16,6 @@ from warpvox.algos.policies.network import observations
 from warpvox.algos.population.gaussian import StackedGaussian
 from warpvox.algos.population.layers import tanh_layers
 
-__all__ = ["PopulationModel"]
-
 MOMENTS = ("_mean", "_var", "_std")
 
 

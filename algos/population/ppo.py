@@ -19,8 +19,6 @@ from warpvox.algos.population.model import Normalizer, PopulationModel
 from warpvox.algos.population.streams import Streams
 from warpvox.algos.training.ppo import PPO
 
-__all__ = ["PopulationPPO"]
-
 BLOCK = 16
 """Most designs that learn in one go; fewer cost more overhead, more leave threads without work."""
 SLOWEST, FASTEST = 1e-5, 1e-2

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 import torch
 
-__all__ = ["Streams"]
-
 
 class Streams:
     """One generator for each design, used call by call as a separate training uses torch's own.

@@ -28,8 +28,6 @@ from warpvox.design import Design
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.errors import ActionError
 
-__all__ = ["Networks", "PopulationTraining", "fresh_networks"]
-
 
 @dataclass
 class Networks:

@@ -26,8 +26,6 @@ from warpvox.envs.registry import task_ids
 from warpvox.io.writing import write_table, write_text
 from warpvox.view.body_picture import write_bodies
 
-__all__ = ["FILE", "write_benchmark"]
-
 FILE = "report.html"
 TOP = 4
 """Designs of a generation that are shown."""

@@ -12,8 +12,6 @@ from html import escape
 from warpvox.algos.report.page import text
 from warpvox.algos.statistics import Interval
 
-__all__ = ["COLOURS", "PANEL", "Series", "chart", "intervals", "legend", "picture", "sheet", "sparkline", "ticks"]
-
 SIZE, PANEL = (920, 340), (440, 250)
 """Pixels of a chart that has a row for itself, and of one of several."""
 LEFT, RIGHT, TOP, BOTTOM = 56, 16, 28, 40

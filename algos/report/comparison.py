@@ -28,8 +28,6 @@ from warpvox.algos.statistics import (
 )
 from warpvox.envs.known_returns import known_returns
 
-__all__ = ["Comparison", "compare", "comparison_html", "comparison_sheet"]
-
 MEASURES = {"interquartile mean": interquartile_mean, "mean": mean, "optimality gap": optimality_gap}
 THRESHOLDS = 61
 """Points of a performance profile."""

@@ -18,8 +18,6 @@ from warpvox.types import VOXEL
 from warpvox.view.painter import BELOW, INK, Canvas, font
 from warpvox.view.world_picture import scene_of_world
 
-__all__ = ["draw_gallery", "everywhere", "write_gallery"]
-
 COLUMNS, TILE, SCALE = 4, (324, 150), 8
 LABEL, GAP = 24, 10
 PAPER = (255, 255, 255)

@@ -19,8 +19,6 @@ from warpvox.io.console import escaped
 from warpvox.io.writing import atomic_path, write_table
 from warpvox.runs import Run
 
-__all__ = ["AXES", "Curve", "Group", "check_file", "curves_of", "curves_of_searches", "evaluations_of", "write_curves"]
-
 SUFFIXES = (".png", ".svg", ".pdf")
 AXES = {"steps": "control steps", "elapsed": "seconds", "iteration": "iterations", "evaluations": "designs trained"}
 PANELS = 4

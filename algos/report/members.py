@@ -17,8 +17,6 @@ from warpvox.algos.codesign.evaluations import EVALUATIONS
 from warpvox.algos.search.bodies import diversity
 from warpvox.io.reading import read_facts
 
-__all__ = ["SearchResult", "fitness_of", "progress", "read_members"]
-
 SUMMARY = "summary.json"
 PLACES = 200
 """Points of a curve, at most."""

@@ -13,8 +13,6 @@ from warpvox.view.palette import body_svg
 if TYPE_CHECKING:
     from warpvox.algos.codesign.archive import Record
 
-__all__ = ["NOTHING", "card", "fact_list", "page", "row", "text"]
-
 NOTHING = '<p class="faint">No design is evaluated yet.</p>'
 
 

@@ -8,8 +8,6 @@ from html import escape
 from warpvox.algos.codesign.archive import Record
 from warpvox.view.palette import body_svg
 
-__all__ = ["family_tree", "places"]
-
 LIMIT = 60
 """Ancestors that are shown at most, the nearest ones."""
 CELL, COLUMN, ROW, MARGIN = 8, 98, 92, 12

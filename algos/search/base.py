@@ -18,8 +18,6 @@ from warpvox.checks import check_integer, check_shape
 from warpvox.design import check_design, draw_bodies
 from warpvox.errors import ConfigError, DesignError, SearchError
 
-__all__ = ["BaseSearch", "Proposal"]
-
 BATCH = 32
 """Random bodies drawn at a time; about one in seven of 5x5 is valid."""
 

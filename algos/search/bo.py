@@ -15,8 +15,6 @@ from warpvox.algos.search.bodies import body_key, mutate
 from warpvox.algos.search.settings import BO
 from warpvox.design import are_valid, draw_bodies
 
-__all__ = ["BayesianSearch", "Pool"]
-
 TOP = 25
 """Best designs whose mutants enter the pool."""
 

@@ -21,8 +21,6 @@ from warpvox.algos.search.bo_model import from_one_hot, one_hot
 from warpvox.algos.search.bodies import neighbours
 from warpvox.design import are_valid
 
-__all__ = ["Climb", "ascend", "climb", "climb_posterior", "improve", "log_improvement", "thompson_starts"]
-
 NOTHING = 1e-9
 """Gains below this are rounding."""
 

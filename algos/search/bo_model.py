@@ -25,8 +25,6 @@ from warpvox.algos.search.bodies import CELL_TYPES
 from warpvox.algos.search.settings import BO
 from warpvox.errors import SearchError
 
-__all__ = ["fit_model", "from_one_hot", "make_model", "one_hot", "own_torch"]
-
 
 @contextmanager
 def own_torch(seed: int) -> Generator[None]:

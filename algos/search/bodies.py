@@ -8,8 +8,6 @@ import numpy as np
 
 from warpvox.design import SAMPLING_WEIGHTS, are_valid
 
-__all__ = ["CELL_TYPES", "body_key", "count_valid", "diversity", "first_valid", "mutate", "neighbours"]
-
 CELL_TYPES = len(SAMPLING_WEIGHTS)
 """A robot's voxel is one of these many types; they count from 0."""
 

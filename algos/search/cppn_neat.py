@@ -22,8 +22,6 @@ from warpvox.algos.search.settings import CppnNeat
 from warpvox.design import are_valid
 from warpvox.errors import ConfigError, SearchError
 
-__all__ = ["CppnNeatSearch", "inputs", "neat_config", "paint"]
-
 INPUTS = 3
 """Inputs of a network: x, y and the distance from the middle."""
 

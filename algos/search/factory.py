@@ -12,8 +12,6 @@ from warpvox.code import load_code
 from warpvox.design import Design
 from warpvox.errors import ConfigError, listing
 
-__all__ = ["make_search"]
-
 SEARCHES = {
     "ga": ("ga", "GeneticSearch"),
     "random": ("random_search", "RandomSearch"),

@@ -12,8 +12,6 @@ from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.base import BaseSearch, Proposal
 from warpvox.algos.search.settings import GA
 
-__all__ = ["GeneticSearch", "last_generation", "survivors_of"]
-
 
 def survivors_of(settings: GA, generation: int, last: int) -> int:
     """Survivors that ``generation`` >= 1 takes over, of ``last`` generations after the first (Algorithm 1).

@@ -17,8 +17,6 @@ try:
 except ImportError as error:
     raise ConfigError("search=map_elites needs the package ribs: pip install 'warpvox[search]'") from error
 
-__all__ = ["MapElitesSearch", "describe"]
-
 SHARES = {
     "actuators": (Cell.H_ACT, Cell.V_ACT),
     "empty": (Cell.EMPTY,),

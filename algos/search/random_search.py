@@ -6,8 +6,6 @@ import numpy as np
 
 from warpvox.algos.search.base import BaseSearch, Proposal
 
-__all__ = ["RandomSearch"]
-
 
 class RandomSearch(BaseSearch):
     """Designs by EvoGym's sampling rule, each a new one."""

@@ -15,11 +15,6 @@ from typing import Any
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values, convert, key
 
-__all__ = [
-    "ALGORITHMS", "BO", "DESCRIPTORS", "GA", "CppnNeat", "CustomSearch", "MapElites", "RandomDesigns",
-    "SearchSettings", "settings_from",
-]  # fmt: skip
-
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
 """What MAP-Elites can sort bodies by, each a number from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
 

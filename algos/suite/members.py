@@ -16,8 +16,6 @@ from warpvox.errors import RunError
 from warpvox.io.writing import check_folder, write_table
 from warpvox.runs import read_summary
 
-__all__ = ["CURVES", "DONE", "FAILED", "MEMBERS", "RUNNING", "WAITING", "Member", "Row", "Table", "rises"]
-
 MEMBERS, CURVES = "members.csv", "curves.csv"
 WAITING, RUNNING, DONE, FAILED = ("waiting", "running", "done", "failed")
 FIGURES = ("evaluations", "control_steps", "wall_s", "best_fitness")

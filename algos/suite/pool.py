@@ -19,8 +19,6 @@ from typing import Any, Protocol
 from warpvox.algos.interrupt import terminable
 from warpvox.system import HANGUP
 
-__all__ = ["INTERRUPTED", "LOG", "LocalPool", "Pool", "RayPool"]
-
 INTERRUPTED = "interrupted"
 LOG = "log.txt"
 """What a member prints, in the folder of its run."""

@@ -17,8 +17,6 @@ from rich.text import Text
 from warpvox.algos.suite.members import DONE, FAILED, RUNNING, WAITING, Row, Table
 from warpvox.io.console import duration, echo, figure, literal
 
-__all__ = ["SuiteProgress", "results"]
-
 REFRESH_SECONDS = 2.0
 """How often figures of members are read and written while they are made."""
 ENDED = 3

@@ -24,8 +24,6 @@ from warpvox.io.console import echo
 from warpvox.io.writing import OF_FULL_DISKS
 from warpvox.system import available_memory, usable_cores
 
-__all__ = ["make_member", "make_members"]
-
 POLL_SECONDS = 0.5
 FULL = "full"
 """Status of a member that has ended for lack of room on its disk: when there is some, it goes on."""

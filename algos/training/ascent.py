@@ -20,8 +20,6 @@ from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, SimulationError
 from warpvox.gradients import Gradients
 
-__all__ = ["Ascent", "AscentRunner", "Targets", "check_gradients"]
-
 DERIVED = ("com", "velocity")
 """What of a state is differentiated: quantities that rewards may be made of."""
 PROBE = 40

@@ -21,8 +21,6 @@ from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError, DesignError
 from warpvox.runs import CONFIG
 
-__all__ = ["Bodies", "TrainingBodies", "draw_bodies", "has_designs", "load_bodies", "read_bodies", "training_bodies"]
-
 RANDOM = re.compile(r"random:(\d+)(?::(\d+)x(\d+))?")
 SHAPE = (5, 5)
 """Rows and columns of random bodies that none are given for."""

@@ -12,8 +12,6 @@ import torch.distributed as dist
 
 from warpvox.errors import ConfigError, DeviceError
 
-__all__ = ["SINGLE_PROCESS", "ProcessGroup", "join_process_group"]
-
 
 @dataclass(frozen=True)
 class ProcessGroup:

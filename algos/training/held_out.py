@@ -16,8 +16,6 @@ from warpvox.io.writing import write_table
 if TYPE_CHECKING:
     from warpvox.algos.evaluate import EpisodeReturns, Evaluator
 
-__all__ = ["HeldOut", "shades"]
-
 
 def shades(task: str, returns: np.ndarray) -> list[float]:
     """How good returns are: 0 for those of random actions and below, 1 for the best published one.

@@ -43,8 +43,6 @@ from warpvox.runs import STATE, Run, check_unchanged, read_summary, run_folder, 
 from warpvox.system import usable_cores
 from warpvox.trust import as_stored, keep_code
 
-__all__ = ["Job", "Listener", "own_torch", "resolved", "task_name"]
-
 CHANGEABLE = (
     "max_iterations", "eval_interval", "eval_envs", "stop_return", "save_interval", "device", "threads",
     "torch_threads", "cuda_graph", "logger", "nan_guard", "memory_check", "resume", "output_dir",

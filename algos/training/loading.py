@@ -29,8 +29,6 @@ from warpvox.trust import STORED, allowed
 if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
 
-__all__ = ["TrainedRun", "is_alone", "load_policy", "load_run"]
-
 
 @torch.random.fork_rng(devices=[])  # networks begin with random weights
 def load_policy(

@@ -13,8 +13,6 @@ from typing import Any
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.writing import write_text, writing
 
-__all__ = ["COLUMNS", "Metrics", "check_logger", "read_metrics"]
-
 COLUMNS = {
     "iteration": "",  # iterations complete
     "steps": "",  # control steps of all environments since the start

@@ -13,8 +13,6 @@ from warpvox.algos.training.loading import load_run
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.runs import Run
 
-__all__ = ["EvaluatedPolicy", "PolicyTable", "evaluate_run"]
-
 
 @dataclass(frozen=True)
 class EvaluatedPolicy:

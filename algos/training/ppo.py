@@ -20,8 +20,6 @@ from warpvox.code import load_code
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["PPO", "rsl_rl_config"]
-
 SYMMETRY = "data_augmentation_func"
 """The setting of ``symmetry_cfg`` that names code."""
 MLP_SETTINGS = inspect.signature(MLPModel.__init__).parameters

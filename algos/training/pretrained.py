@@ -14,8 +14,6 @@ from warpvox.runs import CONFIG, TRAINING, ZOO, find_run
 if TYPE_CHECKING:
     from warpvox.algos.checkpoints.files import PolicySpec
 
-__all__ = ["OBS_OF_VOXELS", "UNIVERSAL_FILE", "adopted", "check_learned", "find_pretrained", "kept_name", "observed_by"]
-
 OBS_OF_VOXELS = {"task": "voxel", "timed": "timed_voxel"}
 """What a policy for voxels observes in place of what ``obs`` says."""
 UNIVERSAL = "universal"

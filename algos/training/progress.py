@@ -19,8 +19,6 @@ from warpvox.io.console import duration, echo, figure, shell_argument, shown
 from warpvox.runs import STATE
 from warpvox.trust import again
 
-__all__ = ["Notebook", "Terminal", "listener"]
-
 QUIET_SECONDS = 10.0
 """Without a terminal, seconds between lines (an evaluation prints one in any case)."""
 WIDE = 110

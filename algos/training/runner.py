@@ -37,8 +37,6 @@ from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
 
-__all__ = ["BEST", "STATE", "Runner", "Schedule", "adapt"]
-
 BEST = "model_best.pt"
 STATE = "state.pt"
 """Everything that learning depends on, from before the first iteration on; only the newest is kept."""

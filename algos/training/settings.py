@@ -16,8 +16,6 @@ from warpvox.examples import AUTO, example_for
 from warpvox.keys import check_values, convert, key, plain
 from warpvox.types import Physics
 
-__all__ = ["ARITHMETICS", "DEVICES", "MOST_THREADS", "OBSERVATIONS", "Designs", "Training", "arithmetic_key"]
-
 OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 MOST_THREADS = 1024
 """More than any machine has cores; a stored file may not make a process start a million."""

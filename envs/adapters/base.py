@@ -12,8 +12,6 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 from warpvox.view import window
 
-__all__ = ["WINDOWED", "Adapter", "check_mode", "metadata_here", "spaces_of"]
-
 WINDOWED = ("human", "screen")
 """Render modes that show a window."""
 

@@ -14,8 +14,6 @@ from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.design_episodes import NUM_TYPES, DesignVecEnv
 from warpvox.errors import DesignError
 
-__all__ = ["RslRlDesignEnv"]
-
 
 class RslRlDesignEnv(RslRlVecEnv):
     """:class:`RslRlVecEnv` for environments of :func:`warpvox.envs.design_episodes.design_episodes`.

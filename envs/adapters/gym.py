@@ -16,8 +16,6 @@ from warpvox.errors import ActionError, ConfigError, DisplayError
 from warpvox.types import FRAME_SECONDS
 from warpvox.view import window
 
-__all__ = ["VoxelEnv", "register", "register_task"]
-
 NAMESPACE = "warpvox"
 FPS = round(1 / FRAME_SECONDS)
 _NO_LIMIT = 2**62  # gymnasium's TimeLimit counts the steps

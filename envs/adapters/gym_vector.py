@@ -15,8 +15,6 @@ from warpvox.envs.adapters.gym import FPS, NAMESPACE
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
 
-__all__ = ["VoxelGymVectorEnv"]
-
 
 class VoxelGymVectorEnv(Adapter, VectorEnv):
     """A :class:`warpvox.envs.vec_env.VoxelVecEnv` behind gymnasium's vector interface: one batch, no processes.

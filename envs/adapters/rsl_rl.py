@@ -15,8 +15,6 @@ from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 
-__all__ = ["ACTION_CENTER", "ACTION_SCALE", "OBS_GROUP", "RslRlVecEnv"]
-
 ACTION_CENTER = 1.1
 """The middle of the range of actions: what a policy's output of 0 means."""
 ACTION_SCALE = 0.5

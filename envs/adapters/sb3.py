@@ -20,8 +20,6 @@ try:
 except ImportError as error:
     raise ConfigError("This needs the package stable-baselines3: pip install 'warpvox[sb3]'") from error
 
-__all__ = ["VoxelSB3VecEnv"]
-
 CENTER, HALF = (ACTION_LOW + ACTION_HIGH) / 2, (ACTION_HIGH - ACTION_LOW) / 2
 
 

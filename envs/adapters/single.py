@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from warpvox.envs.vec_env import VoxelVecEnv
     from warpvox.simulation import Simulation
 
-__all__ = ["RowTerms", "Sensors", "SingleStepper", "fast_stepper"]
-
 OURS = "warpvox.envs.terms."
 """Package of the terms that follow the rules: functions of states alone, without branches on values."""
 _STOPPED, _DIVERGED = int(UNSTABLE | DIVERGED), int(DIVERGED)

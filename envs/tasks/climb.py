@@ -6,8 +6,6 @@ from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.terms.terminations import beyond
 from warpvox.envs.worlds import columns
 
-__all__ = ["TASKS"]
-
 CLIMBER_0 = TaskSpec(
     id="Climber-v0",
     section="B.4.1",

@@ -9,8 +9,6 @@ from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.terms.terminations import beyond
 from warpvox.envs.worlds import block, rows
 
-__all__ = ["TASKS"]
-
 WALKER = TaskSpec(
     id="Walker-v0",
     section="B.2.1",

@@ -9,8 +9,6 @@ from warpvox.envs.terms.terminations import beyond, short
 from warpvox.envs.worlds import block, heights, rows
 from warpvox.types import VOXEL
 
-__all__ = ["TASKS"]
-
 _ROBOT, _PACKAGE = observes(velocity), observes(velocity, "package")
 _BETWEEN, _TURN = observes(separation, "package", other="robot"), observes(orientation, "package")
 _RELEASED = (_ROBOT, _BETWEEN, _PACKAGE, observes(shape))

@@ -7,8 +7,6 @@ from warpvox.envs.terms.terminations import short
 from warpvox.envs.worlds import block, heights
 from warpvox.types import VOXEL
 
-__all__ = ["TASKS"]
-
 FLIPPER = TaskSpec(
     id="Flipper-v0",
     section="B.7.1",

@@ -5,8 +5,6 @@ from warpvox.envs.terms.observations import shape
 from warpvox.envs.terms.rewards import grown, hull
 from warpvox.envs.worlds import heights
 
-__all__ = ["TASKS"]
-
 
 def _change(id, section, summary, difficulty, *reward, steps=600, **paper):
     """A robot that sees nothing but its shape, between two walls."""

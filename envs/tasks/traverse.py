@@ -8,8 +8,6 @@ from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.terms.terminations import beyond, fallen_or_tilted, reaches, short, tilted
 from warpvox.envs.worlds import block, heights, rows
 
-__all__ = ["TASKS"]
-
 
 def _course(id, section, summary, difficulty, *objects, cell, steps=1000, ends, **paper):
     """A way to the right over ``objects``, which the robot sees below it."""

@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["double", "extremes_at", "filled", "library", "long", "replaced", "taken"]
-
 
 def library(array: Any) -> Any:
     """The module with ``where``, ``floor``, ``amin``, ... for an array: numpy or torch."""

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from warpvox.envs.snapshot import Snapshot
     from warpvox.envs.vec_env import VoxelVecEnv
 
-__all__ = ["NAME", "ElapsedSteps", "is_timed"]
-
 NAME = "elapsed_steps"
 
 

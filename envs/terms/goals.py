@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from warpvox.envs.random_stream import RandomStream
     from warpvox.envs.snapshot import Snapshot
 
-__all__ = ["all_goals_reached", "approach_goal", "draw_goals", "first_goal", "goal_x", "next_goal"]
-
 LONGEST = 64  # goals that a list can hold; a way of 100 takes 10 on average, more than this practically never
 
 

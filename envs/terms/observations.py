@@ -19,21 +19,6 @@ if TYPE_CHECKING:
 
     from warpvox.envs.snapshot import Snapshot
 
-__all__ = [
-    "ceiling",
-    "elevation",
-    "floor",
-    "goal_number",
-    "goal_offset",
-    "goal_place",
-    "orientation",
-    "overhang",
-    "separation",
-    "shape",
-    "short_of",
-    "velocity",
-]
-
 SCAN_RANGE = SIGHT * VOXEL  # how far robots see up and down, in simulator units
 
 

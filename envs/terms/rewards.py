@@ -17,21 +17,6 @@ if TYPE_CHECKING:
 
     from warpvox.envs.snapshot import Snapshot
 
-__all__ = [
-    "action_rate",
-    "away_from_start",
-    "control_cost",
-    "displacement",
-    "distance",
-    "drop",
-    "gap",
-    "grown",
-    "hull",
-    "motion",
-    "staged_drop",
-    "turned",
-]
-
 
 @about("Δ{axis}_{name}")
 def displacement(before: Snapshot, after: Snapshot, name: str, axis: str) -> Tensor:

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from warpvox.envs.snapshot import Snapshot
 
-__all__ = ["beyond", "fallen_or_tilted", "reaches", "short", "tilted"]
-
 
 @about("{axis}_{name} > {limit}")
 def beyond(state: Snapshot, name: str, axis: str, limit: float) -> Tensor:

@@ -16,8 +16,6 @@ from warpvox.kernels.group import LINKS, Group, choose
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, allocate, structs
 from warpvox.types import Physics
 
-__all__ = ["MARGIN", "Buffers", "allocate_buffers", "array_sizes", "put_tables"]
-
 MARGIN = 0.04  # width added to boxes when candidates are collected, two fifths of a voxel
 HITS, HITS_PER_VOXEL = 64, 12  # capacity for contacts that are put in order, in exact arithmetic
 PAIRS_PER_VOXEL = 24  # capacity of the candidate list of an environment that has one of its own

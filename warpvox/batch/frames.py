@@ -19,8 +19,6 @@ from warpvox.errors import SimulationError
 from warpvox.types import Physics
 from warpvox.world import World, WorldObject
 
-__all__ = ["Frame", "RobotBodies", "capacities", "frame_key", "is_cut", "join"]
-
 CHUNK = 1_000_000  # entries of the largest array that is made at once: it stays in the cache
 
 

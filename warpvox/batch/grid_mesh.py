@@ -19,8 +19,6 @@ import numpy as np
 
 from warpvox.types import VOXEL, Cell, Physics
 
-__all__ = ["GridMesh", "RobotCells", "most_points", "pack_bits"]
-
 # The cells around a node, in the order in which a mesh is made: above left, above right, below left, below right.
 ABOVE_LEFT, ABOVE_RIGHT, BELOW_LEFT, BELOW_RIGHT = range(4)
 # For the corners of a cell (top left, top right, bottom right, bottom left): its place among the cells around that

@@ -17,8 +17,6 @@ from warpvox.kernels.device import from_numpy
 from warpvox.types import VOXEL
 from warpvox.world import World
 
-__all__ = ["CompiledWorlds", "Objects"]
-
 
 class CompiledWorlds(Sequence):
     """The worlds of a batch compiled one by one, when they are asked for."""

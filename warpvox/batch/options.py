@@ -18,17 +18,6 @@ from warpvox.kernels.step import STAGES
 from warpvox.system import usable_cores
 from warpvox.types import Physics
 
-__all__ = [
-    "CUDA_LANES",
-    "ResolvedOptions",
-    "SimKeywords",
-    "SimOptions",
-    "check_known",
-    "choose_lanes",
-    "lanes_for",
-    "resolve_arithmetic",
-]
-
 # Lane widths offered on the CPU; the narrowest that holds the environments that can share a pack is taken.
 WIDTHS = (1, 8, 16, 32)
 LAYOUTS = ("group", "lanes")

@@ -14,8 +14,6 @@ from warpvox.contact_order import no_order
 from warpvox.errors import SimulationError
 from warpvox.world import World
 
-__all__ = ["Batch", "group"]
-
 FRAME_TABLES = ("fixed_at", "terrain", "terrain_side", "terrain_box")
 
 

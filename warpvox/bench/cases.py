@@ -12,8 +12,6 @@ from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError, DesignError
 from warpvox.types import Cell
 
-__all__ = ["full_body", "make", "one_body", "sampled_bodies", "sampled_or_full"]
-
 
 def one_body(config: Any) -> Any:
     """The body that ``design`` names; ConfigError: it names several."""

@@ -11,8 +11,6 @@ from warpvox.bench.cases import make
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import SimulationError
 
-__all__ = ["against_reference", "against_scalar"]
-
 STEPS = 60
 TOLERANCE = 1e-6
 """Largest difference of the centre of mass over STEPS in float64, in simulator units: over so many

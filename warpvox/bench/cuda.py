@@ -23,8 +23,6 @@ from warpvox.kernels.step import record_actions
 from warpvox.simulation import Simulation
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["blocks", "instructions", "run"]
-
 STAGES = {
     "candidates for contact": ("collect", "candidate"),
     "contacts": ("near_", "distant", "folds", "contact_"),

@@ -17,8 +17,6 @@ from warpvox.bench import gpu_checks as checks, gpu_rates as rates, gpu_tools as
 from warpvox.bench.report import Report
 from warpvox.envs.registry import get_task, task_ids
 
-__all__ = ["Size", "run"]
-
 FIRST = ("Walker-v0", "Carrier-v0", "Climber-v2", "BeamToppler-v0", "Balancer-v1")
 """Tasks that are compared before anything is measured: plain ground, a load, walls, a loose beam, a narrow support."""
 ON_CUDA = "sanitizer", "graph", "stream"

@@ -19,8 +19,6 @@ from warpvox.bench.report import Report, number
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import SimulationError
 
-__all__ = ["correctness", "determinism", "graph", "independence", "recordings", "smoke", "stream"]
-
 STEPS, ENVS, FEW, MOST = 30, 32, 3, 4096
 """Control steps; environments of a comparison with the CPU, of a small batch; environments of different actions."""
 SHARE, SENSED = 0.9, 0.75

@@ -16,8 +16,6 @@ from warpvox.bench.runner import Runner, measure, seconds
 from warpvox.configs.presets import training_preset
 from warpvox.kernels.step import record_step
 
-__all__ = ["bodies", "learning", "predicted", "sizes", "tasks", "training"]
-
 PREDICTED = {4096: (5.3, 13.8), 16384: (5.3, 13.8), 65536: (6.6, 13.8)}
 """Million control steps per second of its physics by number of environments, least and most: Walker-v0 in float32 on an
 H100 or H200; the arithmetic is in docs/performance.md."""

@@ -18,8 +18,6 @@ from warpvox.bench.runner import training_of
 from warpvox.errors import SimulationError
 from warpvox.io.writing import write_text
 
-__all__ = ["profile", "sanitizer"]
-
 TOOLS = "memcheck", "racecheck", "synccheck", "initcheck"
 SECONDS = 90
 """For one run under a tool, at most."""

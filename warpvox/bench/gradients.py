@@ -15,8 +15,6 @@ from warpvox.errors import SimulationError
 from warpvox.gradients import SMOOTHING, Gradients
 from warpvox.types import VOXEL, Cell
 
-__all__ = ["run"]
-
 SIDE = 5
 ROBOT = "robot"
 ALLOWED = 0.1

@@ -21,8 +21,6 @@ from warpvox.kernels.device import kernel, record
 from warpvox.kernels.launch import stage_kernel
 from warpvox.kernels.step import STAGES as STAGES_OF
 
-__all__ = ["compile_seconds", "run", "stage_times"]
-
 MICRO = 1e6
 LAUNCHES = 200
 """Empty launches whose median is what a launch takes."""

@@ -16,8 +16,6 @@ from warpvox.bench.check import against_scalar
 from warpvox.bench.report import Report, middle, number
 from warpvox.cli.config import load
 
-__all__ = ["learn", "run"]
-
 WARM_UP = 2
 """Iterations before the clock starts: they load kernels and belong to another run."""
 MEDIANS = ("seconds", "cpu_seconds", "steps")

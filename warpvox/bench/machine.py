@@ -13,8 +13,6 @@ from warpvox.devices.out_of_memory import free_memory
 from warpvox.kernels.state import DATA
 from warpvox.system import processor_name, usable_cores
 
-__all__ = ["available_memory", "machine", "machine_line", "memory", "per_environment"]
-
 GROUPS = {
     "state": ("pos", "vel", "true_vel", "frozen", "status", "time"),
     "state at the start of the control step": ("saved_pos", "saved_vel", "saved_true_vel"),

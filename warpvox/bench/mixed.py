@@ -12,8 +12,6 @@ from warpvox.bench.cases import sampled_bodies
 from warpvox.bench.report import Report, middle, number, spread
 from warpvox.bench.runner import Runner, measure, seconds, unit
 
-__all__ = ["run"]
-
 SIDE = 5
 ALONE = 4
 """Random bodies that are measured one in all environments; their mean is what different bodies compare with."""

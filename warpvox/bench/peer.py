@@ -17,8 +17,6 @@ from warpvox.bench.runner import HEADINGS, Runner, measure, unit
 from warpvox.envs.registry import released_id
 from warpvox.errors import ConfigError
 
-__all__ = ["run"]
-
 
 def run(config: Any, report: Report) -> None:
     """A batch, one environment of gymnasium, one of the drop-in, and the reference; ConfigError: there is none."""

@@ -21,8 +21,6 @@ import warp as wp
 
 from warpvox.errors import WarpvoxError
 
-__all__ = ["ARCHITECTURES", "Limits", "assemble", "counted", "find_program"]
-
 ARCHITECTURES = {80: "A100", 89: "RTX 40", 90: "H100, H200", 100: "B200"}
 """Compute capabilities for which limits are held, and what has them."""
 FETCHED = Path(__file__).resolve().parents[2] / "build" / "ptxas" / "nvidia"

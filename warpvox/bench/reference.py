@@ -21,8 +21,6 @@ from warpvox.io.console import echo
 from warpvox.system import python_of
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["Reference", "make_reference", "open_reference", "random_rate", "reference_folder"]
-
 PACKAGE = "evogym==2.0.0"
 WORKS_WITH = "numpy<2"
 """The numpy that the release was built against."""

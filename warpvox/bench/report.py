@@ -19,8 +19,6 @@ from warpvox.io.console import echo, literal
 from warpvox.io.writing import atomic_path, write_text
 from warpvox.runs import write_summary
 
-__all__ = ["Report", "middle", "number", "put_into", "spread"]
-
 Item = TypeVar("Item")
 TABLES, PLOT_SIZE, DOTS = "tables.md", (11.0, 4.5), 110
 

@@ -15,8 +15,6 @@ from warpvox.cli.config import load
 from warpvox.errors import SimulationError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["HEADINGS", "Runner", "clock", "measure", "seconds", "training_of", "unit"]
-
 HEADINGS = {"bare": "physics alone", "step": "step only", "inference": "with inference", "training": "with training"}
 """Columns: the simulator alone, the whole control step, a policy in the loop, iterations of ``ppo=parallel``."""
 LEAST_STEPS = 2

@@ -22,8 +22,6 @@ from warpvox.bench.report import Report, middle
 from warpvox.bench.runner import HEADINGS, Runner, measure, unit
 from warpvox.system import usable_cores
 
-__all__ = ["run"]
-
 MEMORY_SHARE = 0.7
 """Share of the free memory that environments may take."""
 STEPS_PER_SECOND = 50

@@ -11,8 +11,6 @@ from warpvox.bench.report import Report, middle, number
 from warpvox.bench.runner import HEADINGS, Runner, measure, unit
 from warpvox.envs.registry import get_task, task_ids
 
-__all__ = ["run"]
-
 
 def run(config: Any, report: Report) -> None:
     """A row a task: the medians of the columns and the ratio of step only."""

@@ -10,8 +10,6 @@ import numpy as np
 
 from warpvox.kernels.group import WARP, Group
 
-__all__ = ["by_place", "wavefronts"]
-
 BANKS = 32
 
 

@@ -20,8 +20,6 @@ from warpvox.cli.sweep import make_runs
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.runs import check_output
 
-__all__ = ["prepared", "read_words", "run_command"]
-
 Prepare = Callable[[Any, list[str], "Path | None"], Any]
 Do = Callable[[Any, Console], "Path | None"]
 INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")

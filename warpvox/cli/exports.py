@@ -17,15 +17,6 @@ from warpvox.runs import Run
 if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
 
-__all__ = [
-    "ROLLOUT",
-    "print_returns",
-    "record_agent",
-    "record_run",
-    "tiles_of",
-    "write_exports",
-]
-
 ROLLOUT = "rollout.npz"
 ROWS = 20
 """Environments that a table of returns shows at most."""

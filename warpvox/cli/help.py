@@ -12,8 +12,6 @@ from typing import Any, get_type_hints
 from warpvox.configs.schema import PRESET, PRESET_OF, nodes_of, schema_of
 from warpvox.keys import MISSING
 
-__all__ = ["Key", "add_keys", "flat_keys", "flat_values", "groups_of", "help_rows", "options_of", "preset_key"]
-
 FOLDERS = ("ppo", "training")
 """Keys that take the name of a YAML file in the folder of the same name, and of nothing else."""
 

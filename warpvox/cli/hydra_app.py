@@ -15,8 +15,6 @@ from warpvox.configs.composition import hydras_errors, register
 from warpvox.configs.schema import COMMANDS
 from warpvox.errors import ConfigError
 
-__all__ = ["complete", "run_hydra"]
-
 
 def run_hydra(
     command: str | None,

@@ -22,8 +22,6 @@ from warpvox.configs.composition import quoted
 from warpvox.configs.schema import PRESET, schema_of
 from warpvox.errors import ConfigError
 
-__all__ = ["expand", "key_and_value", "key_and_word", "read_overrides"]
-
 RENAMED = {"finalists": "evaluation.finalists", "pretrained": "evaluation.pretrained", "search.algorithm": "search"}
 """Keys of design searches as they were written before evaluations had settings of their own."""
 QUOTED = re.compile(r"""'(\\.|[^'\\])*'|"(\\.|[^"\\])*\"""", re.DOTALL)

@@ -13,8 +13,6 @@ from warpvox.view.window import Window, why_no_window
 if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
 
-__all__ = ["play_in_window", "wants_window"]
-
 SIZE = (960, 540)
 REST = 1.0  # seconds that the last picture stands before the episode is shown again
 

@@ -8,8 +8,6 @@ import torch
 
 from warpvox.devices.startup import LOGGER, start_warp
 
-__all__ = ["prepare"]
-
 
 class _Console(logging.Handler):
     """Messages of the library go to the output, like those of the commands."""

@@ -22,8 +22,6 @@ from warpvox.robots.replay import recorded
 from warpvox.runs import as_name
 from warpvox.trust import allowed
 
-__all__ = ["Added", "add", "command_of", "find_sources"]
-
 GROUPS = {"train": ("ppo",), "codesign": ("search", "training")}
 """Groups of keys whose YAML files shorten a command."""
 ELSEWHERE = {"output_dir", "name", "resume", "config", "report", "export", "threads", "device", "executor", "workers"}

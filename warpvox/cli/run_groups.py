@@ -14,8 +14,6 @@ from warpvox.configs.bench import PPO
 from warpvox.design import example_design, example_designs
 from warpvox.runs import Run
 
-__all__ = ["group_runs"]
-
 NOT_SETTINGS = (
     "seed",
     "name",

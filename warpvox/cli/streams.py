@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-__all__ = ["lasting_output", "redirect"]
-
 GONE = {errno.EPIPE, errno.ECONNRESET, errno.ESHUTDOWN}
 """Errors of a pipe or socket whose reader has gone."""
 OF_TERMINALS = {errno.EIO, errno.ENXIO, errno.EBADF}

@@ -21,8 +21,6 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-__all__ = ["BENCHMARK10", "plan", "seeds_of", "task_names"]
-
 BENCHMARK10 = (
     "Walker-v0",
     "BridgeWalker-v0",

@@ -13,8 +13,6 @@ from warpvox.configs.composition import quoted
 from warpvox.errors import ConfigError
 from warpvox.trust import COPIES, STORED, allowed
 
-__all__ = ["by_key", "gone_on_with", "merged"]
-
 PRETRAINED = "evaluation.pretrained"
 
 

@@ -26,8 +26,6 @@ from warpvox.io.console import echo, literal
 from warpvox.io.writing import write_table, write_text
 from warpvox.runs import STAMP, label, read_summary
 
-__all__ = ["INTERRUPTED", "attempt", "label_of", "make_runs"]
-
 LONGEST_LABEL = 80
 """Characters of a folder's name that say what its run differs by."""
 UNSAFE = re.compile(r"[^A-Za-z0-9.+]+")

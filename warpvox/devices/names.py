@@ -11,8 +11,6 @@ from warpvox.devices.startup import start_warp
 from warpvox.errors import DeviceError
 from warpvox.system import usable_cores
 
-__all__ = ["PER_CORE", "enough", "missing_cuda", "resolve_device"]
-
 PER_CORE = 100
 """Environments per usable core of the CPU from which "auto" takes a GPU. An estimate: without a graph a control step
 takes the host about a millisecond to launch, however many environments there are (docs/performance.md)."""

@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from warpvox.errors import DeviceError
 from warpvox.system import available_memory
 
-__all__ = ["enough_memory", "fewer", "free_memory", "shortage"]
-
 SIGNS = re.compile(
     r"out of memory"  # torch and CUDA
     r"|failed to allocate"  # Warp

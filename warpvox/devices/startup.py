@@ -15,8 +15,6 @@ import tempfile
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["LOGGER", "start_warp"]
-
 LOGGER = logging.getLogger("warpvox")
 """Takes the line about compilation, as a warning: it shows without any configuration."""
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"

@@ -22,19 +22,6 @@ from warpvox.io.writing import write_text
 from warpvox.types import Cell
 from warpvox.world import World, WorldObject
 
-__all__ = [
-    "BODY_SIDE",
-    "WORLD_SIZE",
-    "check",
-    "check_file_name",
-    "design_of",
-    "document_of",
-    "file_names",
-    "read_file",
-    "save_file",
-    "world_of",
-]
-
 BODY_SIDE = 32
 """Rows and columns that a body may have in the editor."""
 WORLD_SIZE = (400, 100)

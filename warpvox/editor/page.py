@@ -14,8 +14,6 @@ from warpvox.view.palette import CELL_NAMES, RAMPS
 from warpvox.view.player import asset, fill_template
 from warpvox.view.rollout import AGENTS
 
-__all__ = ["editor_page"]
-
 SCRIPTS = ("drawing.js", "board.js", "editor.js")
 
 

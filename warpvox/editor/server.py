@@ -30,8 +30,6 @@ from warpvox.errors import ConfigError, DeviceError, WarpvoxError
 from warpvox.io.reading import parse_json
 from warpvox.view.player import page_of
 
-__all__ = ["EditorServer"]
-
 ADDRESS = "127.0.0.1"
 LARGEST = 1_000_000
 """Bytes of a request."""

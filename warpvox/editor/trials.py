@@ -15,8 +15,6 @@ from warpvox.view.rollout import AGENTS, Rollout, record
 if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
 
-__all__ = ["LONGEST", "MOST_MOVING", "try_out"]
-
 LONGEST = 20.0
 """Seconds that a rollout may last."""
 MOST_MOVING = 1000

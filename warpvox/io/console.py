@@ -11,8 +11,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-__all__ = ["duration", "echo", "escaped", "figure", "literal", "shell_argument", "shown"]
-
 CONTROL = {"Cc", "Cs", "Zl", "Zp"}
 """Unicode's categories of control characters, halves of characters, and ends of lines and paragraphs."""
 TURNING = {*range(0x202A, 0x202F), *range(0x2066, 0x206A), 0x200E, 0x200F, 0x061C}

@@ -23,18 +23,6 @@ import yaml
 
 from warpvox.errors import did_you_mean, listing
 
-__all__ = [
-    "ArrayFile",
-    "Missing",
-    "Unreadable",
-    "parse_json",
-    "parse_yaml",
-    "read_bytes",
-    "read_facts",
-    "read_npy",
-    "read_text",
-]
-
 DEEPEST = 32
 """Levels of lists and mappings that a YAML text may have."""
 _HALF = re.compile(r"\\u[dD][89a-fA-F]")

@@ -24,22 +24,6 @@ from warpvox.code import Code
 from warpvox.errors import RunError, StorageError
 from warpvox.system import flush_to_disk, folder_lock
 
-__all__ = [
-    "MARK",
-    "OF_DISKS",
-    "OF_FULL_DISKS",
-    "atomic_path",
-    "check_folder",
-    "check_writable",
-    "claimed",
-    "complaint",
-    "sweep",
-    "write_bytes",
-    "write_table",
-    "write_text",
-    "writing",
-]
-
 MARK = ".part-"
 """Beginning of the names of files that are being written."""
 

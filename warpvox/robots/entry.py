@@ -28,8 +28,6 @@ from warpvox.robots.gait import ARRAYS, Gait
 from warpvox.robots.network import Network
 from warpvox.view.palette import body_svg
 
-__all__ = ["DIGITS", "FOLDER", "Robot", "find_robot", "read_robot", "save_robot", "zoo", "zoo_tasks"]
-
 FORMAT, VERSION = "warpvox robot", 1
 FOLDER = ZOO
 """The zoo: an entry for every task, ``TASK.npz``."""

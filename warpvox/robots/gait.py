@@ -10,8 +10,6 @@ import numpy as np
 from warpvox.errors import RunError
 from warpvox.robots.network import WIDEST, as_observations
 
-__all__ = ["ARRAYS", "Gait"]
-
 ARRAYS = ("begin", "period", "amplitude", "phase", "rest")
 """The arrays of a gait, by their names in files."""
 CENTER, SCALE = np.float32(1.1), np.float32(0.5)

@@ -12,8 +12,6 @@ import numpy as np
 from warpvox.errors import RunError, did_you_mean, listing
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["ACTIVATIONS", "STEP", "Network", "as_observations"]
-
 STEP = 2.0**-16
 """Actions are multiples of it.
 

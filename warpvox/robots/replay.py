@@ -25,8 +25,6 @@ from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
 from warpvox.types import Cell
 
-__all__ = ["SEEDS", "Judgement", "by_cell", "judge", "policy_of_checkpoint", "recorded", "robot_env", "torch_policy"]
-
 BY_CELL = ("amplitude", "phase", "rest")
 """Fields that a gait has for each actuator, and a checkpoint of it for each cell of a grid."""
 SEEDS = tuple(range(1000, 1008))

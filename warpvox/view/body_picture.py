@@ -14,8 +14,6 @@ from warpvox.design import Design
 from warpvox.view.painter import INK, font, save_png
 from warpvox.view.palette import cell_colour
 
-__all__ = ["draw_bodies", "write_bodies"]
-
 PAPER, FAINT, EMPTY = (255, 255, 255), (88, 96, 110), (238, 241, 245)
 SHADE = (126, 200, 150)
 COLUMNS = 5

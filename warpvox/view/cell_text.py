@@ -16,8 +16,6 @@ from warpvox.types import Cell
 from warpvox.view.palette import CELL_NAMES, RAMPS, cell_colour
 from warpvox.world import World
 
-__all__ = ["body_rows", "print_world"]
-
 GLYPHS = {Cell.EMPTY: ".", Cell.RIGID: "#", Cell.SOFT: "o", Cell.H_ACT: "-", Cell.V_ACT: "|", Cell.FIXED: "%"}
 UPPER, LOWER = "▀", "▄"
 SAME_ROWS = 5

@@ -13,8 +13,6 @@ from typing import BinaryIO
 
 from PIL import Image
 
-__all__ = ["PART_BYTES", "write_pictures"]
-
 PART_BYTES = 1 << 24
 """Bytes of the pictures that are encoded together (16 MiB)."""
 HEADER, TRAILER = 13, b";"

@@ -11,8 +11,6 @@ from warpvox.errors import RolloutError
 from warpvox.view.painter import Canvas, camera_path, fitting_scale
 from warpvox.view.rollout import scenes_of
 
-__all__ = ["LiveView"]
-
 
 class LiveView:
     """Looks at environments of a simulation; each picture depends on the present state alone.

@@ -21,8 +21,6 @@ from warpvox.view.palette import colour_index, palette
 from warpvox.view.rollout import Rollout
 from warpvox.view.scene import Scene, stretch
 
-__all__ = ["BELOW", "INK", "Canvas", "Painter", "camera_path", "fitting_scale", "font", "save_png"]
-
 SKY, GRID, GRID_STRONG = (249, 250, 252), (233, 237, 242), (214, 220, 229)
 BEYOND, BEYOND_INK = (226, 230, 236), (120, 128, 140)
 GROUND, GROUND_LINE, GROUND_EDGE = (74, 80, 92), (86, 93, 106), (40, 44, 52)

@@ -11,8 +11,6 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW, Cell
 if TYPE_CHECKING:
     from warpvox.design import Design
 
-__all__ = ["CELL_NAMES", "LEVELS", "RAMPS", "colour_index", "palette"]
-
 # Colours of cells when contracted to 0.6, at rest and extended to 1.6: the field's familiar ones at rest.
 RAMPS: dict[Cell, tuple[tuple[int, int, int], ...]] = {
     Cell.RIGID: ((38, 38, 42),) * 3,

@@ -19,8 +19,6 @@ from warpvox.view.gif import write_pictures
 from warpvox.view.painter import INK, Painter, font, save_png
 from warpvox.view.rollout import Rollout
 
-__all__ = ["Film", "draw_frame", "filmstrip", "write_filmstrip", "write_gif", "write_mp4", "write_png"]
-
 SIZE = (640, 360)
 MARGIN = 2  # pixels between tiles
 PAPER = (255, 255, 255)

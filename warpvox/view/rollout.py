@@ -44,8 +44,6 @@ from warpvox.io.writing import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, VOXEL
 from warpvox.view.scene import Scene, check_scene, scene_from_json, scene_of, scene_to_json, stretch
 
-__all__ = ["AGENTS", "Rollout", "facts_of", "record", "scenes_of"]
-
 FORMAT, VERSION = "warpvox-rollout", 1
 LARGEST = 1 << 32
 """Bytes that the arrays of a file may have together (4 GiB)."""

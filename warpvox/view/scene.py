@@ -14,8 +14,6 @@ from warpvox.design import LARGEST_GRID, as_grid
 from warpvox.errors import RolloutError
 from warpvox.types import VOXEL, Cell
 
-__all__ = ["Scene", "SceneObject", "check_scene", "scene_from_json", "scene_of", "scene_to_json", "stretch"]
-
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:

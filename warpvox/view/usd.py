@@ -35,8 +35,6 @@ from warpvox.view.painter import camera_path
 from warpvox.view.palette import RAMPS, colour_index, palette
 from warpvox.view.rollout import Rollout
 
-__all__ = ["write_usd"]
-
 SUFFIXES = (".usdc", ".usd", ".usda")
 SUBSET_NAMES = {
     Cell.RIGID: "rigid",

@@ -10,8 +10,6 @@ import numpy as np
 from warpvox.errors import DisplayError
 from warpvox.system import has_display
 
-__all__ = ["OTHERWISE", "Window", "why_no_window"]
-
 SWITCH = "WARPVOX_WINDOW"
 OTHERWISE = f"Render pictures instead (mode 'rgb_array'), or set {SWITCH}=none to go on without showing anything."
 """Advice where there is no window, for error messages."""

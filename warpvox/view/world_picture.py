@@ -14,8 +14,6 @@ from warpvox.view.painter import BELOW, Canvas, save_png
 from warpvox.view.scene import Scene, scene_of
 from warpvox.world import World
 
-__all__ = ["draw_world", "scene_of_world", "write_world_png"]
-
 LONGEST = 1600
 """Pixels that the longer side of a picture has at most, unless the world is very large."""
 SCALES = (6, 32)

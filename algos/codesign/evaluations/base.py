@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from warpvox.envs.vec_env import VoxelVecEnv
     from warpvox.robots.entry import Robot
 
-__all__ = ["Evaluation", "Workload", "full_body", "probe", "steps_of_training"]
-
 
 @dataclass(frozen=True)
 class Workload:

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
     from warpvox.robots.entry import Robot
 
-__all__ = ["CommonPolicy", "FewShot", "Shared"]
-
 PRETRAINED = Path("training") / "pretrained" / "policy.pt"
 """The copy of the pretrained policy in a run's folder: a search that is resumed does not depend on another run."""
 STEPS = "pretraining_steps"

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from warpvox.algos.candidate import DesignEvaluator
     from warpvox.algos.codesign.settings import Codesign
 
-__all__ = ["Custom"]
-
 
 @dataclass
 class Custom(Evaluation):

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
     from warpvox.robots.entry import Robot
 
-__all__ = ["Gaits"]
-
 EPISODES = 4
 """Of a gait in tasks that draw at random, or the best of many returns would be a lucky one."""
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from warpvox.algos.codesign.settings import Codesign
     from warpvox.envs.spec import TaskSpec
 
-__all__ = ["Screened", "Specialist"]
-
 
 @dataclass
 class Specialist(Evaluation):

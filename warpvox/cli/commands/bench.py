@@ -18,8 +18,6 @@ from warpvox.errors import SimulationError, listing
 from warpvox.io.console import echo
 from warpvox.runs import new_folder
 
-__all__ = ["run"]
-
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox bench`` is asked for."""

@@ -20,8 +20,6 @@ from warpvox.io.writing import check_writable, to_yaml
 from warpvox.runs import find_codesign, find_searches, new_folder, read_summary
 from warpvox.trust import as_stored
 
-__all__ = ["run"]
-
 
 @dataclass
 class Job:

@@ -26,8 +26,6 @@ from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, literal
 from warpvox.runs import find_runs, find_searches
 
-__all__ = ["run"]
-
 AXES_OF_RUNS, AXES_OF_SEARCHES = ("steps", "elapsed", "iteration"), ("steps", "evaluations")
 
 

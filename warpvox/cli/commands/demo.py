@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from warpvox.cli.commands import train
 
-__all__ = ["run"]
-
 
 def run(words: list[str]) -> None:
     """Train, record the best policy, export it, and say where everything is."""

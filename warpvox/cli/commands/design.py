@@ -13,8 +13,6 @@ from warpvox.errors import ConfigError
 from warpvox.io.console import echo
 from warpvox.system import has_display
 
-__all__ = ["run"]
-
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox design`` is asked for."""

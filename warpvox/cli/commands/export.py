@@ -20,8 +20,6 @@ from warpvox.runs import ZOO, as_name, new_folder, write_summary
 if TYPE_CHECKING:
     from warpvox.algos.checkpoints.policy import Policy
 
-__all__ = ["run"]
-
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox export`` is asked for."""

@@ -16,8 +16,6 @@ from warpvox.cli.application import run_command
 from warpvox.io.console import literal
 from warpvox.system import processor_name, usable_cores
 
-__all__ = ["run"]
-
 PACKAGES = ("warp-lang", "torch", "rsl-rl-lib", "numpy", "gymnasium", "hydra-core", "usd-core")
 OLDEST = 7, 5
 """Compute capability that CUDA 13 compiles for, at the least."""

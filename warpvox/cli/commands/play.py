@@ -30,8 +30,6 @@ from warpvox.trust import STORED
 if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
 
-__all__ = ["play", "run", "write_results"]
-
 OF_AGENTS = ("task", "design", "rules")
 """Keys that a trained run answers itself."""
 

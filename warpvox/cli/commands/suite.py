@@ -26,8 +26,6 @@ from warpvox.io.writing import check_writable, to_yaml
 from warpvox.runs import STAMP, check_unchanged, find_suite, going_on, make_folder
 from warpvox.trust import keep_code
 
-__all__ = ["Job", "run", "split", "suite"]
-
 GROWING = ("tasks", "searches", "seeds")
 """Keys that may get more entries when a suite is resumed."""
 CHANGEABLE = (*GROWING, "retry", "executor", "address", "workers", "device", "threads", "name", "resume", "output_dir")

@@ -17,8 +17,6 @@ from warpvox.configs.tools import TasksConfig
 from warpvox.errors import ConfigError, WorldError, listing
 from warpvox.io.console import echo, literal
 
-__all__ = ["run"]
-
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox tasks`` is asked for; a word by itself is the task."""

@@ -18,8 +18,6 @@ from warpvox.runs import TRAINING, find_run
 if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
 
-__all__ = ["make_job", "run", "train"]
-
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox train`` is asked for."""

@@ -20,8 +20,6 @@ from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
 from warpvox.view.cell_text import body_rows
 
-__all__ = ["run", "zoo"]
-
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox zoo`` is asked for."""
