@@ -11,6 +11,8 @@ import torch
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 
+__all__ = ["EpisodeReturns", "Evaluator", "Policy", "StatefulEvaluator", "evaluate", "evaluator"]
+
 Policy = Callable[[torch.Tensor], torch.Tensor]
 """Observations ``[num_envs, num_obs]`` to actions ``[num_envs, num_actions]`` in [0.6, 1.6]."""
 

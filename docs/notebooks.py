@@ -42,7 +42,7 @@ def run(path: Path, parameters: Mapping[str, Any] | None = None) -> dict[str, An
 
 
 def _outputs(source: str, names: dict[str, Any], title: str, number: int) -> list[dict[str, Any]]:
-    """What a cell prints, and what its last expression shows."""
+    """Text that a cell prints, and what its last expression shows."""
     linecache.cache[title] = len(source), None, source.splitlines(keepends=True), title  # as in a notebook
     tree = ast.parse(source)
     end = tree.body[-1]

@@ -149,6 +149,19 @@ def test_every_module_says_what_it_is_for() -> None:
     assert not [name for name, path in SOURCES.items() if not ast.get_docstring(parse(path))]
 
 
+def test_docstrings_begin_with_a_noun_or_a_verb() -> None:
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    wrong = [
+        f"{place(path, node.body[0].lineno)} begins with {text.split()[0]}"
+        for name, path in SOURCES.items()
+        for node in ast.walk(parse(path))
+        if isinstance(node, documented)
+        and "codesign.gait_" not in name
+        and (text := ast.get_docstring(node) or "").startswith(("Of ", "What "))
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
 def test_simulations_and_environments_are_used_by_their_public_methods() -> None:
     owners = {"sim", "env", "vec", "_sim", "_env", "_vec", "simulation", "engine"}
     found = [

@@ -164,7 +164,7 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
 
 
 def _matches(text: str) -> list[Path] | None:
-    """What lies where a pattern says; None: ``text`` is none, but a name."""
+    """The paths that match a pattern; None: ``text`` is none, but a name."""
     pattern = os.path.expanduser(text)
     if not any(mark in text for mark in "*?[") or Path(pattern).exists():
         return None

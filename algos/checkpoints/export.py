@@ -149,7 +149,7 @@ def _card_of_script(path: Path) -> str | None:
 
 
 def _onnx_runner(path: Path) -> tuple[str, Runner]:
-    """What runs an ONNX file here, by its name."""
+    """The library that runs ONNX files here, by its name."""
     if find_spec("onnxruntime") is not None:
         import onnxruntime
 

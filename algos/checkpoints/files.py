@@ -36,7 +36,7 @@ WIDEST = 1 << 16
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """What it takes to rebuild a policy before its weights are loaded.
+    """All it takes to rebuild a policy before its weights are loaded.
 
     ``voxels``: of a policy for voxels, the ``network``, ``settings`` and ``layout`` that
     :class:`warpvox.algos.policies.model.VoxelModel` takes; None: fully connected layers.

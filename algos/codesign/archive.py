@@ -122,7 +122,7 @@ class Record:
 
     @property
     def id(self) -> int:
-        """Of the candidate."""
+        """Number of the candidate."""
         return self.candidate.id
 
 
@@ -325,7 +325,7 @@ class Archive(AbstractContextManager["Archive"]):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What :meth:`create` was given."""
+        """The settings that :meth:`create` was given."""
         settings = self._experiment("settings")
         if not isinstance(settings, dict):
             raise RunError(f"{self.path} is damaged: its settings are {settings!r:.80}.")

@@ -1,4 +1,4 @@
-"""What leaves an archive, and designs that come in: tables for analysis, bodies in EvoGym's formats."""
+"""Exports of an archive, and imports of designs: tables for analysis, bodies in EvoGym's formats."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ class FewShotEvaluator:
 
 
 class _Course:
-    """What the policy does in a generation: it learns on all designs, then each of them is evaluated.
+    """A generation of the policy: it learns on all designs, then each of them is evaluated.
 
     Args:
         how: a :class:`SharedEvaluator` or :class:`FewShotEvaluator`.

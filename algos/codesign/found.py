@@ -1,4 +1,4 @@
-"""What a design search has found."""
+"""The result of a design search."""
 
 from __future__ import annotations
 

@@ -13,6 +13,8 @@ from warpvox.algos.codesign.gaits import Gait, Motion, draw_motion, gait_of, mot
 from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
 
+__all__ = ["Beam"]
+
 KEPT = 0.125
 """Share of the beginnings of an episode that is continued after each stage."""
 SIBLINGS = 0.25

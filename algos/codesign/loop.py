@@ -37,7 +37,7 @@ class Listener:
         """``waiting`` of the ``total`` candidates of a generation will be trained."""
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
-        """What an evaluator reports of the training of these candidates; see :data:`PROGRESS`."""
+        """Take what an evaluator reports of the training of these candidates; see :data:`PROGRESS`."""
 
     def finished(self, records: Sequence[Record]) -> None:
         """These candidates are evaluated and stored."""

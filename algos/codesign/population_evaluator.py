@@ -141,7 +141,7 @@ class _Generation:
             self.training.keep(places)
 
     def progress(self) -> dict[str, Any]:
-        """What a report holds, see :data:`warpvox.algos.candidate.PROGRESS`."""
+        """The content of a report, see :data:`warpvox.algos.candidate.PROGRESS`."""
         return {
             "iteration": self.training.iteration,
             "iterations": self.settings.iterations,

@@ -1,4 +1,4 @@
-"""What a design search shows on a terminal."""
+"""Progress of a design search on a terminal."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ class _Worker:
         return self._evaluator.evaluate(candidates, parents, self._events.append, checkpoint)
 
     def events(self) -> list[dict[str, Any]]:
-        """What was reported since the last call."""
+        """Reports since the last call."""
         return [self._events.popleft() for _ in range(len(self._events))]
 
 

@@ -100,7 +100,7 @@ class Results(Listener):
         return summary
 
     def _screening(self) -> dict[str, Any]:
-        """What there is to say of designs that were compared without a training for each."""
+        """Notes on designs that were compared without a training for each."""
         screened = [record for record in self.archive.records() if record.candidate.origin != FINALIST]
         known = [record.fitness for record in screened if record.fitness is not None]
         return {

@@ -73,7 +73,7 @@ def _copies(folder: Path) -> list[Robot]:
 
 
 def _history(folder: Path) -> list[dict[str, Any]]:
-    """What the zoo tells of the robots that a search began with."""
+    """The zoo's notes on the robots that a search began with."""
     names = ("return", "control_steps", "wall_s", "processor")
     return [
         {"task": robot.task, "sha256": robot.sha256} | {name: robot.about.get(name) for name in names}
@@ -148,7 +148,7 @@ def _shorter(values: np.ndarray) -> np.ndarray:
 
 
 def _about(run: Run) -> dict[str, Any]:
-    """What the files of a search or training say of it."""
+    """Facts from the files of a search or training."""
     summary = read_summary(run.folder)
     known = {name: summary.get(name) for name in ("version", "commit", "processor")}
     config = {name: value for name, value in run.config.items() if name not in ("output_dir", "name")}

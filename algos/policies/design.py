@@ -56,7 +56,7 @@ def design_models(
 
 
 class Automaton(nn.Module):
-    """What is known of a partial body, from every cell and its neighbours, by the same weights in all places.
+    """Features of a partial body, from every cell and its neighbours, by the same weights in all places.
 
     Two convolutions of 3x3 cells with tanh. Inputs of a cell: its type, one-hot; 1, which tells the rim of the grid
     from what lies beyond; its place in the grid, -1 to 1 in both directions; the share of the design steps that are

@@ -58,7 +58,7 @@ def gait_outputs(
     phase: torch.Tensor,
     rest: torch.Tensor,
 ) -> torch.Tensor:
-    """What the actuators do at ``time`` ``[..., 1]``: ``[..., actuators]`` in [-1, 1].
+    """Outputs of the actuators at ``time`` ``[..., 1]``: ``[..., actuators]`` in [-1, 1].
 
     Of many times at once, ``[times, 1, 1]``, it is ``[times, n, actuators]``.
 

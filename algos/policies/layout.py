@@ -44,7 +44,7 @@ _SPREADS = ((1, 1, 1, 1), (-1, 1, 1, -1), (1, 1, -1, -1), (1, -1, 1, -1))
 
 @dataclass(frozen=True)
 class VoxelLayout:
-    """What a policy is made for.
+    """The bodies that a policy is made for.
 
     Attributes:
         rows, columns: of the grid that bodies lie in.

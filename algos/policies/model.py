@@ -114,7 +114,7 @@ class VoxelModel(Network):
         self._parts = [count, self.layout.rest, cells, self.layout.actions]
 
     def scaled(self, obs: torch.Tensor) -> torch.Tensor:
-        """What :meth:`run` takes, ``[rows, inputs]``, of observations ``[rows, num_obs]``."""
+        """Inputs of :meth:`run`, ``[rows, inputs]``, from observations ``[rows, num_obs]``."""
         return self.obs_normalizer(obs)
 
     def unpack(self, latent: torch.Tensor) -> tuple[torch.Tensor, ...]:

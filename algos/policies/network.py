@@ -22,7 +22,7 @@ KINDS = 2
 
 
 def observations(model: Any, obs: TensorDict) -> torch.Tensor:
-    """What a model observes, ``[..., entries]``, of the groups of ``obs``."""
+    """The observations of a model, ``[..., entries]``, from the groups of ``obs``."""
     return torch.cat([obs[name] for name in model.obs_groups], dim=-1)
 
 
@@ -34,7 +34,7 @@ class Network(MLPModel):
         return obs[LATENT] if LATENT in obs else self.scaled(observations(self, obs))
 
     def scaled(self, obs: torch.Tensor) -> torch.Tensor:
-        """What :meth:`run` takes, ``[rows, inputs]``, of observations ``[rows, num_obs]``."""
+        """Inputs of :meth:`run`, ``[rows, inputs]``, from observations ``[rows, num_obs]``."""
         return self.obs_normalizer(obs)
 
     def run(self, latent: torch.Tensor) -> torch.Tensor:

@@ -21,7 +21,7 @@ DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", 
 
 @dataclass
 class SearchSettings:
-    """What every search has (paper section D.1, Table 2).
+    """Settings that every search has (paper section D.1, Table 2).
 
     Raises:
         ConfigError: a value of the wrong type or out of range.

@@ -34,12 +34,12 @@ class Member:
 
     @property
     def key(self) -> tuple[str, str, int]:
-        """What no other member of the suite has."""
+        """Key that no other member of the suite has."""
         return self.task, self.search, self.seed
 
     @property
     def folder(self) -> Path:
-        """Of its run, in the folder of the suite."""
+        """Folder of its run, in that of the suite."""
         return Path("members", self.task, self.search, f"seed{self.seed}")
 
 
@@ -62,7 +62,7 @@ class Row:
 
     @property
     def key(self) -> tuple[str, str, int]:
-        """What no other member has."""
+        """Key that no other member has."""
         return self.task, self.search, self.seed
 
     def figures(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What a suite shows while its members are made, and the table at its end."""
+"""Progress of a suite while its members are made, and the table at its end."""
 
 from __future__ import annotations
 

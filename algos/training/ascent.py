@@ -40,7 +40,7 @@ TINY = 1e-12
 
 
 class Targets:
-    """What the policy is to learn: weights of the last bodies; a body that comes again has its newest ones.
+    """Targets of the policy: weights of the last bodies; a body that comes again has its newest ones.
 
     Args:
         limit: how many are kept.
@@ -109,7 +109,7 @@ class Ascent(PPO):
         self._configure_adam()
 
     def look(self, obs: Any) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """What does not move in the inputs of the network, its weights for the bodies, and the actions of the cells:
+        """The constant part of the network's inputs, its weights for the bodies, and the actions of the cells:
         ``[num_envs, cells, 10]``, ``[num_envs, cells, 1 + clock]`` and long ``[num_envs, cells]``."""
         with torch.no_grad():
             cells, _, actions = self.actor.unpack(self.actor.get_latent(obs))
@@ -243,7 +243,7 @@ class AscentRunner(Runner):
         return 0.0
 
     def _episodes(self) -> dict[str, float]:
-        """Of the rollout: the beginnings of episodes."""
+        """Beginnings of episodes in the rollout."""
         return {"episodes": self.env.num_envs, "length_mean": self.ppo.steps, "diverged": 0} | self._found
 
 

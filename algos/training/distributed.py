@@ -52,7 +52,7 @@ class ProcessGroup:
         return bool(self.sum([float(flag)])[0])
 
     def broadcast(self, value: object) -> object:
-        """What the leading process has for ``value``."""
+        """The leading process's ``value``."""
         if self.size == 1:
             return value
         box = [value]

@@ -55,7 +55,7 @@ PREPARING = "preparing the simulation (the first time on a machine its kernels a
 
 
 class Listener:
-    """What a training reports to; this one says nothing."""
+    """Listens to a training; this one says nothing."""
 
     def __init__(self, console: Console | None = None) -> None:
         self.console = console or Console(quiet=True, force_jupyter=False)  # whose spinners want widgets
@@ -291,7 +291,7 @@ def task_name(task: Any) -> str:
 
 
 def _trained_on(settings: Training) -> dict[str, Any]:
-    """What a checkpoint says of its training."""
+    """Facts of a training for its checkpoints."""
     known = {"task": str(task_name(settings.task)), "rules": settings.rules, "seed": settings.seed}
     if not settings.is_many:
         return known | {"design": settings.design}
@@ -328,7 +328,7 @@ def _ask_for_memory(settings: Training, designs: list[Any], sim: SimOptions) -> 
 
 
 def _share(settings: Training, group: ProcessGroup) -> Training:
-    """What a process of a group has to do of a training: its share of the environments, its own device and threads.
+    """A process's part of a training: its share of the environments, its own device and threads.
 
     Raises:
         ConfigError: the environments cannot be shared out evenly.

@@ -1,4 +1,4 @@
-"""What a training has left, ready to act: policies, and environments to run them in."""
+"""Results of trainings, ready to act: policies, and environments to run them in."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class TrainedRun:
 
     @classmethod
     def of(cls, job: Job) -> TrainedRun:
-        """What a training that has been made has left."""
+        """The result of a training that has been made."""
         if job.folder is None:
             return cls(None, job.summary, job.rows, job.policy)
         policy = load_policy(job.folder, policy=job.settings.policy if is_code(job.settings.policy) else None)
@@ -108,7 +108,7 @@ class TrainedRun:
         return f"TrainedRun({self.summary['status']}, {self.summary['steps']:,} steps, {best}, {where})"
 
     def _repr_html_(self) -> str:
-        """What it has reached, and the learning curve, for notebooks."""
+        """The result, and the learning curve, for notebooks."""
         from warpvox.algos.report.charts import picture
 
         points = [(row["steps"], row.get("eval_return", np.nan)) for row in self.rows]

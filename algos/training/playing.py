@@ -69,7 +69,7 @@ class SampledController:
         return actions_of(mean + self._deviation() * noise, self.spec.action_scale)
 
     def _deviation(self) -> torch.Tensor:
-        """Of each action; that of a policy for voxels belongs to the type of an actuator."""
+        """Deviation of each action; that of a policy for voxels belongs to the type of an actuator."""
         if self.spec.voxels is None:
             return self._std
         return self.controller.actor.distribution.by_kind(self._std, 0.0).to(self._std.dtype)

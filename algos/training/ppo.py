@@ -60,7 +60,7 @@ class PPO(RslRlPPO):
 
     @property
     def decayed_rate(self) -> float:
-        """Of the linear schedule."""
+        """Learning rate of the linear schedule."""
         return self.initial_learning_rate * max(0.0, 1 - self.updates / self.total_iterations)
 
     def set_learning_rate(self, rate: float) -> None:
@@ -136,7 +136,7 @@ class PPO(RslRlPPO):
         return result
 
     def memory(self) -> dict[str, Any]:
-        """What networks keep of the episodes so far, for :meth:`set_memory`: hidden states, and the scale of RND."""
+        """Memory of the episodes so far, for :meth:`set_memory`: hidden states, and the scale of RND."""
         own: dict[str, Any] = {"actor": self.actor.get_hidden_state(), "critic": self.critic.get_hidden_state()}
         if self.rnd:
             average = self.rnd.reward_normalizer.disc_avg.avg if self.rnd.reward_normalization else None

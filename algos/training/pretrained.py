@@ -66,7 +66,7 @@ def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -
 
 
 def observed_by(spec: Mapping[str, Any] | None) -> str:
-    """What a policy for voxels observes, by its ``PolicySpec`` if that is known."""
+    """Observations of a policy for voxels, by its ``PolicySpec`` if that is known."""
     voxels = (spec or {}).get("voxels") or {}
     return "timed_voxel" if voxels.get("layout", {}).get("timed") else "voxel"
 

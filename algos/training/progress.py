@@ -1,4 +1,4 @@
-"""What people see of a training: lines and a live line on a terminal, an element of a notebook."""
+"""Progress of a training: lines and a live line on a terminal, an element of a notebook."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WIDE = 110
 
 
 def listener() -> Listener:
-    """What shows a training where this process is: in a notebook or on a terminal."""
+    """The listener for the place where this process is: in a notebook or on a terminal."""
     return Notebook() if "ipykernel" in sys.modules else Terminal()
 
 

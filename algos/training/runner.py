@@ -63,7 +63,7 @@ def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
 
 
 class _Rollout(Logger):
-    """What rsl-rl's runner tells of an iteration, in the place of its logger.
+    """Collects what rsl-rl's runner tells of an iteration, in the place of its logger.
 
     Attributes:
         means: of what the environments log.
@@ -325,7 +325,7 @@ class Runner(OnPolicyRunner):
         return self.alg.get_policy().output_std.mean().item()
 
     def _quantiles(self, evaluated: float) -> dict[str, float]:
-        """Of the returns of the last evaluation, over its bodies where there are several."""
+        """Quantiles of the returns of the last evaluation, over its bodies where there are several."""
         fitness = () if math.isnan(evaluated) or self._judged is None else self._judged.fitness
         if len(fitness) < 2:
             return {}

@@ -80,7 +80,7 @@ class Evaluation:
         return self
 
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
-        """What the evaluator needs that was known before the search, such as a pretrained policy; can be pickled.
+        """Knowledge from before the search that the evaluator needs, such as a pretrained policy; can be pickled.
 
         Args:
             start: robots that the first generation contains.

@@ -28,6 +28,8 @@ from warpvox.trust import STORED
 if TYPE_CHECKING:
     from warpvox.algos.training.policy_table import EvaluatedPolicy
 
+__all__ = ["Judged", "compare", "evaluate_runs", "run"]
+
 LATEST = "latest"
 SEVERAL = "several"
 """Name of the folder where the runs are of more than one task."""
