@@ -148,10 +148,10 @@ class _Course:
                 report(done | {"best": [math.nan] * count, "training": [True] * count})
 
         schedule = Schedule(settings.iterations, settings.save_interval)
-        options = {"memory_hint": self.hint, "voxels": voxels, "on_save": save, "report": tell}
         # without feedback there is nothing that PPO could learn from single actions
         climbs = settings.policy == CPG and settings.iterations > 0
-        runner = (AscentRunner if climbs else Runner)(env, ppo, schedule, **options)
+        runner = (AscentRunner if climbs else Runner)(env, ppo, schedule, voxels=voxels, on_save=save)
+        runner.report = tell
         moments = settings.policy != CPG  # those of other bodies' derivatives are of no use
         if content := read_evaluation(checkpoint, self.about):
             runner.set_state(content["training"])

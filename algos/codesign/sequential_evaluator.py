@@ -11,7 +11,7 @@ from typing import Any, cast
 import torch
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, Parents, Report, candidate_seed
-from warpvox.algos.checkpoints.files import Controller, spec_dict
+from warpvox.algos.checkpoints.files import spec_dict
 from warpvox.algos.codesign.inheritance import copy_voxel_policy
 from warpvox.algos.codesign.population_evaluator import (
     best_parent,
@@ -81,7 +81,7 @@ class SequentialEvaluator:
             on_cpu = self.factory.computed(device="cpu")  # where few environments are faster
             judge = evaluator(on_cpu.make([candidate.body], settings.eval_envs, [seed], auto_reset=False), [self.seed])
 
-            def evaluate(policy: Controller) -> EpisodeReturns:
+            def evaluate(policy: Any) -> EpisodeReturns:
                 result = judge(policy)
                 value = float(result.fitness[0])
                 outcome.curve.append((runner.steps, value))
@@ -96,10 +96,8 @@ class SequentialEvaluator:
                     done.save(outcome, runner.state())
 
             schedule = Schedule(settings.iterations, settings.save_interval, settings.eval_interval)
-            hint, name = memory_hint(settings, 1), self.network
-            voxels = None if name is None else voxels_of(name, env.env, self.network_settings)
-            options = {"evaluator": evaluate, "on_save": save, "memory_hint": hint, "voxels": voxels}
-            runner = Runner(env, settings.ppo, schedule, **options)
+            voxels = None if self.network is None else voxels_of(self.network, env.env, self.network_settings)
+            runner = Runner(env, settings.ppo, schedule, evaluator=evaluate, on_save=save, voxels=voxels)
             if done.training is not None:
                 runner.set_state(done.training)
             elif settings.inherit and parent is not None and self.network is not None:

@@ -39,7 +39,7 @@ class Networks:
 
 
 def fresh_networks(ppo: Ppo, num_obs: int, num_actions: int, seed: int) -> Networks:
-    """Networks that a training with ``seed`` alone begins with, made by rsl-rl itself; torch's generator stays as it was."""
+    """Networks that a training with this ``seed`` begins with, made by rsl-rl; torch's generator stays as it was."""
     config = rsl_rl_config(ppo, total_iterations=1) | {"multi_gpu": None}
     obs = TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])
     with torch.random.fork_rng(devices=[]), contextlib.redirect_stdout(io.StringIO()):

@@ -206,10 +206,12 @@ class Job:
             self.rows.append(row)
             listener(row)
 
-        runner.report = report
+        runner.report, count = report, runner.env.num_envs
+        fewer = f"(num_envs={max(1, count // 2)} instead of {count})"
         listener.begin(self)
         try:
-            runner.run()
+            with enough_memory(f"Train with fewer environments {fewer} or a lower ppo.steps."):
+                runner.run()
             status = "done"
         except KeyboardInterrupt:
             status = "interrupted"

@@ -32,7 +32,6 @@ from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
 from warpvox.algos.training.metrics import Metrics
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
-from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
@@ -105,6 +104,7 @@ class Runner(OnPolicyRunner):
     ``current_learning_iteration`` counts complete iterations. With ``folder`` the run leaves there
     ``model_<iteration>.pt``, ``model_best.pt`` (best evaluation), ``state.pt`` (for :meth:`resume`),
     ``metrics.csv`` and TensorBoard events; without, nothing. ``saved_iteration`` is that of the newest ``state.pt``.
+    ``report`` is called after every iteration with its row of ``metrics.csv``.
 
     Args:
         env: see :func:`adapt`.
@@ -113,9 +113,7 @@ class Runner(OnPolicyRunner):
         folder: of the run; must exist.
         evaluator: says how good the policy is without exploration; None: no evaluations. The state of a
             :class:`StatefulEvaluator` is saved and restored with that of training.
-        report: called after every iteration with its row of ``metrics.csv``.
         on_save: called where ``state.pt`` would be written, instead; :meth:`state` is what there is to save.
-        memory_hint: what to do if learning takes too much memory.
         logger: where metrics go besides ``metrics.csv``, :data:`warpvox.algos.settings.LOGGERS`.
         group: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
             and reports; its ``evaluator`` and ``report`` are the only ones that are used.
@@ -135,10 +133,8 @@ class Runner(OnPolicyRunner):
         schedule: Schedule,
         folder: Path | None = None,
         evaluator: Evaluator | None = None,
-        report: Callable[[Mapping[str, float]], None] | None = None,
         group: ProcessGroup = SINGLE_PROCESS,
         on_save: Callable[[], None] | None = None,
-        memory_hint: str | None = None,
         voxels: Mapping[str, Any] | None = None,
         logger: str = "tensorboard",
         bodies: Bodies | None = None,
@@ -146,7 +142,8 @@ class Runner(OnPolicyRunner):
     ) -> None:
         ppo.check(env.num_envs)
         self.ppo, self.schedule, self.folder = ppo, schedule, folder
-        self.evaluator, self.report, self.group, self.on_save = evaluator, report, group, on_save
+        self.evaluator, self.group, self.on_save = evaluator, group, on_save
+        self.report: Callable[[Mapping[str, float]], None] | None = None
         self.bodies, self.trained_on = bodies, dict(trained_on or {})
         self._judged: EpisodeReturns | None = None
         config = rsl_rl_config(ppo, schedule.total, voxels, self.algorithm)
@@ -158,10 +155,6 @@ class Runner(OnPolicyRunner):
                 raise
             raise ConfigError(f"ppo.rnn or ppo.extra is not what rsl-rl takes: {error}") from error
         self.logger, self._writer = _Rollout(bodies), logger
-        self.memory_hint = memory_hint or (
-            f"Train with fewer environments (num_envs={max(1, env.num_envs // 2)} instead of {env.num_envs}) or a lower"
-            " ppo.steps."
-        )
         kind = {"voxels": None if voxels is None else dict(voxels), "rnn": rnn_of(config["actor"])}
         self.spec = spec_for(ppo, env.get_observations()["policy"].shape[1], env.num_actions, **kind)
         self.current_learning_iteration, self.saved_iteration, self.elapsed = 0, None, 0.0
@@ -199,13 +192,12 @@ class Runner(OnPolicyRunner):
 
         Raises:
             DivergenceError: learning has diverged.
-            StorageError: the folder cannot be written any more. DeviceError: memory has run out. In both cases what was
-                saved last is whole, and learning goes on from there as if nothing had happened.
+            StorageError: the folder cannot be written any more; what was saved last is whole, and learning goes on from
+                there as if nothing had happened.
         """
         left = self.schedule.total - self.current_learning_iteration
         if left > 0:
-            with enough_memory(self.memory_hint):
-                self.learn(left, init_at_random_ep_len=self.ppo.random_start)
+            self.learn(left, init_at_random_ep_len=self.ppo.random_start)
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Learn for so many iterations; random lengths apply to the very first one only."""
