@@ -63,11 +63,7 @@ PRESETS = {name: PhysicsConfig(preset=name) for name in ("auto", *Physics.preset
 
 
 def physics_of(config: Any) -> Physics:
-    """The constants that ``physics`` and ``rules`` name together.
-
-    Raises:
-        ConfigError: a constant out of range.
-    """
+    """The constants that ``physics`` and ``rules`` name together."""
     values = dict(config.physics if isinstance(config.physics, Mapping) else dataclasses.asdict(config.physics))
     preset = values.pop("preset")
     changes = {name: value for name, value in values.items() if value is not None}

@@ -78,11 +78,7 @@ class Run:
         return sorted(int(match[1]) for match in found if match)
 
     def find_checkpoint(self, which: str) -> Path:
-        """The file of ``best`` (the last if there was no evaluation), ``last`` or an iteration.
-
-        Raises:
-            RunError: there is none.
-        """
+        """The file of ``best`` (the last if there was no evaluation), ``last`` or an iteration."""
         if self.checkpoint is not None:
             return self.checkpoint
         if which == "best" and (self.folder / BEST).is_file():
@@ -105,9 +101,6 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
     Args:
         commands: whose runs ``latest`` may be.
         resume: ``latest`` may be a run that was stopped before it had a checkpoint to play.
-
-    Raises:
-        RunError: no such folder, or one that is no run.
     """
     if text.startswith(ZOO) and not resume:
         return _stored_robot(text)
@@ -121,11 +114,7 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
 
 
 def _folder_of(path: Path) -> Path:
-    """The folder of a run that is named by itself or by a file in it.
-
-    Raises:
-        RunError: a file in another folder.
-    """
+    """The folder of a run that is named by itself or by a file in it."""
     if path.is_dir():
         return path
     if not (path.parent / CONFIG).is_file():
@@ -145,9 +134,6 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
     """The runs that ``texts`` name, each once: as for :func:`find_run`, or patterns such as ``outputs/train/*/*``.
 
     Folders that a pattern matches and that are no runs are left out.
-
-    Raises:
-        RunError: a text or a pattern that names no run, or none at all.
     """
     found: dict[tuple[Path, Path | None], Run] = {}
     for text in texts:
@@ -172,11 +158,7 @@ def _matches(text: str) -> list[Path] | None:
 
 
 def find_codesign(text: str, output_dir: str) -> Run:
-    """The design search that ``text`` names: ``latest`` or a folder.
-
-    Raises:
-        RunError: no such folder, or one that is no design search.
-    """
+    """The design search that ``text`` names: ``latest`` or a folder."""
     path = _latest(Path(output_dir), (CODESIGN,)) if text == "latest" else Path(text).expanduser()
     if not path.exists():
         raise RunError(f"There is no design search at {path}: expected latest or the folder of one.")
@@ -190,11 +172,7 @@ def find_codesign(text: str, output_dir: str) -> Run:
 
 
 def find_suite(text: str, output_dir: str) -> Run:
-    """The suite of design searches that ``text`` names: ``latest`` (which was last begun or resumed) or a folder.
-
-    Raises:
-        RunError: no such folder, or one that is no suite.
-    """
+    """The suite of design searches that ``text`` names: ``latest`` (which was last begun or resumed) or a folder."""
     if text == "latest":
         known = sorted(Path(output_dir).glob(f"suite/*/{CONFIG}"), key=lambda file: file.stat().st_mtime_ns)
         if not known:
@@ -211,9 +189,6 @@ def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
     """The folders of the design searches that ``texts`` name, each once; none if they name anything else.
 
     A text is ``latest``, the folder of a search, one that searches lie in (that of a suite), or a pattern of such.
-
-    Raises:
-        RunError: some of the texts name searches and others do not.
     """
     found: dict[Path, Path] = {}
     others = []
@@ -237,11 +212,7 @@ def _best_design(folder: Path) -> Path:
 
 
 def _config_of(folder: Path, command: str) -> dict[str, Any]:
-    """The configuration of a run of this command.
-
-    Raises:
-        RunError: there is none, or that of another command.
-    """
+    """The configuration of a run of this command."""
     if not (folder / CONFIG).is_file():
         raise RunError(f"{folder} is not a run: it has no {CONFIG}. Runs are made by `warpvox {command}`.")
     content, (what, keys) = _read(folder), NEEDED[command]
@@ -281,11 +252,7 @@ def _has_begun(folder: Path, command: str, resume: bool) -> bool:
 
 @contextmanager
 def new_folder(output_dir: str, command: str, task: str, name: str | None, config: str) -> Iterator[Path]:
-    """Make a run's folder with its ``config.yaml``; gone again if the block fails before any result.
-
-    Raises:
-        ConfigError: a name that no folder can have. RunError, StorageError: the folder cannot be written.
-    """
+    """Make a run's folder with its ``config.yaml``; gone again if the block fails before any result."""
     check_name(name)
     stamp = datetime.now().strftime(STAMP)
     if ":" in task:  # a task of the user's own, module:NAME, is known by its id
@@ -376,11 +343,7 @@ def run_folder(
 
 @contextmanager
 def going_on(folder: Path, config: str) -> Iterator[Path]:
-    """The folder of a run that is resumed: ours alone, rid of what a killed process has left half written.
-
-    Raises:
-        RunError: another process is writing to it. StorageError: it cannot be written.
-    """
+    """The folder of a run that is resumed: ours alone, rid of what a killed process has left half written."""
     with claimed(folder):
         sweep(folder)
         try:

@@ -44,9 +44,6 @@ def with_code(config: Any, given: Mapping[str, Any], stored: Mapping[str, Any] |
         given: those of the user, as :func:`typed` returns them.
         stored: values of the file that all others come from, nested; None: there is none.
         home: folder that the file lies in, and ``code`` with it.
-
-    Raises:
-        ConfigError: the file names code and the user does not. RunError: there is no copy.
     """
     for key in KEYS:
         value, mine = _value(config, key), given.get(key)
@@ -78,9 +75,6 @@ def allowed(key: str, text: Any, given: Any, home: Path) -> Any:
 
     Args:
         given: the user's own value: a :class:`Code`, ``stored`` for the copy, or anything else if there is none.
-
-    Raises:
-        ConfigError: it is code, and the user has not named it. RunError: there is no copy.
     """
     if given == STORED:
         if not is_code(text):

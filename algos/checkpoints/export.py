@@ -105,11 +105,7 @@ POLICY_WRITERS = {"onnx": ("policy.onnx", write_onnx), "jit": ("policy.pt", writ
 
 
 def read_exported(path: Path) -> Policy | None:
-    """The policy that a file of :func:`write_onnx` or :func:`write_script` holds; None: it is another kind of file.
-
-    Raises:
-        RunError: an ONNX file without a policy of ours, or a damaged policy.
-    """
+    """The policy that a file of :func:`write_onnx` or :func:`write_script` holds; None: it is another kind of file."""
     if path.suffix == ".onnx":
         return parse_policy(_card_of_onnx(path), path)
     text = _card_of_script(path)
@@ -162,11 +158,7 @@ def _onnx_runner(path: Path) -> tuple[str, Runner]:
 
 
 def _compare(policy: Policy, run: Runner, path: object) -> float:
-    """The largest difference between a file's actions and the policy's, on random observations.
-
-    Raises:
-        RunError: it is larger than :data:`TOLERANCE`, or the file gives something else than actions.
-    """
+    """The largest difference between a file's actions and the policy's, on random observations."""
     generator, apart = torch.Generator().manual_seed(0), 0.0
     for rows in ROWS:
         obs = policy.random_obs(rows, generator)

@@ -118,11 +118,7 @@ def rnn_of(settings: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
-    """Write tensors, numbers, texts, lists and dictionaries of them to ``path``, atomically.
-
-    Raises:
-        StorageError: the disk will not have it, or the folder, which must exist, is gone.
-    """
+    """Write tensors, numbers, texts, lists and dictionaries of them to ``path``, atomically."""
     # By way of memory: of a full disk torch's own writer says neither what has happened nor where.
     whole = io.BytesIO()
     torch.save(content, whole)
@@ -131,11 +127,7 @@ def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
 
 
 def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
-    """Read what :func:`save_checkpoint` wrote. torch loads tensors and plain values alone (``weights_only``).
-
-    Raises:
-        RunError: no such file, or one of another kind.
-    """
+    """Read what :func:`save_checkpoint` wrote. torch loads tensors and plain values alone (``weights_only``)."""
     if not path.is_file():
         raise RunError(f"There is no checkpoint file {path}.")
     try:
@@ -152,11 +144,7 @@ def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
 
 
 def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
-    """Read the checkpoint of a policy.
-
-    Raises:
-        RunError: no such file, or none that holds a policy.
-    """
+    """Read the checkpoint of a policy."""
     content = read_tensors(path, device)
     if "policy" not in content or "actor_state_dict" not in content:
         raise RunError(f"{path} is not a checkpoint of warpvox: it holds no policy.")
@@ -170,9 +158,6 @@ def load_controller(path: Path, device: str = "cpu", network: str | None = None)
         path, device: of the file, and where the policy shall be.
         network: ``FILE.py:Class`` or ``module:Class`` of a network that is not warpvox's own; a checkpoint that needs
             one does not say where code is imported from.
-
-    Raises:
-        RunError: the file is missing or not a checkpoint, or needs code that ``network`` does not name.
     """
     content = load_checkpoint(path, device)
     try:
@@ -190,11 +175,7 @@ def load_controller(path: Path, device: str = "cpu", network: str | None = None)
 
 
 def with_code(spec: PolicySpec, network: str | None) -> PolicySpec:
-    """``spec`` whose network, if it is code of the user's, is that which the user has named.
-
-    Raises:
-        RunError: it is such a network, and none is named.
-    """
+    """``spec`` whose network, if it is code of the user's, is that which the user has named."""
     if spec.voxels is None or not isinstance(spec.voxels, dict) or not is_code(spec.voxels.get("network")):
         return spec
     if not isinstance(network, Code):

@@ -188,11 +188,7 @@ def policy_text(policy: Policy) -> str:
 
 
 def parse_policy(text: str, source: object) -> Policy:
-    """The policy that :func:`policy_text` has written; ``source`` names the file in errors.
-
-    Raises:
-        RunError: another kind of text, or a policy that cannot be.
-    """
+    """The policy that :func:`policy_text` has written; ``source`` names the file in errors."""
     try:
         content = parse_json(text)
         if not isinstance(content, dict) or (content.get("format"), content.get("version")) != (FORMAT, VERSION):

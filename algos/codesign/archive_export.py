@@ -23,11 +23,7 @@ DESIGN_SUFFIXES = (".npz", ".json", ".npy")
 
 
 def export(archive: Archive, folder: Path, name: str) -> Path:
-    """Write one of :data:`FORMATS` into ``folder``; returns the path of what was made.
-
-    Raises:
-        RunError: an unknown format, or pyarrow is missing.
-    """
+    """Write one of :data:`FORMATS` into ``folder``; returns the path of what was made."""
     if name not in FORMATS:
         raise RunError(f"The archive can be exported as {listing(FORMATS)}; got '{name}'.{did_you_mean(name, FORMATS)}")
     return FORMATS[name](archive, folder)
@@ -46,11 +42,7 @@ def _cell(value: Any) -> Any:
 
 
 def write_parquet(archive: Archive, path: Path) -> Path:
-    """Write the candidates as Parquet with the columns :data:`COLUMNS`. Needs the extra ``analysis`` (pyarrow).
-
-    Raises:
-        RunError: pyarrow is not installed.
-    """
+    """Write the candidates as Parquet with the columns :data:`COLUMNS`. Needs the extra ``analysis`` (pyarrow)."""
     try:
         import pyarrow as pa
         from pyarrow import parquet
@@ -92,9 +84,6 @@ def read_designs(paths: Sequence[str]) -> list[Design]:
 
     Reads what :func:`write_designs` and EvoGym's searches write. In a folder all files ending in .npz, .json and .npy
     must be designs.
-
-    Raises:
-        DesignError: nothing there, or a file that holds no valid design.
     """
     bodies = {}
     for text in paths:

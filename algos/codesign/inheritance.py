@@ -73,9 +73,6 @@ def copy_weights(
         actor, critic: of the child; changed in place.
         child, parent: what their columns mean.
         policy: state of the parent's actor.
-
-    Raises:
-        RunError: the parent's network has other hidden layers.
     """
     state = actor.state_dict()
     inputs, outputs = _matches(child.columns, parent.columns), _matches(child.actuators, parent.actuators)
@@ -104,9 +101,6 @@ def copy_voxel_policy(actor: VoxelModel, policy: Mapping[str, torch.Tensor]) -> 
     """Initialise a child's policy for voxels with all of its parent's, whose weights are about no body.
 
     The value function, of which a policy's state holds nothing, keeps its initial weights.
-
-    Raises:
-        RunError: the parent's is another network.
     """
     try:
         actor.load_state_dict(policy)

@@ -57,9 +57,6 @@ class RayExecutor:
         workers: how many; None: one a GPU if they are given GPUs, else as many as there are CPUs for.
         address: of a running cluster (``auto`` or ``host:port``); None: start Ray on this machine.
         cpus, gpus: what a worker takes; no number of GPUs: one if the cluster has any.
-
-    Raises:
-        ConfigError: Ray is not installed. RunError: there is no such cluster, or it has no room for one worker.
     """
 
     def __init__(

@@ -33,9 +33,6 @@ def read_start(settings: Codesign, folder: Path | None = None) -> list[Robot]:
 
     Args:
         folder: of the search, which has copies; None: there are none yet.
-
-    Raises:
-        RunError, DesignError: no such robot or body. ConfigError: one that the search cannot take.
     """
     if folder is not None:
         return _copies(folder)
@@ -88,9 +85,6 @@ def robots_of(source: Path, top: int) -> Iterator[Robot]:
         source: folder of a design search, of a design in one (``designs/17``) or of a training, or a checkpoint in the
             latter.
         top: of a search the best designs, as many.
-
-    Raises:
-        RunError: no such search or run, or no policy that an entry can have.
     """
     if (source / ARCHIVE).is_file():
         return _of_search(source, lambda archive: trained(archive)[:top])

@@ -81,9 +81,6 @@ def check(settings: Codesign, folder: Path | None = None, search: Search | None 
     Args:
         folder: of the search that is resumed.
         search: in the place of the one that the settings name.
-
-    Raises:
-        WarpvoxError: a task, shape, setting, device or library that does not exist or does not go with the others.
     """
     task_world(get_task(settings.task), np.full(settings.shape, 3, np.int8))
     start = [robot.body for robot in read_start(settings, folder)]
@@ -223,11 +220,7 @@ def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[
 
 
 def _archive(folder: Path, settings: Codesign) -> Archive:
-    """The archive in ``folder``, made if there is none.
-
-    Raises:
-        RunError: it was made with other settings.
-    """
+    """The archive in ``folder``, made if there is none."""
     values = {name: value for name, value in dataclasses.asdict(settings).items() if name not in CHANGEABLE}
     values["training"].pop("save_interval")
     values = json.loads(json.dumps(values))
@@ -279,11 +272,7 @@ def make_evaluator(settings: Codesign, known: Any) -> DesignEvaluator:
 
 
 def make_executor(settings: Codesign, known: Any) -> Executor:
-    """Where designs are evaluated, by the settings.
-
-    Raises:
-        ConfigError, RunError: Ray is missing or cannot be reached.
-    """
+    """Where designs are evaluated, by the settings."""
     if settings.executor == "local":
         return LocalExecutor(make_evaluator(settings, known))
     from warpvox.algos.codesign.ray_executor import RayExecutor

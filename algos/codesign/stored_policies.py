@@ -34,11 +34,7 @@ class StoredPolicies:
             (folder / DESIGNS).mkdir(exist_ok=True)
 
     def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
-        """Write the policy of an outcome; returns its path relative to the run's folder, and its SHA-256.
-
-        Raises:
-            StorageError: it cannot be written, or the folder of all policies has vanished.
-        """
+        """Write the policy of an outcome; returns its path relative to the run's folder, and its SHA-256."""
         check_folder(self.folder / DESIGNS)
         policy = outcome.policy or {}
         place = Path(DESIGNS) / str(candidate.id)
@@ -53,11 +49,7 @@ class StoredPolicies:
         return (place / BEST).as_posix(), policy_sha256(policy)
 
     def load(self, path: str) -> dict[str, Any]:
-        """The policy that :meth:`save` has written to ``path``.
-
-        Raises:
-            RunError: it is gone or cannot be read.
-        """
+        """The policy that :meth:`save` has written to ``path``."""
         return load_checkpoint(self.folder / path)["actor_state_dict"]
 
     def _spec(self, policy: Mapping[str, torch.Tensor]) -> dict[str, Any]:

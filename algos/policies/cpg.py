@@ -37,9 +37,6 @@ class CpgNetwork(nn.Module):
         width: of a voxel's token, a multiple of ``heads``.
         heads: of attention.
         layers: how often the weights are changed.
-
-    Raises:
-        ConfigError: ``width`` is not a multiple of ``heads``, observations without the time, or a large grid.
     """
 
     periods = (10.0, 5.0)

@@ -39,9 +39,6 @@ def design_models(
         network, settings: of the control stage, as for ``policy=`` and ``network=`` of ``warpvox train``.
         channels: of the network of the design stage.
         init_std: deviation of the control stage's exploration at the start.
-
-    Raises:
-        ConfigError: environments of another kind, or no such network.
     """
     if not env.env.env.voxels or env.env.layout.actions != "types":
         raise ConfigError('These models need design_episodes(..., obs="voxel", actions="types").')

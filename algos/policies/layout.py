@@ -89,11 +89,7 @@ class VoxelLayout:
 
 
 def layout_of(env: VoxelVecEnv, periods: tuple[float, ...] = CLOCK) -> VoxelLayout:
-    """The layout of environments with ``obs="voxel"`` or ``obs="timed_voxel"``; ``periods`` are those of the clock.
-
-    Raises:
-        ConfigError: they have another one, or several robots.
-    """
+    """The layout of environments with ``obs="voxel"`` or ``obs="timed_voxel"``; ``periods`` are those of the clock."""
     if len(env.voxels) != 1:
         what = "several robots" if env.voxels else 'not obs="voxel"'
         raise ConfigError(f"A policy for voxels needs environments of one robot with obs=voxel; these have {what}.")

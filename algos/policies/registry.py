@@ -31,11 +31,7 @@ def check_policy(name: object) -> None:
 
 
 def layout_for(name: str, env: VoxelVecEnv) -> VoxelLayout:
-    """The layout of environments for a network, whose attribute ``periods``, if it has one, are those of its clock.
-
-    Raises:
-        ConfigError: no such network, or environments that it is not for.
-    """
+    """The layout of environments for a network, whose attribute ``periods``, if it has one, are those of its clock."""
     check_policy(name)
     return layout_of(env, getattr(NETWORKS.get(name) or load_code(name), "periods", CLOCK))
 
@@ -46,11 +42,7 @@ def voxels_of(name: str, env: VoxelVecEnv, settings: Mapping[str, Any] | None = 
 
 
 def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str = "network") -> VoxelLayout:
-    """The layout of a network, after its settings, those of ``key``, have been tried.
-
-    Raises:
-        ConfigError: settings that it does not have, or environments that it is not for.
-    """
+    """The layout of a network, after its settings, those of ``key``, have been tried."""
     if settings is not None and not isinstance(settings, Mapping):
         raise ConfigError(f"{key} must be settings by name, such as {{width:32}}; got {settings!r:.80}.")
     layout = layout_for(name, env)
@@ -67,9 +59,6 @@ def make_network(name: str, layout: VoxelLayout, critic: bool, settings: Mapping
         layout: sizes.
         critic: whether there is one value for the body instead of one for each cell.
         settings: of the network, by name.
-
-    Raises:
-        ConfigError: no such network, or it has no such settings.
     """
     check_policy(name)
     made = NETWORKS.get(name) or load_code(name)

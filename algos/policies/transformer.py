@@ -22,9 +22,6 @@ class TransformerNetwork(nn.Module):
         width: of a token, a multiple of ``heads``.
         heads: of attention.
         layers: blocks of attention and a network of ``2 * width`` units.
-
-    Raises:
-        ConfigError: ``width`` is not a multiple of ``heads``.
     """
 
     def __init__(self, layout: VoxelLayout, critic: bool, width: int = 64, heads: int = 2, layers: int = 1) -> None:

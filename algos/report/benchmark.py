@@ -42,9 +42,6 @@ def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, 
     Args:
         archives: folders of design searches; see :func:`warpvox.algos.report.members.read_members` for their names.
         facts: what stands under the title, by name, besides the figures of the searches.
-
-    Raises:
-        RunError: no archive, or a damaged one. StorageError: a file cannot be written.
     """
     members = read_members(archives)
     groups = _groups(members)

@@ -36,9 +36,6 @@ def draw_gallery(shown: Sequence[tuple[str, Design, str]]) -> Image.Image:
 
     Args:
         shown: (task, body, caption) of each.
-
-    Raises:
-        DesignError, WorldError: a body that is not valid, or does not fit into the task.
     """
     columns = min(COLUMNS, len(shown))
     rows = -(-len(shown) // columns)

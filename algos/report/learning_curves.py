@@ -81,9 +81,6 @@ def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
     """The deterministic return of runs over the column ``x`` of ``metrics.csv``, a curve for each group.
 
     A run that has stopped early keeps its last return.
-
-    Raises:
-        RunError: a run without an evaluation.
     """
     return [_curve(group, [_points(each_run, x) for each_run in group.runs]) for group in groups]
 
@@ -129,9 +126,6 @@ def write_curves(
         path: .png, .svg or .pdf; written whole or not at all.
         x: what they are over.
         size: in pixels, of each picture.
-
-    Raises:
-        ConfigError: another suffix, or matplotlib is not installed.
     """
     target = check_file(path)
     try:

@@ -128,9 +128,6 @@ def read_members(archives: Sequence[Path]) -> list[SearchResult]:
 
     In a folder ``.../<task>/<search>/seed<k>`` a search has the name of that folder. Elsewhere it has that of its
     algorithm, with the settings that other searches of the same algorithm and task have otherwise.
-
-    Raises:
-        RunError: no archive, or a damaged one.
     """
     found = []
     for folder in archives:

@@ -72,11 +72,7 @@ def make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> Si
 
 
 def fit_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:
-    """The process with the largest marginal likelihood that L-BFGS finds from several starts.
-
-    Raises:
-        SearchError: no start came to an end.
-    """
+    """The process with the largest marginal likelihood that L-BFGS finds from several starts."""
     model = make_model(bodies, fitness, settings)
     try:
         fit_gpytorch_mll(

@@ -35,9 +35,6 @@ def make_search(
         shape: ``(rows, columns)`` of the bodies.
         seed: of all random numbers; the same seed and fitness give the same proposals.
         start: different bodies, int8 ``[rows, columns]``, that the first generation begins with.
-
-    Raises:
-        ConfigError: settings of no known algorithm, a bad shape, seed or start, or a library that is not installed.
     """
     if getattr(settings, "algorithm", None) not in SEARCHES:
         raise ConfigError(f"There is no search for settings of type {type(settings).__name__}.")
@@ -51,11 +48,7 @@ def make_search(
 
 
 def make_custom(settings: CustomSearch, shape: tuple[int, int], seed: int) -> Search:
-    """Call what ``settings.make`` names with settings, shape and seed.
-
-    Raises:
-        ConfigError: no such file, module or name, or what it makes does not ask, tell and replay.
-    """
+    """Call what ``settings.make`` names with settings, shape and seed."""
     make = settings.make or ""
     place, _, name = make.rpartition(":")
     if not place or not name.isidentifier():

@@ -182,9 +182,6 @@ class RayPool:
     Args:
         make: as for :class:`LocalPool`.
         workers, address, cpus, gpus: as for :class:`warpvox.algos.codesign.ray_executor.RayExecutor`; of a member.
-
-    Raises:
-        ConfigError: Ray is not installed. RunError: there is no such cluster, or it has no room for one member.
     """
 
     def __init__(self, make: Make, workers: int | None, address: str | None, cpus: int, gpus: float | None) -> None:

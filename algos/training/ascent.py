@@ -151,10 +151,6 @@ class AscentRunner(Runner):
     Each iteration begins new episodes, ``ppo.steps`` control steps of which are differentiated: rewards of the task by
     the weights that the policy gives the bodies. Bonuses at ends of episodes do not count, and episodes that were
     stopped are left out.
-
-    Raises:
-        ConfigError: another policy than cpg, several processes, an environment that :class:`Gradients` refuses, or
-            rewards without derivatives.
     """
 
     algorithm = Ascent

@@ -38,9 +38,6 @@ def load_bodies(spec: Any, seed: int) -> list[np.ndarray | dict[str, np.ndarray]
     """The bodies that the key ``design`` names: one, or one an entry for a list of names, files or bodies.
 
     A mapping ``{robot name: body}`` is a design for a task with several robots.
-
-    Raises:
-        DesignError: not valid or not readable.
     """
     if isinstance(spec, Mapping):
         return [{name: load_design(body, seed=seed + number) for number, (name, body) in enumerate(spec.items())}]
@@ -65,9 +62,6 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
             design search (its bodies, the best first), or whatever the key ``design`` takes.
         key: the name of the key, for errors.
         without: bodies that random ones shall not be.
-
-    Raises:
-        DesignError, ConfigError: nothing of the kind.
     """
     if isinstance(spec, str):
         found = RANDOM.fullmatch(spec.strip())
@@ -135,11 +129,7 @@ class TrainingBodies:
 
 
 def training_bodies(settings: Training) -> TrainingBodies:
-    """The bodies that settings name.
-
-    Raises:
-        DesignError: a body that is not valid, or that there is no room for. ConfigError: nothing of the kind.
-    """
+    """The bodies that settings name."""
     designs, seed = settings.designs, settings.seed
     if designs.bodies is None:
         bodies = load_bodies(settings.design, seed)
@@ -166,11 +156,7 @@ def _shape(bodies: Sequence[Design]) -> tuple[int, int]:
 def draw_bodies(
     count: int, shape: tuple[int, int], rng: np.random.Generator, without: Sequence[Design] = ()
 ) -> list[Design]:
-    """Different random bodies, none of ``without``; one that lies elsewhere in the grid is not different.
-
-    Raises:
-        ConfigError: there are not so many different ones of this shape to be found.
-    """
+    """Different random bodies, none of ``without``; one that lies elsewhere in the grid is not different."""
     found: list[Design] = []
     _draw(found, count, shape, rng, {_digest(body) for body in without})
     if len(found) < count:
@@ -227,11 +213,7 @@ class Bodies:
 
     @classmethod
     def of(cls, bodies: TrainingBodies, settings: Training, seed: int) -> Bodies:
-        """Those of a training; ``seed``: of the order in which they come, which differs between processes.
-
-        Raises:
-            ConfigError: settings that do not go together.
-        """
+        """Those of a training; ``seed``: of the order in which they come, which differs between processes."""
         count, refresh = len(bodies.trained), settings.designs.refresh
         if refresh not in REFRESH[:2] and count < 2:
             raise ConfigError(f"designs.refresh={refresh} chooses among bodies, and there is only one.")

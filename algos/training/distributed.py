@@ -68,9 +68,6 @@ def join_process_group(device: str) -> ProcessGroup:
 
     Args:
         device: ``cuda`` and ``auto`` become this process's own GPU; the processes talk by NCCL then, else by gloo.
-
-    Raises:
-        DeviceError: there are fewer GPUs than processes. ConfigError: a single GPU is named for all.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         return SINGLE_PROCESS

@@ -77,9 +77,6 @@ class Job:
         settings: of the training; with ``source`` those of its run, but for what may change.
         named: keys that the user has given, which must agree with a pretrained policy.
         source: a run that goes on.
-
-    Raises:
-        ConfigError, RunError: something is wrong with it.
     """
 
     def __init__(self, settings: Training, named: Collection[str] = (), source: Run | None = None) -> None:
@@ -259,11 +256,7 @@ class _Best:
 
 
 def resolved(settings: Training) -> Any:
-    """Settings with what their names stand for: bodies cell by cell, constants, device. Random bodies stay names.
-
-    Raises:
-        TaskError, DesignError, DeviceError, ConfigError: what does not exist or is not valid.
-    """
+    """Settings with what their names stand for: bodies cell by cell, constants, device. Random bodies stay names."""
     get_task(settings.task)
     check_policy(settings.policy)
     designs = {}
@@ -302,11 +295,7 @@ def _trained_on(settings: Training) -> dict[str, Any]:
 
 
 def _voxels(settings: Training, env: VoxelVecEnv) -> dict[str, Any] | None:
-    """``network``, ``settings`` and ``layout`` of the policy that is trained; None: mlp.
-
-    Raises:
-        ConfigError: settings that it does not have, or environments that it is not for.
-    """
+    """``network``, ``settings`` and ``layout`` of the policy that is trained; None: mlp."""
     if settings.policy == MLP:
         if settings.network is not None:
             raise ConfigError("network has the settings of the other policies; those of policy=mlp are ppo.hidden.")
@@ -330,11 +319,7 @@ def _ask_for_memory(settings: Training, designs: list[Any], sim: SimOptions) -> 
 
 
 def _share(settings: Training, group: ProcessGroup) -> Training:
-    """A process's part of a training: its share of the environments, its own device and threads.
-
-    Raises:
-        ConfigError: the environments cannot be shared out evenly.
-    """
+    """A process's part of a training: its share of the environments, its own device and threads."""
     if group.size == 1:
         return settings
     if settings.num_envs % group.size:
@@ -356,11 +341,7 @@ def own_torch(threads: int) -> Iterator[None]:
 
 
 def continued(settings: Training, source: Run) -> tuple[Training, Path]:
-    """The settings of a run that goes on, and the checkpoint that it goes on from.
-
-    Raises:
-        ConfigError: settings that would make it another run. RunError, StorageError: it cannot go on.
-    """
+    """The settings of a run that goes on, and the checkpoint that it goes on from."""
     check_writable(source.folder)
     named = dataclasses.replace(settings, task=getattr(settings.task, "id", settings.task))
     check_unchanged(source.config, as_stored(named, source.config), CHANGEABLE)

@@ -53,9 +53,6 @@ class Metrics:
         folder: of the run; must exist.
         iteration: iterations complete when writing begins.
         logger: one of :data:`warpvox.algos.settings.LOGGERS`, checked by :func:`check_logger`.
-
-    Raises:
-        StorageError: the folder cannot be written; so do all methods.
     """
 
     def __init__(self, folder: Path, iteration: int = 0, logger: str = "tensorboard") -> None:
@@ -107,9 +104,6 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
     """The rows of a run's ``metrics.csv``, empty cells as NaN; no rows if there is no such file.
 
     A last line that was cut short by a crash is left out.
-
-    Raises:
-        RunError: the file holds something else.
     """
     path = folder / FILE
     if not path.is_file():

@@ -47,9 +47,6 @@ class SampledController:
     Args:
         controller: the policy.
         seed: of the draws; equal seeds give equal actions for equal observations on the same device.
-
-    Raises:
-        ConfigError: the policy is an open-loop gait, which was found without exploration.
     """
 
     def __init__(self, controller: Controller, seed: int = 0) -> None:
@@ -83,10 +80,6 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
         config: :class:`Playing`, or the keys of a command that has the same.
         designs: bodies for a policy over many bodies; None: those held out, as many as there are environments.
         every: of such a policy, all bodies, the same number of environments for each.
-
-    Raises:
-        RunError: no checkpoint, or one that does not fit. ConfigError, DeviceError: ``config`` asks too much, or the
-            run has a task of somebody's own that the user has not named.
     """
     device = resolve_device(config.device, config.num_envs)
     path = run.find_checkpoint(config.checkpoint)

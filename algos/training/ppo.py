@@ -164,9 +164,6 @@ def rsl_rl_config(
         voxels: ``network``, ``settings`` and ``layout`` of :class:`~warpvox.algos.policies.model.VoxelModel`; None:
             fully connected layers, behind recurrent ones where ``ppo.rnn`` says so.
         algorithm: the class that learns.
-
-    Raises:
-        ConfigError: ``ppo.rnn`` or ``ppo.extra`` has settings that rsl-rl has not.
     """
     network: dict[str, Any] = {"class_name": Network, "hidden_dims": list(ppo.hidden), "activation": ppo.activation}
     if voxels is not None:

@@ -22,11 +22,7 @@ UNIVERSAL_FILE = Path(__file__).parents[1] / "checkpoints" / "data" / f"{UNIVERS
 
 
 def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]:
-    """The file that ``pretrained`` names, and the configuration of its run; empty for a file by itself.
-
-    Raises:
-        RunError: no such run or file. ConfigError: a stored robot.
-    """
+    """The file that ``pretrained`` names, and the configuration of its run; empty for a file by itself."""
     if source == UNIVERSAL:
         return UNIVERSAL_FILE, {"method": "gradients"}
     path = Path(source).expanduser()
@@ -49,9 +45,6 @@ def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -
     Args:
         content: of the checkpoint.
         network: where the code of a network of the user's own is.
-
-    Raises:
-        RunError: it holds something else. ConfigError: it has no value function.
     """
     from warpvox.algos.checkpoints.files import checked_weights, load_controller
 
@@ -79,9 +72,6 @@ def adopted(config: Training, named: Collection[str]) -> tuple[Training, dict[st
 
     Args:
         named: keys that the user has given, which must agree with the policy.
-
-    Raises:
-        ConfigError: they do not. RunError: no such policy.
     """
     from warpvox.algos.checkpoints.files import load_checkpoint
 

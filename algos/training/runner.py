@@ -355,9 +355,6 @@ class Runner(OnPolicyRunner):
         """Write ``model_<iteration>.pt`` and ``state.pt`` to the run's folder, if there is one.
 
         Every process has a state of its own, see :meth:`state_file`.
-
-        Raises:
-            StorageError: the folder cannot be written any more, or has vanished.
         """
         if self.folder is not None and self.group.is_main_process:
             check_folder(self.folder)
@@ -402,9 +399,6 @@ class Runner(OnPolicyRunner):
 
         From ``state.pt`` learning goes on exactly as if it had not been stopped; any other checkpoint
         restores the networks, the optimiser and the schedule, with new episodes.
-
-        Raises:
-            RunError: not a checkpoint, or one of another network, task or number of environments or processes.
         """
         content = load_checkpoint(path, self.device)
         processes = content.get("processes", 1)
@@ -421,9 +415,6 @@ class Runner(OnPolicyRunner):
 
         Args:
             optimizer: whether to take the moments of its optimiser, and the rate that an adaptive schedule has found.
-
-        Raises:
-            RunError: they are not those of a policy for these environments.
         """
         check_fits(self.spec, spec_of(learned["policy"]))
         try:

@@ -21,11 +21,7 @@ ROUNDING = {"float32": 1e-5, "float64": 1e-9}
 
 
 def against_reference(config: Any, task: str, body: np.ndarray, reference: Any, steps: int = STEPS) -> float:
-    """The largest difference of the centre of mass to the reference, which has started the task then.
-
-    Raises:
-        SimulationError: it is too large.
-    """
+    """The largest difference of the centre of mass to the reference, which has started the task then."""
     env = make(config, [body], 1, task, dtype="float64", arithmetic=None, auto_reset=False, threads=1)
     env.reset()
     actions = _waves(steps, env.num_actions, config.seed)
@@ -43,9 +39,6 @@ def against_scalar(env: VoxelVecEnv, seed: int) -> float:
 
     Those alone are computed on the CPU in float64, one lane wide: by the code that the recordings of the reference
     are replayed with. The batch is left at the start of an episode.
-
-    Raises:
-        SimulationError: the difference is more than rounding.
     """
     alone = make_vec(
         env.spec, [env.designs[0], env.designs[-1]], 2, device="cpu", rules=env.rules, dtype="float64",

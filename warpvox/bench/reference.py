@@ -48,11 +48,7 @@ def reference_folder() -> Path:
 
 
 def make_reference(folder: Path) -> None:
-    """Make a virtual environment with the reference, unless it is there.
-
-    Raises:
-        ConfigError: no Python 3.10 (the release has wheels for no newer one), or the installation failed.
-    """
+    """Make a virtual environment with the reference, unless it is there."""
     python = python_of(folder)
     if python.is_file() and not subprocess.run([python, "-I", "-c", "import evogym"], capture_output=True).returncode:
         return

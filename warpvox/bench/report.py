@@ -158,11 +158,7 @@ class Report:
 
 
 def put_into(path: Path, suite: str, text: str | None = None) -> None:
-    """Replace what stands between ``<!-- bench SUITE -->`` and ``<!-- end -->`` by ``text``; None: check the place.
-
-    Raises:
-        ConfigError: no such file, or no such place in it.
-    """
+    """Replace what stands between ``<!-- bench SUITE -->`` and ``<!-- end -->`` by ``text``; None: check the place."""
     if not path.is_file():
         raise ConfigError(f"document={path} is no file.")
     whole, (begin, end) = path.read_text(encoding="utf-8"), (f"<!-- bench {suite} -->\n", "<!-- end -->")

@@ -59,9 +59,6 @@ class Runner:
         error: the largest difference to environments alone; None if they were not compared.
         steps: of a repetition: fewer than configured where they would take longer than the limit.
         fits: whether the shortest repetition keeps to the limit.
-
-    Raises:
-        SimulationError: the batch differs from one environment alone.
     """
 
     def __init__(
@@ -152,11 +149,7 @@ def measure(
     repeats: int,
     others: Mapping[str, Callable[[], float]] | None = None,
 ) -> dict[str, dict[str, list[float]]]:
-    """Rates by name and column, repetition by repetition, alternating; ``others`` give rates of step only.
-
-    Raises:
-        SimulationError: a state is not finite at the end.
-    """
+    """Rates by name and column, repetition by repetition, alternating; ``others`` give rates of step only."""
     found: dict[str, dict[str, list[float]]] = {name: {column: [] for column in columns} for name in runners}
     turns: list[tuple[int, list[float], Callable[[], float]]] = []
     for name, runner in runners.items():

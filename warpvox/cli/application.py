@@ -107,11 +107,7 @@ def _make(command: str, config_dir: Path | None, do: Do, prepare: Prepare, run: 
 
 
 def read_words(command: str, words: list[str]) -> argparse.Namespace:
-    """Sort options from overrides.
-
-    Raises:
-        ConfigError: an unknown option or value of one, or a folder of configurations that does not exist.
-    """
+    """Sort options from overrides."""
     given, unknown = _parser(command).parse_known_intermixed_args(words)
     if unknown:
         raise ConfigError(

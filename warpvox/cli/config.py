@@ -44,9 +44,6 @@ def load(
         base: stored values, above the defaults and below what the overrides change.
         home: the folder whose ``config.yaml`` the base is; code that it names is only let through if the overrides
             name it again (:func:`warpvox.trust.with_code`).
-
-    Raises:
-        ConfigError: anything wrong with keys, values or YAML files; code that the user has not named.
     """
     parsed = read_overrides(command, overrides)
     named: dict[str, Any] = {override.key_or_group: override.value() for override in parsed}
@@ -70,9 +67,6 @@ def load_values(command: str, values: dict[str, Any]) -> Any:
     """The dataclass of a command from the values of a stored ``config.yaml``; unknown ones are left out.
 
     The code that they name cannot be imported before :func:`warpvox.trust.with_code`.
-
-    Raises:
-        ConfigError: values of the wrong type or out of range.
     """
     known = {item.name: values[item.name] for item in dataclasses.fields(schema_of(command)) if item.name in values}
     with hydras_errors("The stored configuration is not valid: "), uninterrupted():

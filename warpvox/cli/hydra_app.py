@@ -41,11 +41,7 @@ def run_hydra(
 
 
 def complete(words: Sequence[str]) -> None:
-    """``warpvox -sc install=SHELL``: print code that makes a shell complete our commands, which calls ``query``.
-
-    Raises:
-        ConfigError: another action, or a shell that Hydra does not know.
-    """
+    """``warpvox -sc install=SHELL``: print code that makes a shell complete our commands, which calls ``query``."""
     line = os.environ.get("COMP_LINE", "").split(" ", 2)
     command = line[1] if len(line) == 3 else None
     if words[:1] and words[0].startswith("query=") and command not in COMMANDS:

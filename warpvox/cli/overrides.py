@@ -28,11 +28,7 @@ QUOTED = re.compile(r"""'(\\.|[^'\\])*'|"(\\.|[^"\\])*\"""", re.DOTALL)
 
 
 def read_overrides(command: str, words: list[str], sweeps: bool = False) -> list[Override]:
-    """Overrides as Hydra takes them; ``sweeps``: several values may be listed. Keys may still be unknown.
-
-    Raises:
-        ConfigError: what cannot be read, what adds or removes keys, a key that is given twice, several values.
-    """
+    """Overrides as Hydra takes them; ``sweeps``: several values may be listed. Keys may still be unknown."""
     keys = dict(flat_keys(schema_of(command)))
     no_preset = f"{PRESET}=null" if PRESET in keys else None  # which is the default, and no choice of Hydra's
     parsed = [_read(command, word, keys, sweeps) for word in words if word != no_preset]
@@ -44,11 +40,7 @@ def read_overrides(command: str, words: list[str], sweeps: bool = False) -> list
 
 
 def expand(overrides: Iterable[Override]) -> list[list[str]]:
-    """The overrides of each run: one list for each combination of the values that are listed.
-
-    Raises:
-        ConfigError: values without an end.
-    """
+    """The overrides of each run: one list for each combination of the values that are listed."""
     texts = []
     for override in overrides:
         if override.is_interval_sweep():

@@ -18,11 +18,7 @@ REST = 1.0  # seconds that the last picture stands before the episode is shown a
 
 
 def wants_window(choice: str) -> bool:
-    """Whether a window is to be shown: ``on``, ``off``, or ``auto``, where there is a display.
-
-    Raises:
-        DisplayError: ``on``, but there is none.
-    """
+    """Whether a window is to be shown: ``on``, ``off``, or ``auto``, where there is a display."""
     reason = why_no_window()
     if choice == "on" and reason is not None:
         raise DisplayError(f"window=on cannot be: {reason}. Leave it away, and look at files: export=[gif,html].")
@@ -39,9 +35,6 @@ def play_in_window(
     """Show environments side by side, again and again, until the window is closed; the number of pictures shown.
 
     Time runs as in the simulation: a machine too slow to draw every frame leaves some out.
-
-    Raises:
-        DisplayError: the display does not answer.
     """
     from warpvox.types import FRAME_SECONDS
     from warpvox.view.render import Film

@@ -38,11 +38,7 @@ class Added:
 
 
 def find_sources(texts: Sequence[str]) -> list[Path]:
-    """The folders and checkpoints that texts or patterns name.
-
-    Raises:
-        RunError: a text that names nothing.
-    """
+    """The folders and checkpoints that texts or patterns name."""
     found: list[Path] = []
     for text in texts:
         path = Path(text).expanduser()
@@ -61,10 +57,6 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> Added:
         folder: of the entries.
         top: designs of a search that are evaluated: fitness is in float32, and contacts magnify every difference.
         task: the code of a task of the user's own, which the source names.
-
-    Raises:
-        ConfigError: the source names code, and the user does not.
-        RunError: no such search or run, or no policy that an entry can have.
     """
     robots = list(robots_of(source, top))
     if not robots:

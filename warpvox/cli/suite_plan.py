@@ -48,9 +48,6 @@ def plan(config: SuiteConfig, config_dir: Path | None = None) -> list[Member]:
 
     Args:
         config_dir: the user's folder of YAML files, which may hold searches.
-
-    Raises:
-        WarpvoxError: a task, search, seed or budget that does not exist or does not go with the others.
     """
     tasks, seeds, searches = _tasks(config.tasks), seeds_of(config.seeds), _searches(config, config_dir)
     members = []
@@ -64,11 +61,7 @@ def plan(config: SuiteConfig, config_dir: Path | None = None) -> list[Member]:
 
 
 def task_names(names: list[str]) -> list[str]:
-    """The tasks that ``tasks`` stands for, each once.
-
-    Raises:
-        ConfigError: none at all, or a misspelt name of several.
-    """
+    """The tasks that ``tasks`` stands for, each once."""
     chosen = list(dict.fromkeys(task for name in names for task in (NAMED[name]() if name in NAMED else [name])))
     for name in chosen:
         if hint := did_you_mean(name, NAMED):
@@ -79,11 +72,7 @@ def task_names(names: list[str]) -> list[str]:
 
 
 def _tasks(names: list[str]) -> dict[str, TaskSpec]:
-    """The tasks by the names that they are given by.
-
-    Raises:
-        TaskError, ConfigError: a task that does not exist, or two with one id.
-    """
+    """The tasks by the names that they are given by."""
     tasks = {name: get_task(name) for name in task_names(names)}
     ids = [spec.id for spec in tasks.values()]
     twice = next((name for name in ids if ids.count(name) > 1), None)
@@ -93,11 +82,7 @@ def _tasks(names: list[str]) -> dict[str, TaskSpec]:
 
 
 def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesign]:
-    """The settings of each search, by its name: those of its file with what the suite says instead.
-
-    Raises:
-        ConfigError: a search that does not exist, or a key that none of them has.
-    """
+    """The settings of each search, by its name: those of its file with what the suite says instead."""
     known = options_of("codesign", "search", config_dir)
     if not config.searches:
         raise ConfigError(f"searches must name one search or more of {listing(known)}, got [].")
@@ -133,11 +118,7 @@ def _has(config: Any, key: str) -> bool:
 
 
 def seeds_of(value: Any) -> list[int]:
-    """The seeds that ``seeds`` stands for, each once: a list, or how many there are.
-
-    Raises:
-        ConfigError: neither.
-    """
+    """The seeds that ``seeds`` stands for, each once: a list, or how many there are."""
     if is_integer(value):
         return list(range(check_integer("seeds", value, 1)))
     if not isinstance(value, list) or not value:
@@ -149,11 +130,7 @@ def seeds_of(value: Any) -> list[int]:
 
 
 def _of_task(key: str, value: Any, task: TaskSpec) -> Any:
-    """Value for ``task`` of a key that may be given by task.
-
-    Raises:
-        ConfigError: it names a task that there is not, or says nothing of this one.
-    """
+    """Value for ``task`` of a key that may be given by task."""
     if not isinstance(value, Mapping):
         return value
     names = (*DIFFICULTIES, DEFAULT, *task_ids())

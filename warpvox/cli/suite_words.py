@@ -17,20 +17,12 @@ PRETRAINED = "evaluation.pretrained"
 
 
 def by_key(words: Sequence[str]) -> dict[str, str]:
-    """The words by their keys, as Hydra takes them; of two for one key the last.
-
-    Raises:
-        ConfigError: something that cannot be read.
-    """
+    """The words by their keys, as Hydra takes them; of two for one key the last."""
     return dict(map(key_and_word, words))
 
 
 def merged(words: Sequence[str], typed: Sequence[str], output_dir: str) -> list[str]:
-    """``words`` with those that were typed; a pretrained policy by its place, as the latest may be another one later.
-
-    Raises:
-        ConfigError, RunError: something that cannot be read, or no such policy.
-    """
+    """``words`` with those that were typed; a pretrained policy by its place, as the latest may be another one later."""
     found = by_key([*words, *typed])
     if PRETRAINED in found:
         _, name = key_and_value(found[PRETRAINED])
@@ -39,11 +31,7 @@ def merged(words: Sequence[str], typed: Sequence[str], output_dir: str) -> list[
 
 
 def gone_on_with(words: Sequence[str], typed: Sequence[str], home: Path) -> tuple[list[str], list[str]]:
-    """The words of a suite in ``home`` that goes on: as it has them, and with the code that the user has named again.
-
-    Raises:
-        ConfigError: a key that may not change, or code that the user has not named.
-    """
+    """The words of a suite in ``home`` that goes on: as it has them, and with the code that the user has named again."""
     before, now = by_key(words), by_key(typed)
     trusted = {}
     for key, word in now.items():

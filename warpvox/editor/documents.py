@@ -35,11 +35,7 @@ ROBOT = "robot"
 
 
 def design_of(document: Mapping[str, Any]) -> Design:
-    """The body that a document draws, without empty rows and columns around it.
-
-    Raises:
-        DesignError: it is not a valid robot.
-    """
+    """The body that a document draws, without empty rows and columns around it."""
     cells = _cells(document, "types", BODY_SIDE, BODY_SIDE)
     return check_design(cells[_box(cells)] if cells.any() else cells)
 
@@ -49,9 +45,6 @@ def world_of(document: Mapping[str, Any]) -> World:
 
     Objects are added from the widest to the smallest: the bounding box of an object must lie on cells that are
     free of those before it, and terrain may well reach around a robot.
-
-    Raises:
-        WorldError: no cells, or objects whose boxes are in each other's way.
     """
     types = _cells(document, "types", WORLD_SIZE[1], WORLD_SIZE[0], error=WorldError)
     owners = _owners(document, types)
@@ -71,11 +64,7 @@ def world_of(document: Mapping[str, Any]) -> World:
 
 
 def document_of(content: Design | World) -> dict[str, Any]:
-    """The document that draws a body or a world.
-
-    Raises:
-        WorldError: a world that the editor cannot show without loss.
-    """
+    """The document that draws a body or a world."""
     if not isinstance(content, World):
         grid = np.asarray(content)
         return _document("body", [ROBOT], grid, np.zeros_like(grid))
@@ -98,11 +87,7 @@ def document_of(content: Design | World) -> dict[str, Any]:
 
 
 def check(document: Mapping[str, Any]) -> str:
-    """A sentence that describes a valid document.
-
-    Raises:
-        DesignError, WorldError: what is wrong with it.
-    """
+    """A sentence that describes a valid document."""
     if _kind(document) == "body":
         body = design_of(document)
         cells, actuators = (np.count_nonzero(body >= least) for least in (Cell.RIGID, Cell.H_ACT))
@@ -121,11 +106,7 @@ def check(document: Mapping[str, Any]) -> str:
 
 
 def check_file_name(name: object) -> str:
-    """The file that a name stands for, with its suffix.
-
-    Raises:
-        WorldError: a name that could lead out of the folder, or that no system takes.
-    """
+    """The file that a name stands for, with its suffix."""
     stem = name.removesuffix(".json") if isinstance(name, str) else ""
     if not FILE_NAME.fullmatch(stem) or len(stem.encode()) > LONGEST_NAME:
         raise WorldError(
@@ -146,9 +127,6 @@ def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite
 
     A body becomes a world that holds the robot alone. An entry ``body`` with its rows, which EvoGym ignores, lets
     ``design=FILE`` read it, too.
-
-    Raises:
-        WarpvoxError: the document is not valid, or the file exists and ``overwrite`` is not set.
     """
     path = folder / check_file_name(name)
     if _kind(document) == "body":
@@ -165,11 +143,7 @@ def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite
 
 
 def read_file(path: Path) -> dict[str, Any]:
-    """The document of a file: a body (``{"body": rows}``) or a world of EvoGym's format.
-
-    Raises:
-        WarpvoxError: no such file, or neither of these.
-    """
+    """The document of a file: a body (``{"body": rows}``) or a world of EvoGym's format."""
     if not path.is_file():
         near = did_you_mean(path.name, file_names(path.parent))
         raise WorldError(f"There is no file '{path.name}' in {path.parent}.{near}")

@@ -59,9 +59,6 @@ class EditorServer(ThreadingHTTPServer):
 
     Attributes:
         url: where the editor is to be found, token included.
-
-    Raises:
-        DeviceError: the port is taken. WarpvoxError: the file cannot be opened, or a task cannot be imported.
     """
 
     request_queue_size = 128  # connections that wait to be taken; five are the usual, and the others try again later

@@ -43,9 +43,6 @@ def try_out(
         seed: of the agent.
         task: one of ``tasks``, for a body.
         tasks: what there is to choose from; None: the benchmark's. A name of code that is not here is not imported.
-
-    Raises:
-        WarpvoxError: anything that is not valid, or takes too long.
     """
     if agent not in AGENTS:
         raise ConfigError(f"agent must be one of {listing(AGENTS)}, got {agent!r:.80}.")

@@ -113,11 +113,7 @@ def recorded(robot: Robot, about: dict[str, Any]) -> Robot:
 
 
 def policy_of_checkpoint(checkpoint: Path) -> Network | Gait:
-    """The policy of a checkpoint file, as a stored robot has it.
-
-    Raises:
-        RunError: no such file, or a policy that is neither a gait nor one of fully connected layers.
-    """
+    """The policy of a checkpoint file, as a stored robot has it."""
     policy = policy_of(load_controller(checkpoint))
     if policy.spec.gait is not None:
         state = {name: value.numpy() for name, value in cast(Any, policy.model).state_dict().items()}
@@ -137,11 +133,7 @@ def policy_of_checkpoint(checkpoint: Path) -> Network | Gait:
 
 
 def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
-    """The policy of ``robot`` as a torch module, float32 and without the rounding of its actions.
-
-    Raises:
-        RunError: it has none.
-    """
+    """The policy of ``robot`` as a torch module, float32 and without the rounding of its actions."""
     network = robot.policy
     about = {"task": robot.task, "rules": "evogym", "obs": robot.obs, "design": robot.body.tolist()}
     if network is None:

@@ -58,11 +58,7 @@ class CommonPolicy(Screened):
         self.ppo_of(search)
 
     def ppo_of(self, search: Codesign) -> Ppo:
-        """PPO of the common policy: ``training.ppo`` with the changes of ``ppo``.
-
-        Raises:
-            ConfigError: no such setting, or a value that it cannot have.
-        """
+        """PPO of the common policy: ``training.ppo`` with the changes of ``ppo``."""
         given = self.ppo or {}
         if not isinstance(given, Mapping):
             raise ConfigError(f"evaluation.ppo must be settings by name, such as {{epochs:4}}; got {given!r:.80}.")
@@ -80,11 +76,7 @@ class CommonPolicy(Screened):
         return search.factory(obs).computed(grid=tuple(search.shape), layout=layout)
 
     def layout(self, search: Codesign, obs: str | None = None) -> Any:
-        """The layout of the policy, after all that is named has been tried.
-
-        Raises:
-            WarpvoxError: a network, or settings of it, that are not to be had or do not fit the task.
-        """
+        """The layout of the policy, after all that is named has been tried."""
         from warpvox.algos.policies.registry import check_network
         from warpvox.algos.training.ascent import check_gradients
 
@@ -196,11 +188,7 @@ class FewShot(CommonPolicy):
         return resolved
 
     def _read(self, search: Codesign, folder: Path | None) -> dict[str, Any]:
-        """The checkpoint of the pretrained policy.
-
-        Raises:
-            RunError: no such run or file. ConfigError: a policy that cannot be tuned for other bodies.
-        """
+        """The checkpoint of the pretrained policy."""
         from warpvox.algos.checkpoints.files import load_checkpoint
 
         path, run = (folder / PRETRAINED, {}) if folder else find_pretrained(str(self.pretrained), search.output_dir)

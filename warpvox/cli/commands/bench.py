@@ -25,11 +25,7 @@ def run(words: list[str]) -> None:
 
 
 def measure(config: Any, console: Console) -> Path:
-    """Run one suite; returns the folder of its results.
-
-    Raises:
-        WarpvoxError: something asked for does not exist, or a result is wrong.
-    """
+    """Run one suite; returns the folder of its results."""
     with console.status("preparing"):
         from warpvox.bench.machine import machine, machine_line
         from warpvox.bench.report import Report, put_into

@@ -41,11 +41,7 @@ def run(words: list[str]) -> None:
 
 
 def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | None) -> Job:
-    """The job of a configuration; with ``resume`` on top of that of the search that it goes on with.
-
-    Raises:
-        WarpvoxError: what is wrong with it.
-    """
+    """The job of a configuration; with ``resume`` on top of that of the search that it goes on with."""
     from warpvox.algos.codesign.run import check
     from warpvox.runs import check_unchanged
 
@@ -91,11 +87,7 @@ def _export(folder: Path, formats: Sequence[str], console: Console) -> None:
 
 
 def _report(config: CodesignConfig, console: Console) -> Path:
-    """Make report, pictures and exports of a search again, also while it is running; returns its folder.
-
-    Raises:
-        RunError: no such search.
-    """
+    """Make report, pictures and exports of a search again, also while it is running; returns its folder."""
     from warpvox.algos.codesign.archive import FILE, Archive
     from warpvox.algos.codesign.results import Results
 

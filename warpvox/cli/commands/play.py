@@ -76,11 +76,7 @@ def check_source(config: Any) -> None:
 
 
 def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
-    """The rollout of a trained run's policy, and the folder of the run.
-
-    Raises:
-        WarpvoxError: no such run, or one that does not do what ``config`` asks.
-    """
+    """The rollout of a trained run's policy, and the folder of the run."""
     given = [name for name in OF_AGENTS if getattr(config, name, None) is not None]
     if "task" in given and (config.task == STORED or isinstance(config.task, Code)):
         given.remove("task")  # who names a task's code, trusts it
@@ -107,11 +103,7 @@ def _refuse(names: Iterable[str]) -> None:
 
 
 def stored_rollout(config: PlayConfig) -> tuple[Rollout, str]:
-    """The rollout of a file, and the file.
-
-    Raises:
-        ConfigError: an agent is asked for as well. RolloutError: no such file, or no rollout.
-    """
+    """The rollout of a file, and the file."""
     from warpvox.view.rollout import Rollout
 
     given = [name for name in ("agent", "zoo", *OF_AGENTS) if getattr(config, name) is not None]
@@ -122,11 +114,7 @@ def stored_rollout(config: PlayConfig) -> tuple[Rollout, str]:
 
 
 def play_agent(config: PlayConfig, console: Console) -> Rollout:
-    """The rollout of an agent that needs no training.
-
-    Raises:
-        WarpvoxError: a task, design or count that is not valid.
-    """
+    """The rollout of an agent that needs no training."""
     with console.status("loading"):
         from warpvox.cli.process import prepare
 

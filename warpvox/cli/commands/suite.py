@@ -59,9 +59,6 @@ def _prepare(typed: list[str], config: SuiteConfig, overrides: list[str], config
 
     Args:
         typed: overrides for all design searches.
-
-    Raises:
-        WarpvoxError: what is wrong with it, or with one of its members.
     """
     named = {word.partition("=")[0] for word in overrides}
     if {"evaluations", "control_steps"} <= named:
@@ -104,11 +101,7 @@ def _parts(config: SuiteConfig) -> tuple[list[str], list[str], list[int]]:
 
 
 def _check(job: Job) -> None:
-    """Find mistakes of members before anything is made: seeds of a task and search are alike.
-
-    Raises:
-        ConfigError: keys that do not go together, and for which of several searches. WarpvoxError: another mistake.
-    """
+    """Find mistakes of members before anything is made: seeds of a task and search are alike."""
     from warpvox.algos.codesign.run import check
 
     several = len({member.search for member in job.members}) > 1
@@ -186,11 +179,7 @@ def _write_report(table: Table, config: SuiteConfig, console: Console) -> None:
 
 
 def _write_again(config: SuiteConfig, console: Console) -> Path:
-    """Make ``curves.csv`` and the report of a suite again, also while it is running.
-
-    Raises:
-        RunError: no such suite.
-    """
+    """Make ``curves.csv`` and the report of a suite again, also while it is running."""
     source = find_suite(str(config.report), config.output_dir)
     table = Table.stored(source.folder)
     _write_report(table, load_values("suite", source.config), console)
@@ -202,11 +191,7 @@ def _advise(table: Table, console: Console, more: str = "") -> None:
 
 
 def _conclude(table: Table, console: Console) -> Path:
-    """Say how the suite has ended.
-
-    Raises:
-        RunError: members have failed, or have been ended from outside.
-    """
+    """Say how the suite has ended."""
     console.print(results(table.rows))
     echo(console, f"members: {shown(table.folder / MEMBERS)}")
     failed, left = table.of(FAILED), table.of(WAITING)

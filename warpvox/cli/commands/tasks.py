@@ -25,11 +25,7 @@ def run(words: list[str]) -> None:
 
 
 def show(config: TasksConfig, console: Console) -> None:
-    """Print the table or a task, or write the gallery.
-
-    Raises:
-        ConfigError: keys that do not go together, or a picture that is none.
-    """
+    """Print the table or a task, or write the gallery."""
     for key, value, goes in (
         ("picture", config.picture, config.task is not None),
         ("rules", None if config.rules == "evogym" else config.rules, config.task is not None),

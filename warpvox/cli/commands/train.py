@@ -30,11 +30,7 @@ def make_job(overrides: list[str]) -> Job:
 
 
 def _prepare(config: TrainConfig, overrides: list[str], config_dir: Path | None) -> Job:
-    """The training of a configuration; with ``resume`` on top of the configuration of the run that it goes on with.
-
-    Raises:
-        ConfigError, RunError: what is wrong with it.
-    """
+    """The training of a configuration; with ``resume`` on top of the configuration of the run that it goes on with."""
     from warpvox.algos.training.job import Job
 
     if config.resume is None:

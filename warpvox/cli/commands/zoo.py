@@ -27,11 +27,7 @@ def run(words: list[str]) -> None:
 
 
 def zoo(config: ZooConfig, console: Console) -> None:
-    """List the robots, show one, or add some.
-
-    Raises:
-        WarpvoxError: no such robot, or nothing that could be added.
-    """
+    """List the robots, show one, or add some."""
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = 120  # a pipe has no width of its own
     folder = FOLDER if config.folder is None else Path(config.folder).expanduser()
