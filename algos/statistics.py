@@ -84,8 +84,6 @@ def _quantile(freedom: float, level: float) -> float:
     return float(stdtrit(freedom, 0.5 + level / 2))
 
 
-# ----------------------------------------------------------------------------------------------- over several tasks
-
 Scores = Mapping[str, np.ndarray]
 SAMPLES = 2000
 """Bootstrap samples of an interval."""

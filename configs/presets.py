@@ -11,7 +11,7 @@ from warpvox.configs.composition import composed, hydras_errors, quoted
 
 
 def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any) -> DesignTraining:
-    """The settings ``training=<name>`` of a design search, with other values of ``training.*`` and ``training.ppo.*``."""
+    """The settings ``training=<name>`` of a design search, with other ``training.*`` and ``training.ppo.*``."""
     with hydras_errors():
         preset = composed("codesign", [f"training={quoted(name)}"]).training
         return cast(Any, OmegaConf.to_object)(OmegaConf.merge(preset, {**changes, "ppo": ppo or {}}))

@@ -91,9 +91,6 @@ searches](evaluation.md#comparing-searches) is such a return.
 """
 
 
-# ------------------------------------------------------------------------------------------------------ the page
-
-
 def page(rows: Sequence[Mapping[str, str]], noise: Sequence[Mapping[str, str]] = ()) -> str:
     """``docs/results.md`` from the rows of the two tables."""
     ours, noisy, published = {row["task"]: row for row in rows}, {row["task"]: row for row in noise}, known_returns()
@@ -158,9 +155,6 @@ def _sources(published: Iterable[KnownReturn]) -> list[str]:
             f"| {method} | {f'<{source}>' if source.startswith('https:') else source} | {protocol} | {shown} |\n"
         )
     return lines
-
-
-# ----------------------------------------------------------------------------------------------------- the table
 
 
 def read_table(path: Path = TABLE) -> list[dict[str, str]]:
@@ -233,9 +227,6 @@ def _row(task: str, body: Any, command: str, date: str, **values: object) -> dic
     return {name: str(known_values.get(name, "")) for name in COLUMNS}
 
 
-# ------------------------------------------------------------------------------------------------- what chance reaches
-
-
 def random_return(task: str) -> float:
     """The mean return of random bodies under actions that are uniform in each control step."""
     import torch
@@ -258,9 +249,6 @@ def measure_random() -> None:
         rows[task]["random"] = f"{random_return(task):.3f}"
         print(task, rows[task]["random"], flush=True)
     write_table(KNOWN, rows.values())
-
-
-# ------------------------------------------------------------------------------------------------------------ noise
 
 
 def noisy_returns(robot: Robot) -> np.ndarray:

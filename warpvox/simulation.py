@@ -121,8 +121,6 @@ class Simulation(Sensing):
         self._views["frozen"].fill_(1)  # lanes that belong to no environment stay so
         self.reset()
 
-    # ---------------------------------------------------------------- stepping
-
     def step(self, actions) -> None:
         """One control step of every environment that is not frozen.
 
@@ -200,11 +198,7 @@ class Simulation(Sensing):
         return [step_stage.record_step(state, substeps, begin, end - begin) for begin, end in itertools.pairwise(cuts)]
 
     def reset(self, mask: torch.Tensor | None = None) -> None:
-        """Reset environments to time 0 and unfreeze them.
-
-        Args:
-            mask: bool ``[num_envs]``; None means all.
-        """
+        """Reset environments to time 0 and unfreeze them; ``mask``: bool ``[num_envs]``; None means all."""
         if mask is None:
             mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         mask = self._check_mask(mask)
@@ -275,8 +269,6 @@ class Simulation(Sensing):
     def _check_mask(self, mask) -> torch.Tensor:
         return check_mask(mask, self.design_index, SimulationError)
 
-    # ------------------------------------------------------------------ status
-
     def _of_environments(self, name: str) -> torch.Tensor:
         return self._views[name].view(-1).index_select(0, self._slot)
 
@@ -309,8 +301,6 @@ class Simulation(Sensing):
     def overflow(self) -> torch.Tensor:
         """bool [num_envs]: the last step met more contact candidates than there is room for, and left some out."""
         return (self._of_environments("status") & _OVERFLOW) != 0
-
-    # ----------------------------------------------------------------- objects
 
     @property
     def worlds(self) -> list[World]:
@@ -390,8 +380,6 @@ class Simulation(Sensing):
         if body is None:
             raise SimulationError(f"Design {design} has no object named {name!r}.")
         return body
-
-    # ---------------------------------------------------------------- state io
 
     def state(self) -> dict[str, torch.Tensor]:
         """Everything that changes, a row for every environment: what :meth:`set_state` takes back.

@@ -18,8 +18,6 @@ from pathlib import Path
 
 WINDOWS = sys.platform == "win32"
 
-# --------------------------------------------------------------------------------------------------------- signals
-
 HANGUP: int | None = getattr(signal, "SIGHUP", None)
 """Sent when the terminal's window or connection is closed; None on Windows, which has no such signal."""
 
@@ -33,9 +31,6 @@ def stop_signals() -> tuple[int, ...]:
     if HANGUP is not None and signal.getsignal(HANGUP) is not signal.SIG_IGN:
         found.append(HANGUP)
     return tuple(found)
-
-
-# ----------------------------------------------------------------------------------------------------------- files
 
 
 @contextmanager
@@ -88,9 +83,6 @@ def python_of(environment: Path) -> Path:
     return environment / ("Scripts/python.exe" if WINDOWS else "bin/python")
 
 
-# ------------------------------------------------------------------------------------------- processors, displays
-
-
 def usable_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -108,9 +100,6 @@ def processor_name() -> str:
 def has_display(*variables: str) -> bool:
     """Whether windows can be shown: elsewhere than on Windows and macOS one of these variables must name a display."""
     return sys.platform in ("win32", "darwin", "cygwin") or any(os.environ.get(name) for name in variables)
-
-
-# ---------------------------------------------------------------------------------------------------------- memory
 
 
 def available_memory() -> int | None:

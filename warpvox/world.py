@@ -143,8 +143,6 @@ class World:
         self.height = int(height)
         self.objects: dict[str, WorldObject] = {}
 
-    # ------------------------------------------------------------------ change
-
     def add_object(self, obj: WorldObject) -> WorldObject:
         """Add ``obj`` and return it.
 
@@ -201,8 +199,6 @@ class World:
         _check_size(width, height)
         self.objects, self.width, self.height = trial.objects, width, height
 
-    # ------------------------------------------------------------------ files
-
     @classmethod
     def from_json(cls, source: str | os.PathLike[str] | Mapping[str, object]) -> World:
         """Read a world in EvoGym's format from a path, the text of a file or a parsed dictionary.
@@ -231,8 +227,6 @@ class World:
         if path is not None:
             write_text(path, text + "\n")
         return text
-
-    # ------------------------------------------------------------------ look
 
     def copy(self) -> World:
         """Return an independent world with the same objects (which are immutable and shared)."""
@@ -281,8 +275,6 @@ class World:
 
     def __str__(self) -> str:
         return f"{self!r}\n{self.pretty()}"
-
-    # ------------------------------------------------------------------ inner
 
     def _find(self, name: str) -> WorldObject:
         if not isinstance(name, str) or name not in self.objects:
@@ -370,7 +362,6 @@ def _check_pairs(name: str, grid: np.ndarray, connections: object) -> np.ndarray
     return np.array(sorted(given), np.int32)
 
 
-# ---------------------------------------------------------------------- EvoGym's world format
 #
 # {"grid_width": W, "grid_height": H, "objects": {name: {"indices": [...], "types": [...],
 #  "neighbors": {"index": [index, ...], ...}}}}, index = y * W + x with y upward from the bottom row.

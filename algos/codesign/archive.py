@@ -147,8 +147,6 @@ class Archive(AbstractContextManager["Archive"]):
         self.path = path
         self._db, self._lock = db, lock
 
-    # ------------------------------------------------------------------------------------------ opening
-
     @classmethod
     def create(cls, path: Path, settings: Mapping[str, Any]) -> Archive:
         """A new archive at ``path`` for writing.
@@ -219,8 +217,6 @@ class Archive(AbstractContextManager["Archive"]):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    # ------------------------------------------------------------------------------------------ writing
 
     def propose(self, candidates: Sequence[Candidate], seed: int) -> None:
         """Store candidates before their evaluation, all or none.
@@ -320,8 +316,6 @@ class Archive(AbstractContextManager["Archive"]):
         except sqlite3.Error as error:
             raise _write_error(path, error) from None
         return path
-
-    # ------------------------------------------------------------------------------------------ reading
 
     @property
     def settings(self) -> dict[str, Any]:

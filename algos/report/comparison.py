@@ -61,11 +61,7 @@ class Comparison:
 
 
 def compare(groups: Mapping[str, Mapping[str, Sequence[SearchResult]]]) -> Comparison:
-    """Compare searches at equal control steps.
-
-    Args:
-        groups: searches with a result, by task and name.
-    """
+    """Compare searches at equal control steps; ``groups``: searches with a result, by task and name."""
     names = list(dict.fromkeys(name for named in groups.values() for name in named))
     known = known_returns()
     published = {task for task, returns in known.items() if returns.best is not None}

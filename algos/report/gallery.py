@@ -32,11 +32,7 @@ def everywhere(design: str = "walker") -> list[tuple[str, Design, str]]:
 
 
 def draw_gallery(shown: Sequence[tuple[str, Design, str]]) -> Image.Image:
-    """Bodies in the worlds of tasks, row by row.
-
-    Args:
-        shown: (task, body, caption) of each.
-    """
+    """Bodies in the worlds of tasks, row by row; ``shown``: (task, body, caption) of each."""
     columns = min(COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
     width, height = TILE[0] + GAP, TILE[1] + LABEL + GAP

@@ -100,8 +100,6 @@ class BaseSearch(ABC):
             raise ConfigError("start has the same body twice: leave one of the robots away.")
         self._start = [Proposal(body.copy(), origin=START) for body in bodies]
 
-    # --------------------------------------------------------------------------------------- for the subclass
-
     @abstractmethod
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
         """At most ``count`` new bodies, at least one; make each sure by :meth:`claim`."""
@@ -151,8 +149,6 @@ class BaseSearch(ABC):
             if body is not None:
                 return Proposal(body, (int(parent),), "mutation")
         return self.random_proposal(rng)
-
-    # ----------------------------------------------------------------------------------------------- in turns
 
     def ask(self) -> list[Candidate]:
         """The next generation, every body valid and never proposed before; empty when all evaluations are spent.

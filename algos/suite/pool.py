@@ -47,9 +47,6 @@ class Pool(Protocol):
         """Release the processes; what still runs is ended at once."""
 
 
-# ----------------------------------------------------------------------------------------------- this machine
-
-
 class LocalPool:
     """Processes of this machine, each of which makes one member after another.
 
@@ -171,9 +168,6 @@ def _print_to(file: Path) -> None:
             stream.flush()
         for number in (1, 2):
             os.dup2(log.fileno(), number)
-
-
-# -------------------------------------------------------------------------------------------------------- Ray
 
 
 class RayPool:

@@ -183,8 +183,6 @@ class Runner(OnPolicyRunner):
         """The policy as it is now, without exploration."""
         return Controller(self.alg.get_policy(), self.spec)
 
-    # ------------------------------------------------------------------ learning
-
     def run(self) -> None:
         """Learn until the schedule's total or ``stop_return`` is reached.
 
@@ -344,8 +342,6 @@ class Runner(OnPolicyRunner):
             "last_return": self.last_return if math.isfinite(self.last_return) else None,
             "elapsed_seconds": round(self.elapsed, 3),
         }
-
-    # --------------------------------------------------------------- checkpoints
 
     def _policy_content(self) -> dict[str, Any]:
         own = {"iter": self.current_learning_iteration, "infos": None, "policy": spec_dict(self.spec)}

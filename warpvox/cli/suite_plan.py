@@ -126,9 +126,6 @@ def seeds_of(value: Any) -> list[int]:
     return list(dict.fromkeys(check_integer("seeds", seed, 0) for seed in value))
 
 
-# ------------------------------------------------------------------------------------------------------- budgets
-
-
 def _of_task(key: str, value: Any, task: TaskSpec) -> Any:
     """Value for ``task`` of a key that may be given by task."""
     if not isinstance(value, Mapping):

@@ -22,7 +22,7 @@ def by_key(words: Sequence[str]) -> dict[str, str]:
 
 
 def merged(words: Sequence[str], typed: Sequence[str], output_dir: str) -> list[str]:
-    """``words`` with those that were typed; a pretrained policy by its place, as the latest may be another one later."""
+    """``words`` with those that were typed; a pretrained policy by its place, as the latest may be another later."""
     found = by_key([*words, *typed])
     if PRETRAINED in found:
         _, name = key_and_value(found[PRETRAINED])
@@ -31,7 +31,7 @@ def merged(words: Sequence[str], typed: Sequence[str], output_dir: str) -> list[
 
 
 def gone_on_with(words: Sequence[str], typed: Sequence[str], home: Path) -> tuple[list[str], list[str]]:
-    """The words of a suite in ``home`` that goes on: as it has them, and with the code that the user has named again."""
+    """The words of a suite in ``home`` that goes on: as it has them, and with the code that was named again."""
     before, now = by_key(words), by_key(typed)
     trusted = {}
     for key, word in now.items():

@@ -102,9 +102,6 @@ def check(document: Mapping[str, Any]) -> str:
     return f"A valid world of {world.width} x {world.height}: {', '.join(parts)}."
 
 
-# ------------------------------------------------------------------------------------------------------ files
-
-
 def check_file_name(name: object) -> str:
     """The file that a name stands for, with its suffix."""
     stem = name.removesuffix(".json") if isinstance(name, str) else ""
@@ -159,9 +156,6 @@ def read_file(path: Path) -> dict[str, Any]:
     if max(body.shape) > BODY_SIDE:
         raise DesignError(f"The editor shows bodies of up to {BODY_SIDE} x {BODY_SIDE} cells.")
     return document_of(body)
-
-
-# --------------------------------------------------------------------------------------------------- documents
 
 
 def _document(kind: str, names: list[str], types: np.ndarray, owners: np.ndarray) -> dict[str, Any]:

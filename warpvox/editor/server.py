@@ -86,8 +86,6 @@ class EditorServer(ThreadingHTTPServer):
         if not isinstance(sys.exc_info()[1], ConnectionError):
             super().handle_error(request, client_address)
 
-    # ------------------------------------------------------------- what a page may ask for
-
     def check(self, ask: dict[str, Any]) -> dict[str, Any]:
         """Describe the document, or say what is wrong with it."""
         return {"message": check(_document(ask))}

@@ -74,8 +74,6 @@ class Engine:
         self._bodies = {body.name: body for body in ordered}
         self._rows = np.concatenate([np.arange(ends[-1])[self._spans[name]] for name in self._bodies])
 
-    # ------------------------------------------------------------------------------------------- stepping
-
     def step(self) -> bool:
         """One control step; True if self-folding (or numbers that are not finite) stopped and undid it."""
         self._sim.advance()
@@ -122,8 +120,6 @@ class Engine:
         self._moved()
         self._record()
 
-    # -------------------------------------------------------------------------------------------- looking
-
     def _at(self, time: int) -> np.ndarray:
         if not isinstance(time, int | np.integer):
             raise ArgumentTypeError(f"time must be an integer, got {time!r} of type {type(time).__name__}.")
@@ -162,8 +158,6 @@ class Engine:
         self._views["pos"][:] = now
         return angle
 
-    # --------------------------------------------------------------------------------------------- robots
-
     def goals_of(self, robot: str) -> np.ndarray:
         """The :attr:`goals` of a robot.
 
@@ -179,8 +173,6 @@ class Engine:
         self.goals_of(robot)
         grid = self._bodies[robot].source.grid
         return np.flatnonzero(np.isin(grid, (Cell.H_ACT, Cell.V_ACT))).astype(np.int32)
-
-    # ------------------------------------------------------------------------------------------- pictures
 
     @cached_property
     def cells(self) -> np.ndarray:

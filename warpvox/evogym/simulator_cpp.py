@@ -46,8 +46,6 @@ class Sim:
             self._running = Engine(self._plan)
         return self._running
 
-    # ------------------------------------------------------------------------------------------- building
-
     def init(self, x: int, y: int) -> None:
         """Begin with an empty grid of ``x`` by ``y`` cells."""
         self._plan, self._running = World(int(x), int(y)), None
@@ -102,8 +100,6 @@ class Sim:
         """Add a robot; as :meth:`read_object_from_file`."""
         return self.read_object_from_file(file_name, robot_name, x, y)
 
-    # ------------------------------------------------------------------------------------------- stepping
-
     def step(self) -> bool:
         """Take a control step of 30 sub-steps; True if a robot has folded into itself: the step is undone then."""
         return self._engine.step()
@@ -128,8 +124,6 @@ class Sim:
     def translate_object(self, x: float, y: float, object_name: str) -> None:
         """Move an object by (x, y) at once; overlaps are not checked. ArgumentError: no such object."""
         self._engine.translate(object_name, x, y)
-
-    # -------------------------------------------------------------------------------------------- looking
 
     def get_time(self) -> int:
         """Complete control steps since the beginning."""

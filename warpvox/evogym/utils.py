@@ -37,9 +37,6 @@ BASELINE_ENV_NAMES = [
 """Ids of the benchmark's tasks, in the release's order and spelling."""
 
 
-# ---------------------------------------------------------------------------------------------------- sampling
-
-
 def get_uniform(x: int) -> np.ndarray:
     """Return the uniform distribution over ``x`` outcomes, float64 ``[x]``; RangeError unless ``x`` is positive."""
     if x <= 0:
@@ -94,9 +91,6 @@ def sample_robot(robot_shape: tuple[int, int], pd: np.ndarray | None = None) -> 
             return robot, get_full_connectivity(robot)
 
 
-# ------------------------------------------------------------------------------------------------------ bodies
-
-
 def is_connected(robot: np.ndarray) -> bool:
     """Whether all cells that are not empty hang together along edges; False for an empty body."""
     return design.is_connected(robot)
@@ -116,9 +110,6 @@ def get_full_connectivity(robot: np.ndarray) -> np.ndarray:
 def hashable(robot: np.ndarray) -> str:
     """The cells as a word of digits, row by row from the top."""
     return "".join(str(int(cell)) for cell in np.ravel(robot))
-
-
-# ----------------------------------------------------------------------------------------------------- helpers
 
 
 class Timer:

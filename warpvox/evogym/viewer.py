@@ -63,8 +63,6 @@ class EvoViewer:
         """Show another simulation from now on, in the same window and with the same camera."""
         self._viewer.sim = sim
 
-    # --------------------------------------------------------------------------------------------- camera
-
     def set_pos(self, pos: tuple[float, float]) -> None:
         """Set the middle of the picture; ArgumentTypeError if it is no tuple."""
         self.pos = _checked("pos", pos)
@@ -82,8 +80,6 @@ class EvoViewer:
         if target_rps is not None and int(target_rps) < 2:
             raise RangeError(f"The lowest target rps is 2, got {target_rps}.")
         self._timer = Timer(None if target_rps is None else int(target_rps))
-
-    # ------------------------------------------------------------------------------------------- tracking
 
     def track_objects(self, *objects: str) -> None:
         """Follow objects, given by name: ``pos`` and ``view_size`` are then set before every picture."""
@@ -146,8 +142,6 @@ class EvoViewer:
         self.set_pos((x, y))
         self.set_view_size((max(width, height * aspect), max(height, width / aspect)))
 
-    # ------------------------------------------------------------------------------------------ rendering
-
     def render(
         self,
         mode: str = "screen",
@@ -196,8 +190,6 @@ class EvoViewer:
         for _ in range(now - self._last_rendered if self._tracked else 0):
             self._follow()
         self._last_rendered = now
-
-    # --------------------------------------------------------------------------------------------- window
 
     def show_debug_window(self) -> None:
         """Show the window; DisplayError where there is no display."""

@@ -95,9 +95,6 @@ def write_table(path: str | os.PathLike[str], columns: Iterable[str], rows: Iter
     write_text(path, text.getvalue())
 
 
-# ----------------------------------------------------------------------------------------------- what can go wrong
-
-
 @contextmanager
 def writing(path: str | os.PathLike[str]) -> Iterator[None]:
     """Raise what goes wrong with the disk within the block as a StorageError that names ``path``."""
@@ -129,9 +126,6 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
         raise StorageError(f"{folder} cannot be written: {place} is a file, not a folder.")
     if not os.access(place, os.W_OK | os.X_OK):
         raise StorageError(f"{folder} cannot be written: {place} is read-only; choose another folder.")
-
-
-# --------------------------------------------------------------------------------------------- one writer at a time
 
 
 @contextmanager

@@ -158,8 +158,6 @@ class Canvas:
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=INK)
         image.paste(large.reduce(SMOOTH), box[:2])
 
-    # ------------------------------------------------------------ what stands still
-
     def cover(self, low: np.ndarray, high: np.ndarray) -> Image.Image:
         """Paint beforehand what cameras with corners from ``low`` to ``high`` (pixels, ``[2]`` each) will see."""
         low = np.asarray(low) // self.scale

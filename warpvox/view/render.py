@@ -303,9 +303,6 @@ def write_mp4(
     return Path(path)
 
 
-# ---------------------------------------------------------------------------------------------------- helpers
-
-
 def _frames(rollout: Rollout, fps: float, start: int, stop: int | None, every: int, most: float) -> list[int]:
     """Frames of the rollout to show, so that time runs as in the simulation, or ``every`` times as fast."""
     check_integer("every", every, 1, error=RolloutError)

@@ -232,9 +232,6 @@ class Rollout:
             raise RolloutError(f"{path} is damaged: its header does not describe scenes ({reason}).") from None
 
 
-# -------------------------------------------------------------------------------------------------- recording
-
-
 def record(
     env: Any,
     policy: str | Callable[[Any], Any] = "sine",
@@ -388,9 +385,6 @@ def _plain_seed(seed: Any) -> int | list[int] | None:
     if isinstance(seed, Sequence | np.ndarray):
         return [int(one) for one in seed]
     return None if seed is None else int(seed)
-
-
-# ------------------------------------------------------------------------------------------------------ files
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

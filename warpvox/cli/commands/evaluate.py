@@ -106,9 +106,6 @@ def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged
     return [(first, second, difference(first.values, second.values, level)) for first, second in pairs]
 
 
-# -------------------------------------------------------------------------------------------------- results
-
-
 def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> None:
     percent = f"{100 * config.level:g} %"
     kind = "sampled actions" if config.stochastic else "deterministic"

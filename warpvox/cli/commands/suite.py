@@ -116,9 +116,6 @@ def _place(config: SuiteConfig) -> Path:
     return Path(config.output_dir) / "suite" / (config.name or datetime.now().strftime(STAMP))
 
 
-# ------------------------------------------------------------------------------------------------------- a suite
-
-
 def suite(job: Job, console: Console) -> Path:
     """Make a suite, or go on with one; returns its folder.
 
@@ -161,9 +158,6 @@ def _counted(table: Table) -> str:
     """Counts of the members of a suite that is resumed, by state, in words."""
     counts = {state: count for state, count in table.counts.items() if state != WAITING}
     return f", {', '.join(f'{count} {state}' for state, count in counts.items())} already" if counts else ""
-
-
-# ---------------------------------------------------------------------------------------------------------- after
 
 
 def _write_report(table: Table, config: SuiteConfig, console: Console) -> None:

@@ -136,8 +136,6 @@ class EvoGymBase(gym.Env):
         """Close the window. Harmless to repeat."""
         self.default_viewer.close()
 
-    # --------------------------------------------------------------------------------------- as the simulation's
-
     get_actuator_indices = _of_simulation(EvoSim.get_actuator_indices)
     get_dim_action_space = _of_simulation(EvoSim.get_dim_action_space)
     get_time = _of_simulation(EvoSim.get_time)
@@ -146,8 +144,6 @@ class EvoGymBase(gym.Env):
     object_pos_at_time = _of_simulation(EvoSim.object_pos_at_time)
     object_vel_at_time = _of_simulation(EvoSim.object_vel_at_time)
     object_orientation_at_time = _of_simulation(EvoSim.object_orientation_at_time)
-
-    # --------------------------------------------------------------------------------------------- observations
 
     def _points_of(self, name: str) -> np.ndarray:
         """``[2, points]`` of an object in voxels, also where a subclass measures otherwise."""
