@@ -28,7 +28,6 @@ def run(path: Path, parameters: Mapping[str, Any] | None = None) -> dict[str, An
     """A notebook with what its cells show now.
 
     Args:
-        path: of the notebook.
         parameters: values that take the place of those in its cell of parameters.
     """
     notebook = json.loads(path.read_text(encoding="utf-8"))

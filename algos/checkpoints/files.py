@@ -62,10 +62,6 @@ class Controller:
     The network is evaluated in float64: how its sums are rounded depends on the size of the batch and the CPU, and
     would be magnified by contacts. An evaluation during training and a later one thus give the same actions, whatever
     else is in their batches. It is evaluated where the observations are, with copies of the weights of now.
-
-    Args:
-        actor: rsl-rl's model of the mean of the outputs.
-        spec: of this model.
     """
 
     def __init__(self, actor: MLPModel, spec: PolicySpec) -> None:
@@ -155,7 +151,6 @@ def load_controller(path: Path, device: str = "cpu", network: str | None = None)
     """The policy of a checkpoint.
 
     Args:
-        path, device: of the file, and where the policy shall be.
         network: ``FILE.py:Class`` or ``module:Class`` of a network that is not warpvox's own; a checkpoint that needs
             one does not say where code is imported from.
     """

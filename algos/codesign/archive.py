@@ -245,9 +245,6 @@ class Archive(AbstractContextManager["Archive"]):
     def finish(self, results: Iterable[Finished], seconds: float = 0.0) -> None:
         """Store results, all or none.
 
-        Args:
-            seconds: wall time of the batch.
-
         Raises:
             RunError: no such candidate, one that is evaluated already, a fitness or a value of the learning curve that
                 is not finite. StorageError: the file cannot be written.

@@ -40,7 +40,6 @@ class SharedEvaluator:
     Attributes:
         factory: makes environments with ``obs="voxel"`` and a grid that has room for all designs.
         settings: how the policy is trained; ``settings.ppo`` has all values of :class:`Ppo`.
-        seed: of the experiment.
     """
 
     factory: EnvFactory

@@ -59,9 +59,6 @@ def batches(candidates: Sequence[Candidate], size: int | None, folder: Path | No
 
     The cut depends on nothing but the candidates, so that a resumed experiment, or one on other machines, trains the
     same designs together.
-
-    Args:
-        folder: for checkpoints.
     """
     size = size or len(candidates)
     cut = [candidates[start : start + size] for start in range(0, len(candidates), size or 1)]

@@ -71,8 +71,6 @@ def copy_weights(
 
     Args:
         actor, critic: of the child; changed in place.
-        child, parent: what their columns mean.
-        policy: state of the parent's actor.
     """
     state = actor.state_dict()
     inputs, outputs = _matches(child.columns, parent.columns), _matches(child.actuators, parent.actuators)

@@ -52,15 +52,12 @@ class Loop:
 
     Attributes:
         search: must not have been asked yet.
-        executor: evaluates candidates.
         archive: new or of an experiment to go on with; open for writing.
-        seed: of the experiment.
         policies: where policies go; None: they are not kept.
         checkpoints: folder in which trainings are saved now and then, to go on from; None: they are not.
         batch: designs trained together; None: all of a generation.
         reuse: a body that was evaluated before is not trained again.
         inherit: a training may start from the policies of the parents.
-        listeners: receive the callbacks, one after another.
     """
 
     search: Search

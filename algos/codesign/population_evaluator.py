@@ -33,8 +33,6 @@ class PopulationEvaluator:
     diverges is stopped too, with the fitness it had reached (-inf: none).
 
     Attributes:
-        factory: where they are trained.
-        settings: how.
         seed: of the experiment; all designs are evaluated in the episodes of this seed.
 
     Raises:

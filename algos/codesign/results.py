@@ -43,7 +43,6 @@ class Results(Listener):
     """Keeps ``generations/<n>.png``, ``report.html`` and ``summary.json`` up to date.
 
     Args:
-        settings: of the search.
         pretraining: control steps of the pretrained policy that it begins with; None: not known, or there is none.
     """
 
@@ -134,10 +133,6 @@ def evaluate_winner(folder: Path, settings: Codesign) -> dict[str, Any]:
 
     Each design is judged by few episodes, always the same, and the best of many is chosen by them: that return is too
     good for what else the task may draw.
-
-    Args:
-        folder: of a design search that has a result.
-        settings: resolved.
 
     Returns:
         ``mean``, ``low`` and ``high`` (95 % interval, Student's t), ``episodes``, ``seed``.

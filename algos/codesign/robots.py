@@ -84,7 +84,6 @@ def robots_of(source: Path, top: int) -> Iterator[Robot]:
     Args:
         source: folder of a design search, of a design in one (``designs/17``) or of a training, or a checkpoint in the
             latter.
-        top: of a search the best designs, as many.
     """
     if (source / ARCHIVE).is_file():
         return _of_search(source, lambda archive: trained(archive)[:top])

@@ -56,12 +56,9 @@ class SearchRun:
     """A design search that is under way, as listeners see it.
 
     Attributes:
-        results: its folder, archive and settings.
         total: evaluations that it may spend, those of finalists included, which come last.
-        finalists: how many.
         costs: control steps that a design takes at most, and a finalist; None: not known.
         workers: of Ray; 0: this process.
-        resumed: it goes on with an archive.
     """
 
     results: Results
@@ -77,10 +74,6 @@ def check(settings: Codesign, folder: Path | None = None, search: Search | None 
 
     Returns:
         A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
-
-    Args:
-        folder: of the search that is resumed.
-        search: in the place of the one that the settings name.
     """
     task_world(get_task(settings.task), np.full(settings.shape, 3, np.int8))
     start = [robot.body for robot in read_start(settings, folder)]
@@ -133,12 +126,10 @@ def run_codesign(
     """Make a search, or go on with one. Nothing is written before everything has been checked.
 
     Args:
-        settings: of the search.
         place: its folder; a search that is there is gone on with. None: a new one in ``output_dir``, named by the time.
         stored: the configuration of the search that is gone on with, for the names of code in it.
         search: proposes designs; None: the one that the settings name.
         executor: evaluates them; None: the one that the settings name.
-        console: for what there is to say of the user's code.
 
     Raises:
         WarpvoxError: something asked for is not valid, an evaluation has failed, or nothing can be written; what was

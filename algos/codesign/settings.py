@@ -137,9 +137,6 @@ class Codesign:
     def resolved(self, folder: Path | None = None) -> Codesign:
         """A copy with what its names stand for: settings of the evaluation, and all constants.
 
-        Args:
-            folder: of the search that is resumed.
-
         Raises:
             WarpvoxError: see :meth:`Evaluation.resolved`.
         """

@@ -23,8 +23,6 @@ class StoredPolicies:
     """Writes and reads ``designs/<id>/`` in a run's folder: ``model_best.pt`` and the ``config.yaml`` to play it by.
 
     Args:
-        folder: of the run.
-        ppo: what the networks were built by.
         config: gives the text of ``config.yaml`` for a body with such a policy.
     """
 

@@ -35,8 +35,6 @@ class CpgNetwork(nn.Module):
         layout: sizes; of observations with the time.
         critic: whether there is one value for the body instead of one for each cell.
         width: of a voxel's token, a multiple of ``heads``.
-        heads: of attention.
-        layers: how often the weights are changed.
     """
 
     periods = (10.0, 5.0)

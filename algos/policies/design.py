@@ -37,7 +37,6 @@ def design_models(
     Args:
         env: made with ``obs="voxel"`` and ``actions="types"``.
         network, settings: of the control stage, as for ``policy=`` and ``network=`` of ``warpvox train``.
-        channels: of the network of the design stage.
         init_std: deviation of the control stage's exploration at the start.
     """
     if not env.env.env.voxels or env.env.layout.actions != "types":
@@ -58,11 +57,6 @@ class Automaton(nn.Module):
     Two convolutions of 3x3 cells with tanh. Inputs of a cell: its type, one-hot; 1, which tells the rim of the grid
     from what lies beyond; its place in the grid, -1 to 1 in both directions; the share of the design steps that are
     done; and whether it is the one to be set.
-
-    Args:
-        layout: of observations.
-        outputs: numbers for each cell.
-        channels: of the hidden layers.
     """
 
     def __init__(self, layout: DesignLayout, outputs: int, channels: int) -> None:
@@ -99,7 +93,6 @@ class DesignDistribution(Distribution):
     likelihood, entropy, divergence or gradients. :meth:`look` says, before :meth:`update`, which rows are which.
 
     Args:
-        layout: of actions.
         gaussian: the distribution of the control stage (:class:`warpvox.algos.policies.network.VoxelGaussian`).
     """
 
@@ -177,7 +170,6 @@ class DesignModel(MLPModel):
     """Actor or critic of both stages.
 
     Args:
-        obs, obs_groups, obs_set, output_dim, obs_normalization, distribution_cfg: as of rsl-rl's models.
         layout: of observations and actions (:class:`DesignLayout`).
         network, settings, channels: see :func:`design_models`.
     """

@@ -19,11 +19,6 @@ class GaitModel(nn.Module):
 
     Its state are the fields of the gait and ``cells``, long ``[actuators]``: their places in the grid, counted row by
     row, in the order of actions.
-
-    Args:
-        actuators: how many.
-        stages: parts of the episode.
-        rows, columns: of the grid.
     """
 
     def __init__(self, actuators: int, stages: int, rows: int, columns: int) -> None:

@@ -27,11 +27,8 @@ class GridNetwork(nn.Module):
     value from s. The products are those of a few large matrices, which is what a CPU is fast at.
 
     Args:
-        layout: sizes.
         critic: whether there is one value for the body instead of one for each cell.
         width: of what is known of a voxel.
-        summary: of what is known of the body.
-        heads: entries of s and q_c.
     """
 
     def __init__(self, layout: VoxelLayout, critic: bool, width: int = 16, summary: int = 64, heads: int = 16) -> None:

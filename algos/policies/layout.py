@@ -47,7 +47,6 @@ class VoxelLayout:
     """The bodies that a policy is made for.
 
     Attributes:
-        rows, columns: of the grid that bodies lie in.
         rest: what a policy gets besides voxels: the entries of an observation after the grid, the clock in place of
             the time.
         actions: entries of an action; a body has so many actuators at most.
@@ -106,9 +105,6 @@ class VoxelInputs(nn.Module):
     """A policy's inputs from observations; nothing of a cell without a voxel gets through.
 
     Its tables are buffers, so that they lie where the policy is: a step brings nothing to the device.
-
-    Args:
-        layout: of the observations.
     """
 
     transform: torch.Tensor

@@ -28,7 +28,6 @@ class VoxelNormalizer(nn.Module):
     What moves is scaled; place, type, neighbours and the clock stay as they are.
 
     Args:
-        layout: sizes.
         learns: whether :meth:`update` learns; otherwise inputs stay as they are.
     """
 
@@ -86,7 +85,6 @@ class VoxelModel(Network):
             distribution gives a mean for every action, one without a value.
         layout: of observations and actions, see :func:`warpvox.algos.policies.layout.layout_of`.
         network: name of the network (:mod:`warpvox.algos.policies.registry`).
-        settings: of the network.
     """
 
     def __init__(

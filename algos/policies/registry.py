@@ -56,9 +56,7 @@ def make_network(name: str, layout: VoxelLayout, critic: bool, settings: Mapping
     Args:
         name: of :data:`POLICIES`, or ``module:Class`` or ``file.py:Class``: a ``torch.nn.Module`` made by
             ``Class(layout, critic, **settings)``, whose ``forward(cells, rest)`` is as that of :class:`GridNetwork`.
-        layout: sizes.
         critic: whether there is one value for the body instead of one for each cell.
-        settings: of the network, by name.
     """
     check_policy(name)
     made = NETWORKS.get(name) or load_code(name)

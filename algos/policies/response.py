@@ -30,7 +30,6 @@ class LinearResponse(nn.Module):
     Nothing in it learns. On the ground bodies move otherwise, but alike (tests/algos/policies/test_response.py).
 
     Args:
-        rows, columns: of the grid.
         periods: of the oscillations, in control steps.
     """
 
@@ -167,9 +166,6 @@ def _transfer(physics: Physics, period: float, stiffness: np.ndarray) -> np.ndar
 
     In a sub-step the rest length stays at ``l + rate (goal - l)``, l the length at its beginning. The exact motion to
     the next sub-step is a linear recursion, solved here for motions that are multiplied by z in each sub-step.
-
-    Args:
-        stiffness: of the spring, over the mass.
     """
     rate, root = physics.actuation_rate, np.sqrt(stiffness)
     angle, z = root * physics.dt, np.exp(2j * math.pi / (period * physics.substeps))

@@ -21,10 +21,6 @@ class VectorAdam:
     Args:
         networks: whose parameters learn; the first of three axes counts designs. The gradients of each network are
             clipped separately.
-        eps: as of torch's Adam.
-
-    Attributes:
-        steps: taken so far.
     """
 
     def __init__(self, networks: Sequence[nn.Module], eps: float) -> None:

@@ -19,7 +19,6 @@ class StackedGaussian(nn.Module):
     Args:
         log_std: logarithms of the deviations, ``[designs, 1, actions]``.
         mask: 1 for actions, 0 where they are padded: a padded action is always at its mean.
-        limits: least and largest logarithm.
     """
 
     mask: torch.Tensor

@@ -45,7 +45,6 @@ class PopulationModel(nn.Module):
         noise: gives standard normal numbers ``[designs, rows, actions]`` for a number of rows; 0 where padded.
 
     Attributes:
-        inputs, outputs: sizes of the stacked models.
         distribution: of the actions; None: these are value functions.
     """
 

@@ -45,10 +45,7 @@ class PopulationPPO(PPO):
     at once, and gradients of the losses by hand. The same batch gives the same bits.
 
     Args:
-        actor, critic: stacked networks.
         storage: for ``designs * envs`` environments; actions as wide as the actor's outputs.
-        streams: each design's random numbers.
-        threads: that share the designs while learning.
         settings: further arguments of :class:`warpvox.algos.training.ppo.PPO`.
 
     Attributes:

@@ -14,10 +14,8 @@ class Streams:
     size.
 
     Args:
-        seeds: of the designs.
         states: of torch's generator on the CPU, where each design's stream goes on (after its networks were made); on
             another device streams begin with the seeds.
-        device: where numbers are drawn.
     """
 
     def __init__(self, seeds: Sequence[int], states: Sequence[torch.Tensor], device: str) -> None:

@@ -55,17 +55,8 @@ class PopulationTraining:
     ``torch.manual_seed(seed)``, up to rounding.
 
     Args:
-        factory: where they are trained.
-        bodies: the designs.
-        seeds: of the random numbers of each design's training.
-        settings: how they are trained.
         prepare: may change a design's networks before training; called with its number, the environments and the
             networks.
-        eval_seed: of the episodes that all designs are evaluated in.
-
-    Attributes:
-        iteration: iterations done.
-        bodies, seeds: of the designs still in training.
     """
 
     def __init__(

@@ -54,7 +54,6 @@ def chart(
 
     Args:
         size: width and height in pixels.
-        names: with a legend.
     """
     points = [point for one in series for point in (*one.points, *one.band) if all(map(math.isfinite, point))]
     if not points:

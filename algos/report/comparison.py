@@ -40,7 +40,6 @@ class Comparison:
     Attributes:
         scores: float64 ``[runs]`` by search and task: 0 is chance, 1 the best published return.
         steps: control steps by task, after which the scores are taken: what every run of the task has spent.
-        left_out: tasks that are not compared.
     """
 
     scores: Mapping[str, Mapping[str, np.ndarray]]

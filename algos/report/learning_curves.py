@@ -124,7 +124,6 @@ def write_curves(
     Args:
         curves: see :func:`curves_of`; or those of several pictures beside each other, by their titles.
         path: .png, .svg or .pdf; written whole or not at all.
-        x: what they are over.
         size: in pixels, of each picture.
     """
     target = check_file(path)

@@ -29,10 +29,7 @@ class SearchResult:
     """One design search.
 
     Attributes:
-        folder: that of its archive.
         search: its name among others: that of the algorithm, with the settings that differ, or a suite's own.
-        settings: of the archive.
-        records: all candidates, by id.
         winner: the best of them, None before there is one.
         summary: what ``summary.json`` beside the archive says.
     """

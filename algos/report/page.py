@@ -20,7 +20,6 @@ def page(template: str, title: str, slots: Mapping[str, str]) -> str:
     """A page as text: it needs no network and links to nothing.
 
     Args:
-        template: file of this package with the main part.
         slots: HTML for the ``{{names}}`` in it.
     """
     frame = {"title": escape(title), "style": text("page.css"), "script": text("page.js")}

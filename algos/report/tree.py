@@ -14,11 +14,7 @@ CELL, COLUMN, ROW, MARGIN = 8, 98, 92, 12
 
 
 def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
-    """Column and row of each node: generations from left to right, parents about where their children are.
-
-    Args:
-        line: a design and its ancestors, by id, the design last.
-    """
+    """Column and row of each node: generations from left to right, parents about where their children are."""
     order = sorted({record.candidate.generation for record in line})
     # A parent may, in a search that evaluates one design at a time, be of the same generation as its child.
     column = {record.id: order.index(record.candidate.generation) for record in line}

@@ -44,7 +44,6 @@ class GeneticSearch(BaseSearch):
     """The best designs survive, without being evaluated again; the others make way for mutants of the survivors.
 
     Attributes:
-        population: ids of the last generation, survivors included.
         last: number of the last generation, N_max of Algorithm 1.
     """
 

@@ -52,7 +52,6 @@ class LocalPool:
 
     Args:
         make: a function of a module, so that other processes find it.
-        size: how many processes.
     """
 
     def __init__(self, make: Make, size: int) -> None:

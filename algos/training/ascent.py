@@ -40,11 +40,7 @@ TINY = 1e-12
 
 
 class Targets:
-    """Targets of the policy: weights of the last bodies; a body that comes again has its newest ones.
-
-    Args:
-        limit: how many are kept.
-    """
+    """Targets of the policy: weights of the last bodies; a body that comes again has its newest ones."""
 
     def __init__(self, limit: int) -> None:
         self.limit = limit

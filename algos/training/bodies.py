@@ -60,8 +60,6 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
     Args:
         spec: ``random:64`` or ``random:64:5x7`` (drawn with ``seed``), a folder with design files, the folder of a
             design search (its bodies, the best first), or whatever the key ``design`` takes.
-        key: the name of the key, for errors.
-        without: bodies that random ones shall not be.
     """
     if isinstance(spec, str):
         found = RANDOM.fullmatch(spec.strip())
@@ -110,8 +108,6 @@ class TrainingBodies:
     """The bodies of a training.
 
     Attributes:
-        trained: those that a policy is trained on.
-        judged: those that it is evaluated on.
         grid: rows and columns that there is room for, where one policy is trained on many bodies; else None.
         own: of many bodies, whether it is evaluated on those that it is trained on, as the user has named them.
     """
@@ -191,12 +187,10 @@ class Bodies:
     that has begun in the meantime is discarded.
 
     Args:
-        bodies: of the training.
         refresh: of :data:`warpvox.algos.settings.REFRESH`. ``new``: random bodies that were never there, until there
             are no others; ``random``: any of ``bodies``; ``performance``: any of ``bodies``, those on which the mean
             return is one deviation lower e times as often, and first of all those that have had no episode yet;
             ``none``: bodies stay.
-        rng: draws bodies.
         without: bodies that ``new`` does not draw.
     """
 

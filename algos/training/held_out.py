@@ -32,10 +32,7 @@ class HeldOut:
     """An evaluator on many bodies, which writes the return of each to a table and a picture.
 
     Args:
-        judge: evaluates a policy on the bodies.
-        bodies: those that it is evaluated on.
         name: of the files, ``held_out.csv`` and ``held_out.png``.
-        task: its id, which says what returns are good.
 
     Attributes:
         folder: of the run; None: nothing is written.

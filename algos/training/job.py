@@ -76,7 +76,6 @@ class Job:
     Args:
         settings: of the training; with ``source`` those of its run, but for what may change.
         named: keys that the user has given, which must agree with a pretrained policy.
-        source: a run that goes on.
     """
 
     def __init__(self, settings: Training, named: Collection[str] = (), source: Run | None = None) -> None:

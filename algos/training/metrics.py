@@ -51,7 +51,6 @@ class Metrics:
 
     Args:
         folder: of the run; must exist.
-        iteration: iterations complete when writing begins.
         logger: one of :data:`warpvox.algos.settings.LOGGERS`, checked by :func:`check_logger`.
     """
 

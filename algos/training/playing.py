@@ -45,7 +45,6 @@ class SampledController:
     """Draws actions from the Gaussian distribution of a policy, instead of taking its mean.
 
     Args:
-        controller: the policy.
         seed: of the draws; equal seeds give equal actions for equal observations on the same device.
     """
 
@@ -76,7 +75,6 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
     """Environments and policy of a run, which is no stored robot.
 
     Args:
-        run: the run.
         config: :class:`Playing`, or the keys of a command that has the same.
         designs: bodies for a policy over many bodies; None: those held out, as many as there are environments.
         every: of such a policy, all bodies, the same number of environments for each.

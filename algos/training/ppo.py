@@ -38,8 +38,6 @@ class PPO(RslRlPPO):
     """rsl-rl's PPO with what its settings lack.
 
     Args:
-        total_iterations: iterations in all, the end of the linear schedule.
-        adam_eps: Adam's epsilon.
         schedule: ``fixed``, ``adaptive`` (rsl-rl's) or ``linear``: the learning rate of update k of n is
             ``learning_rate * (1 - k / n)`` with k = 0, 1, ..., n - 1.
     """
@@ -159,11 +157,8 @@ def rsl_rl_config(
     """The dictionary that rsl-rl's runner wants.
 
     Args:
-        ppo: settings of the method.
-        total_iterations: the end of a linear schedule.
         voxels: ``network``, ``settings`` and ``layout`` of :class:`~warpvox.algos.policies.model.VoxelModel`; None:
             fully connected layers, behind recurrent ones where ``ppo.rnn`` says so.
-        algorithm: the class that learns.
     """
     network: dict[str, Any] = {"class_name": Network, "hidden_dims": list(ppo.hidden), "activation": ppo.activation}
     if voxels is not None:

@@ -40,12 +40,7 @@ def kept_name(source: str, file: Path) -> str:
 
 
 def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -> PolicySpec:
-    """The policy of a checkpoint, all of which is checked, if a training can go on from it.
-
-    Args:
-        content: of the checkpoint.
-        network: where the code of a network of the user's own is.
-    """
+    """The policy of a checkpoint, all of which is checked, if a training can go on from it."""
     from warpvox.algos.checkpoints.files import checked_weights, load_controller
 
     spec = load_controller(path, network=network).spec

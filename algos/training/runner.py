@@ -65,9 +65,7 @@ class _Rollout(Logger):
     """Collects what rsl-rl's runner tells of an iteration, in the place of its logger.
 
     Attributes:
-        means: of what the environments log.
         ended: bool ``[num_envs]``, where episodes have ended.
-        losses: means of the losses.
     """
 
     writer = None
@@ -108,8 +106,6 @@ class Runner(OnPolicyRunner):
 
     Args:
         env: see :func:`adapt`.
-        ppo: settings of the method.
-        schedule: when to evaluate, save and stop.
         folder: of the run; must exist.
         evaluator: says how good the policy is without exploration; None: no evaluations. The state of a
             :class:`StatefulEvaluator` is saved and restored with that of training.
@@ -119,7 +115,6 @@ class Runner(OnPolicyRunner):
             and reports; its ``evaluator`` and ``report`` are the only ones that are used.
         voxels: of a policy for voxels, see :func:`warpvox.algos.training.ppo.rsl_rl_config`.
         bodies: which bodies take the place of others; None: all stay.
-        trained_on: what checkpoints say of the training, by name.
     """
 
     algorithm: type[PPO] = PPO

@@ -50,7 +50,6 @@ class Runner:
 
     Args:
         config: of ``warpvox bench``; ``task``, ``num_envs`` and ``options`` of ``make_vec`` go before it.
-        bodies: in equal blocks of the environments.
         checked: whether the batch is compared with environments alone first.
         now: gives seconds; by default :func:`clock`.
 

@@ -25,7 +25,6 @@ def by_place(group: Group, memory: np.ndarray) -> dict[str, tuple[int, int]]:
     The places are those whose addresses follow from the tables of the body.
 
     Args:
-        group: of the kernel.
         memory: uint8 ``[groups of a warp, bytes]`` after a control step on the CPU, where the tables hold numbers of
             elements instead of addresses.
     """

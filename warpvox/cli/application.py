@@ -50,8 +50,6 @@ def run_command(
     """Do what a command line asks for. All runs of a sweep are checked before the first begins.
 
     Args:
-        words: what follows the command.
-        do: makes a run and returns its folder.
         prepare: makes what ``do`` gets, from a configuration, its overrides and the user's folder of YAML files.
         check: finds what is wrong with one of several runs, and takes no longer than a moment.
 

@@ -40,7 +40,6 @@ def load(
     """Compose, check and return the dataclass of a command.
 
     Args:
-        overrides: of a single run.
         base: stored values, above the defaults and below what the overrides change.
         home: the folder whose ``config.yaml`` the base is; code that it names is only let through if the overrides
             name it again (:func:`warpvox.trust.with_code`).

@@ -58,11 +58,7 @@ def record_run(run: Run, env: Any, controller: Any, steps: int | None, stochasti
 
 
 def record_agent(config: Any) -> Rollout:
-    """One episode of every environment under an agent that needs no training.
-
-    Args:
-        config: play's configuration with an agent.
-    """
+    """One episode of every environment under an agent that needs no training."""
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.envs.vec_env import make_vec
     from warpvox.view.rollout import record

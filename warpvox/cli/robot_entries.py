@@ -54,7 +54,6 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> Added:
 
     Args:
         source: as for :func:`robots_of`.
-        folder: of the entries.
         top: designs of a search that are evaluated: fitness is in float32, and contacts magnify every difference.
         task: the code of a task of the user's own, which the source names.
     """

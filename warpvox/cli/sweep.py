@@ -45,8 +45,6 @@ def make_runs(
 
     Args:
         overrides: those of all runs, and those that list several values.
-        plugins: words about Hydra's launcher and sweeper.
-        make: makes a run from its overrides.
         total: number of runs; 0 if the sweeper chooses it.
 
     Raises:

@@ -23,7 +23,6 @@ def editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) ->
     Args:
         start: a document with a ``name``, to begin with; None: an example.
         folder: where files are opened and saved, to be named on the page.
-        tasks: what a body can be tried in.
     """
     setup = {
         "start": start or document_of(example_designs()["walker"]) | {"name": "my_robot"},

@@ -51,14 +51,9 @@ class EditorServer(ThreadingHTTPServer):
     """Serves the editor until it is shut down.
 
     Args:
-        folder: where files are opened and saved.
         port: 0 takes a free one.
-        file: name of a file in the folder to begin with.
         tasks: tasks of the user's own to try bodies in (``file.py:NAME`` or ``module:NAME``), beside the benchmark's.
             They are imported here; a request cannot name another.
-
-    Attributes:
-        url: where the editor is to be found, token included.
     """
 
     request_queue_size = 128  # connections that wait to be taken; five are the usual, and the others try again later

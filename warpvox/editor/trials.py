@@ -39,8 +39,6 @@ def try_out(
     Args:
         document: see :mod:`warpvox.editor.documents`.
         agent: one of :data:`warpvox.view.rollout.AGENTS`.
-        seconds: of simulated time.
-        seed: of the agent.
         task: one of ``tasks``, for a body.
         tasks: what there is to choose from; None: the benchmark's. A name of code that is not here is not imported.
     """

@@ -133,7 +133,6 @@ class ArrayFile:
     """An ``.npz`` archive of plain arrays; a context manager that closes it.
 
     Args:
-        path: of the file.
         limit: bytes of the file, and of all arrays together.
 
     Raises:

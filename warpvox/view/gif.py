@@ -23,7 +23,6 @@ def write_pictures(file: BinaryIO, pictures: Iterable[Image.Image], pause: int) 
     """Write an animation that loops.
 
     Args:
-        file: open for binary writing.
         pictures: one or more of mode P, of one size and with one palette.
         pause: milliseconds from one to the next.
     """

@@ -51,7 +51,6 @@ def camera_path(scene: Scene, positions: np.ndarray, view: tuple[float, float]) 
     lags. It shows no more of what lies beyond the world than it must to keep the robot in view.
 
     Args:
-        scene: what there is.
         positions: its points, ``[T, P, 2]`` in simulator units.
         view: width and height of the picture in voxels.
     """
@@ -102,7 +101,6 @@ class Canvas:
     """Paints one scene, wherever its points and the camera are.
 
     Args:
-        scene: what there is.
         size: width and height of the picture in pixels.
         scale: pixels to a voxel.
     """
@@ -198,8 +196,6 @@ class Painter:
     """Paints frames of one environment of a rollout.
 
     Args:
-        rollout: what was recorded.
-        env: which environment.
         size: width and height of the picture in pixels.
         voxels: voxels from bottom to top; None fits the robot.
     """

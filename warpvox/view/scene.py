@@ -63,7 +63,6 @@ class Scene:
     """One distinct world of a rollout: its objects and their meshes.
 
     Attributes:
-        width, height: of the world in cells.
         objects: in the order of the simulator: robots, then the rest, each by name.
     """
 

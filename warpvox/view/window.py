@@ -45,7 +45,6 @@ class Window:
 
     Args:
         size: width and height of the pictures in pixels.
-        title: what stands above.
 
     Attributes:
         closed: whether the window is gone, by :meth:`close` or by the person in front of it.

@@ -80,12 +80,7 @@ class Evaluation:
         return self
 
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
-        """Knowledge from before the search that the evaluator needs, such as a pretrained policy; can be pickled.
-
-        Args:
-            start: robots that the first generation contains.
-            folder: of a search that is resumed.
-        """
+        """Knowledge from before the search that the evaluator needs, such as a pretrained policy; can be pickled."""
         return None
 
     def keep(self, known: Any, folder: Path) -> None:

@@ -55,11 +55,7 @@ def split(words: list[str]) -> tuple[list[str], list[str]]:
 
 
 def _prepare(typed: list[str], config: SuiteConfig, overrides: list[str], config_dir: Path | None) -> Job:
-    """The job of a configuration; with ``resume`` on top of that of the suite that it goes on with.
-
-    Args:
-        typed: overrides for all design searches.
-    """
+    """The job of a configuration; with ``resume`` on top of that of the suite that it goes on with."""
     named = {word.partition("=")[0] for word in overrides}
     if {"evaluations", "control_steps"} <= named:
         raise ConfigError("evaluations and control_steps are both a budget: give one of them.")
