@@ -51,7 +51,7 @@ BESIDE = {
         "view.usd.write_usd",
     ),
     "Robots of the zoo": (
-        *("robots.entry.Robot", "robots.gait.Gait", "robots.network.Network", "robots.replay.judge"),
+        *("robots.entry.Robot", "robots.gait.Gait", "robots.network.Network", "robots.returns.judge"),
         *("robots.replay.robot_env", "robots.entry.read_robot", "robots.entry.save_robot"),
     ),
     "Bodies": ("design.full_connections", "design.repair_design"),

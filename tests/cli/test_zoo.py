@@ -19,7 +19,7 @@ from warpvox.cli.robot_entries import command_of
 from warpvox.design import full_connections, load_design
 from warpvox.robots.entry import Robot, read_robot, save_robot, zoo, zoo_tasks
 from warpvox.robots.gait import Gait
-from warpvox.robots.replay import recorded
+from warpvox.robots.returns import recorded
 from warpvox.view.rollout import Rollout
 
 TASK = min(zoo_tasks(), key=lambda task: sum(zoo(task).about["lengths"]))

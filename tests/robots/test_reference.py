@@ -18,7 +18,8 @@ from warpvox.design import full_connections, load_design
 from warpvox.envs.registry import get_task, released_id
 from warpvox.robots.entry import Robot, zoo, zoo_tasks
 from warpvox.robots.gait import Gait
-from warpvox.robots.replay import recorded, robot_env
+from warpvox.robots.replay import robot_env
+from warpvox.robots.returns import recorded
 from warpvox.system import python_of
 from warpvox.view.rollout import record
 

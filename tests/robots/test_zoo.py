@@ -12,7 +12,8 @@ from warpvox.design import load_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import DesignError, RunError
 from warpvox.robots.entry import FOLDER, Robot, zoo, zoo_tasks
-from warpvox.robots.replay import SEEDS, judge, robot_env
+from warpvox.robots.replay import SEEDS, robot_env
+from warpvox.robots.returns import judge
 
 LARGEST = 1_200_000  # bytes of the whole zoo, which is in the wheel
 TASKS = zoo_tasks()

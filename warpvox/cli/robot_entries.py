@@ -18,7 +18,7 @@ from warpvox.configs.schema import PRESET
 from warpvox.envs.registry import get_task
 from warpvox.errors import RunError
 from warpvox.robots.entry import Robot, read_robot, save_robot
-from warpvox.robots.replay import recorded
+from warpvox.robots.returns import recorded
 from warpvox.runs import as_name
 from warpvox.trust import allowed
 

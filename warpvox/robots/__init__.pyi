@@ -10,4 +10,5 @@ from .entry import (
 )
 from .gait import Gait as Gait
 from .network import Network as Network
-from .replay import Judgement as Judgement, judge as judge, robot_env as robot_env
+from .replay import robot_env as robot_env
+from .returns import Judgement as Judgement, judge as judge

@@ -1,10 +1,8 @@
-"""Replay of stored robots: episodes in exact arithmetic, which any machine repeats."""
+"""Stored robots in batches of environments and as torch modules, and policies as those of stored robots."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,12 +13,10 @@ from warpvox.algos.checkpoints.files import PolicySpec, load_controller
 from warpvox.algos.checkpoints.policy import Policy, make_policy, policy_of
 from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.design import Design
-from warpvox.envs.adapters.gym import VoxelEnv
 from warpvox.envs.adapters.rsl_rl import ACTION_CENTER
-from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import RunError
-from warpvox.robots.entry import DIGITS, Robot
+from warpvox.robots.entry import Robot
 from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
 from warpvox.types import Cell
@@ -29,20 +25,6 @@ BY_CELL = ("amplitude", "phase", "rest")
 """Fields that a gait has for each actuator, and a checkpoint of it for each cell of a grid."""
 SEEDS = tuple(range(1000, 1008))
 """Seeds of the episodes of a task that draws something at random; other tasks have one episode."""
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """Episodes of a robot: ``returns`` (rounded to nine decimals) and ``lengths`` (control steps) by ``seeds``."""
-
-    returns: list[float]
-    lengths: list[int]
-    seeds: list[int]
-
-    @property
-    def mean_return(self) -> float:
-        """Over the episodes, rounded in the same way."""
-        return round(sum(self.returns) / len(self.returns), DIGITS)
 
 
 def robot_env(robot: Robot, seeds: Sequence[int] = (0,), **options: Any) -> VoxelVecEnv:
@@ -57,11 +39,12 @@ def robot_env(robot: Robot, seeds: Sequence[int] = (0,), **options: Any) -> Voxe
     defaults = {"device": "cpu", "dtype": "float64", "auto_reset": False, "seed": list(seeds), "num_envs": len(seeds)}
     connections = None if robot.fully_connected else robot.connections
     env = make_vec(robot.task, body=robot.body, connections=connections, obs=robot.obs, **(defaults | options))
-    _check_sizes(robot, env.num_obs, env.num_actions)
+    check_sizes(robot, env.num_obs, env.num_actions)
     return env
 
 
-def _check_sizes(robot: Robot, num_obs: int, num_actions: int) -> None:
+def check_sizes(robot: Robot, num_obs: int, num_actions: int) -> None:
+    """Raise RunError unless the policy is for so many observations and actions."""
     policy = robot.policy
     if isinstance(policy, Gait):
         if policy.num_actions != num_actions:
@@ -71,45 +54,6 @@ def _check_sizes(robot: Robot, num_obs: int, num_actions: int) -> None:
             f"The policy has {policy.num_obs} observations and {policy.num_actions} actions, but {robot.task} with this"
             f" body has {num_obs} and {num_actions}."
         )
-
-
-def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
-    """Run the episodes of ``robot`` in exact arithmetic: those are the returns that EvoGym itself gives.
-
-    Args:
-        seeds: one an episode; None: :data:`SEEDS` where the task draws something, else a single episode.
-
-    Raises:
-        RunError: it has no policy, or one for other environments.
-    """
-    if robot.policy is None:
-        why = robot.about.get("no_policy", "there is a body alone, for which one can be trained.")
-        raise RunError(f"The robot has no policy that could be evaluated: {why}")
-    seeds = list(seeds if seeds is not None else SEEDS if get_task(robot.task).is_random else (0,))
-    # one at a time, as numpy steps a single environment faster than torch
-    env = VoxelEnv(robot.task, robot.body, None if robot.fully_connected else robot.connections, obs=robot.obs)
-    _check_sizes(robot, *cast(Any, env.observation_space.shape), *cast(Any, env.action_space.shape))
-    returns, lengths = zip(*(_episode(env, robot, seed) for seed in seeds), strict=True)
-    return Judgement(list(returns), list(lengths), seeds)
-
-
-def _episode(env: VoxelEnv, robot: Robot, seed: int) -> tuple[float, int]:
-    """Return and control steps."""
-    obs, _ = env.reset(seed=seed)
-    rewards: list[float] = []
-    terminated, limit = False, get_task(robot.task).max_episode_steps
-    while not terminated and len(rewards) < limit:
-        obs, reward, terminated, _, _ = env.step(cast(Any, robot.policy)(obs))
-        rewards.append(reward)
-    return round(sum(rewards), DIGITS), len(rewards)
-
-
-def recorded(robot: Robot, about: dict[str, Any]) -> Robot:
-    """``robot`` with its returns and ``about`` as an entry of the zoo states them."""
-    result = judge(robot)
-    found = {"return": result.mean_return, "returns": result.returns, "lengths": result.lengths, "seeds": result.seeds}
-    date = datetime.now(timezone.utc).strftime("%Y-%m-%d")
-    return replace(robot, about=found | about | {"date": date})
 
 
 def policy_of_checkpoint(checkpoint: Path) -> Network | Gait:
