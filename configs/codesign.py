@@ -61,8 +61,7 @@ class SuiteConfig:
         None, "rows and columns of the bodies, or by task; null: the paper's, [5,5] and [5,7] for Lifter-v0"
     )
     codesign: list[str] = key(
-        [],
-        "keys of `warpvox codesign` for all searches that have them, given by themselves (training.envs=16) or here",
+        [], "keys of `warpvox codesign` for all searches that have them, given by themselves (training.envs=16) or here"
     )
     executor: str = key(
         "local",

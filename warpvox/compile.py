@@ -19,12 +19,7 @@ from warpvox.world import World, WorldObject
 # Corners and sides of a voxel in clockwise order; side k runs from corner k to corner k + 1.
 TL, TR, BR, BL = range(4)
 CREATION = (TL, TR, BL, BR)
-SIDE_ENDS = (
-    (TL, TR),
-    (BL, BR),
-    (TL, BL),
-    (TR, BR),
-)  # top, bottom, left, right: the order in which sides are made
+SIDE_ENDS = ((TL, TR), (BL, BR), (TL, BL), (TR, BR))  # top, bottom, left, right: the order in which sides are made
 FILL = {"pushed": -1, "fixed_at": -1, "order": -1}
 """Padding of tables, if not 0."""
 NOTHING_MOVES = "The world has nothing that can move: add a robot or an object with a cell that is not fixed."
@@ -354,12 +349,7 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
         fixed_at=fixed_at,
         fold_limit=[len(body.surface) for body in robots],
     )
-    reals = dict(
-        rest_pos=rest_pos,
-        spring_rest=rests,
-        spring_k=stiffness,
-        terrain_box=lattice[1],
-    )
+    reals = dict(rest_pos=rest_pos, spring_rest=rests, spring_k=stiffness, terrain_box=lattice[1])
     out = {name: np.asarray(value, dtype=np.int32) for name, value in (whole | arrays).items()}
     out |= {name: np.asarray(value, dtype=np.float64) for name, value in reals.items()}
     out["terrain"] = np.array([design.width, design.height], dtype=np.int32)

@@ -13,26 +13,6 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-__all__ = [
-    "ActionError",
-    "ConfigError",
-    "DesignError",
-    "DeviceError",
-    "DisplayError",
-    "DivergenceError",
-    "MemoryLimitError",
-    "RolloutError",
-    "RunError",
-    "SearchError",
-    "SimulationError",
-    "StorageError",
-    "TaskError",
-    "WarpvoxError",
-    "WorldError",
-    "did_you_mean",
-    "listing",
-]
-
 
 class WarpvoxError(Exception):
     """Base of all errors that warpvox raises on purpose."""

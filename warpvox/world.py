@@ -29,14 +29,7 @@ LARGEST_FILE = 16_000_000
 MOST_OBJECTS = 1000
 """Objects that a world file may hold."""
 
-_LETTERS = {
-    Cell.EMPTY: ".",
-    Cell.RIGID: "R",
-    Cell.SOFT: "S",
-    Cell.H_ACT: "H",
-    Cell.V_ACT: "V",
-    Cell.FIXED: "F",
-}
+_LETTERS = {Cell.EMPTY: ".", Cell.RIGID: "R", Cell.SOFT: "S", Cell.H_ACT: "H", Cell.V_ACT: "V", Cell.FIXED: "F"}
 
 
 @dataclass(frozen=True, eq=False)

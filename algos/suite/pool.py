@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from warpvox.algos.interrupt import terminable
 from warpvox.system import HANGUP
@@ -26,25 +26,6 @@ Outcome = dict[str, Any]
 """``status`` of a member that has ended, done, failed or interrupted, and its ``error``."""
 Make = Callable[[Any, Path], Outcome]
 """Makes a member, given what describes it and the folder of its run."""
-
-
-class Pool(Protocol):
-    """Makes several members at a time."""
-
-    size: int
-
-    def begin(self, number: int, job: Any, folder: Path) -> None:
-        """Begin to make a member; at most ``size`` at a time."""
-
-    def wait(self, seconds: float) -> list[tuple[int, Outcome]]:
-        """The members that have ended, by number, as soon as there is one or the time is over."""
-        ...
-
-    def stop(self) -> None:
-        """Ask all members that are being made to save their state and end; :meth:`wait` returns when they have."""
-
-    def close(self) -> None:
-        """Release the processes; what still runs is ended at once."""
 
 
 class LocalPool:
@@ -59,6 +40,7 @@ class LocalPool:
         self._workers: list[_Worker] = []
 
     def begin(self, number: int, job: Any, folder: Path) -> None:
+        """Begin to make a member; at most ``size`` at a time."""
         worker = next((worker for worker in self._workers if worker.number is None), None)
         if worker is None:
             worker = _Worker.start(self._make)
@@ -68,6 +50,7 @@ class LocalPool:
             worker.pipe.send((job, folder))
 
     def wait(self, seconds: float) -> list[tuple[int, Outcome]]:
+        """The members that have ended, by number, as soon as there is one or the time is over."""
         busy: dict[Any, _Worker] = {worker.pipe: worker for worker in self._workers if worker.number is not None}
         ended = []
         for pipe in wait(list(busy), seconds):
@@ -94,11 +77,13 @@ class LocalPool:
         return {"status": "failed", "error": f"Its process {how}{hint}."}
 
     def stop(self) -> None:
+        """Ask all members that are being made to save their state and end; :meth:`wait` returns when they have."""
         self._stopping = True
         for worker in self._workers:
             worker.process.terminate()
 
     def close(self) -> None:
+        """Release the processes; what still runs is ended at once."""
         for worker in self._workers:
             worker.process.kill()
             worker.process.join()
@@ -170,7 +155,7 @@ def _print_to(file: Path) -> None:
 
 
 class RayPool:
-    """Tasks of Ray, on a cluster whose machines share the disk that the suite lies on.
+    """As :class:`LocalPool`, by tasks of Ray, on a cluster whose machines share the disk that the suite lies on.
 
     Args:
         make: as for :class:`LocalPool`.

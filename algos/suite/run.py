@@ -16,7 +16,7 @@ from warpvox.algos.codesign.run import environments, run_codesign
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.suite.members import DONE, FAILED, RUNNING, WAITING, Member, Table
-from warpvox.algos.suite.pool import INTERRUPTED, LocalPool, Pool, RayPool
+from warpvox.algos.suite.pool import INTERRUPTED, LocalPool, RayPool
 from warpvox.algos.suite.progress import SuiteProgress
 from warpvox.devices.names import resolve_device
 from warpvox.errors import StorageError, WarpvoxError
@@ -80,7 +80,7 @@ def make_members(table: Table, members: list[Member], config: Any, console: Cons
         pool.close()
 
 
-def _pool(config: Any, members: list[Codesign]) -> tuple[Pool, int]:
+def _pool(config: Any, members: list[Codesign]) -> tuple[LocalPool | RayPool, int]:
     """The processes that make the members, and the threads of each."""
     if config.executor == "ray":
         threads = config.threads or 1

@@ -17,7 +17,11 @@ def test_every_error_is_a_warpvox_error_and_of_the_builtin_kind_that_callers_exp
 
 
 def test_every_error_has_a_public_name() -> None:
-    ours = [name for name in errors.__all__ if isinstance(getattr(errors, name), type)]
+    ours = [
+        name
+        for name, value in vars(errors).items()
+        if getattr(value, "__module__", "") == errors.__name__ and isinstance(value, type)
+    ]
     assert {"StorageError", "DivergenceError"} <= set(ours) <= set(warpvox.__all__)
     assert all(getattr(warpvox, name) is getattr(errors, name) for name in ours)
 

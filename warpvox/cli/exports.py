@@ -87,12 +87,7 @@ def tiles_of(rollout: Rollout, most: int = BODIES) -> list[int]:
 
 
 def write_exports(
-    rollout: Rollout,
-    folder: Path,
-    formats: list[str],
-    console: Console,
-    size: list[int] | None = None,
-    every: int = 1,
+    rollout: Rollout, folder: Path, formats: list[str], console: Console, size: list[int] | None = None, every: int = 1
 ) -> list[Path]:
     """Write each format, say what there is (the rollout itself, if it was written, first); returns the paths.
 

@@ -7,7 +7,6 @@ import functools
 import glob
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,15 +27,6 @@ ELSEWHERE = {"output_dir", "name", "resume", "config", "report", "export", "thre
 """Keys that do not change what is found, or name places on a machine."""
 
 
-@dataclass(frozen=True)
-class Added:
-    """The result for a folder: the robot found there, and the return of the entry that was there before, if any."""
-
-    robot: Robot
-    before: float | None
-    written: Path | None
-
-
 def find_sources(texts: Sequence[str]) -> list[Path]:
     """The folders and checkpoints that texts or patterns name."""
     found: list[Path] = []
@@ -49,8 +39,10 @@ def find_sources(texts: Sequence[str]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def add(source: Path, folder: Path, top: int, task: str | None = None) -> Added:
+def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[Robot, float | None, Path | None]:
     """Evaluate the best robot of ``source`` in exact arithmetic; write its entry if its return is the higher one.
+
+    Returns the robot, the return of the entry that was there before, if any, and the file, if it was written.
 
     Args:
         source: as for :func:`robots_of`.
@@ -70,8 +62,8 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> Added:
     path = folder / f"{as_name(best.task)}.npz"
     before = read_robot(path).mean_return if path.is_file() else None
     if before is not None and best.mean_return <= before:
-        return Added(best, before, None)
-    return Added(best, before, save_robot(path, best))
+        return best, before, None
+    return best, before, save_robot(path, best)
 
 
 def command_of(command: str, config: dict[str, Any]) -> str:

@@ -15,19 +15,9 @@ from warpvox.design import example_design, example_designs
 from warpvox.runs import Run
 
 NOT_SETTINGS = (
-    "seed",
-    "name",
-    "output_dir",
-    "resume",
-    "config",
-    "export",
-    "threads",
-    "torch_threads",
-    "lanes",
-    "save_interval",
-    "nan_guard",
-    "cuda_graph",
-)
+    "seed", "name", "output_dir", "resume", "config", "export", "threads", "torch_threads", "lanes", "save_interval",
+    "nan_guard", "cuda_graph",
+)  # fmt: skip
 """Keys that do not make a run another experiment."""
 SHOWN = 3
 """Settings that a label names at most."""

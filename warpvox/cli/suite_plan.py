@@ -22,17 +22,9 @@ from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing
 
 BENCHMARK10 = (
-    "Walker-v0",
-    "BridgeWalker-v0",
-    "UpStepper-v0",
-    "Traverser-v0",
-    "Climber-v0",
-    "Carrier-v0",
-    "Thrower-v0",
-    "Catcher-v0",
-    "Lifter-v0",
-    "BeamSlider-v0",
-)
+    "Walker-v0", "BridgeWalker-v0", "UpStepper-v0", "Traverser-v0", "Climber-v0", "Carrier-v0", "Thrower-v0",
+    "Catcher-v0", "Lifter-v0", "BeamSlider-v0",
+)  # fmt: skip
 """The tasks of the paper's main comparison (section B)."""
 NAMED = {"all": task_ids, "benchmark10": lambda: BENCHMARK10}
 DIFFICULTIES, DEFAULT = ("easy", "medium", "hard"), "default"

@@ -11,14 +11,7 @@ from rich.console import Console
 
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
-from warpvox.cli.exports import (
-    ROLLOUT,
-    print_returns,
-    record_agent,
-    record_run,
-    tiles_of,
-    write_exports,
-)
+from warpvox.cli.exports import ROLLOUT, print_returns, record_agent, record_run, tiles_of, write_exports
 from warpvox.cli.playback import play_in_window, wants_window
 from warpvox.code import Code
 from warpvox.configs.show import PlayConfig

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -51,16 +50,8 @@ def _print_all(console: Console) -> None:
     from warpvox.envs.registry import get_task, task_ids
 
     table = Table()
-    columns = {
-        "task": "left",
-        "level": "left",
-        "steps": "right",
-        "observes": "right",
-        "section": "left",
-        "goal": "left",
-    }
-    for heading, justify in columns.items():
-        table.add_column(heading, justify=cast(Any, justify), overflow="fold")
+    for heading in ("task", "level", "steps", "observes", "section", "goal"):
+        table.add_column(heading, justify="right" if heading in ("steps", "observes") else "left", overflow="fold")
     for name in task_ids():
         task = get_task(name)
         fixed, per_point = (sum(term.about.size(dict(term.params), n) for term in task.observations) for n in (0, 1))
@@ -72,25 +63,15 @@ def _print_all(console: Console) -> None:
     echo(console, "`warpvox tasks ID` shows one in detail.")
 
 
-@dataclass(frozen=True)
-class Row:
-    """One observation term of a task and where it lies."""
-
-    place: slice
-    formula: str
-    unit: str
-    values: str
-
-
-def _layout(task: Any, points: dict[str, int]) -> Iterator[Row]:
-    """The observation's parts for bodies with so many points (by the name of the object)."""
+def _layout(task: Any, points: dict[str, int]) -> Iterator[tuple[int, int, str, str, str]]:
+    """First entry, end, formula, unit and values of each term of the observation of bodies with so many points."""
     start = 0
     for term in task.observations:
         params = dict(term.params)
         size = term.about.size(params, points.get(params.get("name", ""), 0))
         low, high = (f"{bound:.4g}" for bound in (term.about.low, term.about.high))
         values = "any" if (low, high) == ("-inf", "inf") else f"{low} to {high}"
-        yield Row(slice(start, start + size), term.formula, term.about.unit, values)
+        yield start, start + size, term.formula, term.about.unit, values
         start += size
 
 
@@ -169,15 +150,15 @@ def _print_observation(task: Any, design: str, points: dict[str, int], console: 
 
     robots = ", ".join(f"{points[name]} points of {name}" for name in task.robots)
     rows = list(_layout(task, points))
-    title = literal(f"observation: {rows[-1].place.stop} numbers ({robots}, design={design})")
+    title = literal(f"observation: {rows[-1][1]} numbers ({robots}, design={design})")
     table = Table(title=title, title_justify="left")
     for heading in ("entries", "what", "unit", "values"):
         table.add_column(heading, justify="right" if heading == "entries" else "left", overflow="fold")
-    for row in rows:
-        table.add_row(f"{row.place.start}:{row.place.stop}", literal(row.formula), literal(row.unit), row.values)
+    for start, end, formula, unit, values in rows:
+        table.add_row(f"{start}:{end}", literal(formula), literal(unit), values)
     console.print()
     console.print(table)
-    used = {row.unit for row in rows}
+    used = {unit for *_, unit, _ in rows}
     echo(console, "; ".join(f"{unit}: {meaning}" for unit, meaning in UNITS.items() if unit in used))
     echo(console, "x, y: centre of mass; v: its velocity; θ: turn since the beginning; p: (x, y); 0:2 is [0] and [1]")
     echo(console, "obs=timed: one number more at the end: the control steps since the episode began")

@@ -136,14 +136,13 @@ def _add(config: ZooConfig, folder: Path, console: Console) -> None:
     for source in sources:
         try:
             with console.status(f"evaluating {source}"):
-                outcome = add(source, folder, config.top, config.task)
+                robot, before, written = add(source, folder, config.top, config.task)
         except WarpvoxError as error:
             failed.append(error)
             echo(console, f"{source}: {error}")
             continue
-        robot, before = outcome.robot, outcome.before
         known = "no entry before" if before is None else f"the entry has {before:.6f}"
-        done = "kept as it is" if outcome.written is None else f"written to {outcome.written}"
+        done = "kept as it is" if written is None else f"written to {written}"
         echo(console, f"{robot.task}: {robot.mean_return:.6f}, {known}; {done}")
     if failed:
         raise RunError(f"{len(failed)} of {len(sources)} could not be added; the first: {failed[0]}")
