@@ -37,8 +37,7 @@ class Interval:
 def mean_interval(values: Sequence[float] | np.ndarray, level: float = LEVEL) -> Interval:
     """The mean of independent values, with Student's interval: ``mean -+ t(n - 1) * deviation / sqrt(n)``.
 
-    Raises:
-        ValueError: there are no values.
+    ValueError: there are no values.
     """
     data = _data(values)
     n, mean = len(data), float(data.mean())

@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 LINKED = ("kernels", "envs", "algos", "configs")
 MAX_LINES = 600
-MAX_CLI_LINES = 4300
+MAX_CLI_LINES = 3050
 
 CORE = ("errors", "system", "types", "examples", "io", "design", "world", "contact_order", "compile")
 HEAVY = {"torch", "warp", "hydra", "omegaconf", "rsl_rl", "gymnasium", "matplotlib", "pxr"}

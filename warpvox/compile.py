@@ -75,8 +75,7 @@ class CompiledWorld:
 def compile_world(world: World, physics: Physics, loose: Sequence[str] = ()) -> CompiledWorld:
     """Mesh every object of a world; those named in ``loose`` become bodies even if none of their cells can move.
 
-    Raises:
-        SimulationError: the world has no object that can move.
+    SimulationError: the world has no object that can move.
     """
     compiled = _compile(world.objects.values(), (world.width, world.height), physics, loose)
     if not compiled.bodies:

@@ -46,11 +46,7 @@ def key(
 
 
 def check_values(config: Any, prefix: str = "") -> None:
-    """Check choices and ranges of a dataclass of the schema.
-
-    Raises:
-        ConfigError: the first value that is not valid.
-    """
+    """Check choices and ranges of a dataclass of the schema. ConfigError: the first value that is not valid."""
     for item in dataclasses.fields(config):
         name, value = prefix + item.name, getattr(config, item.name)
         if dataclasses.is_dataclass(value):
@@ -88,8 +84,7 @@ ACCEPTED = {int: Integral, float: Real, bool: bool | np.bool_, str: str | os.Pat
 def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> None:
     """Give the values of a dataclass the types of its fields, but for ``without``: numpy's numbers, tuples, mappings.
 
-    Raises:
-        ConfigError: a value of another type, or a part that has no field of a name.
+    ConfigError: a value of another type, or a part that has no field of a name.
     """
     hints = get_type_hints(type(config))
     for item in dataclasses.fields(config):
@@ -113,8 +108,7 @@ def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
 def converted(value: Any, kind: Any, name: str) -> Any:
     """``value`` in the type of a field: a number of numpy's as one of Python's, a tuple as a list.
 
-    Raises:
-        ConfigError: it is of another type; ``name``: of the field.
+    ConfigError: it is of another type; ``name``: of the field.
     """
     optional = type(None) in get_args(kind)
     kind = get_args(kind)[0] if optional else kind
@@ -138,8 +132,7 @@ def converted(value: Any, kind: Any, name: str) -> Any:
 def plain(value: Any, name: str) -> Any:
     """``value`` as lists, mappings, texts and numbers, in place of arrays, tuples and paths.
 
-    Raises:
-        ConfigError: it is or holds anything else.
+    ConfigError: it is or holds anything else.
     """
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()

@@ -61,11 +61,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
 
 
 def flush_to_disk(path: Path) -> None:
-    """Have the disk hold what was written to a file, or the names in a folder.
-
-    Raises:
-        OSError: the disk has failed.
-    """
+    """Have the disk hold what was written to a file, or the names in a folder. OSError: the disk has failed."""
     if WINDOWS and path.is_dir():
         return  # NTFS keeps a journal of names; folders cannot be opened
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)

@@ -246,11 +246,7 @@ def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel | GaitModel:
 
 
 def spec_of(values: Mapping[str, Any]) -> PolicySpec:
-    """The specification stored in a checkpoint.
-
-    Raises:
-        TypeError: it has other entries, or is none.
-    """
+    """The specification stored in a checkpoint. TypeError: it has other entries, or is none."""
     if not isinstance(values, Mapping):
         raise TypeError(f"it is described by {values!r:.40}")
     return PolicySpec(**{name: value for name, value in values.items() if name != "width"})  # of earlier versions

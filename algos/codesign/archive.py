@@ -186,8 +186,7 @@ class Archive(AbstractContextManager["Archive"]):
     def open(cls, path: Path) -> Archive:
         """The archive at ``path`` for writing.
 
-        Raises:
-            RunError: no archive, a damaged or foreign one, or another process is writing it.
+        RunError: no archive, a damaged or foreign one, or another process is writing it.
         """
         _check_exists(path)
         lock = _lock_for_writing(path)
@@ -201,8 +200,7 @@ class Archive(AbstractContextManager["Archive"]):
     def read(cls, path: Path) -> Archive:
         """The archive at ``path`` for reading, also while another process is writing it.
 
-        Raises:
-            RunError: no archive, or a damaged or foreign one.
+        RunError: no archive, or a damaged or foreign one.
         """
         _check_exists(path)
         db = _checked(path)
@@ -303,8 +301,7 @@ class Archive(AbstractContextManager["Archive"]):
     def back_up(self) -> Path:
         """Write a copy beside the archive, whole or not at all; returns its path.
 
-        Raises:
-            StorageError: it cannot be written.
+        StorageError: it cannot be written.
         """
         path = self.path.with_name(BACKUP)
         try:
@@ -361,11 +358,7 @@ class Archive(AbstractContextManager["Archive"]):
         return self._records("") if generation is None else self._records("WHERE generation = ?", generation)
 
     def record(self, number: int) -> Record:
-        """One candidate.
-
-        Raises:
-            RunError: there is none with this id.
-        """
+        """One candidate. RunError: there is none with this id."""
         found = self._records("WHERE id = ?", number)
         if not found:
             raise RunError(f"{self.path} has no candidate {number}; there are {self.count()}, from 0.")
@@ -531,11 +524,7 @@ def _check_exists(path: Path) -> None:
 
 
 def _checked(path: Path) -> sqlite3.Connection:
-    """A connection to a file that is an archive and not damaged.
-
-    Raises:
-        RunError: it is not.
-    """
+    """A connection to a file that is an archive and not damaged. RunError: it is not."""
     db = None
     try:
         # Writable also for reading: SQLite then undoes what a killed process has left half written.

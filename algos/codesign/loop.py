@@ -139,11 +139,7 @@ class Loop:
         self._tell("finished", [self.archive.record(copy.id) for copy in copies])
 
     def _rank_diverged(self) -> None:
-        """Rank diverged candidates below all others.
-
-        Raises:
-            DivergenceError: the whole generation diverged.
-        """
+        """Rank diverged candidates below all others. DivergenceError: the whole generation diverged."""
         records = self.archive.records(self.generation)
         if all(record.diverged for record in records) and (len(records) > 1 or not self.archive.best()):
             raise DivergenceError(

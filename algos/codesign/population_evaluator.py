@@ -180,8 +180,7 @@ def describe(factory: EnvFactory, settings: Any, seed: int, candidates: Sequence
 def save_evaluation(path: Path, content: dict[str, Any]) -> None:
     """Write the checkpoint of an evaluation.
 
-    Raises:
-        StorageError: it cannot be written, or the run's folder no longer exists.
+    StorageError: it cannot be written, or the run's folder no longer exists.
     """
     with writing(path):
         path.parent.mkdir(exist_ok=True)
@@ -191,8 +190,7 @@ def save_evaluation(path: Path, content: dict[str, Any]) -> None:
 def read_evaluation(path: Path | None, about: dict[str, Any]) -> dict[str, Any] | None:
     """Read the checkpoint of an evaluation; None: there is none.
 
-    Raises:
-        RunError: it is damaged, or ``about`` (:func:`describe`) differs.
+    RunError: it is damaged, or ``about`` (:func:`describe`) differs.
     """
     if path is None or not path.exists():
         return None

@@ -43,8 +43,7 @@ def own_random(seed: int) -> Generator[None]:
 def neat_config(settings: CppnNeat) -> neat.Config:
     """neat-python's configuration: Table 5, or the file of ``settings.neat_config``; population of the settings.
 
-    Raises:
-        ConfigError: no such file, or one that neat-python cannot read or that has another number of inputs or outputs.
+    ConfigError: no such file, or one that neat-python cannot read or that has another number of inputs or outputs.
     """
     kinds = (neat.DefaultGenome, neat.DefaultReproduction, neat.DefaultSpeciesSet, neat.DefaultStagnation)
     if settings.neat_config is None:

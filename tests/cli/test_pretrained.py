@@ -12,6 +12,7 @@ import torch
 import yaml
 
 from warpvox.algos.checkpoints.files import load_checkpoint, save_checkpoint
+from warpvox.cli.application import prepared
 from warpvox.cli.commands.train import make_job
 
 pytestmark = pytest.mark.usefixtures("narrow_packs")
@@ -92,8 +93,8 @@ def test_the_preset_tunes_by_gradients(warpvox: Callable, train: Callable) -> No
 
 
 def test_a_body_takes_the_place_of_those_of_a_preset() -> None:
-    assert make_job(["preset=universal"]).settings.designs.bodies == "random:512:5x5"
-    job = make_job(["preset=universal", "design=worm"])
+    assert prepared("train", ["preset=universal"], None, make_job).settings.designs.bodies == "random:512:5x5"
+    job = prepared("train", ["preset=universal", "design=worm"], None, make_job)
     assert (job.settings.designs.bodies, job.settings.design) == (None, "worm")
 
 

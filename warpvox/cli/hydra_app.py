@@ -25,8 +25,7 @@ def run_hydra(
 ) -> None:
     """Do what ``@hydra.main`` does of a command line with these words.
 
-    Raises:
-        ConfigError: what Hydra says of a configuration or plugin. Exception: what ``task`` raises.
+    ConfigError: what Hydra says of a configuration or plugin. Exception: what ``task`` raises.
     """
     if command is not None:
         register(command)

@@ -62,8 +62,7 @@ def key_and_value(given: Override | str) -> tuple[str, str]:
 def key_and_word(word: str) -> tuple[str, str]:
     """The key of an override of ``warpvox codesign``, and the override as Hydra takes it.
 
-    Raises:
-        ConfigError: see :func:`read_overrides`.
+    ConfigError: see :func:`read_overrides`.
     """
     (override,) = read_overrides("codesign", [word])
     return override.key_or_group, str(override.input_line)

@@ -159,11 +159,7 @@ class Engine:
         return angle
 
     def goals_of(self, robot: str) -> np.ndarray:
-        """The :attr:`goals` of a robot.
-
-        Raises:
-            ArgumentError: there is no such robot.
-        """
+        """The :attr:`goals` of a robot. ArgumentError: there is no such robot."""
         if robot not in self.goals:
             raise ArgumentError(f"{robot} is not a valid robot name; robots are {listing(self.goals)}.")
         return self.goals[robot]

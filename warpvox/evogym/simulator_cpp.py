@@ -132,8 +132,7 @@ class Sim:
     def pos_at_time(self, sim_time: int) -> np.ndarray:
         """Return the positions of all points ``[2, points]``, object by object.
 
-        Raises:
-            ArgumentError: the time is not recorded. ArgumentTypeError: it is not an integer.
+        ArgumentError: the time is not recorded. ArgumentTypeError: it is not an integer.
         """
         return _rows(self._engine.positions(sim_time))
 

@@ -52,8 +52,7 @@ def draw(pd: np.ndarray) -> int:
 def _drawer(pd: object) -> Callable[[], int]:
     """Make a function that draws indices; the same numbers of ``random`` give the same indices as in the release.
 
-    Raises:
-        RangeError: no weights, a negative one, or all 0.
+    RangeError: no weights, a negative one, or all 0.
     """
     weights = np.array(pd)
     if weights.size == 0 or not np.all(weights >= 0) or not weights.sum() > 0:
@@ -152,8 +151,7 @@ def _in_parallel(verb: str, result: Callable[[int, int], int]) -> Callable[[Pair
 class Pair:
     """Two integers, x and y, that are added, subtracted, multiplied and divided (rounding down) in parallel.
 
-    Raises:
-        ArgumentTypeError: other than integers.
+    ArgumentTypeError: other than integers.
     """
 
     __slots__ = ("x", "y")

@@ -49,8 +49,7 @@ class EvoWorld:
     def add_from_json(self, file_path: str) -> None:
         """Add all objects of a file of EvoGym's design tool.
 
-        Raises:
-            FileNotFoundError: no such file. WorldError (a ValueError): it is not a world, or an object cannot be added.
+        FileNotFoundError: no such file. WorldError (a ValueError): it is not a world, or an object cannot be added.
         """
         for obj in _read(file_path):
             self.add_object(obj)
@@ -106,8 +105,7 @@ class EvoWorld:
     def move_object(self, obj_name: str, x: int, y: int) -> None:
         """Move an object so that (x, y) is the cell of its lower left corner.
 
-        Raises:
-            WorldError: no such object, a negative position or an overlap; the object then stays where it was.
+        WorldError: no such object, a negative position or an overlap; the object then stays where it was.
         """
         moved = self._find(obj_name).copy()
         moved.set_pos(x, y)
@@ -164,8 +162,7 @@ class WorldObject:
     def load_from_json(self, file_path: str) -> None:
         """Become the one object of a file of EvoGym's design tool.
 
-        Raises:
-            FileNotFoundError: no such file. WorldError: it is not a world, or not of one object.
+        FileNotFoundError: no such file. WorldError: it is not a world, or not of one object.
         """
         objects = _read(file_path)
         if len(objects) != 1:

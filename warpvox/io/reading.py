@@ -39,19 +39,14 @@ class Missing(Unreadable):
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     """The content of a file of at most ``limit`` bytes.
 
-    Raises:
-        Unreadable: no such file, none that can be read, or a longer one.
+    Unreadable: no such file, none that can be read, or a longer one.
     """
     with _opened(path, limit) as file:
         return file.read(limit)
 
 
 def read_text(path: str | os.PathLike[str], limit: int) -> str:
-    """The text (UTF-8) of a file of at most ``limit`` bytes.
-
-    Raises:
-        Unreadable: as :func:`read_bytes`, or it is not UTF-8.
-    """
+    """The text (UTF-8) of a file of at most ``limit`` bytes. Unreadable: as :func:`read_bytes`, or it is not UTF-8."""
     try:
         return read_bytes(path, limit).decode("utf-8")
     except UnicodeDecodeError as error:
@@ -122,8 +117,7 @@ def read_facts(path: str | os.PathLike[str], limit: int = 1 << 24) -> dict[str, 
 def read_npy(path: str | os.PathLike[str], limit: int) -> np.ndarray:
     """The array of an ``.npy`` file of plain numbers.
 
-    Raises:
-        Unreadable: no such file, no such array, or a file of more than ``limit`` bytes.
+    Unreadable: no such file, no such array, or a file of more than ``limit`` bytes.
     """
     with _opened(path, limit) as file, _as_unreadable("no .npy file that can be read"):
         return _plain(np.lib.format.read_array(file, allow_pickle=False))
@@ -167,8 +161,7 @@ class ArrayFile:
     def read(self, name: str, limit: int | None = None) -> np.ndarray:
         """The array ``name``, of at most ``limit`` bytes (None: the limit of the archive).
 
-        Raises:
-            Unreadable: there is none, or it is damaged.
+        Unreadable: there is none, or it is damaged.
         """
         if name not in self._members:
             raise Unreadable(

@@ -132,8 +132,7 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
 def claimed(folder: Path) -> Iterator[None]:
     """No other process holds the same claim on ``folder`` within the block; the system ends it with the process.
 
-    Raises:
-        RunError: another process does.
+    RunError: another process does.
     """
     with ExitStack() as stack:
         try:

@@ -148,11 +148,7 @@ def scene_to_json(scene: Scene) -> dict[str, Any]:
 
 
 def scene_from_json(scene: Mapping[str, Any]) -> Scene:
-    """The scene of :func:`scene_to_json`.
-
-    Raises:
-        KeyError, TypeError, ValueError, OverflowError: it is not one.
-    """
+    """The scene of :func:`scene_to_json`. KeyError, TypeError, ValueError, OverflowError: it is not one."""
     objects = tuple(
         SceneObject(
             name=_text(obj["name"]),

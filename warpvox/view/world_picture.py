@@ -23,8 +23,7 @@ AIR = 2  # voxels above the world
 def scene_of_world(world: World) -> tuple[Scene, np.ndarray]:
     """A world as a scene, and its points as they begin, float64 ``[P, 2]`` in simulator units.
 
-    Raises:
-        SimulationError: the world has nothing that can move.
+    SimulationError: the world has nothing that can move.
     """
     compiled = compile_world(world, Physics())
     return scene_of(compiled), np.array([point for body in compiled.bodies for point in body.points])
@@ -33,8 +32,7 @@ def scene_of_world(world: World) -> tuple[Scene, np.ndarray]:
 def draw_world(world: World) -> Image.Image:
     """The whole world with all its objects, with the distance in voxels below.
 
-    Raises:
-        SimulationError: the world has nothing that can move.
+    SimulationError: the world has nothing that can move.
     """
     scene, points = scene_of_world(world)
     width, height = world.width + 2 * BELOW, world.height + BELOW + AIR

@@ -35,8 +35,7 @@ def run(words: list[str]) -> None:
 def play(config: PlayConfig, console: Console) -> Path:
     """Run one episode everywhere, write it down and show it; returns the folder of the results.
 
-    Raises:
-        WarpvoxError: the run or agent, or what is asked of it, is not valid; nothing is written then.
+    WarpvoxError: the run or agent, or what is asked of it, is not valid; nothing is written then.
     """
     check_source(config)
     in_window = wants_window(config.window)

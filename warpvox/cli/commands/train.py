@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from rich.console import Console
 
-from warpvox.cli.application import prepared, run_command
+from warpvox.cli.application import run_command
 from warpvox.cli.config import load
 from warpvox.code import is_code
 from warpvox.configs.train import TrainConfig
@@ -21,15 +21,10 @@ if TYPE_CHECKING:
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox train`` is asked for."""
-    run_command("train", words, train, _prepare, lambda job: job.check())
+    run_command("train", words, train, make_job, lambda job: job.check())
 
 
-def make_job(overrides: list[str]) -> Job:
-    """A run from its overrides; see :func:`_prepare`."""
-    return prepared("train", overrides, None, _prepare)
-
-
-def _prepare(config: TrainConfig, overrides: list[str], config_dir: Path | None) -> Job:
+def make_job(config: TrainConfig, overrides: list[str], config_dir: Path | None) -> Job:
     """The training of a configuration; with ``resume`` on top of the configuration of the run that it goes on with."""
     from warpvox.algos.training.job import Job
 

@@ -15,7 +15,7 @@ from warpvox.configs.tools import ZooConfig
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, WarpvoxError, did_you_mean, listing
 from warpvox.io.console import duration, echo, figure, literal
-from warpvox.robots.entry import FOLDER, Robot, read_robot
+from warpvox.robots.entry import FOLDER, read_robot
 from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
 from warpvox.view.cell_text import body_rows
@@ -64,7 +64,8 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
         spent = about.get("control_steps")
         mark = "○" if isinstance(robot.policy, Gait) else ""
         trained = "-" if spent is None else f"{spent:,}"
-        table.add_row(*map(literal, (name, figure(robot.mean_return), mark, mean, trained, _cells(robot))))
+        body = "/".join("".join(map(str, row)) for row in robot.body.tolist())
+        table.add_row(*map(literal, (name, figure(robot.mean_return), mark, mean, trained, body)))
     console.print(table)
     total = sum(path.stat().st_size for path in entries.values())
     echo(console, f"{len(entries)} robot{'s' * (len(entries) != 1)} in {folder}, {total / 1e6:.2f} MB")
@@ -120,10 +121,6 @@ def _training(about: Mapping[str, Any]) -> str:
     steps, seconds = about.get("control_steps"), about.get("wall_s")
     told = "unknown" if steps is None else f"{steps:,} control steps"
     return told if seconds is None else f"{told} in {duration(seconds)}"
-
-
-def _cells(robot: Robot) -> str:
-    return "/".join("".join(map(str, row)) for row in robot.body.tolist())
 
 
 def _add(config: ZooConfig, folder: Path, console: Console) -> None:

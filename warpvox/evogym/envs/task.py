@@ -93,8 +93,7 @@ class TaskEnv(BenchmarkBase):
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Take a control step: observation, reward, terminated, False (the time limit is gymnasium's), and no infos.
 
-        Raises:
-            ArgumentError (a ValueError): another number of values than actuators.
+        ArgumentError (a ValueError): another number of values than actuators.
         """
         before = self._state()
         stopped = EvoGymBase.step(self, {"robot": action})
