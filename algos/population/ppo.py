@@ -14,8 +14,7 @@ from torch import nn
 
 from warpvox.algos.policies.network import observations
 from warpvox.algos.population.adam import VectorAdam
-from warpvox.algos.population.gaussian import StackedGaussian
-from warpvox.algos.population.model import Normalizer, PopulationModel
+from warpvox.algos.population.model import Normalizer, PopulationModel, StackedGaussian
 from warpvox.algos.population.streams import Streams
 from warpvox.algos.training.ppo import PPO
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import nn
 
-from warpvox.algos.population.layers import tanh_layers
+from warpvox.algos.population.model import tanh_layers
 
 SIZES = (5, 7, 6, 3)
 DESIGNS = 4
