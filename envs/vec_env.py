@@ -16,7 +16,6 @@ from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
 from warpvox.envs.bodies import load_worlds, one_body
 from warpvox.envs.checks import check_fields, check_memory, check_terms
-from warpvox.envs.dumps import DivergenceDump
 from warpvox.envs.episodes import Episodes
 from warpvox.envs.finite import FiniteGuard, all_finite
 from warpvox.envs.graph import StepGraph, capture_on_cuda
@@ -34,6 +33,7 @@ from warpvox.simulation import Simulation
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+    from warpvox.envs.dumps import DivergenceDump
 
 OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 
