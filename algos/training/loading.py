@@ -33,7 +33,7 @@ from warpvox.trust import STORED, allowed, with_code
 if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
 
-__all__ = ["Playing", "TrainedRun", "is_alone", "load_policy", "load_run"]
+__all__ = ["Playing", "TrainedRun", "is_alone", "load_policy", "load_run", "own_code"]
 
 
 @torch.random.fork_rng(devices=[])  # networks begin with random weights
@@ -151,6 +151,12 @@ class Playing:
     memory_check: bool = True
     task: Any = None
     policy: str | None = None
+
+
+def own_code(settings: Any) -> dict[str, Any]:
+    """What the user has named in ``settings`` of a run, for :class:`Playing`: task and policy of their own."""
+    own = {name: getattr(settings, name) for name in ("task", "policy")}
+    return {name: value for name, value in own.items() if is_code(value) or not isinstance(value, str)}
 
 
 def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
