@@ -78,7 +78,7 @@ def test_what_is_documented(python: Path, tmp_path: Path, repository: Path) -> N
     files = sorted(path.name for path in tmp_path.glob("*.py"))
     assert len(files) >= 10
     # cells end with what they show; a loop over a constant number of rounds binds its names
-    config = {"include": files, "reportUnusedExpression": False, "reportPossiblyUnbound": False}
+    config = {"include": files, "reportUnusedExpression": False, "reportPossiblyUnboundVariable": False}
     (tmp_path / "pyrightconfig.json").write_text(json.dumps(config))
     command = [sys.executable, "-m", "pyright", "--pythonpath", str(python)]
     run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
