@@ -18,6 +18,7 @@ from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.algos.report.tree import family_tree
 from warpvox.io.console import shell_argument
 from warpvox.io.writing import write_text
+from warpvox.runs import CONFIG, find_run
 from warpvox.trust import again
 from warpvox.view.cell_svg import body_svg
 
@@ -49,7 +50,7 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
     slots = {
         "facts": fact_list(_figures(done, best) | dict(facts)),
         "progress": _progress(archive, done),
-        "best": "".join(_card(one, folder, again(archive.settings)) for one in best) or NOTHING,
+        "best": "".join(_card(one, folder) for one in best) or NOTHING,
         "curves": _learning(best[:CURVES]),
         "tree": family_tree(line) if line else '<p class="faint">Nothing to show yet.</p>',
         "rows": "".join(_row(record) for record in records),
@@ -101,14 +102,15 @@ def _learning(best: Sequence[Record]) -> str:
     return chart(series, "control steps", "return")
 
 
-def _card(record: Record, folder: Path, keys: str) -> str:
-    """A design, in motion if there is a film of it; ``keys``: those that name code of the user's own."""
+def _card(record: Record, folder: Path) -> str:
+    """A design, in motion if there is a film of it, with the command that plays it if it is there."""
     item = record.candidate
     parents = ", ".join(f"#{parent}" for parent in item.parents)
     lines = f"#{record.id} · generation {item.generation}", f"{item.origin}{f' of {parents}' if parents else ''}"
     more, film = sparkline([value for _, value in record.curve]), ""
-    if record.policy is not None:
-        place = (folder / record.policy).parent
+    place = (folder / str(record.policy)).parent
+    if (place / CONFIG).is_file():
+        keys = again(find_run(str(place), "").config)
         more += f"<code>warpvox play {escape(shell_argument('run', place) + keys)}</code>"
         if (place / FILM).is_file():
             data = base64.b64encode((place / FILM).read_bytes()).decode()

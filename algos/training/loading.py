@@ -155,8 +155,9 @@ class Playing:
 
 def own_code(settings: Any) -> dict[str, Any]:
     """What the user has named in ``settings`` of a run, for :class:`Playing`: task and policy of their own."""
-    own = {name: getattr(settings, name) for name in ("task", "policy")}
-    return {name: value for name, value in own.items() if is_code(value) or not isinstance(value, str)}
+    policies = settings.policy, getattr(getattr(settings, "evaluation", None), "policy", None)
+    task = settings.task if is_code(settings.task) or isinstance(settings.task, TaskSpec) else None
+    return {"task": task, "policy": next(filter(is_code, policies), None)}
 
 
 def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
