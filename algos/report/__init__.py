@@ -109,7 +109,7 @@ def _card(record: Record, folder: Path) -> str:
     lines = f"#{record.id} · generation {item.generation}", f"{item.origin}{f' of {parents}' if parents else ''}"
     more, film = sparkline([value for _, value in record.curve]), ""
     place = (folder / str(record.policy)).parent
-    if (place / CONFIG).is_file():
+    if record.policy is not None and (place / CONFIG).is_file():
         keys = again(find_run(str(place), "").config)
         more += f"<code>warpvox play {escape(shell_argument('run', place) + keys)}</code>"
         if (place / FILM).is_file():
