@@ -27,12 +27,13 @@ def film_designs(folder: Path, records: Sequence[Record], settings: Any) -> None
 
     Args:
         folder: of the search.
-        records: designs; those without a policy are left out.
+        records: designs; those without a policy, or whose policy is gone, are left out.
         settings: of the search, with the code that the user has named.
     """
     for one in records:
-        file = (folder / str(one.policy)).with_name(FILM)
-        if one.policy is None or file.is_file():
+        policy = folder / str(one.policy)
+        file = policy.with_name(FILM)
+        if file.is_file() or not policy.is_file():
             continue
         rollout = record(*load_run(find_run(str(file.parent), ""), Playing(**own_code(settings))), LONGEST)
         painter = Painter(rollout, 0, SIZE, VOXELS)
