@@ -119,7 +119,9 @@ class EvaluateConfig:
     """Keys of ``warpvox evaluate``."""
 
     runs: list[str] = key(
-        ["latest"], "trained runs: latest, folders, checkpoints, patterns such as 'outputs/train/*/*'", path="read"
+        ["latest"],
+        "trained runs: latest, folders, checkpoints, sweeps (their tables), patterns such as 'outputs/train/*/*'",
+        path="read",
     )
     zoo: list[str] = key(
         [], "stored robots to evaluate, instead of runs or beside them: task ids or files", path="read"
@@ -156,8 +158,8 @@ class CurvesConfig:
 
     runs: list[str] = key(
         ["latest"],
-        "runs of `warpvox train`: latest, folders, patterns such as 'outputs/train/*/*'; or design searches,"
-        " by their folders or folders that contain them",
+        "runs of `warpvox train`: latest, folders, sweeps (their tables), patterns such as 'outputs/train/*/*'; or"
+        " design searches, by their folders, sweeps or folders that contain them",
         path="read",
     )
     x: str = key(
@@ -167,7 +169,7 @@ class CurvesConfig:
     )
     size: list[int] = key(
         [760, 340],
-        "width and height in pixels; for searches those of each task's panel",
+        "width and height in pixels, of each task's panel",
         low=64,
         high=8192,
         form="[width,height]",

@@ -19,10 +19,10 @@ import task_pages  # noqa: E402
 PARTS = {
     "Tutorials": ("quickstart", "custom_tasks", "task_features", "design_in_episode"),
     "How to": (
-        *("codesign", "suite", "universal", "policies", "libraries", "evaluation", "gradients"),
-        *("see", "editor", "zoo", "evogym", "faq"),
+        *("codesign", "gaits", "suite", "clusters", "universal", "universal_cpg", "common_policy"),
+        *("policies", "libraries", "evaluation", "gradients", "see", "editor", "zoo", "evogym", "faq"),
     ),
-    "Reference": ("commands", "observations", "search", "formats", "results", "figures"),
+    "Reference": ("commands", "observations", "search", "archive", "formats", "results", "figures"),
     "Background": ("concepts", "physics", "paper", "performance", "trials", "reliability"),
 }
 """Parts of the site and their pages, in order; a page that is named nowhere comes last in the second part."""

@@ -539,8 +539,9 @@ class VoxelVecEnv:
         if isinstance(state, Mapping) and getattr(state.get("actions"), "ndim", 0) == 2:
             # how far actions are padded depends on the other bodies; the precision may be another one, as in `sim`
             padding = self.num_actions - state["actions"].shape[1]
-            actions = torch.nn.functional.pad(state["actions"].to(like["actions"]), (0, padding))
-            state = dict(state) | {"actions": actions}
+            actions = state["actions"]
+            actions = actions.to(like["actions"]) if actions.dtype in (torch.float32, torch.float64) else actions
+            state = dict(state) | {"actions": torch.nn.functional.pad(actions, (0, padding))}
         check_fields(state, like | {"sim": dict.fromkeys(like["sim"], torch.Tensor)})
         if not torch.equal(state["world"].to(self.device), like["world"]):
             raise SimulationError("The state is that of other worlds: bodies have been exchanged since.")

@@ -405,9 +405,35 @@ def _parse_list(text: str, source: str) -> object:
         if "body" in value:
             return value["body"]
         if "objects" in value:
-            raise DesignError(f"{source} is a world, not a design: use World.from_json(path).objects[NAME].grid.")
+            return _robot_of(value, source)
         raise DesignError(f"{source} has no entry 'body'; it has {listing(value)}.")
     return value
+
+
+def _robot_of(world: dict, source: str) -> list[list[int]]:
+    """The cells of the robot of a world in EvoGym's format: its only object with an actuator."""
+    try:
+        width, objects = world["grid_width"], world["objects"]
+        robots = [name for name, one in objects.items() if {Cell.H_ACT, Cell.V_ACT} & {*one["types"]}]
+        if len(robots) != 1:
+            raise DesignError(f"{source} is a world with {len(robots)} robots; a design is a world with one.")
+        robot = objects[robots[0]]
+        cells, near = dict(zip(robot["indices"], robot["types"], strict=True)), robot["neighbors"]
+        places = [divmod(index, width) for index in cells]
+        rows, columns = (range(min(axis), max(axis) + 1) for axis in zip(*places, strict=True))
+        if len(rows) * len(columns) > LARGEST_BODY:
+            raise DesignError(f"{source} holds a robot of {len(rows)}x{len(columns)} cells, which is too large.")
+        touching = [(a, b) for a in cells for b in (a + 1, a + width) if b in cells and (b == a + width or b % width)]
+        cuts = sum(b not in near[str(a)] for a, b in touching)
+    except DesignError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError):
+        raise DesignError(f"{source} is no world in EvoGym's format and has no entry 'body'.") from None
+    if cuts:
+        raise DesignError(
+            f"{source} leaves {cuts} pair(s) of neighbouring cells unconnected, which a design cannot say."
+        )
+    return [[cells.get(row * width + column, 0) for column in columns] for row in reversed(rows)]
 
 
 def _parse_size(text: str) -> tuple[int, int]:

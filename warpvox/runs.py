@@ -131,9 +131,9 @@ def _stored_robot(text: str) -> Run:
 
 
 def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
-    """The runs that ``texts`` name, each once: as for :func:`find_run`, or patterns such as ``outputs/train/*/*``.
+    """The runs that ``texts`` name, each once: as for :func:`find_run`, patterns (``outputs/train/*/*``) or sweeps.
 
-    Folders that a pattern matches and that are no runs are left out.
+    Folders that a pattern matches, or a sweep has made, and that are no runs are left out.
     """
     found: dict[tuple[Path, Path | None], Run] = {}
     for text in texts:
@@ -150,8 +150,12 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
 
 
 def _matches(text: str) -> list[Path] | None:
-    """The paths that match a pattern; None: ``text`` is none, but a name."""
+    """What lies where a pattern says, or what a sweep has made, by its folder or table; None: ``text`` is a name."""
     pattern = os.path.expanduser(text)
+    sweep = Path(pattern.removesuffix(".csv"))
+    if sweep.name.startswith("sweep_") and sweep.is_dir():  # where a run says that it is, seen from the sweep
+        places = [str(read_facts(file).get("folder", "")) for file in sorted(sweep.glob("run_*.json"))]
+        return [sweep.parent.joinpath(*Path(place).parts[-2:]) for place in places if place]
     if not any(mark in text for mark in "*?[") or Path(pattern).exists():
         return None
     return sorted(map(Path, glob.glob(pattern, recursive=True)))
@@ -188,7 +192,7 @@ def find_suite(text: str, output_dir: str) -> Run:
 def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
     """The folders of the design searches that ``texts`` name, each once; none if they name anything else.
 
-    A text is ``latest``, the folder of a search, one that searches lie in (that of a suite), or a pattern of such.
+    A text is ``latest``, the folder of a search, one that searches lie in (a suite, a sweep), or a pattern of such.
     """
     found: dict[Path, Path] = {}
     others = []

@@ -28,7 +28,7 @@ from warpvox.algos.checkpoints.files import (
 )
 from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
-from warpvox.errors import RunError
+from warpvox.errors import ConfigError, RunError
 from warpvox.io.reading import Unreadable, parse_json
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
@@ -69,7 +69,13 @@ class Policy(nn.Module):
         self.register_buffer("deviation", torch.ones(spec.num_obs))
 
     def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
-        """:meth:`forward` of a tensor, :meth:`act` of an array."""
+        """:meth:`forward` of a tensor, :meth:`act` of an array.
+
+        Raises:
+            ConfigError: observations of another width.
+        """
+        if not torch.jit.is_tracing() and obs.shape[-1:] != (self.num_obs,):
+            raise ConfigError(f"The policy takes observations [..., {self.num_obs}], got shape {list(obs.shape)}.")
         return self.act(obs) if isinstance(obs, np.ndarray) else super().__call__(obs, *more)
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:

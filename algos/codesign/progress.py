@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, cast
 
@@ -18,9 +19,10 @@ from warpvox.algos.codesign.archive import Record
 from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.codesign.results import fresh_text
 from warpvox.algos.report import FILE as REPORT
-from warpvox.code import is_code
+from warpvox.errors import RunError
 from warpvox.io.console import duration, echo, figure, shell_argument, shown
-from warpvox.trust import STORED, again
+from warpvox.runs import find_run
+from warpvox.trust import again
 from warpvox.view.cell_text import body_rows
 
 if TYPE_CHECKING:
@@ -86,8 +88,9 @@ class SearchProgress(Listener):
             echo(self.console, f"the best on fresh seeds: {fresh_text(summary['fresh_seeds'])}")
         if best is not None:
             echo(self.console, f"report: {(folder / REPORT).resolve().as_uri()}")
-            task = f" task={STORED}" if is_code(self.run.results.settings.task) else ""
-            echo(self.console, f"look at the best: warpvox play {shell_argument('run', folder)}{task}")
+            with suppress(RunError):  # an evaluator of the user's own may leave no policy
+                keys = again(find_run(str(folder), "").config)
+                echo(self.console, f"look at the best: warpvox play {shell_argument('run', folder)}{keys}")
         if status != "done":
             keys = again(self.run.results.settings)
             echo(self.console, f"go on: warpvox codesign {shell_argument('resume', folder)}{keys}")

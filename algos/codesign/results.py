@@ -14,9 +14,8 @@ from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.report import FILE as REPORT, write_report
 from warpvox.algos.statistics import Interval, mean_interval
-from warpvox.algos.training.playing import Playing, load_trained
+from warpvox.algos.training.playing import Playing, load_trained, own_code
 from warpvox.checks import is_number
-from warpvox.code import is_code
 from warpvox.envs.registry import get_task
 from warpvox.io.console import duration
 from warpvox.runs import find_run, read_summary, write_summary
@@ -140,12 +139,8 @@ def evaluate_winner(folder: Path, settings: Codesign) -> dict[str, Any]:
     if not get_task(settings.task).under(settings.rules).is_random:
         return {}
     seed = FRESH_SEED + (settings.seed == FRESH_SEED)  # which the search has compared its designs by
-    own = {
-        "task": settings.task if is_code(settings.task) or not isinstance(settings.task, str) else None,
-        "policy": settings.policy if is_code(settings.policy) else None,
-    }
     device = settings.device if settings.executor == "local" else "cpu"
-    play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **own)
+    play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **own_code(settings))
     env, policy = load_trained(find_run(str(folder), settings.output_dir), play)
     found = mean_interval(evaluate(env, policy).returns.tolist())
     return {"mean": found.mean, "low": found.low, "high": found.high, "episodes": FRESH, "seed": seed}

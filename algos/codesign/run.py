@@ -29,6 +29,7 @@ from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.search import make_search
 from warpvox.algos.settings import MLP
 from warpvox.algos.training.job import own_torch, task_name
+from warpvox.algos.training.metrics import check_logger
 from warpvox.algos.training.pretrained import observed_by
 from warpvox.algos.training.settings import Training
 from warpvox.batch.options import lanes_for
@@ -75,6 +76,7 @@ def check(settings: Codesign, folder: Path | None = None, search: Search | None 
     Returns:
         A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
     """
+    check_logger(settings.logger)
     task_world(get_task(settings.task), np.full(settings.shape, 3, np.int8))
     start = [robot.body for robot in read_start(settings, folder)]
     if search is None:
@@ -154,6 +156,10 @@ def run_codesign(
             bodies = [robot.body for robot in start]
             search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, bodies)
         archive = opened.enter_context(_archive(folder, written))
+        if settings.logger == "wandb":
+            from warpvox.algos.tracking import TrackedSearch
+
+            listeners = [*listeners, TrackedSearch(settings)]
         results = Results(folder, archive, written, settings.evaluation.pretraining_steps(known))
         run, loop = _loop(settings, search, executor, results, listeners, resumed is not None)
         summary = _search(run, loop, settings, listeners)

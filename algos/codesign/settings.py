@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 CHANGEABLE = (
     "executor", "address", "workers", "device", "threads", "torch_threads", "top", "name", "training.save_interval",
-    "memory_check", "output_dir",
+    "memory_check", "output_dir", "logger",
 )  # fmt: skip
 """Settings that do not change what is found: they may differ when a search is resumed.
 
@@ -97,6 +97,7 @@ class Codesign:
     workers: int | None = key(
         None, "number of workers of executor=ray; null: one for each GPU, or as many as the CPUs allow", low=1
     )
+    logger: str = key("none", "where generations are logged besides: wandb, or none", choices=("wandb", "none"))
     top: int = key(5, "number of best designs that are shown and drawn for each generation", low=1)
     memory_check: bool = key(True, "refuse, before allocating, what does not fit into free memory")
     name: str | None = key(None, "appended to the name of the run's folder")

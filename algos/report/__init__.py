@@ -5,6 +5,7 @@ It is made from the archive alone, so it can be made again at any time, also whi
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -15,12 +16,16 @@ from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.algos.report.tree import family_tree
+from warpvox.io.console import shell_argument
 from warpvox.io.writing import write_text
+from warpvox.runs import CONFIG, find_run
+from warpvox.trust import again
 from warpvox.view.palette import body_svg
 
-__all__ = ["FILE", "report_page", "write_report"]
+__all__ = ["FILE", "FILM", "report_page", "write_report"]
 
-FILE = "report.html"
+FILE, FILM = "report.html", "film.webp"
+"""The report in the folder of a search, and an episode of a robot in that of its design."""
 BEST, CURVES = 10, 5
 """Designs that are shown large, and with their learning curves."""
 
@@ -31,12 +36,12 @@ def write_report(archive: Archive, path: Path, facts: Mapping[str, str]) -> Path
     Args:
         facts: what stands under the title, by name: status, search, version, ...
     """
-    write_text(path, report_page(archive, facts))
+    write_text(path, report_page(archive, facts, path.parent))
     return path
 
 
-def report_page(archive: Archive, facts: Mapping[str, str]) -> str:
-    """The page as text; see :func:`write_report`."""
+def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str:
+    """The page as text; see :func:`write_report`. ``folder``: of the search, with policies and films of designs."""
     records = archive.records()
     done = [record for record in records if record.fitness is not None]
     best = archive.best(BEST)
@@ -45,7 +50,7 @@ def report_page(archive: Archive, facts: Mapping[str, str]) -> str:
     slots = {
         "facts": fact_list(_figures(done, best) | dict(facts)),
         "progress": _progress(archive, done),
-        "best": "".join(map(_card, best)) or NOTHING,
+        "best": "".join(_card(one, folder) for one in best) or NOTHING,
         "curves": _learning(best[:CURVES]),
         "tree": family_tree(line) if line else '<p class="faint">Nothing to show yet.</p>',
         "rows": "".join(_row(record) for record in records),
@@ -97,11 +102,20 @@ def _learning(best: Sequence[Record]) -> str:
     return chart(series, "control steps", "return")
 
 
-def _card(record: Record) -> str:
+def _card(record: Record, folder: Path) -> str:
+    """A design, in motion if there is a film of it, with the command that plays it if it is there."""
     item = record.candidate
     parents = ", ".join(f"#{parent}" for parent in item.parents)
     lines = f"#{record.id} · generation {item.generation}", f"{item.origin}{f' of {parents}' if parents else ''}"
-    return card(record, lines, more=sparkline([value for _, value in record.curve]))
+    more, film = sparkline([value for _, value in record.curve]), ""
+    place = (folder / str(record.policy)).parent
+    if record.policy is not None and (place / CONFIG).is_file():
+        keys = again(find_run(str(place), "").config)
+        more += f"<code>warpvox play {escape(shell_argument('run', place) + keys)}</code>"
+        if (place / FILM).is_file():
+            data = base64.b64encode((place / FILM).read_bytes()).decode()
+            film = f'<img src="data:image/webp;base64,{data}" alt="an episode of design {record.id}">'
+    return card(record, lines, more=more, film=film)
 
 
 def _row(record: Record) -> str:

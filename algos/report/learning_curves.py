@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -114,7 +114,7 @@ def _points(found: Run, x: str) -> np.ndarray:
 
 
 def write_curves(
-    curves: Sequence[Curve] | Mapping[str, Sequence[Curve]],
+    panels: Mapping[str, Sequence[Curve]],
     path: str | os.PathLike[str],
     x: str = "steps",
     size: tuple[int, int] = (760, 340),
@@ -122,7 +122,7 @@ def write_curves(
     """Draw curves: runs thin, their mean thick, its 95 % interval as a band; the same numbers as CSV beside it.
 
     Args:
-        curves: see :func:`curves_of`; or those of several pictures beside each other, by their titles.
+        panels: curves, see :func:`curves_of`, of pictures beside each other, by their titles.
         path: .png, .svg or .pdf; written whole or not at all.
         size: in pixels, of each picture.
     """
@@ -132,13 +132,13 @@ def write_curves(
         from matplotlib.figure import Figure
     except ImportError:
         raise ConfigError("Curves need matplotlib, which is not installed: pip install 'warpvox[view]'.") from None
-    panels = curves if isinstance(curves, Mapping) else {"": curves}
     columns = min(PANELS, len(panels))
     rows = -(-len(panels) // columns)
     inches = (columns * size[0] / 100, rows * size[1] / 100)
     figure = Figure(figsize=inches, dpi=100, layout="constrained")
     for number, (title, several) in enumerate(panels.items()):
-        axes = figure.add_subplot(rows, columns, number + 1, title=escaped(title))
+        said = [curve.group.label for curve in several] == [title]  # by the legend
+        axes = figure.add_subplot(rows, columns, number + 1, title="" if said else escaped(title))
         _plot(several, axes)
         _dress(axes, AXES[x])
         axes.locator_params(axis="x", nbins=max(2, size[0] // 110))
@@ -171,10 +171,17 @@ def check_file(path: str | os.PathLike[str]) -> Path:
     return target
 
 
+def labelled(panels: Mapping[str, Sequence[Curve]]) -> Iterator[tuple[str, Curve]]:
+    """All curves with a label, to which the title of the panel belongs where there are several panels."""
+    for title, several in panels.items():
+        for curve in several:
+            alone = len(panels) == 1 or curve.group.label == title
+            yield curve.group.label if alone else f"{title}, {curve.group.label}", curve
+
+
 def _write_csv(panels: Mapping[str, Sequence[Curve]], path: Path, x: str) -> None:
     rows = []
-    for title, curve in ((title, curve) for title, several in panels.items() for curve in several):
-        label = f"{title}, {curve.group.label}" if title else curve.group.label
+    for label, curve in labelled(panels):
         for numbers in zip(curve.places, curve.mean, curve.low, curve.high, strict=True):
             place, *others = (f"{number:.9g}" if math.isfinite(number) else "" for number in numbers)
             rows.append([label, place, curve.n, *others])

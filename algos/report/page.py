@@ -41,10 +41,10 @@ def fact_list(facts: Mapping[str, object]) -> str:
     return "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(str(value))}</dd></div>" for name, value in facts.items())
 
 
-def card(record: Record, lines: Iterable[str], cell: int = 22, more: str = "") -> str:
-    """A design with its fitness and some lines of text, and more HTML; ``cell``: pixels of a voxel."""
+def card(record: Record, lines: Iterable[str], cell: int = 22, more: str = "", film: str = "") -> str:
+    """A design with its fitness, some lines of text and more HTML, ``film`` above; ``cell``: pixels of a voxel."""
     spans = "".join(f"<span>{escape(line)}</span>" for line in lines)
-    head = f'<figure class="card">{body_svg(record.candidate.body, cell)}<figcaption><b>{record.fitness:.3f}</b>'
+    head = f'<figure class="card">{film}{body_svg(record.candidate.body, cell)}<figcaption><b>{record.fitness:.3f}</b>'
     return f"{head}{spans}{more}</figcaption></figure>"
 
 

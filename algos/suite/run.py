@@ -51,7 +51,8 @@ def make_members(table: Table, members: list[Member], config: Any, console: Cons
                     number = waiting.popleft()
                     row = table.rows[number]
                     row.folder.mkdir(parents=True, exist_ok=True)
-                    pool.begin(number, dataclasses.replace(members[number].settings, threads=threads), row.folder)
+                    given = {"threads": threads, "name": table.folder.name}  # the group of its members
+                    pool.begin(number, dataclasses.replace(members[number].settings, **given), row.folder)
                     row.state, row.began, running[number] = RUNNING, time.monotonic(), row
                 for number, outcome in pool.wait(POLL_SECONDS):
                     row = running.pop(number)

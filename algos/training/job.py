@@ -22,7 +22,7 @@ from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.bodies import Bodies, TrainingBodies, load_bodies, read_bodies, training_bodies
 from warpvox.algos.training.distributed import ProcessGroup, join_process_group
 from warpvox.algos.training.held_out import HeldOut
-from warpvox.algos.training.metrics import WRITERS, check_logger
+from warpvox.algos.training.metrics import SERVICES, check_logger, tagged
 from warpvox.algos.training.pretrained import OBS_OF_VOXELS, adopted
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.algos.training.settings import Designs, Training
@@ -110,7 +110,7 @@ class Job:
             WarpvoxError: something asked for does not exist or is not valid, or learning has diverged.
             KeyboardInterrupt: interrupted; the state has been saved, if there is a folder.
         """
-        if not write and (self.settings.nan_guard == "dump" or self.settings.logger in WRITERS):
+        if not write and (self.settings.nan_guard == "dump" or self.settings.logger in SERVICES):
             raise ConfigError("nan_guard=dump and logger=wandb|neptune write files; folder=None writes none.")
         with own_torch(self.settings.torch_threads):
             self._prepare(listener)
@@ -198,8 +198,16 @@ class Job:
         """Learn, and sum up however it ends."""
         runner, began, before, status = self.runner, time.perf_counter(), self.runner.steps, "failed"
 
+        tracker = None
+        if self.settings.logger == "wandb" and self.folder is not None and self.group.is_main_process:
+            from warpvox.algos.tracking import Tracker
+
+            tracker = Tracker(self.folder, "train")
+
         def report(row: Mapping[str, float]) -> None:
             self.rows.append(row)
+            if tracker is not None:
+                tracker.log(tagged(row) | runner.logger.means, int(row["iteration"]))
             listener(row)
 
         runner.report, count = report, runner.env.num_envs
@@ -229,6 +237,8 @@ class Job:
                     if self.folder is not None:
                         write_summary(self.folder, self.summary)
             listener.end(self)
+            if tracker is not None:
+                tracker.end(self.summary, self.settings)
 
     @property
     def policy(self) -> Policy:

@@ -1,4 +1,4 @@
-"""Metrics of a training run: ``metrics.csv``, and rsl-rl's writers for TensorBoard, Weights & Biases and Neptune."""
+"""Metrics of a training run: ``metrics.csv``, TensorBoard's events, and rsl-rl's writer for Neptune."""
 
 from __future__ import annotations
 
@@ -38,10 +38,8 @@ COLUMNS = {
 NEEDED = ("iteration", "steps", "eval_return", "elapsed")
 """Columns that something is made of; others may be missing from a file that an earlier version has written."""
 FILE = "metrics.csv"
-WRITERS = {"wandb": "WandbLogWriter", "neptune": "NeptuneLogWriter"}
-"""rsl-rl's writers, which write TensorBoard events, too."""
-PROJECT = "warpvox"
-"""Name of the project in Weights & Biases and Neptune."""
+SERVICES = ("wandb", "neptune")
+"""Loggers that are packages of their own; TensorBoard's events are written besides."""
 
 
 class Metrics:
@@ -61,15 +59,15 @@ class Metrics:
         write_text(self.path, text, make_folders=False)
         self._writer: Any = None
         # these imports take half a second
-        if logger == "tensorboard":
+        if logger in ("tensorboard", "wandb"):  # :class:`warpvox.algos.tracking.Tracker` sends the rows
             from torch.utils.tensorboard import SummaryWriter
 
             with writing(folder):
                 self._writer = SummaryWriter(str(folder), purge_step=iteration + 1)
-        elif logger in WRITERS:
+        elif logger == "neptune":
             from rsl_rl.utils import resolve_callable
 
-            self._writer = resolve_callable(WRITERS[logger])(log_dir=str(folder), project_name=PROJECT)
+            self._writer = resolve_callable("NeptuneLogWriter")(log_dir=str(folder), project_name="warpvox")
 
     def write(self, row: Mapping[str, float], log: Mapping[str, float] | None = None) -> None:
         """Append a row (keys of :data:`COLUMNS`); ``log`` goes to the logger only, under its own tags."""
@@ -77,10 +75,9 @@ class Metrics:
             if not file.tell():  # somebody has moved it away
                 file.write(_line(COLUMNS))
             file.write(_line(_cells(row)))
-        known = {tag: row[name] for name, tag in COLUMNS.items() if tag and _known(row.get(name))}
         if self._writer is not None:
             with writing(self.path.parent):
-                for tag, value in (known | dict(log or {})).items():
+                for tag, value in (tagged(row) | dict(log or {})).items():
                     self._writer.add_scalar(tag, value, int(row["iteration"]))
                 self._writer.flush()
 
@@ -93,9 +90,14 @@ class Metrics:
                 self._writer.stop()
 
 
+def tagged(row: Mapping[str, float]) -> dict[str, float]:
+    """The known values of a row by their tags for loggers."""
+    return {tag: row[name] for name, tag in COLUMNS.items() if tag and _known(row.get(name))}
+
+
 def check_logger(name: str) -> None:
     """Raise ConfigError if a logger needs a package that is not installed."""
-    if name in WRITERS and find_spec(name) is None:
+    if name in SERVICES and find_spec(name) is None:
         raise ConfigError(f"logger={name} needs the package {name}, which is not installed: pip install {name}")
 
 

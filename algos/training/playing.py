@@ -11,6 +11,7 @@ from warpvox.algos.checkpoints.files import Controller, actions_of, load_control
 from warpvox.algos.physics import sim_of
 from warpvox.algos.training.bodies import read_bodies, training_bodies
 from warpvox.algos.training.settings import Training
+from warpvox.code import is_code
 from warpvox.devices.names import resolve_device
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
@@ -39,6 +40,13 @@ class Playing:
     memory_check: bool = True
     task: Any = None
     policy: str | None = None
+
+
+def own_code(settings: Any) -> dict[str, Any]:
+    """What the user has named in ``settings`` of a run, for :class:`Playing`: task and policy of their own."""
+    policies = settings.policy, getattr(getattr(settings, "evaluation", None), "policy", None)
+    task = settings.task if is_code(settings.task) or isinstance(settings.task, TaskSpec) else None
+    return {"task": task, "policy": next(filter(is_code, policies), None)}
 
 
 class SampledController:

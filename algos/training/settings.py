@@ -111,7 +111,7 @@ class Training:
     cuda_graph: bool = key(False, "on CUDA: launch each control step, with rewards and resets, as one CUDA graph")
     logger: str = key(
         "tensorboard",
-        "where metrics are logged besides metrics.csv: tensorboard; wandb or neptune, by rsl-rl's writers; or none",
+        "where metrics are logged besides metrics.csv: tensorboard, wandb, neptune (by rsl-rl's writer) or none",
         choices=LOGGERS,
     )
     nan_guard: str = key(

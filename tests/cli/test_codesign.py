@@ -222,6 +222,11 @@ def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
     assert outcome.code == 0, outcome.err
     assert (folder / "report.html").read_text() == page
     assert (folder / "generations" / "000.png").is_file()
+    films = sorted(folder.glob("designs/*/film.webp"))
+    assert all(Image.open(film).is_animated for film in films)
+    assert page.count("data:image/webp;base64,") == 5
+    played = re.findall("<code>(warpvox play run=[^<]*)</code>", page)
+    assert sorted(played) == [f"warpvox play run={film.parent.absolute()}" for film in films]
     files = list((folder / "structures").rglob("*.json"))
     assert len(files) == 5
     for file in files:

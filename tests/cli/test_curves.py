@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -76,6 +77,25 @@ def test_runs_with_other_settings_have_a_curve_of_their_own(warpvox: Callable) -
     assert ends["ppo.gamma=0.99"]["low"] == ""
     assert "1.500 [" in outcome.out
     assert "without an evaluation yet: young" in outcome.out
+
+
+def test_the_runs_of_a_sweep_have_a_panel_for_each_task(warpvox: Callable) -> None:
+    pytest.importorskip("matplotlib")
+    Path("out/train/sweep_1").mkdir(parents=True)
+    for number, (task, seed) in enumerate([("Walker-v0", 1), ("Walker-v0", 2), ("Carrier-v0", 1), ("Carrier-v0", 2)]):
+        run = make_run(Path(f"out/train/{task}/{seed}"), [(10, 0.0), (20, 1.0 + seed)])
+        (run.folder / "config.yaml").write_text(f"task: {task}\ndesign: walker\nseed: {seed}\nppo: {{}}\n...\n")
+        place = json.dumps({"folder": f"elsewhere/train/{task}/{seed}"})  # the sweep has been moved
+        Path(f"out/train/sweep_1/run_{number + 1:05}.json").write_text(place)
+    Path("out/train/sweep_1/run_00005.json").write_text('{"status": "failed"}')
+    outcome = warpvox("curves", "runs=out/train/sweep_1.csv", "size=[300,200]")
+    assert outcome.code == 0, outcome.err
+    with Image.open("curves.png") as picture:
+        assert picture.size == (600, 200)
+    with Path("curves.csv").open(encoding="utf-8", newline="") as file:
+        ends = {row["settings"]: (row["n"], row["mean"]) for row in csv.DictReader(file)}
+    assert ends == {"Walker-v0": ("2", "2.5"), "Carrier-v0": ("2", "2.5")}
+    assert warpvox("curves", "runs=out/train/sweep_2.csv").code == 2
 
 
 @pytest.mark.parametrize("runs", ["latest", "[latest]", "a", "[a,a]"])

@@ -30,6 +30,7 @@ MISTAKES = {
     "train total_timesteps=1000": "Did you mean 'max_iterations'",
     "train n_envs=4": "Did you mean 'num_envs'",
     "train batch_size=64": "Did you mean 'ppo.minibatches'",
+    "curves out=a.png": "Did you mean 'file'",
     "codesign lr=1": "Did you mean 'training.ppo.learning_rate'",
     "train num_envs=3 design=mini lanes=8 threads=1 ppo.minibatches=100": "environments make 48 in 16 steps",
     "train -m hydra.launcher._target_=os.system": "chosen by name, such as hydra/launcher=joblib",

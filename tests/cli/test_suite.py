@@ -6,6 +6,8 @@ import csv
 import dataclasses
 import errno
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -383,6 +385,20 @@ def test_code_that_a_stored_file_names_is_not_imported(quick: Callable) -> None:
     outcome = quick("resume=latest")
     assert (outcome.code, "only if you name it yourself" in outcome.err) == (2, True), outcome.err
     assert not Path("imported").exists()
+
+
+def test_the_command_that_goes_on_names_the_code_of_the_suite(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("own.py").write_text(
+        "from dataclasses import replace\nfrom warpvox.envs.registry import get_task\n"
+        "MINE = replace(get_task('Walker-v0'), id='Mine-v0')\n"
+    )
+    with monkeypatch.context() as patch:
+        failing(patch, lambda settings: DivergenceError("it diverged"))
+        outcome = quick("tasks=[Walker-v0,own.py:MINE]", "seeds=1")
+        assert outcome.code == 2
+    (command,) = re.findall("go on: warpvox suite (.*)", outcome.out)
+    again = quick(*shlex.split(command))
+    assert again.code == 0, again.err
 
 
 # ----------------------------------------------------------------------------------------------------- processes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -52,6 +53,10 @@ def test_a_sweep_leaves_a_table(warpvox: Callable) -> None:
         assert Path(row["folder"]) == folder
         assert float(row["best_return"]) == json.loads((folder / "summary.json").read_text())["best_return"]
     assert "4 of 4 runs" in outcome.out
+    assert re.findall(r"run (\d) of 4(, left 0:00:\d\d)?:", outcome.out)[0] == ("1", "")
+    assert all(left for _, left in re.findall(r"run (\d) of 4(, left 0:00:\d\d)?:", outcome.out)[1:])
+    (command,) = re.findall(r"compare: warpvox (curves runs=\S+)", outcome.out)
+    assert warpvox(*command.split()).code == 0
     assert warpvox("play", "run=latest", "num_envs=1", "steps=2", "threads=1", "export=[]", "window=off").code == 0
 
 

@@ -286,7 +286,12 @@ def test_load_design_refuses_what_it_cannot_read(spec: object, words: str) -> No
     [
         ("a.json", b'{"body": [[1, 2]]}', "holds no valid robot"),
         ("b.json", b'{"grid": []}', "no entry 'body'"),
-        ("c.json", b'{"grid_width": 1, "grid_height": 1, "objects": {}}', "World.from_json"),
+        ("c.json", b'{"grid_width": 1, "grid_height": 1, "objects": {}}', "a world with 0 robots"),
+        (
+            "w.json",
+            b'{"grid_width": 0, "objects": {"a": {"indices": [1], "types": [3]}}}',
+            "no world in EvoGym's format",
+        ),
         ("d.json", b"\xff\xfe", "cannot be read"),
         ("e.json", b"import os", "not a nested list"),
         ("f.npz", b"not a zip", "cannot be read"),
@@ -318,3 +323,30 @@ def test_has_actuator() -> None:
     assert has_actuator([[1, 3]])
     assert has_actuator([[1, 4]])
     assert not has_actuator([[1, 2]])
+
+
+@given(bodies=st.lists(DENSE.filter(is_valid), min_size=1, max_size=2), rows=st.integers(1, 3))
+def test_the_only_robot_of_a_world_is_a_body(
+    bodies: list[np.ndarray], rows: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """A world as another reader, :class:`warpvox.World`, writes it."""
+    world, file = wv.World(60, 60), tmp_path_factory.mktemp("worlds") / "w.json"
+    world.add_from_array("ground", np.full((1, 50), 5), 0, 0)
+    for number, body in enumerate(bodies):
+        world.add_from_array(f"robot{number}", body, 2 + 20 * number, rows)
+    world.to_json(file)
+    if len(bodies) > 1:
+        with pytest.raises(wv.DesignError, match="a world with 2 robots"):
+            wv.load_design(file)
+        return
+    filled = np.argwhere(bodies[0])
+    (top, left), (bottom, right) = filled.min(0), filled.max(0) + 1
+    np.testing.assert_array_equal(wv.load_design(file), bodies[0][top:bottom, left:right])
+
+
+def test_a_robot_of_a_world_that_is_cut_is_no_body(tmp_path: Path) -> None:
+    world = wv.World(5, 5)
+    world.add_from_array("robot", np.array([[3, 3], [3, 3]]), 1, 1, np.array([[0, 0, 1], [1, 2, 3]]))
+    world.to_json(tmp_path / "w.json")
+    with pytest.raises(wv.DesignError, match=r"leaves 1 pair\(s\) of neighbouring cells unconnected"):
+        wv.load_design(tmp_path / "w.json")

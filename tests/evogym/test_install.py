@@ -78,3 +78,21 @@ print(sorted({"torch", "warp", "gymnasium"} & set(sys.modules)))
 """
     done = run(code, tmp_path)
     assert done.stdout == "[]\n", done.stderr
+
+
+def test_a_script_is_run_as_python_runs_it(tmp_path: Path) -> None:
+    (tmp_path / "beside.py").write_text("BODY = (3, 3)\n")
+    (tmp_path / "run_it.py").write_text(
+        "import pickle, sys, evogym, beside\n"
+        "class Own: pass\n"
+        "assert type(pickle.loads(pickle.dumps(Own()))) is Own and __name__ == '__main__'\n"
+        "print(sys.argv[1:], evogym.sample_robot(beside.BODY)[0].shape, evogym.__name__, __file__ == sys.argv[0])\n"
+        "sys.exit(3)\n"
+    )
+    command = [sys.executable, "-m", "warpvox.evogym"]
+    done = subprocess.run([*command, str(tmp_path / "run_it.py"), "--steps", "4"], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (3, "")
+    assert done.stdout == "['--steps', '4'] (3, 3) warpvox.evogym True\n"
+    lost = subprocess.run([*command, "nowhere.py"], capture_output=True, text=True)
+    assert lost.returncode == 2
+    assert "there is no script nowhere.py" in lost.stderr

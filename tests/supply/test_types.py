@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import site
 import subprocess
 import sys
@@ -56,6 +57,32 @@ def python(repository: Path, tmp_path: Path) -> Path:
     others = [path for path in sys.path if "site-packages" in path]
     (packages / "others.pth").write_text("\n".join([*others, *site.getsitepackages()]))
     return tmp_path / "venv" / "bin" / "python"
+
+
+def documented(repository: Path) -> dict[str, str]:
+    """What newcomers copy, as scripts by name: of README, quick start and notebooks, and the examples."""
+    pages = {name: (repository / name).read_text(encoding="utf-8") for name in ("README.md", "docs/quickstart.md")}
+    found = {
+        Path(name).stem: "\n".join(re.findall(r"^```python\n(.*?)^```", pages[name], re.M | re.S)) for name in pages
+    }
+    for path in sorted((repository / "examples").rglob("*.ipynb")):
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        found[path.stem] = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    return found | {path.stem: path.read_text(encoding="utf-8") for path in (repository / "examples").glob("*.py")}
+
+
+@pytest.mark.packaging
+def test_what_is_documented(python: Path, tmp_path: Path, repository: Path) -> None:
+    for name, text in documented(repository).items():
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+    files = sorted(path.name for path in tmp_path.glob("*.py"))
+    assert len(files) >= 10
+    # cells end with what they show; a loop over a constant number of rounds binds its names
+    config = {"include": files, "reportUnusedExpression": False, "reportPossiblyUnboundVariable": False}
+    (tmp_path / "pyrightconfig.json").write_text(json.dumps(config))
+    command = [sys.executable, "-m", "pyright", "--pythonpath", str(python)]
+    run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout
 
 
 @pytest.mark.packaging

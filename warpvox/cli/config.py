@@ -23,7 +23,7 @@ from warpvox.trust import check_address, typed, with_code
 
 __all__ = ["load", "load_values", "to_yaml"]
 
-ALIASES = {"env": "task", "lr": "learning_rate", "n_envs": "num_envs", "batch_size": "minibatches"}
+ALIASES = {"env": "task", "lr": "learning_rate", "n_envs": "num_envs", "batch_size": "minibatches", "out": "file"}
 ALIASES |= dict.fromkeys(("steps", "timesteps", "total_timesteps"), "max_iterations")
 """Names that other libraries have for a key, by the last part of ours: for hints."""
 NOT_TAKEN = ("resume", "report", "config")

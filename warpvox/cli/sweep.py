@@ -6,6 +6,7 @@ import functools
 import hashlib
 import json
 import re
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from datetime import datetime
@@ -22,9 +23,9 @@ from warpvox.cli.hydra_app import run_hydra
 from warpvox.cli.overrides import key_and_value
 from warpvox.configs.composition import quoted
 from warpvox.errors import RunError, WarpvoxError
-from warpvox.io.console import echo, literal
+from warpvox.io.console import duration, echo, literal, shell_argument
 from warpvox.io.writing import write_table, write_text
-from warpvox.runs import STAMP, label, read_summary
+from warpvox.runs import CODESIGN, STAMP, TRAINING, label, read_summary
 
 LONGEST_LABEL = 80
 """Characters of a folder's name that say what its run differs by."""
@@ -56,7 +57,7 @@ def make_runs(
     names = (f"sweep_{stamp}{'' if number == 1 else f'-{number}'}" for number in range(1, 1000))
     table = next(folder / name for name in names if not (folder / name).exists())
     words = [*QUIET, f"hydra.sweep.dir={quoted(str(table))}", *plugins, *(str(one.input_line) for one in overrides)]
-    task = functools.partial(_run, frozenset(key_and_value(word)[0] for word in fixed), table, make, total)
+    task = functools.partial(_run, frozenset(key_and_value(word)[0] for word in fixed), table, make, total, time.time())
     try:
         run_hydra(command, ["--multirun"], words, config_dir, task)
     except RunError:
@@ -65,6 +66,8 @@ def make_runs(
         rows = _write(table)
         if rows:
             _print(rows, total, table)
+            if command in (*TRAINING, CODESIGN):
+                echo(Console(), f"compare: warpvox curves {shell_argument('runs', table)}")
     failed = [row for row in rows if row["status"] == "failed"]
     if failed:
         raise RunError(
@@ -73,14 +76,17 @@ def make_runs(
         )
 
 
-def _run(fixed: frozenset[str], table: Path, make: Make, total: int, _: Any) -> float | None:
+def _run(fixed: frozenset[str], table: Path, make: Make, total: int, began: float, _: Any) -> float | None:
     """Make the run whose overrides Hydra gives; returns what a sweeper that optimises looks at."""
     hydra, console = HydraConfig.get(), Console()
     words = list(hydra.overrides.task)
     row = {"run": hydra.job.num + 1}
     varied = {key: value for key, value in map(key_and_value, words) if key not in fixed}
+    done, of = len(list(table.glob("run_*.json"))), f" of {total}" if total else ""
+    if done and total:
+        of += f", left {duration((time.time() - began) / done * (total - done))}"
     try:
-        attempt(row, varied, lambda: make(words, console), console, f" of {total}" if total else "")
+        attempt(row, varied, lambda: make(words, console), console, of)
     finally:
         write_text(table / f"run_{row['run']:05}.json", json.dumps(row))
         _write(table)

@@ -15,7 +15,7 @@ from warpvox.algos.checkpoints import export
 from warpvox.algos.checkpoints.export import read_exported, write_onnx, write_script
 from warpvox.algos.checkpoints.files import Controller, PolicySpec, build_actor
 from warpvox.algos.checkpoints.policy import Policy, parse_policy, policy_of, policy_text
-from warpvox.errors import RunError
+from warpvox.errors import ConfigError, RunError
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.* is deprecated:DeprecationWarning")
 
@@ -62,6 +62,9 @@ def test_actions_stay_in_the_range_and_shapes_are_free() -> None:
     assert acted.dtype == np.float32
     assert np.array_equal(acted, policy(obs).numpy())
     assert np.array_equal(acted, policy(obs.numpy()))
+    for wrong in (obs[:, :4], obs.numpy()[:, :4]):
+        with pytest.raises(ConfigError, match=r"takes observations \[..., 5\], got shape \[6, 4\]"):
+            policy(wrong)
     assert not policy(obs).requires_grad
     assert policy.requires_grad_()(obs).requires_grad
 

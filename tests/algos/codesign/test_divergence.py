@@ -63,7 +63,7 @@ def test_they_are_written_down_with_the_worst_fitness_so_far(tmp_path: Path) -> 
             assert (record.stopped, record.curve, record.policy) == (True, [], None)
     assert [record.fitness for record in records] == [value for value, _ in loop.search.all]
     assert not any(record.diverged for record in loop.archive.best(len(records)))
-    page = report_page(loop.archive, {})
+    page = report_page(loop.archive, {}, tmp_path)
     assert page.count("<td>diverged</td>") == len(lost)
     assert "<dt>diverged</dt><dd>3</dd>" in page
 

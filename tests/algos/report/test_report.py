@@ -68,7 +68,7 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Archive:
 
 
 def test_every_design_has_its_row(archive: Archive) -> None:
-    page = Page(report_page(archive, {"task": "Walker-v0"}))
+    page = Page(report_page(archive, {"task": "Walker-v0"}, Path()))
     records = archive.records()
     assert len(page.rows) == len(records) + 1
     for row, record in zip(page.rows[1:], records, strict=True):
@@ -81,7 +81,7 @@ def test_every_design_has_its_row(archive: Archive) -> None:
 
 
 def test_the_figures_are_those_of_the_archive(archive: Archive) -> None:
-    text = report_page(archive, {"task": "Walker-v0", "search": "a < b", "status": "running"})
+    text = report_page(archive, {"task": "Walker-v0", "search": "a < b", "status": "running"}, Path())
     best = archive.best(10)
     shown = [float(value) for value in re.findall(r"<figcaption><b>([^<]*)</b>", text)]
     assert shown == [round(record.fitness, 3) for record in best]
@@ -92,7 +92,7 @@ def test_the_figures_are_those_of_the_archive(archive: Archive) -> None:
 
 
 def test_nothing_comes_from_elsewhere(archive: Archive) -> None:
-    text = report_page(archive, {})
+    text = report_page(archive, {}, Path())
     assert Page(text).links == ["data:,"]
     assert not re.search(r"https?:|@import|url\(", text)
     assert "default-src 'none'" in text
@@ -104,9 +104,9 @@ def test_an_empty_archive_has_a_report(tmp_path: Path) -> None:
         assert "No design is evaluated yet" in text
         assert "{{rows}}" in text  # a setting, not a slot
         archive.propose([Candidate(0, sample_design((3, 3), 0))], 0)
-        Page(report_page(archive, {}))
+        Page(report_page(archive, {}, Path()))
         archive.finish([Finished(0, Outcome(-3.0))])
-        Page(report_page(archive, {}))
+        Page(report_page(archive, {}, Path()))
 
 
 @given(st.floats(-1e3, 1e3), st.floats(1e-1, 1e6))
@@ -171,7 +171,7 @@ def test_a_long_line_is_cut_and_says_so() -> None:
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
 def test_the_page_runs_in_a_browser(archive: Archive, tmp_path: Path) -> None:
     """Sorted by fitness by clicks on the heading, and without a word on the console."""
-    text = report_page(archive, {"task": "Walker-v0"})
+    text = report_page(archive, {"task": "Walker-v0"}, Path())
     # a script of the test's own, after the page's: its policy allows scripts in the page only
     probe = (
         "<script>document.querySelectorAll('th button')[1].click(); document.getElementById('theme').click();"

@@ -18,7 +18,7 @@ from warpvox.errors import RunError, listing
 from warpvox.io.console import echo, shown
 from warpvox.io.writing import check_writable, to_yaml
 from warpvox.runs import find_codesign, find_searches, new_folder, read_summary
-from warpvox.trust import as_stored
+from warpvox.trust import again, as_stored
 
 
 @dataclass
@@ -68,10 +68,17 @@ def _make(job: Job, console: Console) -> Path:
     if job.config.report is not None:
         return _report(job.config, console)
     with console.status("loading"):
+        from warpvox.algos.codesign.archive import FILE, Archive
+        from warpvox.algos.codesign.films import film_designs
         from warpvox.algos.codesign.progress import SearchProgress
+        from warpvox.algos.codesign.results import Results
         from warpvox.algos.codesign.run import run_codesign
     listeners = [SearchProgress(console)]
     found = run_codesign(job.settings, job.folder, listeners, stored=job.stored, console=console)
+    with console.status("filming the best"), Archive.read(found.folder / FILE) as archive:
+        results = Results(found.folder, archive, job.settings, found.summary.get("pretraining_steps"))
+        film_designs(found.folder, results.best(), job.settings)
+        results.report(found.summary)
     _export(found.folder, job.config.export, console)
     return found.folder
 
@@ -89,6 +96,7 @@ def _export(folder: Path, formats: Sequence[str], console: Console) -> None:
 def _report(config: CodesignConfig, console: Console) -> Path:
     """Make report, pictures and exports of a search again, also while it is running; returns its folder."""
     from warpvox.algos.codesign.archive import FILE, Archive
+    from warpvox.algos.codesign.films import film_designs
     from warpvox.algos.codesign.results import Results
 
     texts = [str(text) for text in (config.report if isinstance(config.report, list) else [config.report])]
@@ -98,11 +106,15 @@ def _report(config: CodesignConfig, console: Console) -> Path:
             return _compare(config, texts, searches, console)
     source = find_codesign(texts[0], config.output_dir)
     stored = Codesign.of(vars(load_values("codesign", source.config)))
+    summary = read_summary(source.folder) or {"status": "running"}
     with Archive.read(source.folder / FILE) as archive:
-        results = Results(source.folder, archive, dataclasses.replace(stored, top=config.top))
+        settings = dataclasses.replace(stored, top=config.top)
+        results = Results(source.folder, archive, settings, summary.get("pretraining_steps"))
         for row in archive.generations():
             results.draw(row["generation"])
-        echo(console, shown(results.report(read_summary(source.folder) or {"status": "running"})))
+        if not again(stored):  # code of the user's own, which a file does not bring
+            film_designs(source.folder, results.best(), stored)
+        echo(console, shown(results.report(summary)))
     _export(source.folder, config.export, console)
     return source.folder
 

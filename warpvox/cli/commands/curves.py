@@ -15,6 +15,7 @@ from warpvox.algos.report.learning_curves import (
     curves_of,
     curves_of_searches,
     evaluations_of,
+    labelled,
     write_curves,
 )
 from warpvox.algos.report.members import read_members
@@ -24,7 +25,7 @@ from warpvox.cli.run_groups import group_runs
 from warpvox.configs.show import CurvesConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, literal
-from warpvox.runs import find_runs, find_searches
+from warpvox.runs import Run, find_runs, find_searches
 
 AXES_OF_RUNS, AXES_OF_SEARCHES = ("steps", "elapsed", "iteration"), ("steps", "evaluations")
 
@@ -51,9 +52,12 @@ def _draw_runs(config: CurvesConfig, console: Console) -> None:
     judged = [each_run for each_run in found if evaluations_of(each_run)]
     if not judged:
         raise RunError(f"The run {found[0].folder} has no evaluation yet: there is nothing to draw.")
-    curves = curves_of(group_runs(judged), config.x)
-    path = write_curves(curves, config.file, config.x, (config.size[0], config.size[1]))
-    _print({"": curves}, config.x, console)
+    tasks: dict[str, list[Run]] = {}
+    for each_run in judged:
+        tasks.setdefault(str(each_run.config["task"]), []).append(each_run)
+    panels = {task: curves_of(group_runs(runs), config.x) for task, runs in tasks.items()}
+    path = write_curves(panels, config.file, config.x, (config.size[0], config.size[1]))
+    _print(panels, config.x, console)
     if len(judged) < len(found):
         left = listing(each_run.folder.name for each_run in found if each_run not in judged)
         echo(console, f"left out, without an evaluation yet: {left}")
@@ -77,8 +81,7 @@ def _print(panels: Mapping[str, Sequence[Curve]], x: str, console: Console) -> N
     table.title_justify = "left"
     for heading in ("settings", "n", AXES[x], "last return", "best return"):
         table.add_column(heading, justify="left" if heading == "settings" else "right", overflow="fold")
-    for title, curve in ((title, curve) for title, several in panels.items() for curve in several):
-        label = f"{title}, {curve.group.label}" if title else curve.group.label
+    for label, curve in labelled(panels):
         last = mean_interval([points[1, -1] for points in curve.runs])
         best = mean_interval([points[1].max() for points in curve.runs])
         end = f"{max(points[0, -1] for points in curve.runs):,.0f}"

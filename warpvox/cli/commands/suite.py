@@ -17,14 +17,16 @@ from warpvox.algos.suite.members import FAILED, MEMBERS, WAITING, Member, Table
 from warpvox.algos.suite.progress import results
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
+from warpvox.cli.overrides import key_and_value
 from warpvox.cli.suite_plan import plan, seeds_of, task_names
 from warpvox.cli.suite_words import gone_on_with, merged
+from warpvox.code import is_code
 from warpvox.configs.codesign import SuiteConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, shell_argument, shown
 from warpvox.io.writing import check_writable, to_yaml
 from warpvox.runs import STAMP, check_unchanged, find_suite, going_on, make_folder
-from warpvox.trust import keep_code
+from warpvox.trust import COPIES, STORED, again, keep_code
 
 GROWING = ("tasks", "searches", "seeds")
 """Keys that may get more entries when a suite is resumed."""
@@ -135,10 +137,10 @@ def suite(job: Job, console: Console) -> Path:
             if table.of(WAITING):
                 make_members(table, job.members, config, console)
         except BaseException:
-            _advise(table, console)
+            _advise(table, config, console)
             raise
         _write_report(table, config, console)
-        return _conclude(table, console)
+        return _conclude(table, config, console)
 
 
 @contextmanager
@@ -176,21 +178,23 @@ def _write_again(config: SuiteConfig, console: Console) -> Path:
     return source.folder
 
 
-def _advise(table: Table, console: Console, more: str = "") -> None:
-    echo(console, f"go on: warpvox suite {shell_argument('resume', table.folder)}{more}")
+def _advise(table: Table, config: SuiteConfig, console: Console, more: str = "") -> None:
+    values = dict(map(key_and_value, config.codesign))
+    code = "".join(f" {key}={STORED}" for key, value in values.items() if key in COPIES and is_code(value))
+    echo(console, f"go on: warpvox suite {shell_argument('resume', table.folder)}{again(config)}{code}{more}")
 
 
-def _conclude(table: Table, console: Console) -> Path:
+def _conclude(table: Table, config: SuiteConfig, console: Console) -> Path:
     """Say how the suite has ended."""
     console.print(results(table.rows))
     echo(console, f"members: {shown(table.folder / MEMBERS)}")
     failed, left = table.of(FAILED), table.of(WAITING)
     if left and not failed:
-        _advise(table, console)
+        _advise(table, config, console)
         raise RunError(f"{len(left)} of {len(table.rows)} members were asked to end (SIGTERM) before they were done.")
     if not failed:
         return table.folder
-    _advise(table, console, " retry=true")
+    _advise(table, config, console, " retry=true")
     task, search, seed = failed[0].key
     raise RunError(
         f"{len(failed)} of {len(table.rows)} members failed, the first of them ({task}, {search}, seed {seed}) with:"

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from rich.console import Console
 
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load
-from warpvox.code import is_code
 from warpvox.configs.train import TrainConfig
 from warpvox.io.console import echo
 from warpvox.runs import TRAINING, find_run
@@ -51,12 +50,11 @@ def train(job: Job, console: Console) -> Path:
 
 def _export(folder: Path, config: TrainConfig, console: Console) -> None:
     """Record the best policy of a run and write it into the run's folder."""
-    from warpvox.algos.training.playing import Playing, load_trained
+    from warpvox.algos.training.playing import Playing, load_trained, own_code
     from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
 
     run = find_run(str(folder), config.output_dir)
-    named: dict[str, Any] = {name: value for name in ("task", "policy") if is_code(value := getattr(config, name))}
-    env, controller = load_trained(run, Playing(device=config.device, **named))
+    env, controller = load_trained(run, Playing(device=config.device, **own_code(config)))
     with console.status("simulating"):
         rollout = record_run(run, env, controller, None)
     print_returns(rollout, console)

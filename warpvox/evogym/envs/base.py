@@ -94,7 +94,7 @@ class EvoGymBase(gym.Env):
             self._default_viewer.show_debug_window()  # fails now rather than in the first step
         self.metadata = metadata_here(self.metadata)
 
-    def step(self, action: dict[str, np.ndarray]) -> bool:
+    def step(self, action: Any) -> Any:
         """Take a control step; return whether self-folding stopped it: it is then undone.
 
         Args:

@@ -1,0 +1,102 @@
+"""Runs in Weights & Biases: the whole configuration, figures as they come, a film of the result."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from warpvox.algos.codesign.loop import Listener
+from warpvox.algos.training.loading import Playing, load_run, own_code
+from warpvox.errors import RunError
+from warpvox.io.reading import parse_yaml
+from warpvox.io.writing import write_text
+from warpvox.runs import CONFIG, find_run
+from warpvox.view.render import write_gif
+from warpvox.view.rollout import record
+
+__all__ = ["TrackedSearch", "Tracker"]
+
+FILE, FILM = "wandb_id.txt", "film.gif"
+"""The former holds the id of the run there, for a run that is resumed."""
+NAMES = {"project": "PROJECT", "group": "RUN_GROUP", "name": "NAME", "tags": "TAGS", "dir": "DIR"}
+"""Arguments of ``wandb.init`` that the user may set by variables of the environment, whose names follow ``WANDB_``."""
+
+
+class Tracker:
+    """A run in Weights & Biases.
+
+    Args:
+        folder: of the run, with its configuration.
+        tags: besides the task.
+    """
+
+    def __init__(self, folder: Path, *tags: str) -> None:
+        self._wandb: Any = import_module("wandb")
+        self._folder, file = folder, folder / FILE
+        config: Any = parse_yaml((folder / CONFIG).read_text(encoding="utf-8"))
+        options: dict[str, Any] = {
+            "project": "warpvox",
+            "group": config["name"] or config["task"],
+            "name": "/".join(folder.absolute().parts[-2:]),
+            "tags": [config["task"], *tags],
+            "dir": str(folder),
+        }
+        options = {key: value for key, value in options.items() if not os.environ.get(f"WANDB_{NAMES[key]}")}
+        known = file.read_text(encoding="utf-8") if file.is_file() else None
+        self._run = self._wandb.init(config=config, id=known, resume="allow", **options)
+        write_text(file, self._run.id)
+
+    def log(self, values: Mapping[str, Any], step: int, picture: Path | None = None) -> None:
+        """Send figures (None: not known), and a picture if there is one."""
+        known = {name: value for name, value in values.items() if value is not None}
+        if picture is not None and picture.is_file():
+            known["bodies"] = self._wandb.Image(str(picture))
+        self._run.log(known, step=step)
+
+    def end(self, summary: Mapping[str, Any], settings: Any) -> None:
+        """Send the summary and, where there is a policy at the end, an episode of it as a film.
+
+        Args:
+            settings: of the run.
+        """
+        status = summary.get("status", "failed")
+        try:
+            self._run.summary.update(dict(summary))
+            if status == "done":
+                with suppress(RunError):  # an evaluator of the user's own may leave no policy
+                    env, policy = load_run(find_run(str(self._folder), ""), Playing(**own_code(settings)))
+                    film = write_gif(record(env, policy), self._folder / FILM)
+                    self._run.log({"film": self._wandb.Video(str(film), format="gif")})
+        finally:
+            self._run.finish(exit_code=int(status == "failed"))
+
+
+class TrackedSearch(Listener):
+    """Sends a design search: fitness and best bodies of each generation, at the end the best robot as a film.
+
+    Args:
+        settings: of the search.
+    """
+
+    def __init__(self, settings: Any) -> None:
+        self._settings = settings
+
+    def begun(self, run: Any) -> None:
+        self._results = run.results
+        self._tracker = Tracker(run.results.folder, "codesign", self._settings.search.algorithm)
+
+    def told(self, generation: int, fresh: bool) -> None:
+        if fresh:
+            archive = self._results.archive
+            rows = archive.generations()
+            figures = {"best": archive.best()[0].fitness, "mean": rows[generation]["mean"]}
+            figures |= {"evaluations": archive.trained(), "steps": sum(row["steps"] or 0 for row in rows)}
+            tagged = {f"Search/{name}": value for name, value in figures.items()}
+            self._tracker.log(tagged, generation, self._results.draw(generation))
+
+    def ended(self, summary: Mapping[str, Any]) -> None:
+        self._tracker.end(summary, self._settings)
