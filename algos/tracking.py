@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.codesign.loop import Listener
-from warpvox.algos.training.loading import Playing, load_run, own_code
+from warpvox.algos.training.playing import Playing, load_trained, own_code
 from warpvox.errors import RunError
 from warpvox.io.reading import parse_yaml
 from warpvox.io.writing import write_text
 from warpvox.runs import CONFIG, find_run
 from warpvox.view.render import write_gif
 from warpvox.view.rollout import record
-
-__all__ = ["TrackedSearch", "Tracker"]
 
 FILE, FILM = "wandb_id.txt", "film.gif"
 """The former holds the id of the run there, for a run that is resumed."""
@@ -68,7 +66,7 @@ class Tracker:
             self._run.summary.update(dict(summary))
             if status == "done":
                 with suppress(RunError):  # an evaluator of the user's own may leave no policy
-                    env, policy = load_run(find_run(str(self._folder), ""), Playing(**own_code(settings)))
+                    env, policy = load_trained(find_run(str(self._folder), ""), Playing(**own_code(settings)))
                     film = write_gif(record(env, policy), self._folder / FILM)
                     self._run.log({"film": self._wandb.Video(str(film), format="gif")})
         finally:

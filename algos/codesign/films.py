@@ -8,13 +8,11 @@ from typing import Any
 
 from warpvox.algos.codesign.archive import Record
 from warpvox.algos.report import FILM
-from warpvox.algos.training.loading import Playing, load_run, own_code
+from warpvox.algos.training.playing import Playing, load_trained, own_code
 from warpvox.io.writing import atomic_path
 from warpvox.runs import find_run
 from warpvox.view.painter import Painter
 from warpvox.view.rollout import record
-
-__all__ = ["film_designs"]
 
 SIZE, VOXELS = (320, 150), 13.0
 """Of a picture, in pixels, and the height of what it shows."""
@@ -35,7 +33,7 @@ def film_designs(folder: Path, records: Sequence[Record], settings: Any) -> None
         file = policy.with_name(FILM)
         if file.is_file() or not policy.is_file():
             continue
-        rollout = record(*load_run(find_run(str(file.parent), ""), Playing(**own_code(settings))), LONGEST)
+        rollout = record(*load_trained(find_run(str(file.parent), ""), Playing(**own_code(settings))), LONGEST)
         painter = Painter(rollout, 0, SIZE, VOXELS)
         first, *others = [painter.frame(frame) for frame in range(0, rollout.num_frames, EVERY)]
         with atomic_path(file) as temporary:
