@@ -200,18 +200,6 @@ def test_without_a_gpu_its_suite_says_so(warpvox: Callable, monkeypatch: pytest.
     assert not Path("outputs").exists()
 
 
-@pytest.mark.parametrize(
-    ("asked", "told"),
-    [
-        (("Walker-v0", "float32", 16384), "5.30 to 13.8 M"),
-        (("Walker-v0", "float64", 16384), "-"),
-        (("Climber-v0", "float32", 16384), "-"),
-    ],
-)
-def test_predictions_stand_beside_what_was_predicted_for(asked: tuple, told: str) -> None:
-    assert gpu_rates.predicted(*asked) == told
-
-
 @pytest.mark.parametrize("offset", [0.0, 1e-300])
 def test_equal_bit_for_bit_is_tested(offset: float, report: Report) -> None:
     one, other = ({"reward": torch.full((3,), value, dtype=torch.float64)} for value in (0.0, offset))

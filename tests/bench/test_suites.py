@@ -16,7 +16,6 @@ import pytest
 from warpvox.bench import check, gradients, kernels, machine, reference, scaling
 from warpvox.bench.cases import full_body, sampled_or_full
 from warpvox.bench.ptxas import find_program
-from warpvox.bench.report import number
 from warpvox.bench.runner import Runner
 from warpvox.configs.bench_keys import ScalingConfig
 from warpvox.configs.schema import BenchConfig
@@ -292,18 +291,3 @@ def test_bodies_are_sampled_where_they_can_be_and_full_beyond(side: int, sampled
     for body in bodies:
         check_design(body)
         assert (body > 0).all() != sampled
-
-
-def test_figures_keep_what_matters() -> None:
-    values = (None, float("nan"), 12345.6, 78.83, 0.0456, 2e-9, 0.0, 1234, [1.0, 3.0])
-    assert [number(value) for value in values] == [
-        "-",
-        "-",
-        "12,346",
-        "78.8",
-        "0.046",
-        "2.0e-09",
-        "0.000",
-        "1,234",
-        "2.00",
-    ]

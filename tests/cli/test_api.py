@@ -211,15 +211,3 @@ def test_pictures_and_the_policy_go_into_one_folder(train: Callable[..., Path], 
     assert "a rollout holds none" in outcome.err
     outcome = warpvox("export", "format=onx")
     assert "Did you mean 'onnx'" in outcome.err
-
-
-def test_a_stored_task_is_not_imported(train: Callable[..., Path], warpvox: Callable) -> None:
-    folder = train("max_iterations=1")
-    Path("evil.py").write_text("open('ran', 'w').close()\nTASK = None\n")
-    config = folder / "config.yaml"
-    config.write_text(config.read_text().replace("task: Walker-v0", "task: evil.py:TASK"))
-    assert wv.load_policy(folder).metadata["task"] == "evil.py:TASK"
-    outcome = warpvox("export", f"run={folder}", "format=jit", "name=odd")
-    assert outcome.code == 0, outcome.err
-    assert len(list(Path("outputs").glob("export/*/*_odd/policy.pt"))) == 1
-    assert not Path("ran").exists()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import io
 import json
 import math
@@ -29,13 +28,10 @@ from warpvox.algos.codesign import progress, results as results_of
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.codesign.progress import SearchProgress
 from warpvox.algos.codesign.results import Results
-from warpvox.algos.codesign.run import SearchRun, _archive
+from warpvox.algos.codesign.run import SearchRun
 from warpvox.algos.codesign.settings import Codesign
-from warpvox.algos.search import GA
-from warpvox.cli.config import load
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.errors import RunError
 from warpvox.runs import END
 from warpvox.view.cell_svg import cell_colour
 from warpvox.view.cell_text import body_rows
@@ -272,20 +268,6 @@ def test_the_time_left_counts_control_steps(watched: Callable) -> None:
     assert said[2] == ["-", "0:00:35"]  # 400 steps in 10 s, and 1400 of 2 * 1000 are left
 
 
-def test_what_was_done_before_an_interrupt_does_not_count_as_fast(watched: Callable) -> None:
-    make, news, archive = watched
-    watch, asked = make(), pair(0)
-    archive.propose(asked, 0)
-    watch.proposed(0, asked, 2)
-    news(watch, 10.0, asked, 20)
-    assert news(watch, 10.0, asked, 40) == "0:03:00"  # 20 of 400 steps in 10 s
-    assert watch.under_way == "; 2 more under way, iteration 1/10 and 40 control steps"
-    again = make()
-    again.proposed(0, asked, 2)
-    assert news(again, 1.0, asked, 60) == "-"
-    assert news(again, 10.0, asked, 80) == "0:02:40"
-
-
 def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None:
     console = Console(force_terminal=True, color_system="truecolor", width=120, file=io.StringIO())
     bodies = [example_design("walker"), sample_design((5, 5), 0)]
@@ -317,25 +299,6 @@ def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None
         for cell in body[line]
         if cell
     ]
-
-
-def test_an_archive_of_other_settings_is_refused(tmp_path: Path) -> None:
-    settings = Codesign(device="cpu").resolved()
-    _archive(tmp_path, settings).close()
-    _archive(tmp_path, dataclasses.replace(settings, threads=3, name="other")).close()  # the same search
-    with pytest.raises(RunError, match="another value of 'search'"):
-        _archive(tmp_path, dataclasses.replace(settings, search=GA(mutation_rate=0.2)))
-
-
-def test_presets_are_those_of_the_paper() -> None:
-    paper = load("codesign", ["search=paper"])
-    assert (paper.search.population, paper.search.max_evaluations, paper.shape) == (25, 250, [5, 5])
-    training = paper.training
-    assert training.iterations * training.envs * training.ppo.steps == 512_000
-    assert (training.iterations, training.eval_interval, training.rungs, training.inherit) == (1000, 50, [], False)
-    quick = load("codesign", ["search=quick"])
-    cost = quick.search.max_evaluations * quick.training.iterations * quick.training.envs * quick.training.ppo.steps
-    assert cost < 250 * 512_000 / 5
 
 
 # ------------------------------------------------------------------------------------------------------- slow

@@ -17,7 +17,6 @@ from learning import rows
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
-from warpvox.cli import main
 from warpvox.design import example_design
 from warpvox.view.rollout import Rollout
 
@@ -139,14 +138,6 @@ def test_play_repeats_the_best_evaluation(train: Callable, warpvox: Callable) ->
     assert summary(folder)["mean_return"] == pytest.approx(summary(run)["best_return"], abs=1e-6)
 
 
-def test_export_one_format_of_a_checkpoint(train: Callable, warpvox: Callable) -> None:
-    run = train("max_iterations=2", "save_interval=1")
-    outcome = warpvox("export", f"run={run / 'model_1.pt'}", "format=html", "steps=5", "threads=1")
-    assert outcome.code == 0, outcome.err
-    (folder,) = Path("outputs/export/Walker-v0").iterdir()
-    assert (folder / "rollout.html").stat().st_size > 1000
-
-
 def test_latest_is_the_newest_run(train: Callable, warpvox: Callable) -> None:
     train("max_iterations=1", "name=old")
     newest = train("max_iterations=1", "name=new")
@@ -206,29 +197,6 @@ def test_info_names_versions_devices_and_the_cache(warpvox: Callable) -> None:
     assert outcome.err == ""
     for word in ("warpvox", "warp-lang", "cpu", "cuda", "kernel cache"):
         assert word in outcome.out
-
-
-def test_a_reference_without_evogym_says_how_to_get_it(warpvox: Callable, tmp_path: Path) -> None:
-    script = tmp_path / "python"
-    script.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')  # without site-packages
-    script.chmod(0o755)
-    outcome = warpvox("bench", "design=mini", "num_envs=8", f"peer.python={script}")
-    assert outcome.code == 2
-    assert "evogym==2.0.0" in outcome.err
-    assert not Path("outputs").exists()
-
-
-def test_python_m_warpvox(tmp_path: Path) -> None:
-    import runpy
-
-    with pytest.raises(SystemExit) as exit_info:
-        sys_argv, sys.argv = sys.argv, ["warpvox", "--version"]
-        try:
-            runpy.run_module("warpvox", run_name="__main__")
-        finally:
-            sys.argv = sys_argv
-    assert exit_info.value.code == 0
-    assert main(["--version"]) == 0
 
 
 def test_help_lists_and_mistakes_do_not_wait_for_torch_and_warp() -> None:

@@ -43,12 +43,6 @@ def test_the_papers_settings() -> None:
     assert (search.envs, search.eval_interval, search.iterations) == (4, 50, 1000)
 
 
-def test_the_wide_edition_has_as_many_samples_and_else_the_same() -> None:
-    paper, wide = (load("codesign", [f"training={name}"]).training for name in ("paper", "paper_wide"))
-    assert (wide.envs, wide.ppo.steps) == (16, 32)
-    assert dataclasses.replace(wide, envs=4, ppo=dataclasses.replace(wide.ppo, steps=128)) == paper
-
-
 # ----------------------------------------------------------------------------------------------------- presets
 
 
@@ -87,13 +81,6 @@ def test_what_is_typed_goes_before_a_preset(command: str, words: list[str], path
     assert config.rules == ("evogym" if words == ["rules=evogym"] else "paper")
 
 
-def test_a_pretraining_is_a_long_universal_training_on_any_task() -> None:
-    short, long = (load("train", [f"preset={name}", "task=Thrower-v0"]) for name in ("universal", "pretrain"))
-    assert long.max_iterations * long.num_envs * long.ppo.steps == 157_286_400  # as the documentation says
-    lengths = {name: getattr(short, name) for name in ("preset", "max_iterations", "eval_interval", "save_interval")}
-    assert dataclasses.replace(long, **lengths) == short
-
-
 @pytest.mark.parametrize("command", ["train", "codesign"])
 def test_no_preset_and_one_that_does_not_exist(command: str) -> None:
     assert load(command, ["preset=null"]) == load(command, [])
@@ -120,12 +107,6 @@ def test_a_preset_of_ones_own(tmp_path: Path) -> None:
         file.write_text(text)
         with pytest.raises(ConfigError, match=words):
             load("train", ["preset=mine"], tmp_path)
-
-
-@pytest.mark.parametrize("words", [["ppo=evogym", "num_envs=8"], ["num_envs=8", "ppo=evogym"]])
-def test_what_is_typed_goes_before_what_a_group_brings(words: list[str]) -> None:
-    config = load("train", words)
-    assert (config.num_envs, config.ppo.steps) == (8, 128)
 
 
 @pytest.mark.parametrize("words", [[], ["rules=paper"], ["physics=paper_literal"], ["rules=paper", "physics=evogym"]])
@@ -169,18 +150,6 @@ def test_yaml_round_trip_keeps_everything() -> None:
     assert "- [3, 3]\n- [4, 4]\n" in text
 
 
-def test_a_folder_of_ones_own(tmp_path: Path) -> None:
-    (tmp_path / "ppo").mkdir()
-    (tmp_path / "ppo" / "mine.yaml").write_text(
-        "# @package _global_\ndefaults: [parallel, _self_]\nppo:\n  gamma: 0.5\n"
-    )
-    config = load("train", ["ppo=mine"], tmp_path)
-    assert (config.ppo.gamma, config.ppo.steps) == (0.5, load("train", []).ppo.steps)
-    (tmp_path / "ppo" / "mine.yaml").write_text("# @package _global_\nppo:\n  gama: 0.5\n")
-    with pytest.raises(ConfigError, match="gama"):
-        load("train", ["ppo=mine"], tmp_path)
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_names_every_key_with_its_meaning(command: str, capsys: pytest.CaptureFixture) -> None:
     assert main([command, "--help"]) == 0
@@ -192,11 +161,6 @@ def test_help_names_every_key_with_its_meaning(command: str, capsys: pytest.Capt
             if not dataclasses.is_dataclass(key.default) and len(key.choices) != 1:
                 assert f"  {name}=" in text, name
         assert "=?" not in text
-
-
-def test_configuration_can_be_shown(capsys: pytest.CaptureFixture) -> None:
-    assert main(["train", "--cfg", "job", "seed=7"]) == 0
-    assert yaml.safe_load(capsys.readouterr().out)["seed"] == 7
 
 
 @pytest.fixture

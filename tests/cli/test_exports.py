@@ -23,14 +23,6 @@ def test_a_long_film_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
     assert shown.getvalue() == "rollout.mp4: 250,000 pictures, about 42 minutes more; every=N makes fewer\n"
 
 
-def test_a_short_film_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = iter([0.0, 3.0])
-    monkeypatch.setattr("warpvox.cli.exports.time.monotonic", lambda: next(clock))
-    shown = StringIO()
-    Estimate("rollout.gif", Console(file=shown, width=200))(100, 200)
-    assert shown.getvalue() == ""
-
-
 def test_every_reaches_every_format(warpvox: Callable, tmp_path: Path) -> None:
     assert warpvox(*"play agent=zero steps=40 num_envs=1 window=off export=[]".split()).code == 0
     (rollout,) = tmp_path.glob("outputs/play/*/*/rollout.npz")

@@ -88,11 +88,6 @@ def test_a_sweep_of_single_values_where_lists_are_expected() -> None:
     assert [load("play", words).export for words in runs] == [["gif"], ["usd"]]
 
 
-def test_texts_of_other_scripts_are_judged_by_their_content() -> None:
-    with pytest.raises(ConfigError, match="rules must be one of evogym, paper"):
-        load("train", ["rules=pàper"])
-
-
 # ------------------------------------------------------------------------------------------------ config=FILE
 
 

@@ -374,17 +374,6 @@ def test_report_again(quick: Callable) -> None:
     assert "1 done" in (folder / "report.html").read_text()
 
 
-def test_code_that_a_stored_file_names_is_not_imported(quick: Callable) -> None:
-    Path("evil.py").write_text("open('imported', 'w')\n")
-    assert quick("seeds=1", "tasks=[Walker-v0]").code == 0
-    (folder,) = Path("outputs/suite").iterdir()
-    config = folder / "config.yaml"
-    config.write_text(config.read_text().replace("[Walker-v0]", "[Walker-v0, 'evil.py:X']"))
-    outcome = quick("resume=latest")
-    assert (outcome.code, "only if you name it yourself" in outcome.err) == (2, True), outcome.err
-    assert not Path("imported").exists()
-
-
 # ----------------------------------------------------------------------------------------------------- processes
 
 

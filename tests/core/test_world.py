@@ -136,21 +136,6 @@ def test_unknown_names_and_sizes() -> None:
 # ---------------------------------------------------------------------- objects
 
 
-def test_object_properties() -> None:
-    world = walker_world()
-    robot, ground = world.objects["robot"], world.objects["ground"]
-    assert (robot.width, robot.height, robot.num_actuators) == (5, 5, 21)
-    assert robot.is_robot
-    assert not robot.is_static
-    assert ground.is_static
-    assert not ground.is_robot
-    mixed = world.add_from_array("gate", [[5, 2]], 10, 3)
-    assert not mixed.is_static
-    for array in (robot.grid, robot.connections):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0, 0] = 0
-
-
 @given(CELLS)
 def test_default_connections_are_all_neighbours_sorted(cells: np.ndarray) -> None:
     obj = wv.WorldObject.from_array("a", cells)
@@ -169,16 +154,6 @@ def test_given_connections_are_sorted_and_unique() -> None:
 
 
 # ---------------------------------------------------------------------- identity
-
-
-@given(worlds())
-def test_copies_are_equal_and_independent(world: wv.World) -> None:
-    other = world.copy()
-    assert other == world
-    assert other.key() == world.key()
-    other.add_from_array("new", [[1]], 30, 30)
-    assert other != world
-    assert "new" not in world
 
 
 def test_keys_tell_worlds_apart_but_not_orders() -> None:
@@ -200,15 +175,6 @@ def test_keys_tell_worlds_apart_but_not_orders() -> None:
     reverse.add_from_array("ground", np.full((1, 20), 5), 0, 0)
     assert reverse.key() == base.key()
     assert reverse == base
-
-
-def test_drawing() -> None:
-    world = wv.World(4, 1)
-    world.add_from_array("ground", [[5, 5, 5]], 0, 0)
-    world.add_from_array("robot", [[3, 4], [1, 2]], 1, 1)
-    assert world.pretty() == ".HV.\n.RS.\nFFF."
-    assert repr(world) == "World(4x3: ground 3x1 at (0, 0), robot 2x2 at (1, 1))"
-    assert repr(world.objects["robot"]) == "WorldObject('robot', 2 wide, 2 high, at (1, 1))"
 
 
 # ---------------------------------------------------------------------- files

@@ -185,12 +185,6 @@ def test_cut_connections_are_refused_not_lost(tmp_path: Path) -> None:
         read_file(tmp_path / "cut.json")
 
 
-def test_a_missing_file_has_a_nearest_one(tmp_path: Path) -> None:
-    save_file(BODY, tmp_path, "walker")
-    with pytest.raises(WarpvoxError, match=r"Did you mean 'walker\.json'"):
-        read_file(tmp_path / "wakler.json")
-
-
 # ------------------------------------------------------------------------------------------------------- trials
 
 

@@ -158,17 +158,6 @@ def test_a_state_of_other_bodies_is_refused() -> None:
     env.set_state(state)
 
 
-def test_rewards_and_resets_of_a_changed_environment_are_its_own() -> None:
-    """Auto-reset after the change begins with the new body."""
-    env = make_vec("Walker-v0", sampled(1), 2, grid=(5, 5), max_episode_steps=3, **OPTIONS | {"lanes": 8})
-    env.reset()
-    first = env.set_designs(sampled(1, 9), torch.tensor([False, True]))
-    for move in actions_of(env, 3):
-        obs, _, _, truncated, _ = env.step(move)
-    assert truncated.all()
-    assert torch.equal(obs[1], first[1])
-
-
 def test_auto_is_the_example_made_for_the_task() -> None:
     assert np.array_equal(make_vec("UpStepper-v0", "auto", device="cpu").designs[0], example_design("stepper"))
     assert [Training(task=task, design="auto").design for task in ("Climber-v0", "Pusher-v0")] == ["climber", "walker"]

@@ -14,7 +14,6 @@ import pytest
 import torch
 
 from warpvox.envs.about import about
-from warpvox.envs.adapters.gym import register_task
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import Memory, TaskSpec, observes, rewards, terminates
@@ -184,15 +183,6 @@ def test_a_lack_of_memory_stays_one() -> None:
 
     with pytest.raises(DeviceError, match=r"not enough memory.*num_envs=1 instead of 3"):
         make(replace(BASE, rewards=(rewards(greedy),)))
-
-
-def test_gymnasium_checks_tasks_of_ones_own() -> None:
-    import gymnasium
-
-    name = register_task(replace(BASE, id="Column-v0", rewards=(rewards(odd(REWARDS["a column"][0])),)), "wrong")
-    for make_one in (gymnasium.make, gymnasium.make_vec):
-        with pytest.raises(TaskError, match="The reward 'odd_robot'"):
-            make_one(name, body="mini")
 
 
 @pytest.mark.parametrize(
@@ -388,23 +378,6 @@ def test_what_a_term_does_to_its_values_is_its_own_affair() -> None:
         assert torch.equal(env.memory["m"], calm.memory["m"])
 
 
-def test_tasks_of_warpvox_pay_nothing_for_that() -> None:
-    assert all(not get_task(name).has_code for name in ("Walker-v0", "Traverser-v0", "Catcher-v0"))
-    env = make(get_task("Walker-v0"))
-    env.reset()
-    state = env._snapshot()
-    assert state.com("robot") is state.com("robot")
-
-
-def test_what_ended_earns_nothing_more() -> None:
-    def alive(before: Any, after: Any, name: str) -> torch.Tensor:
-        return torch.ones(len(x_of(after)), dtype=torch.float64)
-
-    env = make(replace(BASE, rewards=(rewards(alive),)), auto_reset=False, max_episode_steps=2)
-    env.reset()
-    assert [env.step(acting(env))[1].tolist()[0] for _ in range(4)] == [1.0, 1.0, 0.0, 0.0]
-
-
 # ------------------------------------------------------------------------------------------------- states
 
 
@@ -443,27 +416,3 @@ def test_a_state_of_training_that_does_not_fit_is_refused_by_name() -> None:
     with pytest.raises(SimulationError, match=r"reward_norm\.moments"):
         env.set_state(good | {"reward_norm": {"return": good["reward_norm"]["return"]}})
     env.set_state(good)
-
-
-def test_a_single_environment_keeps_its_records() -> None:
-    one, many = (make_vec("Walker-v0", ["mini"], 1, device="cpu", threads=1, auto_reset=False) for _ in range(2))
-    one.reset()
-    many.reset()
-    for _ in range(3):
-        one.step_one(acting(one))
-        many.step(acting(many))
-    ours, theirs = one.state(), many.state()
-    for name in ("length", "return", "terminated", "truncated"):
-        assert torch.equal(ours[name], theirs[name]), name
-
-
-@pytest.mark.parametrize(
-    ("value", "got"),
-    [(None, "None"), ([[0.0]], r"\[\[0.0\]\]"), (torch.zeros(2, 9), r"float32 \[2, 9\]"), (np.zeros((3, 9)), "array")],
-)
-def test_the_state_of_a_simulation_is_refused_by_name(value: object, got: str) -> None:
-    sim = make(get_task("Walker-v0")).sim
-    with pytest.raises(SimulationError, match=rf"'vel' is not that .* expected float64 \[3, \d+ or more\], got {got}"):
-        sim.set_state(sim.state() | {"vel": value})
-    with pytest.raises(SimulationError, match="'pos' is not that"):
-        sim.set_state(None)

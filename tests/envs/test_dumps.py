@@ -144,12 +144,3 @@ def test_on_cuda_it_looks_now_and_then(tmp_path: Path, monkeypatch: pytest.Monke
         assert len(list(tmp_path.iterdir())) == (step == 15)
     (path,) = tmp_path.iterdir()
     np.testing.assert_array_equal(Rollout.load(path).positions[:-1, 0], states[3:11])
-
-
-def test_nothing_is_kept_unless_asked_for(tmp_path: Path) -> None:
-    env = make(tmp_path, [SOUND])
-    env.dump = None
-    env.reset()
-    throw(env, 0)
-    env.step(torch.ones((4, env.num_actions)))
-    assert not list(tmp_path.iterdir())

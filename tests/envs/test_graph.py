@@ -15,7 +15,6 @@ import pytest
 import torch
 import warp as wp
 from simulated_cuda import Tape
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from warpvox.envs.graph import StepGraph
 from warpvox.envs.registry import get_task, task_ids
@@ -25,61 +24,11 @@ from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
 from warpvox.view.rollout import record
 
-# Operations that read a value on the host, give a result whose size does, or bring data from the host.
-WAITING = (
-    "_local_scalar_dense",
-    "nonzero",
-    "masked_select",
-    "unique",
-    "lift_fresh",
-    "scalar_tensor",
-    "repeat_interleave",
-)
-
-
-class Watch(TorchDispatchMode):
-    """Collects operations that would wait for a GPU."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.waiting: set[str] = set()
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
-        name = str(func)
-        by_mask = name.startswith(("aten.index.", "aten.index_put")) and any(
-            isinstance(index, torch.Tensor) and index.dtype == torch.bool for index in args[1]
-        )
-        if by_mask or any(word in name for word in WAITING):
-            self.waiting.add(f"{name} by a mask" if by_mask else name)
-        return func(*args, **(kwargs or {}))
-
 
 def make(task: Any, **options: Any) -> VoxelVecEnv:
     env = make_vec(task, num_envs=3, device="cpu", threads=1, max_episode_steps=5, **options)
     env._on_cpu = False  # as on CUDA
     return env
-
-
-@pytest.mark.parametrize("rules", ["evogym", "paper"])
-@pytest.mark.parametrize("task", task_ids())
-def test_no_step_waits_for_the_device(task: str, rules: str) -> None:
-    for auto_reset in (True, False):
-        env = make(task, rules=rules, auto_reset=auto_reset)
-        env.reset()
-        env.step(torch.ones((3, env.num_actions)))  # tables are made on first use
-        env.sim.take(torch.ones((3, env.num_actions)))  # looks at actions that are on the CPU already
-        with Watch() as watch:
-            env._whole_step()
-        assert not watch.waiting
-
-
-def test_what_waits_is_noticed() -> None:
-    values = torch.arange(3.0)
-    with Watch() as watch:
-        values[values > 1]
-        values.sum().item()
-        values.new_tensor([1.0])
-    assert len(watch.waiting) == 3
 
 
 def taping(env: VoxelVecEnv, monkeypatch: pytest.MonkeyPatch) -> Callable:
@@ -285,11 +234,6 @@ def test_a_time_limit_is_a_number_of_steps(limit: Any) -> None:
         env.max_episode_steps = limit
     with pytest.raises(ConfigError, match=r"episode_length must be integers \[3\]"):
         env.episode_length = torch.zeros(2, dtype=torch.long)
-
-
-def test_there_is_no_graph_on_the_cpu() -> None:
-    env = make_vec("Walker-v0", device="cpu", cuda_graph=True)
-    assert env._graph is None
 
 
 @pytest.mark.gpu

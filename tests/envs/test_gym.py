@@ -16,7 +16,7 @@ from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 
 from warpvox.design import example_design
-from warpvox.envs.adapters.gym import VoxelEnv, register, register_task
+from warpvox.envs.adapters.gym import VoxelEnv, register_task
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import ActionError, ConfigError, DesignError, DisplayError, WorldError
 
@@ -152,12 +152,6 @@ def test_a_task_of_ones_own_can_be_registered() -> None:
     assert gymnasium.make_vec(name, num_envs=2, body="walker").vec.max_episode_steps == 7
     with pytest.raises(ConfigError, match="a word other than 'warpvox'"):
         register_task("Walker-v0", "warpvox")
-
-
-def test_registering_twice_does_no_harm(recwarn: pytest.WarningsRecorder) -> None:
-    register()
-    assert not recwarn.list
-    assert {f"warpvox/{task}" for task in task_ids()} <= set(gymnasium.registry)
 
 
 def test_mistakes_are_named() -> None:

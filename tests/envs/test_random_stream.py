@@ -209,11 +209,6 @@ def test_with_a_seed_for_each_design_they_draw_as_if_alone(task: str) -> None:
     assert torch.equal(drawn(together)[:3], drawn(make(task, 3, ["walker"], seed=9)))
 
 
-def test_seeds_must_be_as_many_as_designs() -> None:
-    with pytest.raises(ConfigError, match="each of the 2 designs or 6 environments; got 3"):
-        make("Catcher-v0", 6, ["walker", "worm"], seed=[1, 2, 3])
-
-
 @pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0"])
 @pytest.mark.parametrize("keep", [[0, 1, 2], [2, 0], [1]])
 def test_designs_go_on_in_environments_of_their_own(task: str, keep: list[int]) -> None:

@@ -424,17 +424,3 @@ def test_bodies_of_any_width_arrive_at_a_wall_that_closes_the_terrain(task: str,
     assert arrived(task, "paper", shape, gap=2) == (False, pytest.approx(0.0))
     assert arrived(task, "paper", shape, gap=0) == (True, pytest.approx(WALLS[task][2]))
     assert not arrived(task, "evogym", shape, gap=0)[0]  # as released: the centre of mass would have to be in the wall
-
-
-def test_a_walker_arrives_at_the_end_of_the_cave() -> None:
-    spec = replace(get_task("CaveCrawler-v0"), robot_cell=(61, 1))
-    env = make_vec(spec, ["mini"], device="cpu", dtype="float64", threads=1, rules="paper", auto_reset=False, lanes=1)
-    env.reset()
-    for step in range(200):
-        push = 1.1 + 0.5 * np.sin(0.3 * step - np.arange(env.num_actions))[None]
-        _, reward, terminated, _, info = env.step(push)
-        if terminated:
-            break
-    assert bool(terminated)
-    assert not info["unstable"].any()
-    assert float(reward) > 0.9

@@ -101,13 +101,6 @@ def test_an_episode_after_a_reset_repeats_the_first(task: str) -> None:
         assert torch.equal(one[1], two[1])
 
 
-def test_it_can_be_stepped_without_a_reset() -> None:
-    a, b = make("Walker-v0"), make("Walker-v0")
-    b.reset()
-    for action in some_actions(a, 3):
-        assert torch.equal(a.step(action)[0], b.step(action)[0])
-
-
 def test_actions_may_be_numpy_and_are_clipped() -> None:
     a, b = make("Walker-v0", None, 2), make("Walker-v0", None, 2)
     a.reset(), b.reset()
@@ -128,22 +121,6 @@ def test_bodies_may_be_given_in_any_form() -> None:
     body = example_design("walker")
     for designs in (None, "walker", ["walker"], body, [body.tolist()], body[None]):
         assert np.array_equal(make("Walker-v0", designs).designs[0], body)
-
-
-def test_connections_change_the_robot() -> None:
-    body = np.array([[3, 3], [4, 4]])
-    cut = np.array([[0, 0, 1], [1, 2, 3]])
-    whole, open_ring = make("Walker-v0", [body]), make("Walker-v0", [body], connections=[cut])
-    assert whole.sim.num_points("robot") == 9
-    assert open_ring.sim.num_points("robot") == 10
-
-
-def test_one_body_may_be_given_as_gymnasium_names_it() -> None:
-    body, cut = np.array([[3, 3], [4, 4]]), np.array([[0, 0, 1], [1, 2, 3]])
-    env = make("Walker-v0", num_envs=2, body=body)
-    assert (env.num_envs, env.num_designs) == (2, 1)
-    assert np.array_equal(env.designs[0], body)
-    assert make("Walker-v0", body=body, connections=cut).sim.num_points("robot") == 10
 
 
 @pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0", "BidirectionalWalker-v0"])

@@ -11,7 +11,6 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.terms.observations import shape
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
-from warpvox.errors import ConfigError
 from warpvox.simulation import Simulation
 
 EXACT = 1e-12
@@ -127,14 +126,6 @@ def test_a_value_for_every_cell_becomes_actions() -> None:
         own = values[number].reshape(5, 5)[torch.as_tensor(grid >= 3)]
         assert actions[number, : len(own)].tolist() == own.tolist()
         assert not actions[number, len(own) :].any()
-
-
-def test_float32_and_the_default() -> None:
-    env = make("Walker-v0", ["walker"], 1, dtype="float32")
-    assert env.reset()[0].dtype == torch.float32
-    assert make("Walker-v0", ["walker"], 1, obs="task").voxels == {}
-    with pytest.raises(ConfigError, match=r"task, timed, voxel, timed_voxel, got 'voxels'. Did you mean 'voxel'"):
-        make("Walker-v0", ["walker"], 1, obs="voxels")
 
 
 def test_bodies_that_stay_are_not_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:

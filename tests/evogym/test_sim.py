@@ -11,7 +11,6 @@ from warpvox.errors import SimulationError
 from warpvox.evogym import EvoSim, EvoWorld
 from warpvox.evogym.engine import Engine
 from warpvox.evogym.simulator_cpp import Sim
-from warpvox.simulation import Simulation
 from warpvox.world import World
 
 BODY = np.array([[3, 1, 3], [4, 2, 4], [4, 0, 4]])
@@ -67,23 +66,6 @@ def test_what_the_simulation_has_derived_is_never_stale() -> None:
     assert agree()
     engine.revert(1)
     assert agree()
-
-
-def test_it_is_the_simulation_of_warpvox() -> None:
-    world, actions = make_world(), waves(40, 6)
-    sim = EvoSim(world)
-    core = World()
-    for obj in world.objects.values():
-        core.add_object(obj.to_core())
-    batch = Simulation([core], device="cpu", dtype="float64", lanes=1, threads=1)
-    for row in actions:
-        sim.set_action("robot", row)
-        assert sim.step() is False
-        batch.step(row[None])
-    for name in ("robot", "box"):
-        assert np.array_equal(Sim.object_pos_at_time(sim, 40, name).T, batch.object_positions(name)[0].numpy())
-        turned = sim.object_orientation_at_time(40, name) - float(batch.orientation(name)[0])
-        assert abs((turned + np.pi) % (2 * np.pi) - np.pi) < 1e-12
 
 
 def test_robots_have_actions_of_their_own() -> None:

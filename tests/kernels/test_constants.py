@@ -164,9 +164,3 @@ def displaced(sim: Simulation, lane: int) -> np.ndarray:
 def test_a_constant_out_of_its_range_is_refused(name: str, value: object) -> None:
     with pytest.raises(ConfigError, match=rf"physics\.{name} must be .* got"):
         Physics.preset("evogym", **{name: value})
-
-
-def test_a_label_names_the_constants_that_differ_from_the_preset() -> None:
-    assert Physics.preset("paper").label == "paper"
-    assert Physics.preset("paper", gravity=80.0, substeps=10).label == "paper, substeps=10, gravity=80.0"
-    assert dataclasses.replace(DEFAULT, name="mine", dt=5e-5).label == "mine, dt=5e-05"

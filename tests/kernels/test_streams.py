@@ -220,11 +220,3 @@ def test_arrays_are_of_torch_where_there_are_streams(streams: Streams, monkeypat
         assert array.capacity == view.numel() * view.element_size()
     values = torch.arange(6.0).view(1, 3, 2).double()
     assert torch.equal(wp.to_torch(device.from_numpy(values.numpy(), wp.vec2d, "cpu")), values)
-
-
-def test_on_the_cpu_a_recorded_launch_is_warps_own() -> None:
-    """Nothing stands between: a single environment's step takes 20 us."""
-    env = make_vec("Walker-v0", num_envs=1, device="cpu", threads=1, lanes=1)
-    env.reset()
-    env.step(torch.ones((1, env.num_actions)))
-    assert all(type(launch) is wp.Launch for launch in env.sim._launches)

@@ -117,14 +117,6 @@ def test_page_needs_no_network_and_is_safe(rollouts: Callable[..., Rollout], tmp
     assert json.loads(element(page, "meta"))["about"]["agent"] == "</script>{{data}}"
 
 
-def test_wrong_environments(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
-    with pytest.raises(RolloutError, match="No environment 7"):
-        write_html(rollouts(3, 1), tmp_path / "page.html", envs=[7])
-    with pytest.raises(RolloutError):
-        write_html(rollouts(3, 1), tmp_path / "page.html", envs=[])
-    assert not list(tmp_path.iterdir())
-
-
 # ------------------------------------------------------------------------------------------- in a real browser
 
 PLAYING = "Boolean(globalThis.player) && document.readyState === 'complete'"
@@ -248,13 +240,6 @@ def test_a_click_among_many_shows_that_robot(show: Callable, wait_for: Callable)
     stage = page.locator("#stage").bounding_box()
     page.mouse.click(stage["x"] + box[0], stage["y"] + box[1])
     assert page.evaluate("[player.chosen, player.many]") == [2, False]
-
-
-def test_a_single_robot_offers_no_choice_of_layout(
-    show: Callable, rollouts: Callable[..., Rollout], tmp_path: Path
-) -> None:
-    page = show("paused", write_html(rollouts(3, 1), tmp_path / "page.html"))
-    assert page.is_hidden("#layout")
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

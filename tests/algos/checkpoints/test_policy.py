@@ -14,7 +14,7 @@ import torch
 from warpvox.algos.checkpoints import export
 from warpvox.algos.checkpoints.export import read_exported, write_onnx, write_script
 from warpvox.algos.checkpoints.files import Controller, PolicySpec, build_actor
-from warpvox.algos.checkpoints.policy import Policy, parse_policy, policy_of, policy_text
+from warpvox.algos.checkpoints.policy import parse_policy, policy_of, policy_text
 from warpvox.errors import RunError
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.* is deprecated:DeprecationWarning")
@@ -164,7 +164,3 @@ def test_other_files_are_not_taken_for_a_policy(tmp_path: Path) -> None:
     (tmp_path / "policy.onnx").write_bytes(b"")
     with pytest.raises(RunError, match="not written by warpvox"):
         read_exported(tmp_path / "policy.onnx")
-
-
-def test_a_fresh_policy_needs_no_checkpoint() -> None:
-    assert Policy(PolicySpec(5, 3, [4], "tanh", True, 0.5))(some_obs()).shape == (7, 3)

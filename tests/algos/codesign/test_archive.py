@@ -76,16 +76,6 @@ def test_what_is_written_is_what_is_read(filled: Archive, path: Path) -> None:
         assert [(row["best"], row["mean"]) for row in archive.generations()] == [(2.0, 1.0), (2.0, 0.5)]
 
 
-def test_the_best_are_different_bodies_and_ties_go_to_the_first(path: Path) -> None:
-    one, two = bodies(2)
-    with Archive.create(path, {}) as archive:
-        archive.propose([Candidate(k, body) for k, body in enumerate([one, two, one, two])], 0)
-        assert archive.best() == []
-        archive.finish([Finished(k, Outcome(value)) for k, value in enumerate([1.0, 3.0, 2.0, 3.0])])
-        assert [record.id for record in archive.best(9)] == [1, 2]
-        assert [record.id for record in archive.best(1)] == [1]
-
-
 @given(data=st.data())
 def test_the_best_and_the_lineage_by_brute_force(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     pool = bodies(4)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from population_cases import LIMIT, candidates, factory, small
+from population_cases import candidates, factory, small
 
 from warpvox.algos.candidate import PROGRESS, Candidate, Outcome
 from warpvox.algos.checkpoints.files import Controller, PolicySpec, build_actor
@@ -98,19 +97,6 @@ def test_progress_is_reported() -> None:
     assert all(math.isnan(value) for value in seen[0]["best"])
     assert seen[-1]["steps"] == 2 * 6 * 16
     assert [event["training"] for event in seen] == [[True, True]] * 5 + [[False, False]]
-
-
-def test_no_candidates_no_outcomes() -> None:
-    assert outcomes([]) == []
-
-
-def test_the_example_of_the_documentation_runs(repository: Path, capsys: pytest.CaptureFixture) -> None:
-    (example,) = re.findall(
-        r"```python\n(.*?)```", (repository / "docs" / "evaluation.md").read_text("utf-8"), re.DOTALL
-    )
-    names: dict[str, Any] = {}
-    exec(compile(example, "docs/evaluation.md", "exec"), names)
-    assert [len(outcome.curve) for outcome in names["outcomes"]] == [2, 2, 2]
 
 
 @pytest.mark.parametrize(("name", "words"), [("papr", "Did you mean 'paper'"), ("slow", "one of")])
@@ -275,25 +261,6 @@ def test_one_by_one_a_killed_training_goes_on_within_a_design(
     assert count == list(range(saved + 1, 7))  # and nothing is done twice but what was not saved
 
 
-def test_designs_that_were_done_are_not_trained_again_one_by_one(tmp_path: Path) -> None:
-    file, found, how = tmp_path / "state.pt", candidates(3), small(iterations=2)
-    whole = SequentialEvaluator(factory(), how, 0).evaluate(found, {})
-    seen: list[int] = []
-
-    def report(event: dict[str, Any]) -> None:
-        seen.append(sum(not training for training in event["training"]))
-        if len(seen) == 2:
-            raise Killed
-
-    with pytest.raises(Killed):
-        SequentialEvaluator(factory(), how, 0).evaluate(found, {}, report, file)
-    for ours, theirs in zip(
-        SequentialEvaluator(factory(), how, 0).evaluate(found, {}, report, file), whole, strict=True
-    ):
-        assert_equal(ours, theirs)
-    assert seen == [1, 2, 3]
-
-
 # ---------------------------------------------------------------------------------------------------- halving
 
 
@@ -322,11 +289,6 @@ def test_a_rung_between_evaluations_brings_one_of_its_own() -> None:
     results = outcomes(candidates(2), rungs=[0.5])  # after iteration 3 of 6, evaluations every 2
     assert [len(outcome.curve) for outcome in results if outcome.stopped] == [2]
     assert [at // 16 for outcome in results if not outcome.stopped for at, _ in outcome.curve] == [2, 3, 4, 6]
-
-
-def test_one_after_another_there_is_no_race() -> None:
-    with pytest.raises(ConfigError, match="method=population"):
-        SequentialEvaluator(factory(), small(rungs=[0.5]))
 
 
 @DOUBLE
@@ -395,8 +357,3 @@ def test_a_learning_rate_that_is_much_too_high_ends_no_evaluation(evaluator: typ
     how.ppo.learning_rate, how.ppo.schedule = 1e30, "fixed"
     results = evaluator(factory(), how, 0).evaluate(candidates(2), {})
     assert [(outcome.diverged, outcome.stopped, outcome.steps) for outcome in results] == [(True, True, 16)] * 2
-
-
-def test_episodes_are_as_long_as_the_arena_says() -> None:
-    env = factory().make([candidates(1)[0].body], 2, [0], auto_reset=False)
-    assert env.max_episode_steps == LIMIT

@@ -12,19 +12,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 
 from warpvox.algos.candidate import Search
-from warpvox.algos.search import ALGORITHMS, make_search, settings_from
-from warpvox.algos.search.bodies import neighbours
+from warpvox.algos.search import make_search, settings_from
 from warpvox.cli.config import load
-from warpvox.design import check_design, sample_design
 from warpvox.types import Cell
 
 SURE = 0.01
-SIZE = {"population": 12, "max_evaluations": 72}
-QUICK_FIT = {"optimizer_restarts": 1, "optimizer_iterations": 30, "candidates": 150}
-SHAPES = st.tuples(st.integers(3, 7), st.integers(3, 8))
 FLIPS = 200_000
 PASSIVE, ACTUATORS = (Cell.RIGID, Cell.SOFT), (Cell.H_ACT, Cell.V_ACT)
 SAME_KIND = 0.4
@@ -91,45 +85,10 @@ def chance(differences: np.ndarray) -> float:
     return float((1 + np.count_nonzero(reached)) / (1 + FLIPS))
 
 
-@given(st.integers(0, 10**6), SHAPES)
-def test_the_optimum_is_a_design_of_fitness_1_and_alone_in_that(seed: int, shape: tuple[int, int]) -> None:
-    fitness = SyntheticFitness(seed, shape)
-    assert np.array_equal(check_design(fitness.optimum), fitness.optimum)
-    assert fitness.optimum.shape == shape
-    assert fitness(fitness.optimum) == 1.0
-    others = [*neighbours(fitness.optimum[None])[0], *(sample_design((3, 3), seed + k) for k in range(3))]
-    for body in others:
-        if body.shape == shape and not np.array_equal(body, fitness.optimum):
-            assert 0 <= fitness(body) < 1
-
-
 @cache
 def final(algorithm: str, seeds: int, evaluations: int) -> np.ndarray:
     settings = settings_from(load("codesign", [f"search={algorithm}", f"search.max_evaluations={evaluations}"]).search)
     return np.array([best_of(make_search(settings, seed=seed), SyntheticFitness(seed))[-1] for seed in range(seeds)])
-
-
-@pytest.mark.slow
-def test_evolution_beats_random_search() -> None:
-    """A small edition of the study below: eight pairs can be as sure as 1/256."""
-    for algorithm in ("ga", "cppn_neat"):
-        assert chance(final(algorithm, 8, 250) - final("random", 8, 250)) < SURE
-
-
-@pytest.mark.slow
-def test_posterior_samples_are_better_than_the_genetic_algorithm_soon() -> None:
-    """Likewise: three optima, small bodies, few evaluations."""
-    found = [
-        best_of(make_search(settings, (4, 4), seed), SyntheticFitness(seed, (4, 4)))[-1]
-        for seed in range(3)
-        for settings in (
-            ALGORITHMS["bo"](
-                **SIZE, acquisition="pathwise", optimizer_restarts=1, optimizer_iterations=30, candidates=150
-            ),
-            ALGORITHMS["ga"](**SIZE),
-        )
-    ]
-    assert np.mean(found[::2]) > np.mean(found[1::2])
 
 
 @pytest.mark.slow

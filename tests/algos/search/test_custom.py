@@ -26,14 +26,6 @@ def mine(examples: list[str], tmp_path: Path) -> Path:
     return path
 
 
-def test_the_examples_of_the_documentation_run(examples: list[str]) -> None:
-    assert len(examples) == 3
-    names: dict[str, object] = {"__name__": "example"}
-    for example in examples:
-        exec(compile(example, "docs/search.md", "exec"), names)
-    assert len(names["search"].bodies) == 60  # type: ignore[attr-defined]
-
-
 def test_the_documentation_names_every_search(repository: Path) -> None:
     text = (repository / "docs" / "search.md").read_text(encoding="utf-8")
     for file in (repository / "configs" / "search").glob("*.yaml"):

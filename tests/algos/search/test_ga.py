@@ -28,13 +28,6 @@ def test_survivors_of_every_generation(population: int, last: int) -> None:
         assert survivors_of(settings, generation, last) == paper_survivors(population, generation, last)
 
 
-def test_survivors_at_250_evaluations() -> None:
-    settings = GA()
-    last = last_generation(settings)
-    assert last == 13
-    assert [survivors_of(settings, n, last) for n in range(1, last + 1)] == [14, 13, 12, 11, 10, 9, 7, 6, 5, 4, 3, 2, 2]
-
-
 @pytest.mark.parametrize("evaluations", [10, 25, 26, 250, 500, 750, 100_000])
 def test_the_last_generation_is_the_first_that_uses_up_the_evaluations(evaluations: int) -> None:
     settings = GA(max_evaluations=evaluations)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +21,7 @@ from warpvox.algos.search import (
     settings_from,
 )
 from warpvox.cli.config import load
-from warpvox.cli.help import options_of
 from warpvox.errors import ConfigError
-
-
-def test_every_choice_makes_a_search() -> None:
-    assert set(ALGORITHMS) < set(options_of("search"))
-    for name in options_of("search"):
-        own = ["search.make=warpvox.algos.search.random_search:RandomSearch"] if name == "custom" else []
-        settings = load("codesign", [f"search={name}", *own]).search
-        if settings.algorithm != "map_elites" or find_spec("ribs") is not None:
-            make_search(settings, (5, 7), seed=1)
 
 
 @pytest.mark.parametrize(

@@ -49,22 +49,6 @@ def test_the_rate_is_fixed_or_ends_one_step_above_zero(schedule: str, expected: 
     assert {(group["lr"], group["eps"]) for group in runner.alg.optimizer.param_groups} == {(rates[-1], 1e-5)}
 
 
-def test_learning_changes_the_policy_and_prints_nothing(capfd: pytest.CaptureFixture) -> None:
-    runner = make_runner(2)
-    before = {name: value.clone() for name, value in weights(runner).items()}
-    runner.run()
-    assert any(not torch.equal(value, weights(runner)[name]) for name, value in before.items())
-    assert capfd.readouterr().out == ""
-    assert runner.steps == 2 * STEPS * ENVS
-
-
-def test_an_evaluation_that_is_good_enough_ends_the_run() -> None:
-    runner = make_runner(50, evaluate=1)
-    runner.schedule = Schedule(50, evaluate=1, stop_return=-100.0)
-    runner.run()
-    assert runner.current_learning_iteration == 1
-
-
 def test_divergence_is_one_clear_error() -> None:
     runner = make_runner(3)
     for parameter in runner.alg.get_policy().mlp.parameters():
@@ -137,16 +121,6 @@ def test_rows_beyond_the_checkpoint_are_written_again(tmp_path: Path) -> None:
     second.resume(tmp_path / "model_2.pt")
     second.run()
     assert [row["iteration"] for row in read_metrics(tmp_path)] == [1, 2, 3, 4]
-
-
-def test_with_nothing_left_to_do_nothing_is_done(tmp_path: Path) -> None:
-    first = make_runner(1, folder=tmp_path)
-    first.run()
-    second = make_runner(1, folder=tmp_path)
-    second.resume(tmp_path / STATE)
-    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
-    second.run()
-    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
 def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
