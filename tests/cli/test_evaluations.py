@@ -50,10 +50,12 @@ def tiny(*words: str) -> list[str]:
 
 
 def search(warpvox: Callable, *words: str) -> Path:
+    before = set(Path("outputs").glob("codesign/*/*"))
     outcome = warpvox("codesign", *tiny(*words))
     assert outcome.code == 0, outcome.err
     assert "generation 0: 3 designs to evaluate" in outcome.out
-    return max(Path("outputs/codesign/Walker-v0").iterdir())
+    (folder,) = set(Path("outputs").glob("codesign/*/*")) - before
+    return folder
 
 
 def settings(*words: str) -> Codesign:
