@@ -9,6 +9,7 @@ and, unless ``own_capacities``, the sizes and approximations of CUDA's group ker
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -18,7 +19,6 @@ from unittest import mock
 
 import torch
 import warp as wp
-from launches import caller
 from torch.multiprocessing.reductions import StorageWeakRef
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -83,7 +83,7 @@ class Tape(TorchDispatchMode):
             do()
 
 
-class _Stream:
+class Stream:
     """Stands for torch's class."""
 
     def __init__(self, device: Any = None, number: int = 99) -> None:
@@ -148,7 +148,7 @@ class SimulatedCuda(TorchFunctionMode):
         self.launches: Counter[str] = Counter()
         self.operations: Counter[str] = Counter()
         self.captured: list[_Graph] = []
-        self.stream, self._capturing = _Stream(number=0), None
+        self.stream, self._capturing = Stream(number=0), None
         self._memory: dict[int, StorageWeakRef] = {}
         self._own_capacities = own_capacities
         self._real = SimpleNamespace(launch=wp.launch, from_torch=wp.from_torch, to_torch=wp.to_torch)
@@ -171,7 +171,7 @@ class SimulatedCuda(TorchFunctionMode):
             "is_available": lambda: True,
             "device_count": lambda: 1,
             "current_stream": lambda device=None: self.stream,
-            "Stream": _Stream,
+            "Stream": Stream,
             "stream": self._on_stream,
             "synchronize": lambda device=None: self.wait("synchronize"),
             "mem_get_info": lambda device=None: (70 << 30, 80 << 30),
@@ -222,7 +222,7 @@ class SimulatedCuda(TorchFunctionMode):
         """The host waits for the device here."""
         if self._capturing is not None:
             raise RuntimeError(f"operation not permitted when stream is capturing: {what}")
-        self.waits[(what, *caller())] += 1
+        self.waits[(what, *_caller())] += 1
 
     @contextmanager
     def watched(self) -> Iterator[Counter[tuple[str, str, str]]]:
@@ -326,7 +326,7 @@ class SimulatedCuda(TorchFunctionMode):
     # ------------------------------------------------------------------------------------- streams and Warp
 
     @contextmanager
-    def _on_stream(self, stream: _Stream) -> Iterator[None]:
+    def _on_stream(self, stream: Stream) -> Iterator[None]:
         before, self.stream = self.stream, stream
         try:
             yield
@@ -334,7 +334,7 @@ class SimulatedCuda(TorchFunctionMode):
             self.stream = before
 
     @contextmanager
-    def _graph(self, graph: _Graph, stream: _Stream, capture_error_mode: str) -> Iterator[None]:
+    def _graph(self, graph: _Graph, stream: Stream, capture_error_mode: str) -> Iterator[None]:
         self.captured.append(graph)
         with self._on_stream(stream), graph.tape:
             self._capturing = graph.tape
@@ -382,3 +382,14 @@ class SimulatedCuda(TorchFunctionMode):
             launch()
         if self._capturing is not None:
             self._capturing.done.append(launch)
+
+
+def _caller() -> tuple[str, str]:
+    """Module and name of the innermost function of warpvox or rsl-rl, besides this file."""
+    frame = sys._getframe(2)
+    while frame is not None:
+        module = str(frame.f_globals.get("__name__", ""))
+        if module.split(".")[0] in ("warpvox", "rsl_rl") and module != __name__:
+            return module, frame.f_code.co_name
+        frame = frame.f_back
+    return "", ""
