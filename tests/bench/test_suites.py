@@ -17,7 +17,6 @@ from warpvox.bench import check, gradients, kernels, machine, reference, scaling
 from warpvox.bench.cases import full_body, sampled_or_full
 from warpvox.bench.ptxas import find_program
 from warpvox.bench.runner import Runner
-from warpvox.configs.bench_keys import ScalingConfig
 from warpvox.configs.schema import BenchConfig
 from warpvox.design import check_design
 from warpvox.errors import ConfigError, SimulationError, WarpvoxError
@@ -170,18 +169,6 @@ def test_scaling_in_three_ways(bench: Callable, fake_reference: Callable) -> Non
     pytest.importorskip("matplotlib", reason="plots need the extra view")
     (plot,) = Path("outputs").rglob("figure2.png")
     assert plot.stat().st_size > 1000
-
-
-def test_a_quick_figure_2_has_fewer_sizes_robots_and_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And without any of that, the paper's protocol: n from 5 to 35, ten robots of each, ten seconds."""
-    seen: list[tuple[int, int, float]] = []
-    monkeypatch.setattr(scaling, "_one_size", lambda _, how, side, __: seen.append((side, how.bodies, how.seconds)))
-    monkeypatch.setattr(scaling, "_show_bodies", lambda *_: None)
-    for quick in (False, True):
-        config = SimpleNamespace(scaling=ScalingConfig(quick=quick))
-        scaling.scale_bodies(config, SimpleNamespace(status=lambda _: nullcontext()), None)
-    assert seen[:31] == [(side, 10, 10.0) for side in range(5, 36)]
-    assert seen[31:] == [(side, 3, 2.0) for side in range(5, 36, 5)]
 
 
 @pytest.mark.parametrize(

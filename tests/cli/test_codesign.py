@@ -6,13 +6,7 @@ import csv
 import io
 import json
 import math
-import os
-import random
 import re
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -152,38 +146,6 @@ def test_the_same_seed_gives_the_same_search_and_a_sweep_makes_several(search: C
     assert found.count(one) == 2
 
 
-@pytest.mark.parametrize(
-    ("number", "code"), [pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow), (signal.SIGTERM, 143)]
-)
-def test_an_interrupt_saves_and_the_search_goes_on_to_the_same(
-    search: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch, number: int, code: int
-) -> None:
-    whole = search()
-    shown = SearchProgress.progress
-
-    def interrupt(self: SearchProgress, batch: object, event: dict) -> None:
-        shown(self, batch, event)
-        if self.archive.count() > 5 and event["iteration"] == 1:
-            signal.raise_signal(number)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(SearchProgress, "progress", interrupt)
-        parts = search(code=code)
-    assert summary(parts)["status"] == "interrupted"
-    assert digest(parts) != digest(whole)
-    saved = list((parts / "training").iterdir())
-    assert len(saved) == 1
-    outcome = warpvox("codesign", "resume=latest", "top=1")
-    assert outcome.code == 0, outcome.err
-    assert digest(parts) == digest(whole)
-    assert summary(parts)["status"] == "done"
-    assert len(list((parts / "generations").iterdir())) == len(list((whole / "generations").iterdir()))
-    # done is done
-    outcome = warpvox("codesign", f"resume={parts}")
-    assert (outcome.code, "nothing is left to do" in outcome.out) == (0, True)
-    assert digest(parts) == digest(whole)
-
-
 def test_resuming_refuses_what_would_be_another_search(search: Callable, warpvox: Callable) -> None:
     folder = search("search.max_evaluations=5")
     before = digest(folder)
@@ -302,37 +264,6 @@ def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None
 
 
 # ------------------------------------------------------------------------------------------------------- slow
-
-
-def command(folder: Path, *words: str) -> subprocess.Popen:
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    line = [sys.executable, "-m", "warpvox", "codesign", *words]
-    return subprocess.Popen(line, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("whole_episodes")  # as in other processes
-def test_killed_three_times_the_real_search_is_the_undisturbed_one(tmp_path: Path, search: Callable) -> None:
-    words = [word for word in TINY if not word.startswith("training.iterations")]
-    words += ["training.iterations=40", "training.save_interval=5"]
-    whole = search("training.iterations=40", "training.save_interval=5")
-    place = tmp_path / "killed"
-    place.mkdir()
-    rng = random.Random(0)
-    for attempt in range(3):
-        process = command(place, *(words if attempt == 0 else ["resume=latest"]))
-        archives = []
-        while not archives and process.poll() is None:
-            archives = list(place.glob("outputs/codesign/*/*/training/*.pt"))
-            time.sleep(0.05)
-        time.sleep(rng.uniform(0.0, 3.0))
-        process.kill()
-        process.communicate()
-    (folder,) = place.glob("outputs/codesign/*/*")
-    process = command(place, "resume=latest")
-    out = process.communicate()[0]
-    assert process.returncode == 0, out
-    assert digest(folder) == digest(whole)
 
 
 @pytest.mark.slow  # tests/algos/codesign/test_ray_executor.py compares in the default run

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -76,36 +75,6 @@ def test_resuming_refuses_what_would_be_another_run(train: Callable, warpvox: Ca
         assert outcome.code == 2
         assert phrase in outcome.err
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
-
-
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
-)
-def test_an_interrupt_saves_and_the_run_goes_on(
-    train: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch, number: int, code: int
-) -> None:
-    from warpvox.algos.training.progress import Terminal
-
-    whole = train("max_iterations=4")
-    shown = Terminal.__call__
-
-    def interrupt(self: Terminal, row: Mapping[str, float]) -> None:
-        shown(self, row)
-        if row["iteration"] == 2:
-            signal.raise_signal(number)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Terminal, "__call__", interrupt)
-        outcome = warpvox("train", f"config={whole}")
-    assert outcome.code == code
-    assert "interrupted, state saved" in outcome.out
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    (parts,) = set(Path("outputs/train/Walker-v0").iterdir()) - {whole}
-    assert summary(parts)["status"] == "interrupted"
-    assert warpvox("train", f"resume={parts}").code == 0
-    assert rows(parts) == rows(whole)
-    assert summary(parts)["status"] == "done"
 
 
 def test_several_designs_train_together_and_play(train: Callable, warpvox: Callable) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 import yaml
-from hydra.core.config_store import ConfigStore
 from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.algos import physics
@@ -21,7 +20,6 @@ from warpvox.cli.help import flat_keys, flat_values, options_of
 from warpvox.configs import schema
 from warpvox.design import load_design
 from warpvox.errors import ConfigError
-from warpvox.keys import key
 from warpvox.types import Physics
 
 TABLE_6 = {
@@ -241,84 +239,3 @@ def test_a_request_to_end_while_hydra_composes(
     monkeypatch.setattr("warpvox.cli.config.composed", compose)
     assert main(["train", "task=Walker-v0"]) == 128 + signal.SIGTERM
     assert capsys.readouterr().err == "warpvox: asked to end (SIGTERM)\n"
-
-
-# ------------------------------------------------------------------------------- a group of different dataclasses
-
-
-@dataclasses.dataclass
-class Beam:
-    """The base of the choices, and the type of the command's field."""
-
-    name: str = key("???", "which")
-    width: int = key(4, "width", low=1)
-
-
-@dataclasses.dataclass
-class Wide(Beam):
-    name: str = key("wide", "which")
-
-
-@dataclasses.dataclass
-class Deep(Beam):
-    name: str = key("deep", "which")
-    rounds: int = key(3, "rounds", low=1)
-
-
-@dataclasses.dataclass
-class ZooWithBeam(schema.ZooConfig):
-    beam: Beam = key("???", "a group")  # noqa: RUF009  (a field with a meaning)
-    config: str | None = key(None, "a file")
-
-
-@pytest.fixture
-def beam(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """A command ``beamed`` with such a group; returns the user's folder of choices in files."""
-    nodes = {"wide": Wide, "deep": Deep}
-    monkeypatch.setitem(schema.COMMANDS, "beamed", ZooWithBeam)
-    monkeypatch.setitem(schema.NODES, "beam", nodes)
-    for module in ("warpvox.configs.schema", "warpvox.cli.help"):
-        monkeypatch.setattr(f"{module}.GROUPS", (*schema.GROUPS, "beam"))
-    load("zoo", [])  # has registered what there is
-    store = ConfigStore.instance()
-    monkeypatch.setattr(store, "repo", dict(store.repo))
-    for name, node in nodes.items():
-        store.store(group="beam", name=name, node=node)
-    store.store(name="beamed_schema", node=ZooWithBeam)
-    store.store(name="beamed", node={"defaults": ["beamed_schema", {"beam": "wide"}, "_self_"]})
-    (tmp_path / "beam").mkdir()
-    (tmp_path / "beam" / "mine.yaml").write_text("defaults: [deep, _self_]\nrounds: 9\n")
-    return tmp_path
-
-
-def test_the_choices_of_a_group_may_be_of_different_dataclasses(beam: Path) -> None:
-    assert load("beamed", []).beam == Wide()
-    assert load("beamed", ["beam.rounds=5", "beam=deep"]).beam == Deep(rounds=5)
-    assert load("beamed", ["beam=mine", "beam.width=2"], beam).beam == Deep(rounds=9, width=2)
-    for words, phrase in (
-        (["beam.rounds=5"], r"Unknown key 'beam.rounds'. It is a setting of beam=deep"),
-        (["beam=deep", "beam.round=5"], "Did you mean 'beam.rounds'"),
-        (["beam=deap"], "beam must be one of deep, wide, got 'deap'. Did you mean 'deep'"),
-        (["beam=deep", "beam.rounds=0"], "beam.rounds must be at least 1"),
-    ):
-        with pytest.raises(ConfigError, match=phrase):
-            load("beamed", words)
-
-
-def test_a_stored_configuration_says_which_dataclass_a_group_has(beam: Path) -> None:
-    stored = load("beamed", ["beam=deep", "beam.rounds=5", "top=3"])
-    (beam / "config.yaml").write_text(to_yaml(stored))
-    values = yaml.safe_load(to_yaml(stored))
-    assert load_values("beamed", values) == load("beamed", [f"config={beam}"]) == stored
-    for words, expected in (
-        (["beam.rounds=3"], Deep(rounds=3)),
-        (["beam.width=2"], Deep(rounds=5, width=2)),
-        (["beam=wide"], Wide()),
-        (["beam=deep"], Deep()),
-    ):
-        for config in (load("beamed", [f"config={beam}", *words]), load("beamed", words, base=values)):
-            assert (config.beam, config.top) == (expected, 3)
-    values["beam"]["name"] = "deap"
-    for call in (lambda: load_values("beamed", values), lambda: load("beamed", [], base=values)):
-        with pytest.raises(ConfigError, match="beam must be one of deep, wide, got 'deap'"):
-            call()

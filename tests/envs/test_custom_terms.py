@@ -302,18 +302,6 @@ def test_a_reward_about_the_state_before_sees_it() -> None:
         assert torch.equal(env.step(acting(env))[4]["reward_terms"]["began_robot"], x)
 
 
-def test_training_counts_and_names_it() -> None:
-    env = RslRlVecEnv(make(blinking("reward", float("nan"), [0, 2])))
-    env.env._on_cpu = False
-    for _ in range(AT):
-        _, rewards_, dones, extras = env.step(torch.zeros((ENVS, env.num_actions)))
-        assert torch.isfinite(rewards_).all()
-    assert dones.tolist() == [True, False, True]
-    assert float(extras["log"]["Episode/diverged"]) == pytest.approx(2 / 3)
-    with pytest.warns(RuntimeWarning, match="'faulty_robot' .* in 2 environments"):
-        assert env.pop_episodes()["diverged"] == 2
-
-
 def test_a_first_observation_that_is_not_finite_is_marked() -> None:
     def start(draws: Any) -> torch.Tensor:
         return torch.where(draws.integers(0, 2, 1) == 0, 0.0, 1.0).double()

@@ -108,6 +108,22 @@ def test_actions_may_be_numpy_and_are_clipped() -> None:
     assert torch.equal(a.step(wild)[0], b.step(torch.full((2, a.num_actions), 1.6))[0])
 
 
+def test_what_is_returned_belongs_to_the_caller() -> None:
+    env, twin = (make("UpStepper-v0", None, 2, max_episode_steps=3) for _ in range(2))
+    for action in some_actions(env, 5):
+        ours, theirs = env.step(action), twin.step(action)
+        parts = [*ours[:4], *ours[4]["reward_terms"].values(), ours[4]["unstable"], *ours[4]["episode"].values()]
+        others = [
+            *theirs[:4],
+            *theirs[4]["reward_terms"].values(),
+            theirs[4]["unstable"],
+            *theirs[4]["episode"].values(),
+        ]
+        for one, other in zip(parts, others, strict=True):
+            assert torch.equal(one, other)
+            one.fill_(1)
+
+
 def test_equal_designs_share_a_model_but_keep_their_blocks() -> None:
     body = example_design("walker")
     env = make("Walker-v0", [body, body.copy()], 4)

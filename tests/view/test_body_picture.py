@@ -37,12 +37,3 @@ def test_a_sheet_shows_every_body_with_its_colours() -> None:
         for (row, column), kind in np.ndenumerate(body):
             pixel = image[top + row * cell + cell // 2, left + column * cell + cell // 2]
             assert tuple(pixel) == (cell_colour(int(kind)) if kind else (255, 255, 255))
-
-
-def test_the_paper_below_a_body_tells_how_good_it_is() -> None:
-    bodies = [example_design("mini")] * 3
-    image = draw_bodies(bodies, [["x"]] * 3, cell=20, shades=[1.0, 0.5, 0.0], columns=3)
-    step = bodies[0].shape[1] * 20 + 20
-    paper = [image.getpixel((17 + k * step, 17)) for k in range(3)]  # the corner of the paper, beside the body
-    assert paper[2] == (255, 255, 255)
-    assert paper[0][0] < paper[1][0] < paper[2][0]
