@@ -5,8 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import os
-import runpy
-import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -167,12 +165,6 @@ def test_a_sanitizer_that_is_there_is_used(errors: int, report: Report, monkeypa
     assert said.is_file() == bool(errors)
     sample = 'bench.sample {"task": "Walker-v0", "num_envs": 64, "device": "cuda:0"} 8 2'
     assert not errors or sample in said.read_text()
-
-
-def test_the_sample_for_tools_steps(capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["sample", '{"task": "Walker-v0", "num_envs": 8, "device": "cpu"}', "1", "2"])
-    runpy.run_module("warpvox.bench.sample", run_name="__main__")
-    assert capsys.readouterr().out == "finite\n"
 
 
 def test_the_time_ends_between_parts_and_within_one(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,15 +10,13 @@ from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from warpvox.bench import check, gradients, kernels, machine, reference, scaling
-from warpvox.bench.cases import full_body, sampled_or_full
+from warpvox.bench.cases import full_body
 from warpvox.bench.ptxas import find_program
 from warpvox.bench.runner import Runner
 from warpvox.configs.schema import BenchConfig
-from warpvox.design import check_design
 from warpvox.errors import ConfigError, SimulationError, WarpvoxError
 from warpvox.kernels.state import DATA
 from warpvox.kernels.step import STAGES
@@ -267,14 +265,3 @@ def test_the_reference_is_made_once_and_whole(works: bool, monkeypatch: pytest.M
     reference.make_reference(made)
     assert calls.read_text().count("-m venv") == 1
     assert reference.PACKAGE in calls.read_text()
-
-
-@pytest.mark.parametrize(("side", "sampled"), [(5, True), (12, True), (35, False)])
-def test_bodies_are_sampled_where_they_can_be_and_full_beyond(side: int, sampled: bool) -> None:
-    bodies, found = sampled_or_full(side, 3, 0)
-    assert found is sampled
-    assert len({body.tobytes() for body in bodies}) == 3
-    assert np.array_equal(sampled_or_full(side, 3, 0)[0], bodies)
-    for body in bodies:
-        check_design(body)
-        assert (body > 0).all() != sampled

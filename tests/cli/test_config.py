@@ -41,9 +41,6 @@ def test_the_papers_settings() -> None:
     assert (search.envs, search.eval_interval, search.iterations) == (4, 50, 1000)
 
 
-# ----------------------------------------------------------------------------------------------------- presets
-
-
 @pytest.mark.parametrize(("task", "shape"), [("Walker-v0", (5, 5)), ("Lifter-v0", (5, 7))])
 def test_the_papers_preset(task: str, shape: tuple[int, int]) -> None:
     train, search = (load(command, ["preset=paper", f"task={task}"]) for command in ("train", "codesign"))
@@ -59,16 +56,10 @@ def test_the_papers_preset(task: str, shape: tuple[int, int]) -> None:
 @pytest.mark.parametrize(
     ("command", "words", "path", "value"),
     [
-        ("codesign", ["search.max_evaluations=20"], "search.max_evaluations", 20),
         ("codesign", ["shape=[3,4]", "task=Lifter-v0"], "shape", [3, 4]),
-        ("codesign", ["rules=evogym"], "rules", "evogym"),
         ("codesign", ["search.algorithm=bo"], "search.algorithm", "bo"),
         ("codesign", ["search=bo"], "search.acquisition", "pathwise"),
-        ("codesign", ["search=quick"], "training.iterations", 80),
-        ("codesign", ["training=paper_wide"], "training.envs", 16),
         ("train", ["ppo=parallel"], "num_envs", 512),
-        ("train", ["num_envs=8"], "num_envs", 8),
-        ("train", ["design=mini"], "design", "mini"),
         ("train", ["physics=evogym"], "physics.preset", "evogym"),
     ],
 )

@@ -276,7 +276,6 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
             "evaluation=gaits evaluation.gaits=7 task=Catcher-v0 evaluation.final_passes=0",
             3 * 7 * 4,
         ),  # a random task: four episodes of each gait
-        ("evaluation=gaits evaluation.gaits=9 evaluation.finalists=6 evaluation.final_passes=0", 6 * 9),
         (
             "evaluation=gaits evaluation.gaits=9 evaluation.finalists=6 batch=2 evaluation.final_passes=0",
             2 * 9,
@@ -285,7 +284,6 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
             "evaluation=gaits evaluation.gaits=7 evaluation.passes=1 evaluation.beam=20 evaluation.final_passes=0",
             3 * 20,
         ),
-        ("evaluation=gaits evaluation.final_passes=1 evaluation.final_beam=30 evaluation.finalists=2", 2 * 30),
     ],
 )
 def test_environments_that_are_stepped_together(words: str, count: int) -> None:
@@ -306,17 +304,13 @@ def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
     [
         ("policy=grid", "policy=grid needs training.method=sequential"),
         ("network={width:8}", "mlp has training.ppo.hidden"),
-        ("policy=grd training.method=sequential", "Did you mean 'grid'"),
         ("policy=grid network={widht:8} training.method=sequential", "Did you mean 'width'"),
         ("evaluation=few_shot", "evaluation=few_shot needs evaluation.pretrained"),
-        ("evaluation.pretrained=latest", "Unknown key 'evaluation.pretrained'"),
         ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
         ("evaluation=gaits training.inherit=true", "training.inherit does not go with evaluation=gaits"),
-        ("evaluation=gaits evaluation.pretrained=latest", "Unknown key 'evaluation.pretrained'"),
         ("evaluation=shared executor=ray", "one policy that learns in one process"),
         ("evaluation=shared batch=2", "leave batch away"),
         ("evaluation=shared evaluation.policy=mlp", "evaluation.policy must see voxels"),
-        ("evaluation=shared evaluation.ppo={epoch:2}", "Did you mean 'evaluation.ppo.epochs'"),
         ("evaluation=shared evaluation.ppo={epochs:two}", "evaluation.ppo.epochs must be an integer, got 'two'"),
         ("evaluation=shared evaluation.ppo={epochs:0}", r"evaluation\.ppo\.epochs"),
         ("evaluation=shared training=paper", "cannot decay linearly"),

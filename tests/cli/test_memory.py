@@ -23,12 +23,9 @@ def free(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     [
         (20, "num_envs", "train num_envs=10000000"),
         (1, "num_envs", "train designs=random:64 policy=transformer num_envs=200000"),
-        (1, "num_envs", "train designs=[mini] designs.grid=[100,100] num_envs=1024"),
         (1, "batch", "codesign training.envs=4096 training.ppo.steps=64"),
-        (0.1, "training.envs", "codesign training.envs=4096 training.method=sequential training.ppo.steps=64"),
         (2, "search.population", "codesign evaluation=shared evaluation.envs=4096"),
         (8, "evaluation.beam", "codesign evaluation=gaits evaluation.beam=10000000 evaluation.passes=1"),
-        (8, "evaluation.final_beam", "codesign evaluation=gaits evaluation.final_beam=10000000"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_what_does(

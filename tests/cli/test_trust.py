@@ -186,9 +186,6 @@ def test_only_these_modules_can_run_what_they_read(repository: Path) -> None:
         assert text.count("torch.load(") == text.count("weights_only=True)"), path
 
 
-# --------------------------------------------------------------------------------------------- code of one's own
-
-
 @pytest.fixture
 def own_task(tmp_path: Path) -> str:
     """A task with neighbours in a folder."""

@@ -36,9 +36,6 @@ def is_valid(grid: np.ndarray) -> bool:
     return flood_fill(grid) and bool(((grid == 3) | (grid == 4)).any())
 
 
-# ---------------------------------------------------------------------- checks
-
-
 @given(GRIDS | DENSE)
 def test_connectivity_equals_a_flood_fill(grid: np.ndarray) -> None:
     assert is_connected(grid) == flood_fill(grid)
@@ -68,20 +65,14 @@ def test_check_design_accepts_exactly_the_valid_bodies(grid: np.ndarray) -> None
         ([[3, 0], [0, 4]], "not connected: it falls into 2 pieces"),
         ([[1, 2], [2, 1]], "no actuator"),
         ([[1, 3], [7, 1]], "unknown cell type 7 at row 1, column 0"),
-        ([[1, 3], [1, -1]], "unknown cell type -1 at row 1, column 1"),
         ([[1, 3.5]], "unknown cell type 3.5 at row 0, column 1"),
-        ([[1, float("nan")]], "unknown cell type nan"),
         ([[3, 3], [5, 3]], r"fixed cell \(5\) at row 1, column 0"),
         ([3, 3], r"two dimensions \[rows, columns\], got shape \(2,\)"),
         (np.zeros((0, 5)), "no cells"),
         ([[3, 3], [3]], "ragged"),
         ([["h", "v"]], "must hold numbers"),
-        ([[True, True]], "must hold numbers"),
         ("walker", "must hold numbers"),
-        (None, "must hold numbers"),
-        (["x" * 100, 1], "must hold numbers"),
         ([["3", 4]], "must hold numbers"),
-        ([[[3], 4]], "two dimensions"),
         (Stranger(), "cannot be read as an array"),
     ],
 )
@@ -89,9 +80,6 @@ def test_check_design_says_what_is_wrong(body: object, words: str) -> None:
     with pytest.raises(wv.DesignError, match=words) as caught:
         wv.check_design(body)
     assert "\n" not in str(caught.value)
-
-
-# ---------------------------------------------------------------------- connections
 
 
 @given(GRIDS)
@@ -106,9 +94,6 @@ def test_full_connections_are_all_neighbours_in_row_major_order(grid: np.ndarray
     assert pairs.dtype == np.int32
     assert pairs.shape == (len(expected), 2)
     assert pairs.tolist() == expected
-
-
-# ---------------------------------------------------------------------- sampling
 
 
 @given(st.tuples(st.integers(1, 6), st.integers(1, 6)), st.integers(0, 2**32 - 1))
@@ -154,22 +139,14 @@ def test_samples_follow_the_law_of_independent_cells_given_validity() -> None:
     ("arguments", "words"),
     [
         ({"shape": (0, 5)}, "shape"),
-        ({"shape": 5}, "shape"),
         ({"shape": np.array(5)}, "shape"),
-        ({"shape": (2.5, 3)}, "shape"),
-        ({"shape": (5, 5, 5)}, "shape"),
         ({"seed": -1}, "seed"),
-        ({"seed": "x"}, "seed"),
         ({"probabilities": [1, 1, 1]}, "five weights"),
         ({"probabilities": [1, 1, 1, 0, 0]}, "actuator"),
         ({"probabilities": [1, 1, 1, -1, 3]}, "not negative"),
         ({"probabilities": [1, 1, float("nan"), 1, 1]}, "finite"),
-        ({"probabilities": [1, 1, float("inf"), 1, 1]}, "finite"),
         ({"probabilities": [0, 0, 0, 0, 0]}, r"all zero.*got \(0\.0, 0\.0, 0\.0, 0\.0, 0\.0\)"),
-        ({"shape": (1, float("inf"))}, "shape"),
-        ({"probabilities": [1, "x", 1, 1, 1]}, "must be"),
         ({"probabilities": [1, 1e308, 1e308, 1e308, 1]}, "must be"),
-        ({"probabilities": [1, 1, 1, 1e-9, 0]}, "must leave"),
         ({"probabilities": Stranger()}, "must be"),
         ({"probabilities": "walker"}, "must be"),
         ({"shape": (25, 25), "probabilities": [8, 1, 1, 1, 1]}, "No valid 25x25 body"),
@@ -178,9 +155,6 @@ def test_samples_follow_the_law_of_independent_cells_given_validity() -> None:
 def test_sampling_refuses_what_it_cannot_do(arguments: dict[str, object], words: str) -> None:
     with pytest.raises(wv.DesignError, match=words):
         wv.sample_design(**arguments)
-
-
-# ---------------------------------------------------------------------- examples, files, text
 
 
 def test_examples_are_valid_distinct_and_fresh() -> None:

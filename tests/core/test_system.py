@@ -51,9 +51,6 @@ def lines_about_systems(path: Path) -> list[int]:
     return lines
 
 
-# ---------------------------------------------------------------------------------------------------------- memory
-
-
 def write(root: Path, **files: str) -> None:
     for name, text in files.items():
         path = root / name.replace("__", "/").replace("_DOT_", ".")

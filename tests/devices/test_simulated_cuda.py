@@ -52,9 +52,6 @@ def cuda() -> Iterator[SimulatedCuda]:
         yield found
 
 
-# ------------------------------------------------------------------------------------------------ environments
-
-
 def life(task: str, device: str, step: Callable[[VoxelVecEnv, torch.Tensor], tuple], **options: Any) -> list:
     """All that is done with environments; what they gave."""
     grid = (BODY.shape[0], BODY.shape[1] + 1)
@@ -193,9 +190,6 @@ def test_what_does_not_fit_is_refused_before_it_is_made(cuda: SimulatedCuda, mon
     assert not cuda.operations["zeros"]
 
 
-# ---------------------------------------------------------------------------------------------------- training
-
-
 @pytest.mark.parametrize(
     ("words", "graphs"), [("policy=mlp cuda_graph=true", 1), ("policy=grid", 0), ("policy=transformer obs=timed", 0)]
 )
@@ -331,9 +325,6 @@ def test_designs_that_are_trained_one_by_one_are_evaluated_on_the_cpu(
     assert math.isfinite(outcomes[0].fitness)
     assert {value.device.type for value in outcomes[0].policy.values()} == {"cpu"}
     assert cuda.launches["group_step"] == 2
-
-
-# ------------------------------------------------------------------------------------------- the device itself
 
 
 def test_what_a_gpu_does_not_allow_is_refused(cuda: SimulatedCuda) -> None:

@@ -112,9 +112,6 @@ def test_what_cannot_be_set_is_refused(task: str, memory: dict, words: str) -> N
         make(task, 1).reset(memory=memory)
 
 
-# ---------------------------------------------------------------------- BidirectionalWalker
-
-
 def test_goals_go_on_until_the_way_is_long_enough() -> None:
     draws = RandomStream(1, 300, "cpu")
     lists = goals.draw_goals(draws, 20, 50, start=35, way=100).tolist()

@@ -11,7 +11,7 @@ import pytest
 
 from warpvox.code import Code, sources_of
 from warpvox.envs.registry import get_task, released_id, task_ids
-from warpvox.envs.spec import Memory, TaskSpec, observes, rewards
+from warpvox.envs.spec import TaskSpec, observes, rewards
 from warpvox.envs.terms.observations import shape
 from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.worlds import block
@@ -51,9 +51,7 @@ def test_a_specification_can_be_copied_and_sent(task: str) -> None:
         ({"observations": ()}, "needs an observation"),
         ({"max_episode_steps": 0}, "at least one step"),
         ({"rewards": (rewards(displacement, axis="x"), rewards(displacement, axis="x", weight=2.0))}, "several"),
-        ({"observations": (observes(shape), observes(shape))}, "several observations"),
         ({"id": "mine/Walker-v0"}, "letters, digits"),
-        ({"memory": (Memory("goal", len), Memory("goal", len))}, "several"),
         ({"randomized": ("ground",)}, "no memory named 'offset'"),
     ],
 )

@@ -254,8 +254,6 @@ def test_episodes_last_as_long_as_written(task: str, rules: str) -> None:
     assert spec.unstable_penalty == -3.0
 
 
-# ---------------------------------------------------------------------- on made-up states
-
 COUNT = 400
 LIMITS = np.array(
     [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1.7, 1.75, 2.0, 4.0, 4.85, 5.9, 6.0, 6.5, 6.9, 7.4, 7.9, 8.6, 9.9]
@@ -329,9 +327,6 @@ def test_rewards_and_ends_are_those_of_the_book(task: str, rules: str) -> None:
     assert ended.any() == bool(page.ends)
 
 
-# ---------------------------------------------------------------------- on the simulator
-
-
 def raw(env: VoxelVecEnv, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centre of mass, its velocity, and relative positions (x before y) of an object, from its points."""
     points = env.sim.object_positions(name)[0].numpy()
@@ -399,8 +394,6 @@ def test_observations_and_rewards_follow_from_the_points(task: str, rules: str) 
         if terminated:
             break
 
-
-# ---------------------------------------------------------------------- bonuses for arriving
 
 # The face of the wall that closes the terrain, a height above the ground before it, the bonus.
 WALLS = {"CaveCrawler-v0": (69, 1, 1.0), "ObstacleTraverser-v1": (58, 5, 2.0)}

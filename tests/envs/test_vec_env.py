@@ -11,7 +11,7 @@ import torch
 from warpvox.design import example_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
-from warpvox.errors import ActionError, ConfigError, DesignError, TaskError, WorldError
+from warpvox.errors import ActionError, ConfigError, DesignError
 
 ALL = pytest.mark.parametrize("task", task_ids())
 BOTH = pytest.mark.parametrize("rules", ["evogym", "paper"])
@@ -206,8 +206,6 @@ def test_actions_that_are_not_finite_are_refused_and_change_nothing(value: float
 @pytest.mark.parametrize(
     ("error", "words", "arguments"),
     [
-        (TaskError, "Did you mean 'Walker-v0'", {"task": "Waker-v0"}),
-        (ConfigError, "Did you mean 'paper'", {"rules": "papr"}),
         (
             ConfigError,
             "multiple of the number of designs \\(2\\), got 3; try 2 or 4",
@@ -215,16 +213,12 @@ def test_actions_that_are_not_finite_are_refused_and_change_nothing(value: float
         ),
         (ConfigError, "not both", {"designs": ["walker"], "body": "walker"}),
         (ConfigError, "make_vec has no argument 'desings'. Did you mean 'designs'", {"desings": ["walker"]}),
-        (ConfigError, "no argument 'dtpye'. Did you mean 'dtype'", {"dtpye": "float32"}),
         (ConfigError, "integer >= 1", {"num_envs": 0}),
-        (ConfigError, "integer >= 1", {"num_envs": 1.5}),
         (ConfigError, "max_episode_steps must be", {"max_episode_steps": 0}),
         (ConfigError, "one entry a design", {"connections": [None, None]}),
         (DesignError, "list of designs is empty", {"designs": []}),
         (DesignError, "must be a list of bodies", {"designs": 7}),
-        (DesignError, "no actuator", {"designs": [[[1, 1]]]}),
         (DesignError, "Design 1: .*not connected", {"designs": ["walker", [[3, 0], [0, 3]]], "num_envs": 2}),
-        (WorldError, "does not fit the world of Climber-v0", {"task": "Climber-v0", "designs": [[[3] * 6]]}),
     ],
 )
 def test_bad_input_is_refused_in_words(error: type[Exception], words: str, arguments: dict) -> None:

@@ -56,16 +56,6 @@ def test_pictures_show_what_is_where(sim: EvoSim, mode: str) -> None:
     assert make(sim).render(mode).max() > 0
 
 
-def test_views_are_stretched_to_the_picture(sim: EvoSim) -> None:
-    viewer = make(sim, pos=(5, 2), view_size=(4, 8))
-    picture = viewer.render("img")
-    colours = [tuple(colour) for colour in picture[75, :].tolist()]  # along y = 2, the middle of the robot
-    dark = RAMPS[Cell.SOFT][1]
-    row = [tuple(colour) for colour in picture[80, :].tolist()]  # just below it
-    assert row.count(dark) == pytest.approx(75, abs=6)  # one voxel is a quarter of 300 pixels
-    assert len(set(colours)) > 1
-
-
 def test_what_is_hidden_is_not_there(sim: EvoSim) -> None:
     viewer = make(sim)
     full = viewer.render("img")
@@ -126,17 +116,6 @@ def test_locks_fix_the_view(sim: EvoSim) -> None:
     assert "lock_y" not in viewer._locks
 
 
-def test_going_back_in_time_is_noticed(sim: EvoSim) -> None:
-    viewer = make(sim)
-    viewer.track_objects("robot")
-    for _ in range(10):
-        sim.step()
-    viewer.render("img")
-    sim.reset()
-    assert viewer.render("img").shape == (150, 300, 3)
-    assert viewer._last_rendered == 0
-
-
 def test_the_lower_layer_renders(sim: EvoSim) -> None:
     viewer, camera = Viewer(sim), Camera(True)
     camera.set_pos(1.5, 0.55)
@@ -156,11 +135,8 @@ def test_the_lower_layer_renders(sim: EvoSim) -> None:
     [
         (lambda viewer: viewer.render("image"), ValueError, "no mode 'image'"),
         (lambda viewer: viewer.set_pos([1, 2]), TypeError, "tuple of two numbers"),
-        (lambda viewer: viewer.set_view_size(3), TypeError, "view_size"),
-        (lambda viewer: viewer.set_resolution((1, 2, 3)), TypeError, "resolution"),
         (lambda viewer: viewer.set_target_rps(1), AssertionError, "lowest target rps is 2"),
         (lambda viewer: viewer.set_tracking_settings(paddin=1), ValueError, "Did you mean 'padding'"),
-        (lambda viewer: viewer.set_tracking_settings(lock_x=True), ValueError, "number or False"),
         (lambda viewer: viewer.set_tracking_settings(padding=3), TypeError, "padding must be a tuple"),
     ],
 )

@@ -94,9 +94,6 @@ def cut(path: Path, share: float) -> None:
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
 
 
-# ------------------------------------------------------------------------------------------------- writing a file
-
-
 @pytest.mark.parametrize("call", ["os.fsync", "os.replace", "pathlib.Path.touch"])
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.ENOENT])
 def test_a_refused_write_leaves_the_old_file_and_says_what_to_do(
@@ -178,9 +175,6 @@ def test_every_writer_notices_that_it_was_cut_short(tmp_path: Path) -> None:
             write(rollout, path)
         assert path.read_bytes() == whole
         assert not list(tmp_path.glob(f"{MARK}*"))
-
-
-# ----------------------------------------------------------------------------------------------- whole commands
 
 
 @pytest.mark.parametrize("how", ["read-only", "a file"])
@@ -282,9 +276,6 @@ def test_a_log_on_a_full_disk_is_one_clear_error(tmp_path: Path) -> None:
         done = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("warpvox: The output cannot be written: no space is left on its disk")
-
-
-# ------------------------------------------------------------------------------------------------ damaged files
 
 
 def test_a_damaged_state_names_the_newest_checkpoint_that_is_whole(copied: Callable, warpvox: Callable) -> None:

@@ -27,9 +27,6 @@ CODESIGN = (
 ).split()
 
 
-# ------------------------------------------------------------------------------------------- what must be true
-
-
 def same(one: Any, other: Any) -> bool:
     """Whether what checkpoints hold is equal bit for bit, times aside."""
     if isinstance(one, torch.Tensor):

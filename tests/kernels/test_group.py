@@ -230,9 +230,6 @@ def test_an_environment_runs_in_the_group_layout():
     assert any(bool(done.any()) for done in found[2::3])
 
 
-# -------------------------------------------------------------------------------------------- which layout
-
-
 def test_the_layout_is_chosen_by_device_arithmetic_and_size(monkeypatch):
     walker = pair_of_task("Walker-v0", count=1)[0]
     assert walker.layout == "lanes"

@@ -19,9 +19,6 @@ def step_all(sim: Simulation, actions: torch.Tensor | None = None) -> None:
     sim.step(torch.ones((sim.num_envs, sim.num_actions)) if actions is None else actions)
 
 
-# -------------------------------------------------------------------------------------------------- momentum
-
-
 def falling(centre: np.ndarray, velocity: np.ndarray, time: float, physics: Physics) -> tuple[np.ndarray, np.ndarray]:
     """Place and velocity of a mass after a fall with drag: v' = -g - drag v, solved."""
     drag, pull = physics.drag, np.array([0.0, -physics.gravity])
@@ -55,8 +52,6 @@ def test_a_free_body_falls_as_a_mass_does(dtype: str, tolerance: float, preset: 
     np.testing.assert_allclose(sim.com("robot")[0], place, rtol=tolerance)
     np.testing.assert_allclose(sim.velocity("robot")[0], speed, rtol=10 * tolerance)
 
-
-# ---------------------------------------------------------------------------------------------------- energy
 
 # By preset: growth of mechanical energy over that at the start, as a share of what a drop from 3 voxels frees, and
 # kinetic energy of a point at rest on the ground. Figures of the release (float64 repeats it bit for bit): 0 and 0.25;
@@ -93,9 +88,6 @@ def test_energy_does_not_grow_without_actuation(preset: str, dtype: str) -> None
             assert (kinetic / points).max() <= at_rest, step
 
 
-# --------------------------------------------------------------------------------------------------- terrain
-
-
 # (speed at which a body of 3 x 3 cells meets the ground, depth in voxels that no point exceeds)
 IMPACTS = [(10.0, 0.1), (30.0, 0.3), (60.0, 1.0)]
 
@@ -123,9 +115,6 @@ def test_bodies_do_not_go_through_terrain(thickness: int, dtype: str) -> None:
             step_all(sim)
             depth = 3 + thickness - sim.object_positions("robot")[:, :, 1].double().amin(1) / 0.1
             assert float(depth.max()) <= most, speed
-
-
-# ---------------------------------------------------------------------------------------------- random worlds
 
 
 def random_world(rng: np.random.Generator, largest: int) -> World:

@@ -202,9 +202,6 @@ def test_files_that_are_no_archives_are_refused(tmp_path: Path) -> None:
     Archive.open(good).close()
 
 
-# ---------------------------------------------------------------------------------------------------- tables
-
-
 def test_csv_holds_every_candidate(filled: Archive, tmp_path: Path) -> None:
     rows = list(csv.DictReader(write_csv(filled, tmp_path / "a.csv").open()))
     assert list(rows[0]) == list(COLUMNS)

@@ -76,30 +76,6 @@ def test_the_batch_does_not_matter(tmp_path: Path, batch: int | None) -> None:
     assert one.archive.digest() == other.archive.digest()
 
 
-@pytest.mark.parametrize("stop", [4, POPULATION])
-def test_interrupted_between_them_the_search_goes_on_to_the_same(tmp_path: Path, stop: int) -> None:
-    class Killed(Exception):
-        pass
-
-    class Dying(Diverging):
-        def evaluate(self, candidates: Sequence[Candidate], *more: Any) -> list[Outcome]:
-            if candidates[0].id == stop:
-                raise Killed
-            return super().evaluate(candidates, *more)
-
-    lost = [0, 2, 3, POPULATION + 1]
-    whole = lossy(tmp_path / "whole", lost)
-    whole.run()
-    parts = make_loop(tmp_path / "parts", executor=LocalExecutor(Dying(lost)))
-    with pytest.raises(Killed):
-        parts.run()
-    parts.archive.close()
-    again = lossy(tmp_path / "parts", lost)
-    again.run()
-    assert min(again.executor.evaluator.trained) == stop  # what is known to diverge is not tried again
-    assert again.archive.digest() == whole.archive.digest()
-
-
 def test_a_generation_of_nothing_else_ends_the_search_and_does_so_again(tmp_path: Path) -> None:
     for attempt in range(2):
         loop = lossy(tmp_path, range(POPULATION))

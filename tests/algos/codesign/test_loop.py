@@ -194,16 +194,6 @@ def test_an_experiment_that_is_done_stays_as_it_is(tmp_path: Path, undisturbed: 
     assert _digest(tmp_path / FILE) == undisturbed
 
 
-def test_another_search_is_refused(tmp_path: Path) -> None:
-    loop = make_loop(tmp_path)
-    loop.run()
-    loop.archive.close()
-    before = _digest(tmp_path / FILE)
-    with pytest.raises(RunError, match="not of this search"):
-        make_loop(tmp_path, search=ToySearch(seed=SEED + 1)).run()
-    assert _digest(tmp_path / FILE) == before
-
-
 def test_another_search_is_refused_in_its_first_generation(tmp_path: Path) -> None:
     class Interrupting(Listener):
         def proposed(self, *words: Any) -> None:

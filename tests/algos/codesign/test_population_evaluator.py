@@ -12,7 +12,7 @@ import pytest
 import torch
 from population_cases import candidates, factory, small
 
-from warpvox.algos.candidate import PROGRESS, Candidate, Outcome
+from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import Controller, PolicySpec, build_actor
 from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
 from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
@@ -56,9 +56,6 @@ def outcomes(
     return PopulationEvaluator(factory(task, dtype), small(**changes), seed).evaluate(found, {})
 
 
-# ------------------------------------------------------------------------------------------------ what comes out
-
-
 @TASKS
 def test_fitness_is_the_best_of_the_evaluations_and_the_policy_earns_it(task: str) -> None:
     found = candidates(3)
@@ -89,16 +86,6 @@ def test_the_batched_evaluator_equals_the_sequential_one(preset: str) -> None:
         assert_close(ours, theirs)
 
 
-def test_progress_is_reported() -> None:
-    seen: list[dict[str, Any]] = []
-    PopulationEvaluator(factory(), small(), 0).evaluate(candidates(2), {}, seen.append)
-    assert [event["iteration"] for event in seen] == [1, 2, 3, 4, 5, 6]
-    assert all(event.keys() == PROGRESS.keys() for event in seen)
-    assert all(math.isnan(value) for value in seen[0]["best"])
-    assert seen[-1]["steps"] == 2 * 6 * 16
-    assert [event["training"] for event in seen] == [[True, True]] * 5 + [[False, False]]
-
-
 @pytest.mark.parametrize(("name", "words"), [("papr", "Did you mean 'paper'"), ("slow", "one of")])
 def test_an_unknown_preset_is_one_clear_error(name: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
@@ -116,9 +103,6 @@ def test_presets_spend_the_papers_control_steps(name: str, samples: int) -> None
     assert how.iterations * samples == 512_000
     values = dataclasses.asdict(how)
     assert MISSING not in [*values.values(), *values["ppo"].values()]
-
-
-# ---------------------------------------------------------------------------------------------------- company
 
 
 @DOUBLE
@@ -155,9 +139,6 @@ def test_the_global_random_numbers_are_left_alone() -> None:
     for evaluator in (PopulationEvaluator, SequentialEvaluator):
         evaluator(factory(), small(iterations=2), 0).evaluate(candidates(1), {})
         assert torch.equal(torch.get_rng_state(), before)
-
-
-# ----------------------------------------------------------------------------------------------------- resume
 
 
 class Killed(Exception):
@@ -214,13 +195,6 @@ def test_an_interrupted_evaluation_is_saved_and_goes_on(tmp_path: Path) -> None:
         assert_equal(ours, theirs)
 
 
-def test_checkpoints_are_written_when_due_and_only_then(tmp_path: Path) -> None:
-    file, there = tmp_path / "state.pt", []
-    how = small(save_interval=4)
-    PopulationEvaluator(factory(), how, 0).evaluate(candidates(1), {}, lambda _: there.append(file.exists()), file)
-    assert there == [False, False, False, False, True, True]  # written after the report
-
-
 @pytest.mark.parametrize("evaluator", [PopulationEvaluator, SequentialEvaluator])
 def test_the_checkpoint_of_others_is_refused(tmp_path: Path, evaluator: type) -> None:
     file, found = tmp_path / "state.pt", candidates(2)
@@ -259,9 +233,6 @@ def test_one_by_one_a_killed_training_goes_on_within_a_design(
         assert_equal(ours, theirs)
     saved = {1: 0, 4: 4, 6: 4}[iteration]
     assert count == list(range(saved + 1, 7))  # and nothing is done twice but what was not saved
-
-
-# ---------------------------------------------------------------------------------------------------- halving
 
 
 @DOUBLE

@@ -11,7 +11,7 @@ from botorch.acquisition import LogExpectedImprovement
 
 from warpvox.algos.search import BO, make_search
 from warpvox.algos.search.bo import BayesianSearch
-from warpvox.algos.search.bo_acquire import ascend, climb, improve, log_improvement, thompson_starts
+from warpvox.algos.search.bo_acquire import ascend, improve, log_improvement, thompson_starts
 from warpvox.algos.search.bo_model import fit_model, one_hot, own_torch
 from warpvox.algos.search.bodies import body_key, mutate, neighbours
 from warpvox.design import are_valid, draw_bodies
@@ -51,9 +51,6 @@ def matern(one: np.ndarray, other: np.ndarray, variance: float, length: float) -
     return variance * (1 + r + r**2 / 3) * np.exp(-r)
 
 
-# ------------------------------------------------------------------------------------------------- the process
-
-
 def test_the_posterior_is_that_of_the_text_book() -> None:
     bodies, others = some_bodies(20), some_bodies(15, seed=1)
     fitness = np.array(some_fitness(bodies))
@@ -91,9 +88,6 @@ def test_the_fit_uses_l_bfgs_with_its_limit_and_restarts(monkeypatch: pytest.Mon
     for call in calls:
         assert call["options"] == {"maxiter": 7}
         assert call.get("method", "L-BFGS-B") == "L-BFGS-B"
-
-
-# ------------------------------------------------------------------------------------------------- acquisition
 
 
 @pytest.fixture(scope="module")
@@ -187,33 +181,6 @@ def test_thompson_sampling_follows_the_posterior(model) -> None:
     found = np.bincount(first, minlength=6) / 300
     assert found == pytest.approx(expected, abs=5 * 0.5 * (1 / 300 + 1 / 4000) ** 0.5)
     assert len(set(several.tolist())) == 5
-
-
-def test_climbing_ends_where_no_valid_neighbour_is_higher() -> None:
-    rng = np.random.default_rng(0)
-    table = rng.normal(size=(3, 16, 5))
-
-    def values(bodies: np.ndarray) -> np.ndarray:
-        flat = bodies.reshape(*bodies.shape[:-2], 16).astype(int)
-        flat = np.broadcast_to(flat, (3, *flat.shape[-2:]))
-        return np.take_along_axis(table[:, None], flat[..., None], -1)[..., 0].sum(-1)
-
-    pool = some_bodies(20)
-    result = climb(values, pool)
-    at_pool = values(pool)
-    assert np.array_equal(result.start, at_pool.argmax(1))
-    assert np.array_equal(result.at_pool, at_pool)
-    assert are_valid(result.summit).all()
-    around = neighbours(result.summit)
-    heights = values(result.summit[:, None])[:, 0]
-    assert (heights >= at_pool.max(1)).all()
-    usable = are_valid(around.reshape(-1, 4, 4)).reshape(3, -1)
-    assert (np.where(usable, values(around), -np.inf).max(1) <= heights + TOLERANCE).all()
-    # additive values: without the demand for validity, the best type of each voxel would be the summit
-    assert (heights <= table.max(-1).sum(-1) + TOLERANCE).all()
-
-
-# -------------------------------------------------------------------------------------------------- the search
 
 
 def test_torch_is_as_before_whatever_happens() -> None:

@@ -55,11 +55,9 @@ def test_a_module_with_a_search() -> None:
     ("make", "words"),
     [
         (None, "'custom' needs make=FILE.py:NAME"),
-        ("mine.py", "'custom' needs make=FILE.py:NAME"),
         ("nowhere.py:Mine", "no file nowhere.py"),
         ("no.such.module:Mine", "no module 'no.such.module'"),
         ("mine.py:BestAndMutant", r"'BestAndMutant' does not exist in mine\.py\. Did you mean 'BestAndMutants'\?"),
-        ("builtins:slice", "makes a slice, which cannot ask, tell, replay"),
     ],
 )
 def test_mistakes(mine: Path, monkeypatch: pytest.MonkeyPatch, make: str | None, words: str) -> None:

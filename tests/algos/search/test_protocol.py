@@ -129,9 +129,6 @@ def test_two_searches_do_not_disturb_each_other(algorithm: str) -> None:
     assert told_apart(mixed) == told_apart(whole(algorithm)[:2])
 
 
-# ------------------------------------------------------------------------------------------------ known bodies
-
-
 @EVERY
 def test_the_first_generation_contains_the_bodies_that_a_search_starts_with(algorithm: str) -> None:
     known = [candidate.body for candidate in whole("random")[0][0][:3]]
@@ -166,9 +163,6 @@ def test_bodies_that_a_search_cannot_start_with_are_refused() -> None:
     ]:
         with pytest.raises((ConfigError, DesignError), match=says):
             fresh("ga").start_with(wrong)
-
-
-# ------------------------------------------------------------------------------------------------------ turns
 
 
 @EVERY
@@ -212,9 +206,6 @@ def test_equal_fitness_everywhere_is_no_obstacle(algorithm: str) -> None:
     assert sum(len(asked) for asked, _ in run(fresh(algorithm), lambda body: 1.5)) == BUDGET
 
 
-# ----------------------------------------------------------------------------------------------------- replay
-
-
 @EVERY
 @pytest.mark.parametrize("after", [0, 1, 2])
 def test_a_replayed_search_goes_on_as_the_first(algorithm: str, after: int) -> None:
@@ -234,9 +225,6 @@ def test_replay_wants_a_fresh_search_and_its_own_history_from_the_beginning(algo
     for foreign in (run(fresh(algorithm, shape=(5, 7)), generations=1), whole(algorithm)[1:]):
         with pytest.raises(SearchError, match="not of this search"):
             fresh(algorithm).replay(foreign)
-
-
-# ------------------------------------------------------------------------------------------------- the arguments
 
 
 @pytest.mark.parametrize(

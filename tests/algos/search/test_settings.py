@@ -65,16 +65,11 @@ def test_none_stands_for_the_default() -> None:
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"algorithm": "gaa"}, r"one of ga, .*'gaa'\. Did you mean 'ga'\?"),
         ({}, "one of ga, .*None"),
-        ({"algorithm": "ga", "populaton": 3}, r"no setting 'populaton'\. Did you mean 'population'\?"),
         ({"algorithm": "random", "mutation_rate": 0.2}, "'random' has no setting 'mutation_rate'.*a setting of ga"),
         ({"algorithm": "ga", "population": 2.5}, "population must be an integer, got 2.5"),
-        ({"algorithm": "ga", "population": True}, "population must be an integer, got True"),
-        ({"algorithm": "ga", "population": 1}, "population must be at least 2, got 1"),
         ({"algorithm": "ga", "max_evaluations": 0}, "max_evaluations must be at least 1"),
         ({"algorithm": "ga", "mutation_rate": 0.0}, "mutation_rate must be greater than 0"),
-        ({"algorithm": "ga", "mutation_rate": "much"}, "mutation_rate must be a number, got 'much'"),
         ({"algorithm": "ga", "survivor_rate": float("nan")}, "survivor_rate must be a finite number"),
         ({"algorithm": "ga", "population": 5, "min_survivors": 5}, r"min_survivors must be less than population \(5\)"),
     ],

@@ -36,9 +36,6 @@ def make_runner(
     return Runner(adapt(make_env(task=task), ppo), ppo, Schedule(total, **timing), folder, judge)
 
 
-# ------------------------------------------------------------------------------------------------- schedules
-
-
 @pytest.mark.parametrize(("schedule", "expected"), [("linear", [0.004, 0.003, 0.002, 0.001]), ("fixed", [0.004] * 4)])
 def test_the_rate_is_fixed_or_ends_one_step_above_zero(schedule: str, expected: list[float]) -> None:
     rates = []
@@ -80,9 +77,6 @@ def test_weights_that_are_not_finite_are_never_saved(
     again.resume(tmp_path / "state.pt")
     assert again.current_learning_iteration == 3
     assert all(torch.isfinite(value).all() for value in weights(again).values())
-
-
-# ---------------------------------------------------------------------------------------------------- resume
 
 
 @pytest.mark.parametrize(
@@ -139,9 +133,6 @@ def test_the_best_evaluation_is_kept(tmp_path: Path) -> None:
     content = load_checkpoint(tmp_path / "model_best.pt")
     assert content["iter"] == best == runner.best_iteration
     assert content["eval_return"] == pytest.approx(returns[best])
-
-
-# ----------------------------------------------------------------------------------------------- the adapter
 
 
 def test_actions_are_centred_and_scaled() -> None:
@@ -231,9 +222,6 @@ def test_normalised_rewards_follow_the_spread_of_discounted_returns() -> None:
 def test_training_wants_environments_that_reset_themselves() -> None:
     with pytest.raises(ConfigError, match="auto_reset=True"):
         adapt(make_env(auto_reset=False), ppo_settings())
-
-
-# ------------------------------------------------------------------------------------------------ evaluation
 
 
 def test_an_evaluation_is_the_sum_of_rewards_of_one_episode() -> None:
