@@ -24,7 +24,7 @@ settings.load_profile("repeatable")
 
 FIRST = (
     # While one process compiles kernels, the other one runs what needs none.
-    *("test_gpu_check", "test_config", "test_suites", "test_protocol", "test_comparison"),
+    *("test_gpu_check", "test_config", "test_suites", "test_protocol"),
     # Those that take longest, so that no process waits for another at the end.
     *("test_ray_executor", "test_processes", "test_faults", "test_recordings", "test_cuda_build", "test_pages"),
     *("test_codesign", "test_trust", "test_commands", "test_memory"),

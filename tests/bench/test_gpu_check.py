@@ -200,9 +200,7 @@ def test_equal_bit_for_bit_is_tested(offset: float, report: Report) -> None:
 
 
 @pytest.mark.parametrize("code", [0, 1])
-def test_the_tests_of_this_checkout_are_run(
-    code: int, report: Report, repository: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_tests_of_this_checkout_are_run(code: int, report: Report, repository: Path, monkeypatch) -> None:
     words: list[str] = []
 
     def tests(command: list[str], **_: object) -> SimpleNamespace:

@@ -172,9 +172,7 @@ def test_scaling_in_three_ways(bench: Callable, fake_reference: Callable) -> Non
 @pytest.mark.parametrize(
     ("envs", "limit", "left_out"), [([8, 4096], 4, "4,096 (memory"), ([8], 1e-9, "8 (over 1e-09 s a repetition)")]
 )
-def test_scaling_leaves_out_what_does_not_fit(
-    envs: list[int], limit: float, left_out: str, bench: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scaling_leaves_out_what_does_not_fit(envs: list[int], limit: float, left_out: str, bench, monkeypatch) -> None:
     monkeypatch.setattr(scaling, "available_memory", lambda _: 5e4)
     said, figures = bench("scaling", *FIGURE_2, "scaling.sizes=[2]", f"scaling.envs={envs}", f"limit={limit}")
     assert left_out in said
@@ -231,9 +229,7 @@ def test_a_document_gets_the_tables(bench: Callable) -> None:
 
 
 @pytest.mark.parametrize(("document", "words"), [("nowhere.md", "no file"), ("page.md", "no place for this suite")])
-def test_a_document_without_a_place_is_said_before_anything_is_measured(
-    warpvox: Callable, document: str, words: str
-) -> None:
+def test_a_document_without_a_place_is_said_before_anything_is_measured(warpvox, document: str, words: str) -> None:
     Path("page.md").write_text("<!-- bench tasks -->\n<!-- end -->\n")
     outcome = warpvox("bench", "suite=kernels", f"document={document}", *TINY)
     assert outcome.code == 2

@@ -77,9 +77,7 @@ def test_values_of_python_arrive_as_they_are(tmp_path: Path, monkeypatch: pytest
         ({"task": "Waker-v0"}, "Did you mean 'Walker-v0'"),
     ],
 )
-def test_mistakes_are_named_and_nothing_is_written(
-    keys: dict, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mistakes_are_named_and_nothing_is_written(keys: dict, words: str, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(wv.WarpvoxError, match=words):
         wv.train(**keys, progress=False)

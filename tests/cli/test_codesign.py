@@ -100,9 +100,7 @@ def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) 
     assert summary(played)["mean_return"] == pytest.approx(other.fitness, abs=ROUNDING)
 
 
-def test_the_winner_of_a_random_task_is_judged_again_on_fresh_seeds(
-    search: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_winner_of_a_random_task_is_judged_again_on_fresh_seeds(search: Callable, warpvox, monkeypatch) -> None:
     monkeypatch.setattr(results_of, "FRESH", 12)  # of 64
     folder = search("task=Catcher-v0", "search.max_evaluations=5", "seed=3")
     fresh, text = summary(folder)["fresh_seeds"], (folder / "report.html").read_text()

@@ -176,9 +176,7 @@ def test_hydras_own_views(capsys: pytest.CaptureFixture) -> None:
         ("suite suite=paper", "seeds", 3),
     ],
 )
-def test_hydras_own_views_are_those_of_the_preset(
-    words: str, key: str, value: int, capsys: pytest.CaptureFixture
-) -> None:
+def test_hydras_own_views_are_those_of_the_preset(words: str, key: str, value: int, capsys) -> None:
     command, *rest = words.split()
     assert main([command, "--cfg", "all", *rest]) == 0
     shown = yaml.safe_load(capsys.readouterr().out)
@@ -198,17 +196,13 @@ def test_hydras_own_views_are_those_of_the_preset(
         ("warpvox tasks Wal", set()),
     ],
 )
-def test_a_shell_is_told_how_a_line_goes_on(
-    line: str, expected: set[str], capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_shell_is_told_how_a_line_goes_on(line: str, expected: set[str], capsys, monkeypatch) -> None:
     monkeypatch.setenv("COMP_LINE", line)
     assert main(["-sc", "query=bash"]) == 0
     assert set(capsys.readouterr().out.split()) == expected
 
 
-def test_the_code_for_a_shell_calls_what_is_tested(
-    capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_code_for_a_shell_calls_what_is_tested(capsys: pytest.CaptureFixture, monkeypatch) -> None:
     monkeypatch.setattr("sys.argv", ["/usr/bin/warpvox"])
     assert main(["-sc", "install=bash"]) == 0
     text = capsys.readouterr().out
@@ -216,9 +210,7 @@ def test_the_code_for_a_shell_calls_what_is_tested(
     assert text.split()[-1] == "warpvox"
 
 
-def test_a_request_to_end_while_hydra_composes(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, tmp_path: Path
-) -> None:
+def test_a_request_to_end_while_hydra_composes(monkeypatch, capsys: pytest.CaptureFixture, tmp_path: Path) -> None:
     def compose(*arguments: object) -> None:
         """As OmegaConf does where an interrupt leaves a configuration half built."""
         try:

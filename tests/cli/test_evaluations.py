@@ -122,6 +122,7 @@ def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
 
 
+@pytest.mark.slow
 def test_a_search_that_tunes_by_gradients(warpvox: Callable, train: Callable) -> None:
     network = "network={width:8,heads:2,layers:1}"
     how = (
@@ -180,9 +181,7 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
         "evaluation=shared evaluation.eval_envs=3 training.eval_envs=2",
     ],
 )
-def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(
-    warpvox: Callable, monkeypatch: pytest.MonkeyPatch, words: str
-) -> None:
+def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(warpvox, monkeypatch, words: str) -> None:
     short = dataclasses.replace(registry.get_task("BidirectionalWalker-v0"), max_episode_steps=50)
     monkeypatch.setitem(registry._TASKS, short.id, short)
     outcome = warpvox("codesign", *tiny("task=BidirectionalWalker-v0", "seed=3", *words.split()))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -28,9 +27,7 @@ def free(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
         (8, "evaluation.beam", "codesign evaluation=gaits evaluation.beam=10000000 evaluation.passes=1"),
     ],
 )
-def test_what_does_not_fit_is_refused_with_what_does(
-    warpvox: Callable, tmp_path: Path, free: Callable, size: float, key: str, words: str
-) -> None:
+def test_what_does_not_fit_is_refused_with_what_does(warpvox, tmp_path, free, size, key: str, words: str) -> None:
     free(size)
     outcome = warpvox(*words.split(), "device=cpu")
     assert outcome.code == 2, outcome

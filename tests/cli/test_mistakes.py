@@ -167,9 +167,7 @@ def test_a_folder_with_another_config_is_not_a_run(warpvox: Callable, tmp_path: 
         assert outcome.err.count("\n") == 1
 
 
-def test_a_run_that_fails_before_any_result_leaves_nothing(
-    warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_fails_before_any_result_leaves_nothing(warpvox: Callable, tmp_path: Path, monkeypatch) -> None:
     from warpvox.algos.training.runner import Runner
     from warpvox.errors import RunError
 
@@ -183,9 +181,7 @@ def test_a_run_that_fails_before_any_result_leaves_nothing(
 
 
 @pytest.mark.parametrize("key", ["threads", "torch_threads"])
-def test_a_million_threads_are_refused_also_where_a_file_asks_for_them(
-    key: str, train: Callable, warpvox: Callable
-) -> None:
+def test_a_million_threads_are_refused_also_where_a_file_asks_for_them(key: str, train: Callable, warpvox) -> None:
     run = train("max_iterations=1")
     assert f"{key} must be at most 1024" in warpvox("train", f"{key}=1000000").err
     config = run / "config.yaml"

@@ -109,9 +109,7 @@ def test_a_body_takes_the_place_of_those_of_a_preset() -> None:
         ("pretrained=nowhere", "There is no run at nowhere"),
     ],
 )
-def test_what_does_not_go_with_the_policy_is_refused(
-    warpvox: Callable, train: Callable, words: str, message: str
-) -> None:
+def test_what_does_not_go_with_the_policy_is_refused(warpvox, train: Callable, words: str, message: str) -> None:
     run = train(*VOXELS, "max_iterations=1")
     words = words.split() if "pretrained" in words else ["pretrained=latest", *words.split()]
     outcome = warpvox("train", *words, "num_envs=4", "max_iterations=1", "device=cpu")

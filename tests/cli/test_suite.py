@@ -252,9 +252,7 @@ def test_a_suite_leaves_one_folder(quick: Callable) -> None:
         ("evaluation=few_shot", "evaluation=few_shot needs evaluation.pretrained"),
     ],
 )
-def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(
-    quick: Callable, words: str, phrase: str
-) -> None:
+def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(quick, words: str, phrase: str) -> None:
     outcome = quick("searches=[ga,auto]", words)
     assert (outcome.code, phrase in outcome.err) == (2, True), outcome.err
     assert not Path("outputs").exists()
@@ -329,9 +327,7 @@ def test_an_interrupt_saves_what_there_is(quick: Callable, monkeypatch: pytest.M
     monkeypatch.undo()
 
 
-def test_a_full_disk_stops_a_suite_which_goes_on_when_there_is_room(
-    quick: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_stops_a_suite_which_goes_on_when_there_is_room(quick: Callable, monkeypatch) -> None:
     full = [StorageError("x.pt cannot be written: no space is left.", OSError(errno.ENOSPC, ""))]
     failing(monkeypatch, lambda config: full[0] if full and config.task == "Thrower-v0" else None)
     outcome = quick()

@@ -56,9 +56,7 @@ def test_a_sweep_leaves_a_table(warpvox: Callable) -> None:
 
 
 @pytest.mark.parametrize("error", [DivergenceError("it diverged"), ValueError("a defect")])
-def test_a_member_that_fails_does_not_end_the_sweep(
-    warpvox: Callable, monkeypatch: pytest.MonkeyPatch, error: Exception
-) -> None:
+def test_a_member_that_fails_does_not_end_the_sweep(warpvox: Callable, monkeypatch, error: Exception) -> None:
     from warpvox.algos.training.runner import Runner
 
     run = Runner.run

@@ -119,9 +119,7 @@ HARMLESS = [
 
 
 @pytest.mark.parametrize("words", [*REFUSED, *HARMLESS])
-def test_no_command_runs_code_that_a_file_names(
-    words: str, foreign: Path, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_command_runs_code_that_a_file_names(words: str, foreign: Path, warpvox: Callable, monkeypatch) -> None:
     monkeypatch.chdir(foreign)
     before = set(Path().rglob("*"))
     outcome = warpvox(*words.split())
@@ -196,9 +194,7 @@ def own_task(tmp_path: Path) -> str:
     return "mine/own.py:MINE"
 
 
-def test_a_run_of_a_custom_task_plays_from_anywhere(
-    train: Callable, warpvox: Callable, own_task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_of_a_custom_task_plays_from_anywhere(train, warpvox, own_task: str, tmp_path, monkeypatch) -> None:
     run = train(f"task={own_task}", "max_iterations=1")
     copied = {path.name for path in (run / "code" / "task").iterdir()}
     assert copied == {"n.txt", "own.py", "steps.py"}

@@ -39,9 +39,7 @@ def assert_rows(one: list[dict], other: list[dict], rows: list[int]) -> None:
 @BOTH
 @settings(max_examples=2)
 @given(places=PLACES, swapped=st.lists(st.booleans(), min_size=len(BODIES), max_size=len(BODIES)))
-def test_results_move_with_their_design_and_seed(
-    task: str, precision: str, places: list[int], swapped: list[bool]
-) -> None:
+def test_results_move_with_their_design_and_seed(task, precision: str, places: list[int], swapped: list[bool]) -> None:
     count = EACH * len(BODIES)
     env = make(task, precision, BODIES, count, SEEDS)
     moved = make(task, precision, [BODIES[d] for d in places], count, [SEEDS[d] for d in places])

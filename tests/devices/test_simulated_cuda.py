@@ -130,9 +130,7 @@ def test_the_group_kernel_of_cuda_has_room_for_its_worlds(task: str) -> None:
         assert bool(torch.isfinite(obs).all())
 
 
-def test_a_capture_that_fails_is_said_once_and_steps_go_on(
-    cuda: SimulatedCuda, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_capture_that_fails_is_said_once_and_steps_go_on(cuda: SimulatedCuda, monkeypatch) -> None:
     @contextmanager
     def failing(graph: Any, stream: Any, capture_error_mode: str) -> Iterator[None]:
         cuda.stream = stream  # which torch leaves current
@@ -193,9 +191,7 @@ def test_what_does_not_fit_is_refused_before_it_is_made(cuda: SimulatedCuda, mon
 @pytest.mark.parametrize(
     ("words", "graphs"), [("policy=mlp cuda_graph=true", 1), ("policy=grid", 0), ("policy=transformer obs=timed", 0)]
 )
-def test_a_training_ends_and_no_step_of_it_waits(
-    words: str, graphs: int, cuda: SimulatedCuda, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_training_ends_and_no_step_of_it_waits(words, graphs: int, cuda: SimulatedCuda, warpvox, monkeypatch) -> None:
     """The key ``cuda_graph`` reaches the environments; policies for voxels bring no tables; the CPU evaluates."""
     evaluated, waits = [], []
 
@@ -289,9 +285,7 @@ def test_launches_do_not_depend_on_the_number_of_environments(cuda: SimulatedCud
     assert found[0] == found[1]
 
 
-def test_a_population_is_trained_and_evaluated_on_one_device(
-    cuda: SimulatedCuda, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_population_is_trained_and_evaluated_on_one_device(cuda: SimulatedCuda, monkeypatch) -> None:
     """With ``auto`` its few evaluations would otherwise be on the CPU, and its networks on the device."""
     monkeypatch.setattr(names, "enough", lambda: 10)
     monkeypatch.setattr(evaluation.VoxelVecEnv, "max_episode_steps", 3)
@@ -310,9 +304,7 @@ def test_a_population_is_trained_and_evaluated_on_one_device(
     assert bool(torch.isfinite(training.evaluate()).all())
 
 
-def test_designs_that_are_trained_one_by_one_are_evaluated_on_the_cpu(
-    cuda: SimulatedCuda, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_designs_that_are_trained_one_by_one_are_evaluated_on_the_cpu(cuda: SimulatedCuda, monkeypatch) -> None:
     made: list[str] = []
     judge = sequential_evaluator.evaluator
     monkeypatch.setattr(

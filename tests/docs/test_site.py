@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import is_dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -108,9 +107,7 @@ def test_the_site_has_commands_tasks_and_public_names(site: Path) -> None:
         assert "<h2" in (site / "tasks" / f"{task}.html").read_text(encoding="utf-8")
 
 
-def test_the_site_is_searched_from_disk(
-    site: Path, open_page: Callable[..., Any], wait_for: Callable[..., None]
-) -> None:
+def test_the_site_is_searched_from_disk(site: Path, open_page, wait_for: Callable[..., None]) -> None:
     page = open_page((site / "index.html").as_uri())
     page.click("[data-md-component=search-query]")
     page.keyboard.type("load_policy")

@@ -117,9 +117,7 @@ def limited(sim: Simulation, pos: np.ndarray) -> np.ndarray:
     ("dtype", "arithmetic", "tolerance"),
     [("float32", "fast", 1e-7), ("float64", "fast", 1e-14), ("float64", "exact", 1e-14)],
 )
-def test_strain_is_limited_as_the_plain_formula_does(
-    dtype: str, arithmetic: str, tolerance: float, limits: dict
-) -> None:
+def test_strain_is_limited_as_the_plain_formula_does(dtype, arithmetic: str, tolerance: float, limits: dict) -> None:
     body = np.array([[5, 1, 3], [1, 1, 4], [2, 2, 3]])
     sim = scene(dataclasses.replace(DEFAULT, **limits), dtype, body, 8, arithmetic=arithmetic)
     rng, state = np.random.default_rng(0), sim.state()

@@ -119,9 +119,7 @@ def found(sim: Simulation, env: int = 0) -> np.ndarray:
     ("dtype", "arithmetic", "tolerance"),
     [("float32", "fast", 1e-6), ("float64", "fast", 1e-12), ("float64", "exact", 1e-12)],
 )
-def test_contact_forces_follow_the_law(
-    dtype: str, arithmetic: str, tolerance: float, changes: dict, speed: float
-) -> None:
+def test_contact_forces_follow_the_law(dtype, arithmetic: str, tolerance: float, changes: dict, speed: float) -> None:
     sim = touching(dtype, arithmetic, Physics.preset("evogym", **changes), speed)
     fixed = sim.fixed_rows[0, ::2, None].numpy()
     for env in (0, LANES - 1):

@@ -239,9 +239,7 @@ def test_robots_are_seen_in_their_colours(show: Callable, wait_for: Callable, th
 
 
 @pytest.mark.parametrize("frame", [0, 120])
-def test_the_page_shows_what_the_pictures_show(
-    show: Callable, wait_for: Callable, rollouts: Callable[..., Rollout], frame: int
-) -> None:
+def test_the_page_shows_what_the_pictures_show(show, wait_for, rollouts: Callable[..., Rollout], frame: int) -> None:
     page = show(f"paused&view=one&robot=1&theme=light&frame={frame}")
     wait_for(page, "!player.dirty && player.boxes.length === 1")
     rollout = rollouts(FRAMES, 4, designs=2, ends=ENDS)

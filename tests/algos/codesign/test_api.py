@@ -50,9 +50,7 @@ class Ear(Listener):
 
 
 @pytest.mark.usefixtures("narrow_packs")
-def test_objects_make_the_search_that_the_command_makes(
-    warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     torch.manual_seed(7)
     state, threads, ear = torch.get_rng_state(), torch.get_num_threads(), Ear()

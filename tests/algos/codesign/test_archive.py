@@ -222,9 +222,7 @@ def test_parquet_holds_the_same(filled: Archive, tmp_path: Path) -> None:
             assert value == (json.loads(text) if name not in ("body", "origin", "policy") and text else text or None)
 
 
-def test_parquet_without_pyarrow_says_what_to_do(
-    filled: Archive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parquet_without_pyarrow_says_what_to_do(filled: Archive, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(RunError, match=r"warpvox\[analysis\]"):
         export(filled, tmp_path, "parquet")

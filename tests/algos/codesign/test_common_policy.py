@@ -161,9 +161,7 @@ def test_a_pretrained_policy_for_other_bodies_is_refused(pretrained: dict[str, A
         ("shared", "stored"),
     ],
 )
-def test_killed_at_any_moment_it_is_the_undisturbed_search(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pretrained: dict[str, Any], kind: str, moment: str
-) -> None:
+def test_killed_at_any_moment_it_is_the_undisturbed_search(tmp_path, monkeypatch, pretrained, kind, moment) -> None:
     """Two generations of 3 iterations; killed in the first, the second, or before the second's results are stored."""
 
     def run(folder: Path) -> str:

@@ -94,9 +94,7 @@ def test_a_design_does_not_depend_on_its_company() -> None:
     assert len(set(together)) == 3
 
 
-def test_passes_come_before_rounds_and_go_on_after_an_interrupt(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_passes_come_before_rounds_and_go_on_after_an_interrupt(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(gait_evaluator, "SAVE_INTERVAL", 0.0)
     found, checkpoint = candidates(2), tmp_path / "batch.pt"
     how = evaluator(factory(), passes=2, beam=2 * COUNT, rounds=1)

@@ -123,8 +123,9 @@ def test_the_batch_does_not_change_the_results(tmp_path: Path, undisturbed: str)
     assert loop.archive.digest() == undisturbed
 
 
-@pytest.mark.parametrize("stop", [0, 1, POPULATION - 2, POPULATION, 2 * POPULATION + 1])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("stop", "number"), [(0, signal.SIGTERM), (POPULATION - 2, signal.SIGINT), (2 * POPULATION + 1, signal.SIGTERM)]
+)
 def test_an_interrupt_keeps_what_is_finished(tmp_path: Path, undisturbed: str, stop: int, number: int) -> None:
     class Interrupting(Listener):
         def __init__(self) -> None:
@@ -160,6 +161,7 @@ def test_an_interrupt_reaches_an_evaluation_that_reports(tmp_path: Path) -> None
     assert loop.archive.trained() == 0
 
 
+@pytest.mark.slow  # tests/faults kills a search of real trainings in the default run
 @pytest.mark.parametrize("batch", [1, 0])
 def test_killed_three_times_it_is_the_undisturbed_experiment(tmp_path: Path, undisturbed: str, batch: int) -> None:
     pause = 0.03

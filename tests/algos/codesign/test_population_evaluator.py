@@ -158,9 +158,7 @@ def killed_at(iteration: int):
     [("paper", {}, "Catcher-v0"), ("fast", {"rungs": [0.34, 0.67]}, "Walker-v0")],
     ids=["plain", "halving"],
 )
-def test_a_killed_evaluation_goes_on_to_the_same_outcomes(
-    tmp_path: Path, preset: str, changes: dict, task: str
-) -> None:
+def test_a_killed_evaluation_goes_on_to_the_same_outcomes(tmp_path, preset: str, changes: dict, task: str) -> None:
     found, file = candidates(4), tmp_path / "state.pt"
     how = small(preset, save_interval=1, **changes)
     whole = PopulationEvaluator(factory(task), how, 2).evaluate(found, {})
@@ -208,9 +206,7 @@ def test_the_checkpoint_of_others_is_refused(tmp_path: Path, evaluator: type) ->
 
 
 @pytest.mark.parametrize("iteration", [1, 4, 6])
-def test_one_by_one_a_killed_training_goes_on_within_a_design(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, iteration: int
-) -> None:
+def test_one_by_one_a_killed_training_goes_on_within_a_design(tmp_path: Path, monkeypatch, iteration: int) -> None:
     """The second design of two is killed after so many of its 6 iterations, saved every 2."""
     from warpvox.algos.training.runner import Runner
 
@@ -285,9 +281,7 @@ def test_a_diverged_design_leaves_with_what_it_had(monkeypatch: pytest.MonkeyPat
 
 @DOUBLE
 @pytest.mark.parametrize("moment", ["collect", "update", "evaluate"])
-def test_divergence_before_the_first_evaluation_is_a_fitness_of_its_own(
-    monkeypatch: pytest.MonkeyPatch, moment: str
-) -> None:
+def test_divergence_before_the_first_evaluation_is_a_fitness_of_its_own(monkeypatch, moment: str) -> None:
     """A policy gives no numbers while it collects, after its update, or when it is judged; the others do not notice."""
     from warpvox.algos.population.training import PopulationTraining
 

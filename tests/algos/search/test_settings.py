@@ -16,7 +16,6 @@ from warpvox.algos.search import (
     CppnNeat,
     MapElites,
     RandomDesigns,
-    SearchSettings,
     make_search,
     settings_from,
 )
@@ -34,9 +33,7 @@ from warpvox.errors import ConfigError
     ],
 )
 @pytest.mark.parametrize(("task", "shape"), [("Walker-v0", [5, 5]), ("Lifter-v0", [5, 7])])
-def test_the_papers_searches_have_its_settings_shape_and_training(
-    words: list[str], settings: SearchSettings, task: str, shape: list[int]
-) -> None:
+def test_the_papers_searches_have_its_settings_shape_and_training(words, settings, task: str, shape: list[int]) -> None:
     """Tables 2 to 6: an algorithm of the paper is named, and nothing of it need be said besides."""
     config = load("codesign", [*words, f"task={task}"])
     assert config.search == settings

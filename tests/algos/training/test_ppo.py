@@ -55,9 +55,7 @@ def test_divergence_is_one_clear_error() -> None:
 
 
 @pytest.mark.parametrize("part", ["weights", "moments"])
-def test_weights_that_are_not_finite_are_never_saved(
-    tmp_path: Path, part: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_weights_that_are_not_finite_are_never_saved(tmp_path: Path, part: str, monkeypatch) -> None:
     runner = make_runner(6, folder=tmp_path, save=1, evaluate=100)
     learn = runner.alg.update
 
