@@ -22,20 +22,7 @@ else:
     import tomli as tomllib
 
 DATA_SUFFIXES = {".pyi", ".yaml", ".cfg", ".html", ".js", ".css", ".h", ".typed", ".npz", ".csv", ".pt"}
-HEAVY = (
-    "torch",
-    "warp",
-    "botorch",
-    "neat",
-    "ribs",
-    "hydra",
-    "omegaconf",
-    "rsl_rl",
-    "gymnasium",
-    "matplotlib",
-    "pxr",
-    "tensorboard",
-)
+HEAVY = "torch warp botorch neat ribs hydra omegaconf rsl_rl gymnasium matplotlib pxr tensorboard".split()
 IMPORT_SECONDS = 1.0
 
 

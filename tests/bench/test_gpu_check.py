@@ -17,14 +17,7 @@ import torch
 from rich.console import Console
 from simulated_cuda import SimulatedCuda
 
-from warpvox.bench import (
-    cases,
-    gpu,
-    gpu_checks,
-    gpu_rates,
-    gpu_tools,
-    report as report_module,
-)
+from warpvox.bench import cases, gpu, gpu_checks, gpu_rates, gpu_tools, report as report_module
 from warpvox.bench.report import Report
 from warpvox.cli.config import load
 from warpvox.configs.presets import training_preset

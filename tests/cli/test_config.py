@@ -88,11 +88,7 @@ def test_a_preset_of_ones_own(tmp_path: Path) -> None:
     assert config == dataclasses.replace(default, preset="mine", seed=9, ppo=expected)
     with pytest.raises(ConfigError, match="one of paper, universal_cpg, got 'mine'"):
         load("codesign", ["preset=mine"], tmp_path)
-    for text, words in (
-        ("sed: 9\n", "sed"),
-        ("- 9\n", "preset/train/mine"),
-        ("a: [\n", r"mine\.yaml"),
-    ):
+    for text, words in (("sed: 9\n", "sed"), ("- 9\n", "preset/train/mine"), ("a: [\n", r"mine\.yaml")):
         file.write_text(text)
         with pytest.raises(ConfigError, match=words):
             load("train", ["preset=mine"], tmp_path)

@@ -136,12 +136,9 @@ def test_a_search_that_tunes_by_gradients(warpvox: Callable, train: Callable) ->
     )
     train(*(word for word in TRAINED if not word.startswith(("policy", "network"))), *how)
     words = (
-        "preset=universal_cpg",
-        "evaluation.pretrained=latest",
-        "evaluation.iterations=2",
-        "evaluation.ppo={steps:4}",
-        "evaluation.envs=1",
-    )
+        "preset=universal_cpg evaluation.pretrained=latest evaluation.iterations=2 evaluation.ppo={steps:4} "
+        "evaluation.envs=1"
+    ).split()
     folder = search(warpvox, *words)
     one = max(records_of(folder)[:5], key=lambda record: abs(record.fitness))
     assert 2 * 4 < one.steps <= 2 * 4 + 500
@@ -196,13 +193,7 @@ def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(warp
 
 
 def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
-    gaits = (
-        "evaluation=gaits",
-        "evaluation.gaits=8",
-        "evaluation.rounds=1",
-        "evaluation.final_rounds=2",
-        "dtype=float64",
-    )
+    gaits = "evaluation=gaits evaluation.gaits=8 evaluation.rounds=1 evaluation.final_rounds=2 dtype=float64".split()
     first = search(warpvox, *gaits, ROUNDS)
     assert warpvox("zoo", f"add={first}", "folder=mine").code == 0
     file = Path("mine/Walker-v0.npz")
@@ -275,10 +266,7 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
             "evaluation=gaits evaluation.gaits=7 task=Catcher-v0 evaluation.final_passes=0",
             3 * 7 * 4,
         ),  # a random task: four episodes of each gait
-        (
-            "evaluation=gaits evaluation.gaits=9 evaluation.finalists=6 batch=2 evaluation.final_passes=0",
-            2 * 9,
-        ),
+        ("evaluation=gaits evaluation.gaits=9 evaluation.finalists=6 batch=2 evaluation.final_passes=0", 2 * 9),
         (
             "evaluation=gaits evaluation.gaits=7 evaluation.passes=1 evaluation.beam=20 evaluation.final_passes=0",
             3 * 20,

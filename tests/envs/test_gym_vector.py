@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers.vector import (
-    RecordEpisodeStatistics,
-)
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from warpvox.design import example_design
 from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv

@@ -31,18 +31,12 @@ from warpvox.kernels.group import choose
 __all__ = ["SimulatedCuda", "Tape"]
 
 CUDA, CPU = torch.device("cuda", 0), torch.device("cpu")
-PLAIN = {
-    "size",
-    "dim",
-    "stride",
-    "numel",
-    "__len__",
-    "element_size",
-    "is_floating_point",
-    "data_ptr",
-    "is_contiguous",
-    "_has_compatible_shallow_copy_type",
-}
+PLAIN = set(
+    (
+        "size dim stride numel __len__ element_size is_floating_point data_ptr is_contiguous "
+        "_has_compatible_shallow_copy_type"
+    ).split()
+)
 """Functions that are about no values."""
 WAITING = {
     *("item", "tolist", "__bool__", "__int__", "__float__", "__index__", "__format__", "__repr__", "equal", "allclose"),

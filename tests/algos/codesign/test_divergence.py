@@ -15,14 +15,7 @@ from warpvox.algos.codesign.archive import Archive, Finished
 from warpvox.algos.codesign.executors import LocalExecutor
 from warpvox.algos.codesign.loop import Loop
 from warpvox.algos.report import report_page
-from warpvox.algos.search import (
-    BO,
-    GA,
-    CppnNeat,
-    MapElites,
-    RandomDesigns,
-    make_search,
-)
+from warpvox.algos.search import BO, GA, CppnNeat, MapElites, RandomDesigns, make_search
 from warpvox.design import sample_design
 from warpvox.errors import DivergenceError, RunError
 

@@ -9,16 +9,7 @@ from typing import Any
 
 import pytest
 
-from warpvox.algos.search import (
-    ALGORITHMS,
-    BO,
-    GA,
-    CppnNeat,
-    MapElites,
-    RandomDesigns,
-    make_search,
-    settings_from,
-)
+from warpvox.algos.search import ALGORITHMS, BO, GA, CppnNeat, MapElites, RandomDesigns, make_search, settings_from
 from warpvox.cli.config import load
 from warpvox.errors import ConfigError
 
