@@ -39,20 +39,6 @@ def run(sim, actions):
     return sim.object_positions("robot")
 
 
-@pytest.mark.parametrize(("dtype", "lanes"), [("float64", 8), ("float32", 32)])
-def test_a_batch_gives_bit_for_bit_what_single_runs_give(dtype, lanes):
-    four = worlds(4)
-    batch = [four[d] for d in range(4) for _ in range(16)]
-    options = dict(device="cpu", dtype=dtype, lanes=lanes)
-    sim = Simulation(batch, **options)
-    actions = actions_for(sim, 30)
-    together = run(sim, actions)
-    for env in range(0, 64, 7):
-        one = Simulation([batch[env]], **options)
-        alone = run(one, actions[:, env : env + 1, : one.num_actions])[0]
-        assert torch.equal(together[env, : len(alone)], alone), f"environment {env}"
-
-
 def test_a_frozen_environment_keeps_its_state():
     sim = Simulation(worlds(1) * 3, device="cpu", lanes=8)
     actions = actions_for(sim, 12)

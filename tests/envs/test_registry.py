@@ -1,12 +1,16 @@
-"""Task ids, specifications and rules."""
+"""Task ids, specifications, rules and worlds."""
 
 from __future__ import annotations
 
 import copy
 import dataclasses
+import json
 import pickle
 import sys
+from pathlib import Path
+from zlib import crc32
 
+import numpy as np
 import pytest
 
 from warpvox.code import Code, sources_of
@@ -14,8 +18,10 @@ from warpvox.envs.registry import get_task, released_id, task_ids
 from warpvox.envs.spec import TaskSpec, observes, rewards
 from warpvox.envs.terms.observations import shape
 from warpvox.envs.terms.rewards import displacement
-from warpvox.envs.worlds import block
-from warpvox.errors import ConfigError, TaskError
+from warpvox.envs.vec_env import make_vec
+from warpvox.envs.worlds import block, rows, task_world
+from warpvox.errors import ConfigError, TaskError, WorldError
+from warpvox.examples import EXAMPLES, MADE_FOR
 
 
 def test_the_spelling_of_the_release_is_understood() -> None:
@@ -140,3 +146,32 @@ def test_tasks_of_ones_own_that_cannot_be_had(tmp_path, monkeypatch: pytest.Monk
     monkeypatch.delitem(sys.modules, "own_tasks", raising=False)
     with pytest.raises(ConfigError, match=words):
         get_task(Code(name))
+
+
+@pytest.mark.parametrize("line", ["3Q", "F3", "x", "2-F"])
+def test_unreadable_lines_are_refused(line: str) -> None:
+    with pytest.raises(WorldError, match="expected runs such as"):
+        rows("thing", line)
+
+
+@pytest.mark.parametrize("task", task_ids())
+def test_worlds_have_the_checksums_of_the_reference(task: str) -> None:
+    """Place, size and CRC of the cells of every object, as ``tests/parity/record.py --worlds`` has written them."""
+    theirs = json.loads((Path(__file__).parent / "worlds.json").read_text())[task]
+    ours = {
+        obj.name: [obj.x, obj.y, obj.width, obj.height, crc32(obj.grid.tobytes())] for obj in get_task(task).objects
+    }
+    assert ours == theirs
+
+
+def test_a_body_that_does_not_fit_is_refused_by_name_of_the_task() -> None:
+    with pytest.raises(WorldError, match=r"5x6 body does not fit the world of Climber-v0: .*'pipe' at cell \(6, 1\)"):
+        task_world(get_task("Climber-v0"), np.full((5, 6), 3, np.int8))
+
+
+def test_examples_are_made_for_tasks_that_there_are_and_fit_them() -> None:
+    assert set(MADE_FOR) < set(EXAMPLES)
+    for name, tasks in MADE_FOR.items():
+        assert set(tasks) <= set(task_ids())
+        for task in tasks:
+            make_vec(task, [name], device="cpu", threads=1)

@@ -38,16 +38,6 @@ def _digest(path: Path) -> str:
         return archive.digest()
 
 
-def test_everything_asked_is_evaluated_and_told(tmp_path: Path) -> None:
-    loop = make_loop(tmp_path)
-    loop.run()
-    records = loop.archive.records()
-    assert [record.id for record in records] == list(range(POPULATION * GENERATIONS))
-    assert [record.fitness for record in records] == [value for value, _ in loop.search.all]
-    for record in records:
-        assert (tmp_path / record.policy).is_file()
-
-
 def test_equal_bodies_are_trained_once(tmp_path: Path) -> None:
     loop = make_loop(tmp_path)
     loop.run()
@@ -147,18 +137,6 @@ def test_an_interrupt_keeps_what_is_finished(tmp_path: Path, undisturbed: str, s
     again.run()
     assert not set(again.executor.evaluator.trained) & set(done)
     assert again.archive.digest() == undisturbed
-
-
-def test_an_interrupt_reaches_an_evaluation_that_reports(tmp_path: Path) -> None:
-    class Interrupting(Listener):
-        def progress(self, batch: Sequence[Candidate], event: dict) -> None:
-            signal.raise_signal(signal.SIGINT)
-
-    loop = make_loop(tmp_path, batch=None, listeners=[Interrupting()])
-    with pytest.raises(KeyboardInterrupt):
-        loop.run()
-    assert loop.executor.evaluator.trained == [0]
-    assert loop.archive.trained() == 0
 
 
 @pytest.mark.slow  # tests/faults kills a search of real trainings in the default run

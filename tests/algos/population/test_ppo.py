@@ -86,21 +86,6 @@ def test_whole_trainings_equal_separate_stock_ones(preset: str, task: str) -> No
     assert training.algorithm.rates.tolist() == pytest.approx([stock.runner.alg.learning_rate for stock in stocks])
 
 
-def test_a_design_that_diverges_leaves_the_others_alone() -> None:
-    spoilt, sound = (
-        PopulationTraining(factory(), bodies(3), SEEDS[:3], training_preset("paper", envs=4)) for _ in range(2)
-    )
-    for training in (spoilt, sound):
-        training._collect()
-    spoilt.algorithm.actor.weights[0].data[1, 0, 0] = float("nan")
-    for training in (spoilt, sound):
-        training.algorithm.update()
-    assert spoilt.algorithm.healthy().tolist() == [True, False, True]
-    for design in (0, 2):
-        for name, value in sound.policy(design).items():
-            assert torch.equal(spoilt.policy(design)[name], value)
-
-
 @pytest.mark.parametrize("threads", [2, 3])
 def test_learning_is_the_same_bit_for_bit_with_any_number_of_threads(threads: int) -> None:
     how = training_preset("fast", {"steps": 4, "epochs": 2}, envs=8)

@@ -70,26 +70,6 @@ def test_the_posterior_is_that_of_the_text_book() -> None:
     assert posterior.variance.detach().numpy()[:, 0] == pytest.approx(variance * fitness.var(ddof=1), rel=1e-3)
 
 
-def test_the_fit_uses_l_bfgs_with_its_limit_and_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
-    from botorch.optim import fit
-
-    calls = []
-    original = fit.scipy_minimize
-
-    def watched(*args: object, **kwargs: object):
-        calls.append(kwargs)
-        return original(*args, **kwargs)
-
-    monkeypatch.setattr(fit, "scipy_minimize", watched)
-    bodies = some_bodies(15)
-    with own_torch(0):
-        fit_model(bodies, some_fitness(bodies), BO(optimizer_restarts=3, optimizer_iterations=7))
-    assert len(calls) == 3
-    for call in calls:
-        assert call["options"] == {"maxiter": 7}
-        assert call.get("method", "L-BFGS-B") == "L-BFGS-B"
-
-
 @pytest.fixture(scope="module")
 def model():
     bodies = some_bodies(30)
@@ -250,24 +230,3 @@ def test_the_pool_has_random_bodies_and_mutants_of_the_best() -> None:
     )
     assert changes.min() >= 1
     assert changes.mean() < 5
-
-
-def test_replay_fits_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    from warpvox.algos.search import bo
-
-    settings = hasty(population=5, max_evaluations=15)
-    search, history = BayesianSearch(settings, seed=2), []
-    for _ in range(2):
-        asked = search.ask()
-        told = some_fitness(np.stack([candidate.body for candidate in asked]))
-        search.tell(told)
-        history.append((asked, told))
-    expected = [body_key(candidate.body) for candidate in search.ask()]
-    calls = []
-    original = bo.fit_model
-    monkeypatch.setattr(bo, "fit_model", lambda *args: calls.append(1) or original(*args))
-    again = BayesianSearch(settings, seed=2)
-    again.replay(history)
-    assert not calls
-    assert [body_key(candidate.body) for candidate in again.ask()] == expected
-    assert len(calls) == 1
