@@ -13,6 +13,7 @@ import yaml
 
 from warpvox.algos.candidate import FINALIST, START
 from warpvox.algos.codesign.archive import FILE, Archive, Record
+from warpvox.algos.codesign.evaluations import Shared
 from warpvox.algos.codesign.robots import read_start
 from warpvox.algos.codesign.run import check, environments
 from warpvox.algos.codesign.settings import Codesign
