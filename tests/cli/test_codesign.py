@@ -16,9 +16,9 @@ import yaml
 from PIL import Image
 from rich.console import Console
 
-from warpvox.algos.candidate import Candidate, Outcome
+from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.checkpoints.files import load_controller
-from warpvox.algos.codesign import results as results_of
+from warpvox.algos.codesign import progress, results as results_of
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.codesign.progress import SearchProgress
 from warpvox.algos.codesign.results import Results
@@ -182,6 +182,50 @@ def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
     assert len(files) == 5
     for file in files:
         assert load_design(file).shape == (3, 3)
+
+
+@pytest.fixture
+def watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable:
+    """``news(watch, seconds, iteration, steps, first)`` of two designs; returns what the last line says is left."""
+    clock, output = [0.0], io.StringIO()
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(progress, "QUIET_SECONDS", 0.0)
+    results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), Codesign())
+
+    def watch(finalists: int = 0) -> SearchProgress:
+        shown = SearchProgress(Console(width=120, file=output))
+        shown.begun(SearchRun(results, 4 + finalists, finalists, (100.0, 1000.0), 0, False))
+        return shown
+
+    def news(watch: SearchProgress, seconds: float, asked: list[Candidate], steps: int) -> str:
+        clock[0] += seconds
+        event = {"iteration": 1, "iterations": 10, "steps": steps, "best": [1.0, 1.0], "training": [True, True]}
+        watch.progress(asked, event)
+        return re.findall(r"left (.*)", output.getvalue())[-1]
+
+    with results.archive:
+        yield watch, news, results.archive
+
+
+def pair(generation: int, origin: str = "random") -> list[Candidate]:
+    return [Candidate(2 * generation + k, example_design("walker"), (), origin, generation) for k in (0, 1)]
+
+
+def test_the_time_left_counts_control_steps(watched: Callable) -> None:
+    """The time of designs that are stopped early, and of finalists, which begin when the others are done."""
+    make, news, archive = watched
+    watch, said = make(finalists=2), []
+    for generation, reports, ends in ((0, (20, 60), (100, 60)), (1, (20, 60), (100, 60)), (2, (200, 600), (600, 600))):
+        asked = pair(generation, FINALIST if generation == 2 else "random")
+        archive.propose(asked, 0)
+        watch.proposed(generation, asked, 2)
+        said.append([news(watch, 10.0, asked, steps) for steps in reports])
+        archive.finish([Finished(item.id, Outcome(1.0, steps=end)) for item, end in zip(asked, ends, strict=True)])
+        watch.finished(archive.records(generation))
+        watch.told(generation, fresh=True)
+    assert said[0] == ["-", "0:01:25, then 2 finalists"]  # 40 steps in 10 s, 340 of 4 * 100 are left
+    assert said[1][1] == "0:00:30, then 2 finalists"  # 100 steps in 30 s, and 100 of 2 * 80 are left
+    assert said[2] == ["-", "0:00:35"]  # 400 steps in 10 s, and 1400 of 2 * 1000 are left
 
 
 def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None:

@@ -156,6 +156,14 @@ def own_log(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("own_log")
+def test_hydras_own_views(capsys: pytest.CaptureFixture) -> None:
+    assert main(["train", "--cfg", "hydra", "hydra/launcher=basic"]) == 0
+    assert list(yaml.safe_load(capsys.readouterr().out)) == ["hydra"]
+    assert main(["train", "--info", "defaults-tree", "ppo=evogym"]) == 0
+    assert "ppo: evogym" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("own_log")
 @pytest.mark.parametrize(
     ("words", "key", "value"),
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,12 @@ def test_a_stored_configuration_runs_again(tmp_path: Path) -> None:
     search = load("codesign", ["search=map_elites", "search.bins=3", "evaluation=shared", *mappings])
     file.write_text(to_yaml(search))
     assert load("codesign", [f"config={file}"]) == search
+    assert load("codesign", [f"config={file}", "evaluation.envs=3"]).evaluation == replace(search.evaluation, envs=3)
+    gaits = load("codesign", [f"config={file}", "evaluation=gaits"])
+    assert gaits == replace(search, evaluation=load("codesign", ["evaluation=gaits"]).evaluation)
+    file.write_text(to_yaml(search).replace("name: shared", "name: shard"))
+    with pytest.raises(ConfigError, match=r"evaluation must be one of .*got 'shard'"):
+        load("codesign", [f"config={file}"])
 
 
 def test_a_few_keys_in_a_file(tmp_path: Path) -> None:

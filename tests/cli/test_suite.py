@@ -346,6 +346,17 @@ def test_a_member_that_others_end_is_no_failure(quick: Callable, monkeypatch: py
     assert states(folder) == ["done", "done", "waiting", "done"]
 
 
+def test_report_again(quick: Callable) -> None:
+    assert quick("seeds=1", "tasks=[Walker-v0]").code == 0
+    (folder,) = Path("outputs/suite").iterdir()
+    before = (folder / CURVES).read_text()
+    for file in (CURVES, "report.html"):
+        (folder / file).unlink()
+    assert quick(f"report={folder}").code == 0
+    assert (folder / CURVES).read_text() == before
+    assert "1 done" in (folder / "report.html").read_text()
+
+
 @pytest.fixture
 def pool() -> Iterator[LocalPool]:
     pool = LocalPool(act, 2)

@@ -97,6 +97,19 @@ def test_a_launcher_of_hydra_makes_the_runs(warpvox: Callable, monkeypatch: pyte
     assert found == [("1", "1", "failed"), ("2", "2", "done")]
 
 
+def test_an_interrupt_ends_a_sweep_with_its_table(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.algos.training.runner import Runner
+
+    def interrupt(self: Runner) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Runner, "run", interrupt)
+    outcome = warpvox("train", "-m", "seed=1,2,3", *TINY)
+    assert outcome.code == 130
+    assert [row["status"] for row in table()] == ["interrupted"]
+    assert "1 of 3 runs" in outcome.out
+
+
 def test_a_summary_says_what_made_it(train: Callable, repository: Path) -> None:
     summary = json.loads((train("max_iterations=1", "seed=5") / "summary.json").read_text())
     assert (summary["seed"], summary["version"]) == (5, wv.__version__)

@@ -130,6 +130,13 @@ def test_the_world_in_half_blocks(task: str) -> None:
     assert np.array_equal(shown[len(shown) - world.height :], world.grid())
 
 
+def test_wide_worlds_are_folded() -> None:
+    world = task_world(get_task("Walker-v0"), example_design("walker"))
+    assert max(len(line) for line in screen(world, width=41).export_text().splitlines()) <= 60  # the legend is longer
+    lines = [line for line in screen(world, 41, colour=False).export_text().splitlines() if set(line) == {"%"}]
+    assert [len(line) for line in lines] == [40, 40, 20]
+
+
 @ALL
 def test_the_picture_shows_every_cell(task: str, warpvox: Callable) -> None:
     world = task_world(get_task(task), example_design("walker"))

@@ -53,6 +53,7 @@ def test_check_design_accepts_exactly_the_valid_bodies(grid: np.ndarray) -> None
         assert body.dtype == np.int8
         assert np.array_equal(body, grid)
         assert np.array_equal(wv.check_design(grid.tolist()), grid)
+        assert not np.shares_memory(wv.check_design(grid), grid)
     else:
         with pytest.raises(wv.DesignError):
             wv.check_design(grid)

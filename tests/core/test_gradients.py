@@ -109,6 +109,22 @@ def test_in_motion_they_are_near(grads, amplitude):
     assert by_velocities < 0.03
 
 
+def test_several_steps_in_a_row(grads):
+    state, turns = lifted(grads), noise(grads.sim.actions)
+
+    def end(actions):
+        after = state
+        for k in range(6):
+            after = grads.step(after, 1 + 0.15 * torch.sin(actions + k))
+        return (after[:, 0] * noise(after[:, 0], 2) * grads.sim.rows[1]).sum(1)
+
+    actions = turns.clone().requires_grad_()
+    end(actions).sum().backward()
+    way = noise(turns, 3)
+    expected = (end(turns + 1e-5 * way) - end(turns - 1e-5 * way)) / 2e-5
+    assert float(((actions.grad * way).sum(1) - expected).norm() / expected.norm()) < 0.1
+
+
 def test_forward_is_the_simulation_and_backward_leaves_it_alone(grads):
     other, actions = simulation(), 1 + 0.3 * torch.sin(noise(grads.sim.actions)).requires_grad_()
     state = grads.state()

@@ -131,6 +131,7 @@ def test_unknown_names_and_sizes() -> None:
 def test_default_connections_are_all_neighbours_sorted(cells: np.ndarray) -> None:
     obj = wv.WorldObject.from_array("a", cells)
     assert obj.connections.dtype == np.int32
+    assert not any(array.flags.writeable for array in (obj.grid, obj.connections))
     pairs = obj.connections.tolist()
     assert pairs == sorted(pairs)
     assert sorted(full_connections(cells).tolist()) == pairs
@@ -163,6 +164,15 @@ def test_keys_tell_worlds_apart_but_not_orders() -> None:
     reverse.add_from_array("ground", np.full((1, 20), 5), 0, 0)
     assert reverse.key() == base.key()
     assert reverse == base
+
+
+def test_drawing() -> None:
+    world = wv.World(4, 1)
+    world.add_from_array("ground", [[5, 5, 5]], 0, 0)
+    world.add_from_array("robot", [[3, 4], [1, 2]], 1, 1)
+    assert world.pretty() == ".HV.\n.RS.\nFFF."
+    assert repr(world) == "World(4x3: ground 3x1 at (0, 0), robot 2x2 at (1, 1))"
+    assert repr(world.objects["robot"]) == "WorldObject('robot', 2 wide, 2 high, at (1, 1))"
 
 
 @given(worlds())

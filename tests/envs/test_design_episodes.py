@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from warpvox.design import are_valid, repair_design, sample_design
+from warpvox.envs.adapters.design_rsl_rl import RslRlDesignEnv
 from warpvox.envs.design_episodes import NUM_TYPES, DesignVecEnv, design_episodes
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ActionError, ConfigError, DesignError
@@ -202,6 +203,18 @@ def test_starts_and_states() -> None:
     fixed = make(start=APART)
     assert np.array_equal(fixed.cells[0].numpy(), APART)
     assert obs.shape == (ENVS, env.num_obs)
+
+
+def test_ends_are_spread_over_time() -> None:
+    env = RslRlDesignEnv(make())
+    env.episode_length_buf = torch.tensor([0, 1, 3, 4, 5, 2, 0, 0])
+    env.step(design(env.env, BODIES, 0.0))
+    ends = []
+    for step in range(LIMIT):
+        done = env.step(torch.where(env.env.designing[:, None], 0.0, control(env.env, step, 0.0)))[2]
+        ends += [(number, step + 1) for number in done.nonzero()[:, 0].tolist()]
+    first = dict(reversed(ends))
+    assert [first[number] for number in range(ENVS)] == [5, 4, 2, 1, 1, 3, 5, 5]
 
 
 def test_what_is_not_valid_is_refused() -> None:

@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import warpvox.evogym.envs  # noqa: F401  # the ids
 from warpvox.errors import DisplayError
 from warpvox.evogym import EvoSim, EvoViewer, EvoWorld
 from warpvox.evogym.simulator_cpp import Camera, Viewer
@@ -54,6 +53,16 @@ def test_pictures_show_what_is_where(sim: EvoSim, mode: str) -> None:
     assert {place: at(picture, *place) for place in places} == places
     picture[:] = 0  # it is the caller's
     assert make(sim).render(mode).max() > 0
+
+
+def test_views_are_stretched_to_the_picture(sim: EvoSim) -> None:
+    viewer = make(sim, pos=(5, 2), view_size=(4, 8))
+    picture = viewer.render("img")
+    colours = [tuple(colour) for colour in picture[75, :].tolist()]  # along y = 2, the middle of the robot
+    dark = RAMPS[Cell.SOFT][1]
+    row = [tuple(colour) for colour in picture[80, :].tolist()]  # just below it
+    assert row.count(dark) == pytest.approx(75, abs=6)  # one voxel is a quarter of 300 pixels
+    assert len(set(colours)) > 1
 
 
 def test_what_is_hidden_is_not_there(sim: EvoSim) -> None:

@@ -194,6 +194,18 @@ def test_buttons_do_what_keys_do(show: Callable, wait_for: Callable) -> None:
     assert page.problems == []
 
 
+def test_faster_is_faster_and_the_end_is_followed_by_the_start(show: Callable, wait_for: Callable) -> None:
+    page = show("paused")
+    moved = page.evaluate(
+        "[1, 4].map((speed) => { player.setSpeed(speed); player.seek(0); player.playing = true;"
+        "player.before = 0; player.tick(50); player.playing = false; return player.time; })"
+    )
+    assert moved == pytest.approx([2.5, 10.0])
+    page.evaluate("player.seek(199), player.toggle()")
+    wait_for(page, "player.frame < 150")
+    assert page.problems == []
+
+
 def test_scrubbing_and_pointing(show: Callable, wait_for: Callable) -> None:
     page = show("paused&view=one")
     line = page.locator("#timeline").bounding_box()

@@ -50,6 +50,12 @@ def test_robot_stays_in_view(rollouts: Callable[..., Rollout]) -> None:
     assert (points.max(axis=1) <= corner + view).all()
 
 
+def test_camera_moves_smoothly(rollouts: Callable[..., Rollout]) -> None:
+    rollout = rollouts(200, 1, noise=0.03)
+    path = camera_path(rollout.scene(0), rollout.positions[:, 0], (16.0, 9.0))
+    assert np.abs(np.diff(path, 2, axis=0)).max() < 0.05
+
+
 def test_colours_mean_what_they_mean() -> None:
     table = palette()
     cells = np.array([int(cell) for cell in RAMPS])

@@ -80,3 +80,9 @@ def test_windows_can_be_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
     assert window.place == (0, 0)
     window.close()
     assert window.closed
+
+
+def test_an_unknown_switch_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WARPVOX_WINDOW", "off")
+    with pytest.raises(DisplayError, match="must be 'none' or not set, got 'off'"):
+        why_no_window()

@@ -16,7 +16,7 @@ from warpvox.algos.candidate import START, Candidate, Outcome, Parent, candidate
 from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.finalists import BestOf
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
-from warpvox.algos.codesign.gaits import LONGEST, SHORTEST, Gait, draw_gait, mutate_gait, with_stages
+from warpvox.algos.codesign.gaits import LONGEST, SHORTEST, Gait, draw_gait, mutate_gait, mutate_motion, with_stages
 from warpvox.algos.policies.gait import gait_outputs
 from warpvox.errors import RunError
 from warpvox.types import Cell
@@ -100,6 +100,19 @@ def test_gaits_and_mutants_stay_within_their_limits(seed: int) -> None:
         for name, values in vars(gait).items():
             assert values.shape == getattr(before, name).shape
             np.testing.assert_array_equal(values, values.astype(np.float32))
+
+
+def test_a_wave_with_another_period_begins_its_stage_as_before() -> None:
+    rng, body, begin = np.random.default_rng(0), candidates(1)[0].body, 400
+    motion = draw_gait(rng, body, 500, 1)
+    period, amplitude, phase, rest = motion.period[0], motion.amplitude[0], motion.phase[0], motion.rest[0]
+    mutants = [mutate_motion(rng, (period, amplitude, phase, rest), body, begin) for _ in range(400)]
+    others = [one for one in mutants if one[0] != period and np.ptp(one[2] - phase) < 1e-4]
+    assert len(others) > 20
+    for other in others:
+        turned = (begin / other[0] - begin / period) + (other[2] - phase) / (2 * np.pi)
+        np.testing.assert_allclose(turned, turned.round(), atol=1e-4)
+    assert max(np.ptp(begin / np.array([one[0], period])) for one in others) > 0.25  # which would be seen
 
 
 def test_more_stages_do_not_change_a_motion_until_one_begins_another() -> None:

@@ -127,6 +127,19 @@ def test_the_divergence_is_that_of_the_parts_that_count() -> None:
         torch.testing.assert_close(found[row], wanted, rtol=1e-4, atol=1e-5)
 
 
+def test_types_are_drawn_as_often_as_they_are_likely() -> None:
+    env = make("one")
+    actor = construct(env).actor
+    rows = 4000
+    logits = torch.tensor([0.0, 1.0, -1.0, 0.5, 2.0])
+    actor.distribution.look(torch.ones(rows, dtype=torch.bool))
+    actor.distribution.gaussian.look(torch.zeros(rows, env.env.layout.control))
+    actor.distribution.update(torch.cat([torch.zeros(env.env.layout.control), logits]).expand(rows, -1))
+    torch.manual_seed(0)
+    drawn = torch.bincount(actor.distribution.sample()[:, -1].long(), minlength=5) / rows
+    assert (drawn - logits.softmax(0)).abs().max() < 4 * (0.25 / rows) ** 0.5  # four standard errors
+
+
 @pytest.mark.parametrize("revise", ["all", "one"])
 def test_rsl_rls_own_runner_trains_both_stages(revise: str) -> None:
     env = make(revise)

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from warpvox import make_vec
+from warpvox.algos.policies import response as response_module
 from warpvox.algos.policies.cpg import CpgNetwork, _driving, _moved
 from warpvox.algos.policies.layout import VoxelInputs, VoxelLayout, layout_of
 from warpvox.algos.policies.response import LinearResponse
@@ -126,6 +127,17 @@ def test_known_bodies_are_not_computed_again(monkeypatch: pytest.MonkeyPatch) ->
     assert torch.equal(first, response(bodies).float())
     monkeypatch.setattr(LinearResponse, "forward", lambda *_: pytest.fail("computed again"))
     assert torch.equal(response.known(bodies[[3, 1]]), first[[3, 1]])
+
+
+def test_what_is_known_has_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    response = LinearResponse(3, 3, [PERIOD])
+    bodies = one_hot(np.stack([BODY, BODY[::-1], BODY.T]))
+    whole = response.known(bodies)
+    monkeypatch.setattr(response_module, "KEPT", 2 * whole[0].numel() * 4)
+    response = LinearResponse(3, 3, [PERIOD])
+    for _ in range(2):
+        assert torch.equal(response.known(bodies), whole)
+        assert len(response._known) == 2
 
 
 def test_copies_begin_without_known_responses() -> None:

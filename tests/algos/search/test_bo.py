@@ -11,7 +11,7 @@ from botorch.acquisition import LogExpectedImprovement
 
 from warpvox.algos.search import BO, make_search
 from warpvox.algos.search.bo import BayesianSearch
-from warpvox.algos.search.bo_acquire import ascend, improve, log_improvement, thompson_starts
+from warpvox.algos.search.bo_acquire import ascend, climb, improve, log_improvement, thompson_starts
 from warpvox.algos.search.bo_model import fit_model, one_hot, own_torch
 from warpvox.algos.search.bodies import body_key, mutate, neighbours
 from warpvox.design import are_valid, draw_bodies
@@ -68,6 +68,26 @@ def test_the_posterior_is_that_of_the_text_book() -> None:
     )
     variance = shape[0] - np.einsum("ij,ji->i", cross, np.linalg.solve(covariance, cross.T))
     assert posterior.variance.detach().numpy()[:, 0] == pytest.approx(variance * fitness.var(ddof=1), rel=1e-3)
+
+
+def test_the_fit_uses_l_bfgs_with_its_limit_and_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
+    from botorch.optim import fit
+
+    calls = []
+    original = fit.scipy_minimize
+
+    def watched(*args: object, **kwargs: object):
+        calls.append(kwargs)
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(fit, "scipy_minimize", watched)
+    bodies = some_bodies(15)
+    with own_torch(0):
+        fit_model(bodies, some_fitness(bodies), BO(optimizer_restarts=3, optimizer_iterations=7))
+    assert len(calls) == 3
+    for call in calls:
+        assert call["options"] == {"maxiter": 7}
+        assert call.get("method", "L-BFGS-B") == "L-BFGS-B"
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +183,30 @@ def test_thompson_sampling_follows_the_posterior(model) -> None:
     assert len(set(several.tolist())) == 5
 
 
+def test_climbing_ends_where_no_valid_neighbour_is_higher() -> None:
+    rng = np.random.default_rng(0)
+    table = rng.normal(size=(3, 16, 5))
+
+    def values(bodies: np.ndarray) -> np.ndarray:
+        flat = bodies.reshape(*bodies.shape[:-2], 16).astype(int)
+        flat = np.broadcast_to(flat, (3, *flat.shape[-2:]))
+        return np.take_along_axis(table[:, None], flat[..., None], -1)[..., 0].sum(-1)
+
+    pool = some_bodies(20)
+    result = climb(values, pool)
+    at_pool = values(pool)
+    assert np.array_equal(result.start, at_pool.argmax(1))
+    assert np.array_equal(result.at_pool, at_pool)
+    assert are_valid(result.summit).all()
+    around = neighbours(result.summit)
+    heights = values(result.summit[:, None])[:, 0]
+    assert (heights >= at_pool.max(1)).all()
+    usable = are_valid(around.reshape(-1, 4, 4)).reshape(3, -1)
+    assert (np.where(usable, values(around), -np.inf).max(1) <= heights + TOLERANCE).all()
+    # additive values: without the demand for validity, the best type of each voxel would be the summit
+    assert (heights <= table.max(-1).sum(-1) + TOLERANCE).all()
+
+
 def test_torch_is_as_before_whatever_happens() -> None:
     threads, state = torch.get_num_threads(), torch.get_rng_state()
     with pytest.raises(ZeroDivisionError), own_torch(3):
@@ -230,3 +274,24 @@ def test_the_pool_has_random_bodies_and_mutants_of_the_best() -> None:
     )
     assert changes.min() >= 1
     assert changes.mean() < 5
+
+
+def test_replay_fits_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    from warpvox.algos.search import bo
+
+    settings = hasty(population=5, max_evaluations=15)
+    search, history = BayesianSearch(settings, seed=2), []
+    for _ in range(2):
+        asked = search.ask()
+        told = some_fitness(np.stack([candidate.body for candidate in asked]))
+        search.tell(told)
+        history.append((asked, told))
+    expected = [body_key(candidate.body) for candidate in search.ask()]
+    calls = []
+    original = bo.fit_model
+    monkeypatch.setattr(bo, "fit_model", lambda *args: calls.append(1) or original(*args))
+    again = BayesianSearch(settings, seed=2)
+    again.replay(history)
+    assert not calls
+    assert [body_key(candidate.body) for candidate in again.ask()] == expected
+    assert len(calls) == 1

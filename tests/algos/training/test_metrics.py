@@ -34,6 +34,13 @@ def test_weights_and_biases_gets_every_known_value(tmp_path: Path, monkeypatch: 
     assert [row["steps"] for row in read_metrics(tmp_path)] == [8]
 
 
+def test_without_a_logger_there_is_the_table_alone(tmp_path: Path) -> None:
+    written = Metrics(tmp_path, 0, "none")
+    written.write(ROW)
+    written.close()
+    assert [file.name for file in tmp_path.iterdir()] == ["metrics.csv"]
+
+
 def test_a_table_that_was_moved_away_begins_again_with_its_heading(tmp_path: Path) -> None:
     written = Metrics(tmp_path, 0, "none")
     written.write(ROW)
