@@ -28,8 +28,7 @@ FIRST = (
     # Those that take longest, so that no process waits for another at the end.
     *("test_ray_executor", "test_processes", "test_faults", "test_recordings", "test_cuda_build", "test_pages"),
     *("test_codesign", "test_trust", "test_commands", "test_memory"),
-)
-"""Files that go first, in this order."""
+)  # files that go first, in this order
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE = 30.0  # seconds for anything in the browser; a shared machine may stall
 GRAVE = ("error", "warning")

@@ -36,8 +36,7 @@ TINY = (
     " device=cpu threads=1"
 ).split()
 
-ROUNDING = 1e-6
-"""Of the rewards in a rollout, which are summed up in float64 and stored one by one in float32."""
+ROUNDING = 1e-6  # of the rewards in a rollout, which are summed up in float64 and stored one by one in float32
 
 
 def digest(folder: Path) -> str:

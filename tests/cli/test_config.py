@@ -29,8 +29,7 @@ TABLE_6 = {
     "value_coef": 0.5,
     "entropy_coef": 0.01,
     "steps": 128,
-}
-"""Paper section D.3."""
+}  # paper section D.3.
 
 
 def test_the_papers_settings() -> None:

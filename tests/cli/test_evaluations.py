@@ -37,8 +37,7 @@ OF = {
     "shared": ["evaluation.finalists=2", "evaluation.envs=8", "evaluation.iterations=1"],
 }
 ROUNDING = 1e-6
-ROUNDS = "evaluation.final_passes=0"
-"""Finalists of evaluation=gaits have rounds alone."""
+ROUNDS = "evaluation.final_passes=0"  # finalists of evaluation=gaits have rounds alone
 TRAINED = "designs=random:4:3x3", "policy=grid", "num_envs=8", "max_iterations=2", "network={width:8}", "lanes=8"
 
 

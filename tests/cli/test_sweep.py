@@ -55,7 +55,9 @@ def test_a_sweep_leaves_a_table(warpvox: Callable) -> None:
     assert warpvox("play", "run=latest", "num_envs=1", "steps=2", "threads=1", "export=[]", "window=off").code == 0
 
 
-@pytest.mark.parametrize("error", [DivergenceError("it diverged"), ValueError("a defect")])
+@pytest.mark.parametrize(
+    "error", [DivergenceError("it diverged"), pytest.param(ValueError("a defect"), marks=pytest.mark.slow)]
+)
 def test_a_member_that_fails_does_not_end_the_sweep(warpvox: Callable, monkeypatch, error: Exception) -> None:
     from warpvox.algos.training.runner import Runner
 

@@ -27,8 +27,7 @@ PARTS = {
     "file: rollout.npz": None,
     **{f"file: {FILES.get(name, f'rollout.{name}')}": package for name, package in FORMATS.items()},
     **{f"search: {name}": NEEDS.get(name) for name in ALGORITHMS if name != "custom"},
-}
-"""What is made, and the package that it needs."""
+}  # what is made, and the package that it needs
 
 
 @pytest.mark.slow

@@ -29,8 +29,7 @@ MEGABYTES = 5  # of which up to 3 are the animation of the zoo
 """Of all pictures together: everybody who clones the repository gets them."""
 
 
-WORDS = 1500
-"""Of a page at most, but for those of reference."""
+WORDS = 1500  # of a page at most, but for those of reference
 REFERENCE = {"commands", "figures", "results", "search"}
 TOO_LONG = {"codesign", "universal"}  # to be shortened
 

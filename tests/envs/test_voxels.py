@@ -91,8 +91,14 @@ def test_cut_connections_show_in_the_mask_and_in_the_corners() -> None:
     assert not torch.equal(cells[2, 4:6], cells[3, 6:8])  # their lower corners are not
 
 
-@pytest.mark.parametrize("task", task_ids())
-@pytest.mark.parametrize("rules", ["evogym", "paper"])
+@pytest.mark.parametrize(
+    ("task", "rules"),
+    [
+        pytest.param(task, rules, marks=() if (number + which) % 6 == 0 else pytest.mark.slow)
+        for number, task in enumerate(task_ids())
+        for which, rules in enumerate(("evogym", "paper"))
+    ],
+)
 def test_the_rest_of_what_a_task_observes_follows(task: str, rules: str) -> None:
     designs = [example_design("walker"), sample_design((3, 3), seed=1)]
     env = make(task, designs, 2, rules=rules)

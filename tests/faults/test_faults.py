@@ -37,8 +37,7 @@ from warpvox.io import writing
 from warpvox.io.writing import MARK, claimed, write_text
 
 COMMANDS = {"train": TRAIN, "codesign": CODESIGN}
-OURS = {writing.__file__, pathlib.__file__, system.__file__}
-"""The modules whose code writes a file."""
+OURS = {writing.__file__, pathlib.__file__, system.__file__}  # the modules whose code writes a file
 FEW = [("killed", 0.6), ("full", 0.5)]
 MANY = [(how, k / 20) for how in ("killed", "full") for k in range(20)]
 

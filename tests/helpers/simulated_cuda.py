@@ -36,13 +36,11 @@ PLAIN = set(
         "size dim stride numel __len__ element_size is_floating_point data_ptr is_contiguous "
         "_has_compatible_shallow_copy_type"
     ).split()
-)
-"""Functions that are about no values."""
+)  # functions that are about no values
 WAITING = {
     *("item", "tolist", "__bool__", "__int__", "__float__", "__index__", "__format__", "__repr__", "equal", "allclose"),
     *("nonzero", "argwhere", "masked_select", "unique", "unique_consecutive", "bincount", "histc", "is_nonzero"),
-}
-"""Functions that read values on the host, or whose result has a size that depends on values."""
+}  # functions that read values on the host, or whose result has a size that depends on values
 FROM_HOST = {"tensor", "as_tensor", "asarray", "new_tensor", "from_numpy"}
 INDEXING = {"__getitem__", "__setitem__", "index_put_", "index_put"}
 PROPERTIES = {"device": (CUDA, CPU), "is_cuda": (True, False), "is_cpu": (False, True)}

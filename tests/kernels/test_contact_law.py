@@ -117,7 +117,11 @@ def found(sim: Simulation, env: int = 0) -> np.ndarray:
 @pytest.mark.parametrize("changes", CONSTANTS, ids=lambda changes: ",".join(changes) or "default")
 @pytest.mark.parametrize(
     ("dtype", "arithmetic", "tolerance"),
-    [("float32", "fast", 1e-6), ("float64", "fast", 1e-12), ("float64", "exact", 1e-12)],
+    [
+        ("float32", "fast", 1e-6),
+        pytest.param("float64", "fast", 1e-12, marks=pytest.mark.slow),
+        ("float64", "exact", 1e-12),
+    ],
 )
 def test_contact_forces_follow_the_law(dtype, arithmetic: str, tolerance: float, changes: dict, speed: float) -> None:
     sim = touching(dtype, arithmetic, Physics.preset("evogym", **changes), speed)

@@ -11,8 +11,7 @@ from warpvox.simulation import Simulation
 from warpvox.types import VOXEL, Cell
 from warpvox.world import World
 
-ROUNDED = 1e-7
-"""Half-width of the noise on actions: what rounding them to float32 does."""
+ROUNDED = 1e-7  # half-width of the noise on actions: what rounding them to float32 does
 STEPS, FAR, BODIES = 10, 90, 8
 
 

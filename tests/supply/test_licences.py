@@ -11,30 +11,11 @@ from closure import extras_of, installed_closure, required
 
 # Permissive licences, by SPDX identifier and by the names that metadata older than SPDX expressions use.
 ALLOWED = {
-    "0BSD",
-    "Apache-2.0",
-    "Apache-2.0 WITH LLVM-exception",
-    "BSD-2-Clause",
-    "BSD-3-Clause",
-    "BSL-1.0",
-    "CC0-1.0",
-    "HPND",
-    "ISC",
-    "MIT",
-    "MIT-CMU",
-    "PSF-2.0",
-    "Unlicense",
-    "Zlib",
-    "3-Clause BSD License",
-    "Apache 2.0",
-    "Apache License 2.0",
-    "Apache License, Version 2.0",
-    "Apache Software License",
-    "BSD",
-    "BSD License",
-    "MIT License",
-    "Python Software Foundation License",
-}
+    "0BSD", "Apache-2.0", "Apache-2.0 WITH LLVM-exception", "BSD-2-Clause", "BSD-3-Clause", "BSL-1.0", "CC0-1.0",
+    "HPND", "ISC", "MIT", "MIT-CMU", "PSF-2.0", "Unlicense", "Zlib", "3-Clause BSD License", "Apache 2.0",
+    "Apache License 2.0", "Apache License, Version 2.0", "Apache Software License", "BSD", "BSD License",
+    "MIT License", "Python Software Foundation License",
+}  # fmt: skip
 WEAK = "asks only that changes to its own files stay open; we change none"
 NVIDIA = "part of torch's CUDA builds only, free to use and to pass on with a program; nobody needs it to run on a CPU"
 # pattern of names -> (what the metadata say, why it may stay)

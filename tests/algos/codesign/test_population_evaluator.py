@@ -212,7 +212,7 @@ def test_the_checkpoint_of_others_is_refused(tmp_path: Path, evaluator: type) ->
             evaluator(factory(), settings, seed).evaluate(part, {}, None, file)
 
 
-@pytest.mark.parametrize("iteration", [1, 4, 6])
+@pytest.mark.parametrize("iteration", [4, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 6))])
 def test_one_by_one_a_killed_training_goes_on_within_a_design(tmp_path: Path, monkeypatch, iteration: int) -> None:
     """The second design of two is killed after so many of its 6 iterations, saved every 2."""
     from warpvox.algos.training.runner import Runner

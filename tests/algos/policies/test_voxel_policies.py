@@ -200,7 +200,8 @@ def test_environments_may_change_places(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "formats"),
     [
-        ("grid", {"policy.pt": write_script, "policy.onnx": write_onnx}),
+        ("grid", {"policy.pt": write_script}),
+        pytest.param("grid", {"policy.onnx": write_onnx}, marks=pytest.mark.slow),
         ("transformer", {"policy.pt": write_script}),
         pytest.param("transformer", {"policy.onnx": write_onnx}, marks=pytest.mark.slow),
         ("cpg", {"policy.pt": write_script}),

@@ -13,8 +13,7 @@ from warpvox.configs.presets import training_preset
 
 SEEDS = [11, 22, 33, 44]
 UPDATES = 5
-SAME = 1e-6
-"""The promise: after five updates, whatever is only rounding differs by less."""
+SAME = 1e-6  # the promise: after five updates, whatever is only rounding differs by less
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")

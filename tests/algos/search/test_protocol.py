@@ -23,8 +23,7 @@ NEEDS = {"map_elites": pytest.mark.skipif(find_spec("ribs") is None, reason="nee
 EVERY = pytest.mark.parametrize("algorithm", [pytest.param(name, marks=NEEDS.get(name, ())) for name in OURS])
 QUICK = {"bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 40}}
 """Turns, seeds and records are the same with a hasty fit."""
-BUDGET = 20
-"""Evaluations: two generations of eight and half of one."""
+BUDGET = 20  # evaluations: two generations of eight and half of one
 
 
 def fresh(algorithm: str, shape: tuple[int, int] = (5, 5), seed: int = 0, **changes: object) -> BaseSearch:

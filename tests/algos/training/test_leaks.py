@@ -16,8 +16,7 @@ pytestmark = [
     pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="/proc is needed to watch a process"),
 ]
 SECONDS = float(os.environ.get("WARPVOX_LEAK_SECONDS", "60"))
-GROWTH = 0.02
-"""Of memory, from the second quarter of the time to the last; the first loads kernels and fills caches."""
+GROWTH = 0.02  # of memory, from the second quarter of the time to the last; the first loads kernels and fills caches
 ENDLESS = 10**5
 TERMINATED = 143
 COMMANDS = {

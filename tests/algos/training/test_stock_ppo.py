@@ -14,8 +14,7 @@ from warpvox.algos.training.runner import adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 
 STEPS, LIMIT, UPDATES = 6, 10, 3
-ROUNDING = 1e-9
-"""What rounding in float64 can grow to in three updates."""
+ROUNDING = 1e-9  # what rounding in float64 can grow to in three updates
 CASES = {
     "parallel": {},
     "evogym": {"clip_values": True, "schedule": "fixed", "adam_eps": 1e-5, "clip": 0.1, "max_grad_norm": 0.5},
